@@ -1,0 +1,1 @@
+"""The offline side, free of ROS: bags, net feedback, comparison, diagnosis and report."""

@@ -1,0 +1,1 @@
+"""The controller side, free of ROS: references, QP, modes and impact detection."""

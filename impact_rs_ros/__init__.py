@@ -1,0 +1,1 @@
+"""The rclpy nodes, one per file, and the runner that ties them."""

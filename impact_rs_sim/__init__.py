@@ -1,0 +1,1 @@
+"""The physics, free of ROS: robot model, effects, plant, impact map and scenario."""
