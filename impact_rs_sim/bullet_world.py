@@ -1,0 +1,245 @@
+"""One Bullet world: arms, object and support, with every setting that bites set on purpose.
+
+Shared by the plant (many small steps with compliant pads) and the ``bullet`` impact map (single rigid steps). Bullet
+multiplies the friction coefficients of two bodies, so the object carries 1 and its partners the pair's value.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.urdf import joint_names, write_urdf
+
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Bullet prints banners to the C-level standard output, which belongs to ``--json`` alone."""
+    sys.stdout.flush()
+    kept, null = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 1)
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(null)
+
+
+with _quiet():
+    import pybullet
+    from pybullet_utils.bullet_client import BulletClient
+
+PAD_CONTACT_POINTS = 4  # Bullet keeps four points of a face contact; each gets a quarter of the face's stiffness
+
+
+class BulletWorld:
+    """Arms, object and support in a Bullet world of its own.
+
+    Args:
+        physics: Parameters of the scene.
+        time_step: Step [s].
+        gravity: Whether gravity acts.
+        compliant_pads: Whether pads have their stiffness and damping; otherwise they are rigid.
+        iterations: Largest number of solver iterations in a step.
+        residual_threshold: The solver stops when the largest squared change of a row is below this.
+        contact_erp: Share of a penetration that a rigid contact removes in one step.
+    """
+
+    def __init__(
+        self,
+        physics: Physics,
+        *,
+        time_step: float,
+        gravity: bool,
+        compliant_pads: bool,
+        iterations: int,
+        residual_threshold: float,
+        contact_erp: float = 0.2,
+    ) -> None:
+        self.physics = physics
+        self.time_step = time_step
+        with _quiet():
+            self.client = BulletClient(connection_mode=pybullet.DIRECT)
+        client = self.client
+        client.setPhysicsEngineParameter(
+            fixedTimeStep=time_step,
+            numSubSteps=0,
+            numSolverIterations=iterations,
+            solverResidualThreshold=residual_threshold,
+            useSplitImpulse=0,
+            contactERP=contact_erp,
+            erp=contact_erp,
+            frictionERP=0.0,
+            globalCFM=0.0,
+            contactSlop=0.0,
+            restitutionVelocityThreshold=0.0,
+            enableConeFriction=1,
+            deterministicOverlappingPairs=1,
+            constraintSolverType=pybullet.CONSTRAINT_SOLVER_LCP_SI,
+        )
+        client.setGravity(*(physics.gravity if gravity else np.zeros(3)))
+        self.arms = {name: self._load_arm(name, compliant_pads) for name in physics.arms}
+        counts = {name: arm.facts.joint_count for name, arm in physics.arms.items()}
+        self.joints = {name: list(range(count)) for name, count in counts.items()}
+        self.end_effector_link = dict(counts)
+        self.object = self._make_object()
+        self.support = self._make_support()
+
+    def close(self) -> None:
+        """Disconnect from Bullet."""
+        if self.client._client >= 0:
+            self.client.disconnect()
+            self.client._client = -1
+
+    def _load_arm(self, name: str, compliant: bool) -> int:
+        client, physics = self.client, self.physics.arms[name]
+        with tempfile.TemporaryDirectory(prefix="impact_rs_") as folder:
+            path = Path(folder) / "arm.urdf"
+            path.write_text(write_urdf(physics.facts, physics.end_effector), encoding="utf-8")
+            body = client.loadURDF(
+                str(path),
+                basePosition=physics.base.translation.tolist(),
+                baseOrientation=_quaternion(physics.base.rotation),
+                useFixedBase=1,
+                flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+            )
+        joints = list(range(len(joint_names(physics.facts))))
+        client.setJointMotorControlArray(
+            body, joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(joints)
+        )
+        for link in range(-1, client.getNumJoints(body)):
+            client.changeDynamics(
+                body,
+                link,
+                linearDamping=0.0,
+                angularDamping=0.0,
+                jointDamping=0.0,
+                lateralFriction=self.physics.pad_friction,
+                spinningFriction=0.0,
+                rollingFriction=0.0,
+                restitution=0.0,
+                maxJointVelocity=1e3,
+                jointLowerLimit=1.0,  # an empty interval switches Bullet's own joint stops off
+                jointUpperLimit=-1.0,
+                activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+            )
+        if compliant and physics.pad_stiffness is not None:
+            client.changeDynamics(
+                body,
+                len(joints),
+                contactStiffness=physics.pad_stiffness / PAD_CONTACT_POINTS,
+                contactDamping=physics.pad_damping / PAD_CONTACT_POINTS,
+            )
+        return int(body)
+
+    def _make_object(self) -> int:
+        client, thing = self.client, self.physics.object
+        shape = client.createCollisionShape(
+            pybullet.GEOM_BOX,
+            halfExtents=(thing.size / 2.0).tolist(),
+            collisionFramePosition=(-thing.com_offset).tolist(),
+        )
+        body = client.createMultiBody(baseMass=thing.mass, baseCollisionShapeIndex=shape)
+        client.changeDynamics(
+            body,
+            -1,
+            localInertiaDiagonal=thing.inertia.tolist(),
+            linearDamping=0.0,
+            angularDamping=0.0,
+            lateralFriction=1.0,
+            spinningFriction=0.0,
+            rollingFriction=0.0,
+            restitution=0.0,
+            activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+        )
+        return int(body)
+
+    def _make_support(self) -> int | None:
+        physics, client = self.physics, self.client
+        if physics.support_height is None:
+            return None
+        thickness = 0.1
+        half = (physics.support_size[0] / 2.0, physics.support_size[1] / 2.0, thickness / 2.0)
+        shape = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half)
+        body = client.createMultiBody(
+            baseMass=0.0,
+            baseCollisionShapeIndex=shape,
+            basePosition=[0.0, 0.0, physics.support_height - thickness / 2.0],
+        )
+        client.changeDynamics(
+            body,
+            -1,
+            lateralFriction=physics.support_friction,
+            spinningFriction=0.0,
+            rollingFriction=0.0,
+            restitution=0.0,
+        )
+        for arm in self.arms.values():
+            for link in range(-1, client.getNumJoints(arm)):
+                client.setCollisionFilterPair(arm, body, link, -1, 0)
+        return int(body)
+
+    def set_arm(self, name: str, state: ArmState) -> None:
+        """Put an arm into a joint state."""
+        body = self.arms[name]
+        for joint, q, dq in zip(self.joints[name], state.position, state.velocity, strict=True):
+            self.client.resetJointState(body, joint, float(q), float(dq))
+
+    def set_object(self, state: BodyState) -> None:
+        """Put the object into a state (given at its geometric centre)."""
+        offset = state.rotation @ self.physics.object.com_offset
+        velocity = state.twist[:3] + np.cross(state.twist[3:], offset)
+        client = self.client
+        client.resetBasePositionAndOrientation(
+            self.object, (state.position + offset).tolist(), _quaternion(state.rotation)
+        )
+        client.resetBaseVelocity(self.object, velocity.tolist(), state.twist[3:].tolist())
+
+    def arm_state(self, name: str) -> ArmState:
+        """Joint positions and velocities of an arm."""
+        states = self.client.getJointStates(self.arms[name], self.joints[name])
+        return ArmState(np.array([s[0] for s in states]), np.array([s[1] for s in states]))
+
+    def object_state(self) -> BodyState:
+        """State of the object, at its geometric centre."""
+        client = self.client
+        position, quaternion = client.getBasePositionAndOrientation(self.object)
+        linear, angular = (np.array(v) for v in client.getBaseVelocity(self.object))
+        rotation = np.array(client.getMatrixFromQuaternion(quaternion)).reshape(3, 3)
+        offset = rotation @ self.physics.object.com_offset
+        twist = np.concatenate((linear - np.cross(angular, offset), angular))
+        return BodyState(np.array(position) - offset, rotation, twist)
+
+    def apply_torque(self, name: str, torque: Array) -> None:
+        """Joint torque of an arm over the next step, ``(n,)`` [N m]."""
+        self.client.setJointMotorControlArray(
+            self.arms[name], self.joints[name], pybullet.TORQUE_CONTROL, forces=torque.tolist()
+        )
+
+    def step(self) -> None:
+        """Advance by one step."""
+        self.client.stepSimulation()
+
+    def pad_force(self, name: str) -> Array:
+        """Force of the object on an arm's pad in the last step, in A, ``(3,)`` [N]."""
+        force = np.zeros(3)
+        for point in self.client.getContactPoints(self.arms[name], self.object):
+            force += np.array(point[7]) * point[9]
+            force += np.array(point[11]) * point[10] + np.array(point[13]) * point[12]
+        return force
+
+
+def _quaternion(rotation: Array) -> list[float]:
+    return pin.Quaternion(np.asarray(rotation)).coeffs().tolist()

@@ -1,0 +1,36 @@
+"""The one exception that means: the user's input is wrong, and this is what to change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class InputError(ValueError):
+    """A mistake in what the user gave: a file, a key, a command-line argument or a service request.
+
+    The command line prints it as one line and exits with code 2; the impact-map service answers it as
+    ``success: false``.
+
+    Args:
+        message: What is wrong, or, with ``key``, what was expected (with its unit).
+        file: The file the mistake is in, if any.
+        key: Dotted path of the key, for example ``robots.arm.end_effector.mass``.
+        value: The value found there.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        file: str | Path | None = None,
+        key: str | None = None,
+        value: object = None,
+    ) -> None:
+        self.message = message
+        self.file = None if file is None else str(file)
+        self.key = key
+        self.value = value
+        place = [] if self.file is None else [self.file]
+        if key is not None:
+            place.append(f"{key} = {value!r}" if value is not None else key)
+        super().__init__(": ".join([*place, message]))

@@ -1,0 +1,40 @@
+"""Where the package finds its configuration files, installed or not."""
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+
+def _candidates() -> Iterator[Path]:
+    """Yield the places that may hold the configuration files, the most specific first."""
+    if override := os.environ.get("IMPACT_RS_CONFIG"):
+        yield Path(override)
+        return  # a user who names a place wants that one or an error
+    yield Path(__file__).resolve().parent.parent / "config"
+    yield Path(sys.prefix) / "share" / "impact_rs" / "config"
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            yield Path(prefix) / "share" / "impact_rs" / "config"
+
+
+def config_directory() -> Path:
+    """Return the folder of scenarios, models, robots and node parameters.
+
+    Looks at the environment variable ``IMPACT_RS_CONFIG`` (alone, if it is set), then at the
+    source tree that this module lies in, at the Python environment's ``share/impact_rs/config``
+    and at every prefix in ``AMENT_PREFIX_PATH``.
+
+    Raises:
+        FileNotFoundError: No such folder exists; the message lists where it was looked for.
+    """
+    looked_at = []
+    for candidate in _candidates():
+        if candidate.is_dir():
+            return candidate
+        looked_at.append(candidate)
+    places = "\n".join(f"  {place}" for place in looked_at)
+    raise FileNotFoundError(
+        f"no configuration folder of impact_rs found; looked at\n{places}\n"
+        "Set IMPACT_RS_CONFIG to the folder, or install impact_rs."
+    )

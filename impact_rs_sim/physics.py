@@ -1,0 +1,199 @@
+"""The numbers that a plant, a twin or an impact map is built from.
+
+A :class:`Physics` is one complete belief about the scene. The nominal one follows from scenario and object; an
+effect turns one into another. Nothing else carries physical parameters, so what one side can hide the other can
+model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.robot import Array, EndEffector, RobotFacts, SigmoidFriction
+from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
+from impact_rs_sim.scenario import Scenario
+
+MOTOR_INERTIA_MODELS = ("reduced", "rotor", "zero")
+
+
+@dataclass(frozen=True)
+class JointFriction:
+    """Joint friction as the desired torque feels it: tau_fric of paper eq. EOM_motor_mod.
+
+    The motor feels ``tau_fric,m = B_rho B_theta^-1 tau_fric`` (paper, below eq. EOM_motor_mod). The torque opposes the
+    motor's velocity; the sign change is smoothed over ``smoothing`` so that rest is a state and not a limit cycle.
+
+    Attributes:
+        coulomb: Coulomb friction, ``(n,)`` [N m].
+        viscous: Viscous friction, ``(n,)`` [N m s/rad].
+        stribeck: Breakaway torque above Coulomb, ``(n,)`` [N m].
+        stribeck_velocity: Velocity at which the excess has fallen to 1/e, ``(n,)`` [rad/s].
+        sigmoid: Friction identified by Gaz et al. 2019, added to the above.
+        smoothing: Velocity scale of the smoothed sign [rad/s].
+    """
+
+    coulomb: Array
+    viscous: Array
+    stribeck: Array
+    stribeck_velocity: Array
+    sigmoid: SigmoidFriction | None = None
+    smoothing: float = 0.005
+
+    @staticmethod
+    def none(joint_count: int) -> JointFriction:
+        """No friction at all."""
+        zero = np.zeros(joint_count)
+        return JointFriction(zero, zero, zero, np.full(joint_count, 0.05))
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether the torque is zero at every velocity."""
+        return self.sigmoid is None and not any(
+            np.any(values) for values in (self.coulomb, self.viscous, self.stribeck)
+        )
+
+    def torque(self, velocity: Array) -> Array:
+        """Friction torque at joint velocity ``(n,)`` [rad/s], ``(n,)`` [N m]."""
+        excess = self.stribeck * np.exp(-np.square(velocity / self.stribeck_velocity))
+        torque = -(self.coulomb + excess) * np.tanh(velocity / self.smoothing) - self.viscous * velocity
+        if self.sigmoid is not None:
+            a, b, c = (np.array(values) for values in (self.sigmoid.a, self.sigmoid.b, self.sigmoid.c))
+            torque -= a / (1.0 + np.exp(-b * (velocity + c))) - a / (1.0 + np.exp(-b * c))
+        return np.asarray(torque)
+
+
+@dataclass(frozen=True)
+class ArmPhysics:
+    """One arm: link side, motor side, actuation and pad.
+
+    Attributes:
+        facts: Kinematics, link inertials and limits.
+        base: Placement of the base in A.
+        end_effector: End effector with everything that is fixed to it.
+        motor_inertia_rotor: B_rho, ``(n,)`` [kg m^2].
+        motor_inertia_reduced: B_theta that the torque loop aims at, ``(n,)`` [kg m^2].
+        stiffness: K, ``(n,)`` [N m/rad].
+        damping: D, ``(n,)`` [N m s/rad].
+        friction: Joint friction.
+        torque_offset: Added to the desired torque, ``(n,)`` [N m].
+        torque_gain: The desired torque is multiplied by this, ``(n,)`` [-].
+        actuation_delay: Delay of the desired torque [s].
+        pad_stiffness: Stiffness of the whole pad face [N/m]; None: rigid.
+        pad_damping: Damping of the whole pad face [N s/m].
+    """
+
+    facts: RobotFacts
+    base: pin.SE3
+    end_effector: EndEffector
+    motor_inertia_rotor: Array
+    motor_inertia_reduced: Array
+    stiffness: Array
+    damping: Array
+    friction: JointFriction
+    torque_offset: Array
+    torque_gain: Array
+    actuation_delay: float
+    pad_stiffness: float | None
+    pad_damping: float
+
+    def motor_inertia(self, model: str) -> Array:
+        """Diagonal of B for ``reduced``, ``rotor`` or ``zero``, ``(n,)`` [kg m^2]."""
+        return {
+            "reduced": self.motor_inertia_reduced,
+            "rotor": self.motor_inertia_rotor,
+            "zero": np.zeros_like(self.motor_inertia_rotor),
+        }[model]
+
+
+@dataclass(frozen=True)
+class ObjectPhysics:
+    """A homogeneous box, up to an offset of its centre of mass.
+
+    Attributes:
+        mass: Mass [kg].
+        size: Extent along its own x, y, z, ``(3,)`` [m].
+        inertia: Principal moments about the centre of mass, ``(3,)`` [kg m^2].
+        com_offset: Centre of mass from the geometric centre, in axes of the object, ``(3,)`` [m].
+    """
+
+    mass: float
+    size: Array
+    inertia: Array
+    com_offset: Array
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Everything physical about one scene.
+
+    Attributes:
+        arms: Arms by name.
+        object: The manipulated object.
+        support_height: Height of the support's surface [m]; None: no support.
+        support_size: Extent of the support along x and y [m].
+        support_friction: Friction between object and support [-].
+        pad_friction: Friction between pad and object [-].
+        restitution: Newton restitution of the rigid impact map [-].
+        gravity: Acceleration of gravity in A, ``(3,)`` [m/s^2].
+    """
+
+    arms: dict[str, ArmPhysics]
+    object: ObjectPhysics
+    support_height: float | None
+    support_size: tuple[float, float]
+    support_friction: float
+    pad_friction: float
+    restitution: float
+    gravity: Array = field(default_factory=lambda: np.array(STANDARD_GRAVITY))
+
+    @staticmethod
+    def nominal(scenario: Scenario, object_name: str) -> Physics:
+        """What the scenario says, for one of its objects.
+
+        Raises:
+            InputError: The scenario has no such object.
+        """
+        spec = scenario.object(object_name)
+        arms = {}
+        for name, robot in scenario.robots.items():
+            facts, drive, pad = robot.robot_facts, robot.drive, robot.end_effector.pad
+            friction = JointFriction.none(facts.joint_count)
+            if drive.friction == "identified":
+                friction = replace(friction, sigmoid=facts.friction)
+            arms[name] = ArmPhysics(
+                facts=facts,
+                base=robot.base.placement,
+                end_effector=robot.end_effector.build(),
+                motor_inertia_rotor=np.array(drive.motor_inertia_rotor),
+                motor_inertia_reduced=np.array(drive.motor_inertia_reduced),
+                stiffness=np.array(drive.stiffness),
+                damping=np.array(drive.damping),
+                friction=friction,
+                torque_offset=np.zeros(facts.joint_count),
+                torque_gain=np.ones(facts.joint_count),
+                actuation_delay=drive.actuation_delay,
+                pad_stiffness=pad.stiffness,
+                pad_damping=pad.damping,
+            )
+        return Physics(
+            arms=arms,
+            object=ObjectPhysics(
+                mass=spec.mass,
+                size=np.array(spec.size),
+                inertia=spec.inertia,
+                com_offset=np.array(spec.com_offset),
+            ),
+            support_height=scenario.support.height,
+            support_size=scenario.support.size,
+            support_friction=scenario.support.friction,
+            pad_friction=scenario.contact.friction,
+            restitution=scenario.contact.restitution,
+        )
+
+    def robot_model(self, arm: str) -> RobotModel:
+        """Rigid-body model of one arm under these physics."""
+        physics = self.arms[arm]
+        return RobotModel(physics.facts, physics.end_effector, physics.base, self.gravity)

@@ -1,0 +1,136 @@
+"""Robot facts and end effector: what a URDF is written from, and nothing derived from it."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.schema import NonNegativeVector, PositiveVector, Schema, Vector, Vector3, load
+
+Array = NDArray[np.float64]
+
+
+class JointOrigin(Schema):
+    """Placement of a joint in the link before it; the axis of every joint is its own +z."""
+
+    xyz: Vector3 = Field(description="origin of the joint in the previous link [m]")
+    rpy: Vector3 = Field(description="roll, pitch, yaw of the joint in the previous link [rad]")
+
+
+class Flange(Schema):
+    """Placement of the flange in the last link."""
+
+    xyz: Vector3 = Field(description="origin of the flange in the last link [m]")
+
+
+class Link(Schema):
+    """Inertial parameters of one link, in the axes of the link frame."""
+
+    mass: Annotated[float, Field(gt=0.0, description="mass of the link [kg]")]
+    com: Vector3 = Field(description="centre of mass in the link frame [m]")
+    inertia: tuple[float, float, float, float, float, float] = Field(
+        description="ixx, ixy, ixz, iyy, iyz, izz about the centre of mass [kg m^2]"
+    )
+
+    @property
+    def inertia_matrix(self) -> Array:
+        """Inertia about the centre of mass, ``(3, 3)`` [kg m^2]."""
+        ixx, ixy, ixz, iyy, iyz, izz = self.inertia
+        return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+
+
+class Limits(Schema):
+    """Hardware limits, one entry per joint."""
+
+    position_min_rad: Vector = Field(description="lower joint position limits [rad]")
+    position_max_rad: Vector = Field(description="upper joint position limits [rad]")
+    velocity_rad_s: PositiveVector = Field(description="joint velocity limits [rad/s]")
+    torque_Nm: PositiveVector = Field(description="joint torque limits [N m]")
+
+
+class SigmoidFriction(Schema):
+    """Joint friction of Gaz et al. 2019: ``a / (1 + exp(-b (dq + c))) - a / (1 + exp(-b c))``."""
+
+    a: NonNegativeVector = Field(description="height of the sigmoid per joint [N m]")
+    b: PositiveVector = Field(description="slope of the sigmoid per joint [s/rad]")
+    c: Vector = Field(description="shift of the sigmoid per joint [rad/s]")
+
+
+class RobotFacts(Schema):
+    """Public facts about an arm (``config/robots/*.yaml``)."""
+
+    source: str = Field(description="where the numbers come from")
+    joints: tuple[JointOrigin, ...] = Field(min_length=1, description="joint origins")
+    flange: Flange = Field(description="flange on the last link")
+    limits: Limits = Field(description="hardware limits")
+    links: tuple[Link, ...] = Field(min_length=1, description="link inertials")
+    friction: SigmoidFriction | None = Field(None, description="identified joint friction")
+    reflected_rotor_inertia_other_source_kg_m2: PositiveVector | None = Field(
+        None, description="reflected rotor inertia per joint from another source [kg m^2]"
+    )
+    joint_stiffness_typical_Nm_per_rad: PositiveVector | None = Field(
+        None, description="order of magnitude of the joint stiffness [N m/rad]"
+    )
+
+    @model_validator(mode="after")
+    def _same_length_everywhere(self) -> Self:
+        count = len(self.joints)
+        lengths = {
+            "links": len(self.links),
+            **{f"limits.{name}": len(getattr(self.limits, name)) for name in Limits.model_fields},
+        }
+        for name, length in lengths.items():
+            if length != count:
+                raise ValueError(f"{name} has {length} entries, expected one per joint ({count})")
+        return self
+
+    @property
+    def joint_count(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+
+@functools.lru_cache(maxsize=16)
+def load_facts(name: str) -> RobotFacts:
+    """Facts of the robot ``name``: ``config/robots/NAME.yaml``, or a path to such a file.
+
+    Raises:
+        InputError: There is no such robot, or its file breaks the schema.
+    """
+    directory = config_directory() / "robots"
+    path = Path(name) if name.endswith(".yaml") else directory / f"{name}.yaml"
+    if not path.is_file():
+        known = ", ".join(sorted(file.stem for file in directory.glob("*.yaml")))
+        raise InputError(f"no robot {name!r}; known robots: {known}")
+    return load(RobotFacts, path)
+
+
+@dataclass(frozen=True)
+class EndEffector:
+    """Rigid end effector with a flat pad, in the end-effector frame E.
+
+    E has its origin at the centre of the pad's outer face; +z points out of the pad, along the flange axis.
+
+    Attributes:
+        mass: Mass [kg].
+        com: Centre of mass in E, ``(3,)`` [m].
+        inertia: Inertia about the centre of mass in axes of E, ``(3, 3)`` [kg m^2].
+        length: Distance from the flange to the pad's outer face [m].
+        mount_yaw: Rotation of E about the flange axis [rad].
+        pad_size: Width (x), height (y) and thickness (z) of the pad [m].
+    """
+
+    mass: float
+    com: Array
+    inertia: Array
+    length: float
+    mount_yaw: float
+    pad_size: tuple[float, float, float]

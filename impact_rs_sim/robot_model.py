@@ -1,0 +1,172 @@
+"""Rigid-body terms of one arm, by Pinocchio.
+
+    (M(q) + B) ddq + h(q, dq) = tau_d + tau_fric + J(q)^T f_c          (paper eq. eom)
+
+M, h and J come from here. The Jacobian is geometric, of frame E, written in E[A]: origin at E, axes of the inertial
+frame A; rows 0..2 are linear, rows 3..5 angular.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.optimize import least_squares
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array, EndEffector, RobotFacts
+from impact_rs_sim.urdf import write_urdf
+
+STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s^2
+
+
+@dataclass
+class RigidTerms:
+    """Terms of the equations of motion at one state; arrays are reused by the next call.
+
+    Attributes:
+        mass_matrix: M, ``(n, n)`` [kg m^2].
+        bias: h = C dq + g, ``(n,)`` [N m].
+        jacobian: J, ``(6, n)``.
+        drift: dJ/dt dq, ``(6,)`` [m/s^2, rad/s^2].
+        position: Origin of E in A, ``(3,)`` [m].
+        rotation: Axes of E in A, ``(3, 3)``.
+        twist: J dq, ``(6,)`` [m/s, rad/s].
+    """
+
+    mass_matrix: Array
+    bias: Array
+    jacobian: Array
+    drift: Array
+    position: Array
+    rotation: Array
+    twist: Array
+
+
+class RobotModel:
+    """One arm with its end effector, mounted in the inertial frame A.
+
+    Args:
+        facts: Kinematics, inertials and limits.
+        end_effector: Mass, inertia and pad.
+        base: Placement of the arm's base in A.
+        gravity: Acceleration of gravity in A, ``(3,)`` [m/s^2].
+    """
+
+    def __init__(
+        self,
+        facts: RobotFacts,
+        end_effector: EndEffector,
+        base: pin.SE3 | None = None,
+        gravity: Array | tuple[float, float, float] = STANDARD_GRAVITY,
+    ) -> None:
+        self.facts = facts
+        self.end_effector = end_effector
+        self.base = pin.SE3.Identity() if base is None else base
+        self.urdf = write_urdf(facts, end_effector)
+        model = pin.buildModelFromXML(self.urdf)
+        model.jointPlacements[1] = self.base * model.jointPlacements[1]
+        model.gravity.linear = np.asarray(gravity, dtype=float)
+        self.pinocchio = model
+        self.data = model.createData()
+        self.joint_count = model.nq
+        self._frame = model.getFrameId("end_effector")
+        self._zero = np.zeros(model.nv)
+        self.position_min = np.array(facts.limits.position_min_rad)
+        self.position_max = np.array(facts.limits.position_max_rad)
+        self.velocity_max = np.array(facts.limits.velocity_rad_s)
+        self.torque_max = np.array(facts.limits.torque_Nm)
+
+    def terms(self, q: Array, dq: Array) -> RigidTerms:
+        """All terms at joint positions ``q`` ``(n,)`` [rad] and velocities ``dq`` ``(n,)`` [rad/s]."""
+        model, data, frame = self.pinocchio, self.data, self._frame
+        pin.computeAllTerms(model, data, q, dq)
+        jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        pin.forwardKinematics(model, data, q, dq, self._zero)
+        placement = pin.updateFramePlacement(model, data, frame)
+        drift = pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        return RigidTerms(
+            mass_matrix=data.M,
+            bias=data.nle,
+            jacobian=jacobian,
+            drift=drift.vector,
+            position=placement.translation,
+            rotation=placement.rotation,
+            twist=jacobian @ dq,
+        )
+
+    def mass_matrix(self, q: Array) -> Array:
+        """M(q), ``(n, n)`` [kg m^2], a copy."""
+        upper = np.triu(pin.crba(self.pinocchio, self.data, q))
+        return np.asarray(upper + np.triu(upper, 1).T)
+
+    def gravity_torque(self, q: Array) -> Array:
+        """g(q), ``(n,)`` [N m], a copy."""
+        return np.array(pin.computeGeneralizedGravity(self.pinocchio, self.data, q))
+
+    def jacobian(self, q: Array) -> Array:
+        """J(q) of frame E in E[A], ``(6, n)``."""
+        return np.array(
+            pin.computeFrameJacobian(
+                self.pinocchio, self.data, q, self._frame, pin.LOCAL_WORLD_ALIGNED
+            )
+        )
+
+    def placement(self, q: Array) -> pin.SE3:
+        """Placement of frame E in A."""
+        pin.framesForwardKinematics(self.pinocchio, self.data, q)
+        return self.data.oMf[self._frame].copy()
+
+    def inverse_dynamics(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """M ddq + h, ``(n,)`` [N m], a copy."""
+        return np.array(pin.rnea(self.pinocchio, self.data, q, dq, ddq))
+
+    def inverse_kinematics(
+        self, target: pin.SE3, joint_1: float, guess: Array, tolerance: float = 1e-9
+    ) -> Array:
+        """Joint positions that reach ``target`` with frame E while joint 1 stands at ``joint_1`` [rad].
+
+        Args:
+            target: Wanted placement of E in A.
+            joint_1: Position of the first joint, which resolves the redundancy (paper sec. Reference generation).
+            guess: Where to start, ``(n,)`` [rad].
+            tolerance: Largest accepted residual [m, rad].
+
+        Raises:
+            InputError: The pose cannot be reached within the joint limits.
+        """
+
+        def error(rest: Array) -> Array:
+            placement = self.placement(np.concatenate(([joint_1], rest)))
+            rotation = pin.log3(placement.rotation.T @ target.rotation)
+            return np.concatenate((target.translation - placement.translation, rotation))
+
+        lower, upper = self.position_min, self.position_max
+        if not lower[0] <= joint_1 <= upper[0]:
+            raise InputError(
+                f"joint 1 at {joint_1:.4g} rad is outside its limits [{lower[0]:.4g}, {upper[0]:.4g}] rad"
+            )
+        start = np.clip(guess, lower + 1e-6, upper - 1e-6)[1:]
+        solution = least_squares(
+            error, start, bounds=(lower[1:], upper[1:]), xtol=1e-15, ftol=1e-15, gtol=1e-15
+        )
+        residual = float(np.max(np.abs(solution.fun)))
+        if residual > tolerance:
+            raise InputError(
+                f"pose {np.round(target.translation, 4).tolist()} m with joint 1 at {joint_1:.4g} rad is unreachable: "
+                f"nearest miss {residual:.3g} (m or rad)"
+            )
+        return np.concatenate(([joint_1], solution.x))
+
+    def effective_mass(self, q: Array, direction: Array, motor_inertia: Array) -> float:
+        """Mass felt along ``direction`` at E: ``1 / (n^T J (M + B)^-1 J^T n)`` [kg].
+
+        Args:
+            q: Joint positions, ``(n,)`` [rad].
+            direction: Unit vector in A, ``(3,)``.
+            motor_inertia: Diagonal of B, ``(n,)`` [kg m^2].
+        """
+        row = np.asarray(direction) @ self.jacobian(q)[:3]
+        inertia = self.mass_matrix(q) + np.diag(motor_inertia)
+        return float(1.0 / (row @ np.linalg.solve(inertia, row)))

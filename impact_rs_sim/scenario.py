@@ -1,0 +1,391 @@
+"""Scenario files: what is in the scene, what the robots shall do, and how it is measured.
+
+A scenario (``config/scenarios/*.yaml``) is the human-readable scene language. It says nothing about what
+we *believe* of the physics beyond nominal values; beliefs that change live in model files.
+"""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import Annotated, Literal, Self, TypeVar
+
+import numpy as np
+import pinocchio as pin
+from pydantic import Field, model_validator
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
+from impact_rs_sim.schema import (
+    NonNegativeVector,
+    PositiveVector,
+    PositiveVector3,
+    Schema,
+    Vector,
+    Vector3,
+    load,
+)
+
+Positive = Annotated[float, Field(gt=0.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
+
+AXES = {"x": 0, "y": 1, "z": 2}
+Item = TypeVar("Item")
+
+
+class Base(Schema):
+    """Where an arm is mounted."""
+
+    position: Vector3 = Field(description="origin of the arm's base in the inertial frame [m]")
+    yaw: float = Field(0.0, description="rotation of the arm's base about z [rad]")
+
+    @property
+    def placement(self) -> pin.SE3:
+        """Placement of the base in the inertial frame."""
+        return pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, self.yaw), np.array(self.position))
+
+
+class Pad(Schema):
+    """The flat pad that hits, and the silicone cover that makes it compliant."""
+
+    size: PositiveVector3 = Field(description="width, height and thickness of the pad [m]")
+    stiffness: Positive | None = Field(
+        None, description="stiffness of the whole pad face [N/m]; absent: a rigid pad"
+    )
+    damping: NonNegative = Field(0.0, description="damping of the whole pad face [N s/m]")
+
+
+class EndEffectorSpec(Schema):
+    """Rigid end effector on the flange; its frame E lies in the middle of the pad's outer face, +z outwards."""
+
+    mass: Positive = Field(description="mass of the end effector [kg]")
+    com: Vector3 = Field(description="centre of mass in frame E [m]")
+    inertia: PositiveVector3 = Field(
+        description="principal moments about the centre of mass, axes of frame E [kg m^2]"
+    )
+    length: Positive = Field(description="distance from the flange to the pad's outer face [m]")
+    mount_yaw: float = Field(0.0, description="rotation of the pad about the flange axis [rad]")
+    pad: Pad = Field(description="the pad")
+
+    def build(self) -> EndEffector:
+        """The rigid body that the URDF is written from."""
+        return EndEffector(
+            mass=self.mass,
+            com=np.array(self.com),
+            inertia=np.diag(self.inertia),
+            length=self.length,
+            mount_yaw=self.mount_yaw,
+            pad_size=self.pad.size,
+        )
+
+
+class Drive(Schema):
+    """Motor side of the joints (paper eqs. EOM_motor, torque_control_law)."""
+
+    motor_inertia_rotor: PositiveVector = Field(
+        description="B_rho, reflected motor inertia per joint [kg m^2]"
+    )
+    motor_inertia_reduced: PositiveVector = Field(
+        description="B_theta, motor inertia that the torque loop leaves, per joint [kg m^2]"
+    )
+    stiffness: PositiveVector = Field(description="K, joint stiffness per joint [N m/rad]")
+    damping: NonNegativeVector = Field(description="D, joint damping per joint [N m s/rad]")
+    friction: Literal["none", "identified"] = Field(
+        "none", description="joint friction in the plant: none, or the robot's identified friction"
+    )
+    actuation_delay: NonNegative = Field(0.0, description="delay of the desired torque [s]")
+
+
+class ImpactPose(Schema):
+    """Where frame E is when the pad touches the object."""
+
+    position: Vector3 = Field(description="origin of frame E at impact [m]")
+    pad_normal: Vector3 = Field(description="direction out of the pad at impact, unit vector")
+    pad_up: Vector3 = Field(description="direction of E's y axis at impact, unit vector")
+    joint_guess: Vector = Field(description="joint positions to start inverse kinematics from [rad]")
+
+    @property
+    def placement(self) -> pin.SE3:
+        """Placement of E in the inertial frame at impact."""
+        normal = np.array(self.pad_normal)
+        up = np.array(self.pad_up)
+        return pin.SE3(np.column_stack((np.cross(up, normal), up, normal)), np.array(self.position))
+
+    @model_validator(mode="after")
+    def _orthonormal(self) -> Self:
+        normal, up = np.array(self.pad_normal), np.array(self.pad_up)
+        if abs(np.linalg.norm(normal) - 1.0) > 1e-6 or abs(np.linalg.norm(up) - 1.0) > 1e-6:
+            raise ValueError("pad_normal and pad_up must be unit vectors")
+        if abs(normal @ up) > 1e-6:
+            raise ValueError("pad_normal and pad_up must be perpendicular")
+        return self
+
+
+class Robot(Schema):
+    """One arm of the scene."""
+
+    facts: str = Field(description="name of the robot in config/robots")
+    base: Base = Field(description="mounting of the arm")
+    end_effector: EndEffectorSpec = Field(description="end effector")
+    drive: Drive = Field(description="motor side")
+    impact: ImpactPose = Field(description="pose at impact")
+
+    @model_validator(mode="after")
+    def _one_entry_per_joint(self) -> Self:
+        count = self.robot_facts.joint_count
+        for name in ("motor_inertia_rotor", "motor_inertia_reduced", "stiffness", "damping"):
+            found = len(getattr(self.drive, name))
+            if found != count:
+                raise ValueError(f"drive.{name} has {found} entries, expected one per joint ({count})")
+        if len(self.impact.joint_guess) != count:
+            raise ValueError(f"impact.joint_guess must have one entry per joint ({count}) [rad]")
+        if self.drive.friction == "identified" and self.robot_facts.friction is None:
+            raise ValueError(f"drive.friction is 'identified', but {self.facts} has none in its facts")
+        return self
+
+    @property
+    def robot_facts(self) -> RobotFacts:
+        """Kinematics, inertials and limits."""
+        return load_facts(self.facts)
+
+
+class ObjectSpec(Schema):
+    """A box-shaped object."""
+
+    label: str = Field(description="name for tables and figures")
+    mass: Positive = Field(description="mass of the object [kg]")
+    size: PositiveVector3 = Field(description="extent along x, y and z [m]")
+    com_offset: Vector3 = Field(
+        (0.0, 0.0, 0.0), description="centre of mass from the geometric centre [m]"
+    )
+
+    @property
+    def inertia(self) -> Array:
+        """Principal moments of a homogeneous box about its centre of mass, ``(3,)`` [kg m^2]."""
+        x, y, z = self.size
+        return self.mass / 12.0 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
+
+
+class Support(Schema):
+    """The horizontal surface the object lies on."""
+
+    height: float = Field(description="height of the surface [m]")
+    friction: NonNegative = Field(description="friction between object and support [-]")
+    size: tuple[Positive, Positive] = Field((2.0, 2.0), description="extent along x and y [m]")
+
+
+class Contact(Schema):
+    """Contact law between pad and object."""
+
+    friction: NonNegative = Field(description="friction between pad and object [-]")
+    restitution: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        0.0, description="Newton restitution of the rigid impact map [-]"
+    )
+
+
+class CaseRobot(Schema):
+    """What one arm does in one case."""
+
+    ante_velocity: Vector3 = Field(description="end-effector velocity just before impact [m/s]")
+    joint_1: float = Field(description="position of joint 1 at impact, resolves redundancy [rad]")
+    joint_1_velocity: float | None = Field(
+        None, description="velocity of joint 1 at impact [rad/s]; absent: least-norm joint velocity"
+    )
+
+
+class Case(Schema):
+    """One ante-impact state."""
+
+    label: str = Field(description="name for tables and figures")
+    robots: dict[str, CaseRobot] = Field(description="what each arm does")
+
+
+class Timing(Schema):
+    """When things happen in a trial."""
+
+    nominal_impact: Positive = Field(description="T_nom, nominal impact time [s]")
+    approach: Positive = Field(description="duration of the motion that ends at T_nom [s]")
+    overrun: Positive = Field(
+        description="how long the ante-impact reference keeps its velocity past T_nom [s]"
+    )
+    stop: Positive = Field(description="time the overrun reference takes to stop [s]")
+    push: Positive = Field(description="duration of the post-impact reference until rest [s]")
+    duration: Positive = Field(description="length of a trial [s]")
+    window_before: Positive = Field(description="net feedback starts at T_nom minus this [s]")
+    window_after: Positive = Field(description="net feedback ends at T_nom plus this [s]")
+    control_period: Positive = Field(0.001, description="period of the controller [s]")
+    drive_period: Positive = Field(0.00025, description="period of the low-level torque loop [s]")
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.approach > self.nominal_impact:
+            raise ValueError("timing.approach must not be longer than timing.nominal_impact [s]")
+        if self.nominal_impact + self.window_after > self.duration:
+            raise ValueError("the window ends after the trial: nominal_impact + window_after > duration [s]")
+        ratio = self.control_period / self.drive_period
+        if abs(ratio - round(ratio)) > 1e-9 or ratio < 1:
+            raise ValueError("control_period must be a whole multiple of drive_period [s]")
+        return self
+
+    @property
+    def window(self) -> tuple[float, float]:
+        """``(t1, t2)`` of paper eq. a_fb_net [s]."""
+        return self.nominal_impact - self.window_before, self.nominal_impact + self.window_after
+
+    @property
+    def substeps(self) -> int:
+        """Drive periods in one control period."""
+        return round(self.control_period / self.drive_period)
+
+    @property
+    def ticks(self) -> int:
+        """Control periods in one trial."""
+        return round(self.duration / self.control_period)
+
+
+class Gains(Schema):
+    """Task gains and weights of the QP (paper eqs. e_pos_ante, e_theta_ante, QP_ante)."""
+
+    position: Positive = Field(description="k_p [1/s^2]")
+    orientation: Positive = Field(description="k_theta before impact [1/s^2]")
+    orientation_post: Positive = Field(description="k_theta after impact [1/s^2]")
+    posture: Positive = Field(description="k_q [1/s^2]")
+    position_weight: Positive = Field(description="w_p [s^4/m^2]")
+    orientation_weight: Positive = Field(description="w_theta [s^4/rad^2]")
+    posture_weight: Positive = Field(description="w_q [s^4/rad^2]")
+
+
+class Detection(Schema):
+    """Impact detection from measured signals."""
+
+    observer_gain: Positive = Field(description="gain of the momentum observer [1/s]")
+    threshold: Positive = Field(description="force against the motion that counts as impact [N]")
+    arm_before: Positive = Field(
+        description="detection starts this long before T_nom [s]; an earlier hit still counts as collision"
+    )
+
+
+class Control(Schema):
+    """Controller settings."""
+
+    gains: Gains = Field(description="task gains")
+    interim_duration: Positive = Field(description="Delta t_int, length of the interim mode [s]")
+    detection: Detection = Field(description="impact detection")
+
+
+class Sensors(Schema):
+    """What the measurement adds to the truth."""
+
+    joint_position_resolution: NonNegative = Field(description="encoder step [rad]")
+    joint_velocity_noise: NonNegative = Field(description="standard deviation [rad/s]")
+    joint_torque_noise: NonNegative = Field(description="standard deviation [N m]")
+    object_position_noise: NonNegative = Field(description="standard deviation [m]")
+    object_orientation_noise: NonNegative = Field(description="standard deviation [rad]")
+    object_period: Positive = Field(0.004, description="period of the object tracker [s]")
+
+
+class Scatter(Schema):
+    """What differs from trial to trial, standard deviations."""
+
+    object_position: NonNegative = Field(description="object position in the plane [m]")
+    object_yaw: NonNegative = Field(description="object orientation about z [rad]")
+    joint_position: NonNegative = Field(description="initial joint positions [rad]")
+    support_friction: NonNegative = Field(description="relative change of the support's friction [-]")
+
+
+class Scenario(Schema):
+    """A whole experiment (``config/scenarios/*.yaml``)."""
+
+    name: str = Field(description="name of the scenario")
+    description: str = Field(description="what happens, in a sentence")
+    axis: Literal["x", "y", "z"] = Field(description="axis of the measure")
+    robots: dict[str, Robot] = Field(min_length=1, description="arms by name")
+    objects: dict[str, ObjectSpec] = Field(min_length=1, description="objects by name")
+    support: Support = Field(description="what the object lies on")
+    contact: Contact = Field(description="contact between pad and object")
+    cases: dict[str, Case] = Field(min_length=1, description="cases by name")
+    velocity_scales: PositiveVector = Field(
+        description="post-impact references, as fractions of the prediction [-]"
+    )
+    trials: Annotated[int, Field(ge=1)] = Field(description="repeats of every scale")
+    timing: Timing = Field(description="times")
+    control: Control = Field(description="controller")
+    sensors: Sensors = Field(description="measurement")
+    scatter: Scatter = Field(description="trial-to-trial scatter")
+
+    @model_validator(mode="after")
+    def _every_case_moves_every_robot(self) -> Self:
+        for case_name, case in self.cases.items():
+            if set(case.robots) != set(self.robots):
+                raise ValueError(
+                    f"cases.{case_name}.robots names {sorted(case.robots)}, expected {sorted(self.robots)}"
+                )
+        return self
+
+    @property
+    def axis_index(self) -> int:
+        """0, 1 or 2 for x, y, z."""
+        return AXES[self.axis]
+
+    def object(self, name: str) -> ObjectSpec:
+        """The object ``name``.
+
+        Raises:
+            InputError: There is none; the message lists those there are.
+        """
+        return _choose("object", name, self.objects, self.name)
+
+    def case(self, name: str) -> Case:
+        """The case ``name``; ``1`` is short for ``case_1``.
+
+        Raises:
+            InputError: There is none; the message lists those there are.
+        """
+        return self.cases[self.case_name(name)]
+
+    def case_name(self, name: str) -> str:
+        """Full name of the case ``name``; ``1`` is short for ``case_1``.
+
+        Raises:
+            InputError: There is none; the message lists those there are.
+        """
+        full = f"case_{name}" if f"case_{name}" in self.cases else name
+        _choose("case", full, self.cases, self.name)
+        return full
+
+
+def _choose(kind: str, name: str, table: dict[str, Item], scenario: str) -> Item:
+    if name not in table:
+        raise InputError(f"scenario {scenario!r} has no {kind} {name!r}; it has: {', '.join(table)}")
+    return table[name]
+
+
+def scenario_path(name: str) -> Path:
+    """Path of the scenario ``name`` in the config folder, or ``name`` itself where it is a path to a YAML file.
+
+    Raises:
+        InputError: There is no such scenario; the message lists those there are.
+    """
+    directory = config_directory() / "scenarios"
+    path = Path(name) if name.endswith((".yaml", ".yml")) else directory / f"{name}.yaml"
+    if not path.is_file():
+        known = ", ".join(sorted(file.stem for file in directory.glob("*.yaml")))
+        raise InputError(f"no scenario {name!r}; known scenarios: {known}, or give a path to a .yaml file")
+    return path
+
+
+@functools.lru_cache(maxsize=32)
+def _load_cached(path: Path, modified: int) -> Scenario:
+    del modified
+    return load(Scenario, path)
+
+
+def load_scenario(name: str) -> Scenario:
+    """Load a scenario by name or path.
+
+    Raises:
+        InputError: There is no such scenario, or its file breaks the schema.
+    """
+    path = scenario_path(name).resolve()
+    return _load_cached(path, path.stat().st_mtime_ns)

@@ -1,0 +1,129 @@
+"""Scenario x object x case, resolved: impact configuration of every arm and nominal pose of the object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class ArmState:
+    """Joint state of one arm.
+
+    Attributes:
+        position: q, ``(n,)`` [rad].
+        velocity: dq, ``(n,)`` [rad/s].
+    """
+
+    position: Array
+    velocity: Array
+
+
+@dataclass(frozen=True)
+class BodyState:
+    """State of a free rigid body, at its geometric centre O.
+
+    Attributes:
+        position: O in A, ``(3,)`` [m].
+        rotation: Axes of the body in A, ``(3, 3)``.
+        twist: Velocity of O, then angular velocity, in axes of A, ``(6,)`` [m/s, rad/s].
+    """
+
+    position: Array
+    rotation: Array
+    twist: Array
+
+    def point_velocity(self, point: Array) -> Array:
+        """Velocity of the body's material point at ``point`` (in A), ``(3,)`` [m/s]."""
+        return np.asarray(self.twist[:3] + np.cross(self.twist[3:], point - self.position))
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One object and case of a scenario, at the nominal moment of impact.
+
+    Attributes:
+        scenario: The scenario.
+        object_name: Name of the object.
+        case_name: Full name of the case.
+        physics: Nominal physics.
+        models: Rigid-body models by arm.
+        arms: Ante-impact state by arm: impact configuration and velocity.
+        object: Nominal state of the object: at rest on its support, its face in the plane of the pad.
+    """
+
+    scenario: Scenario
+    object_name: str
+    case_name: str
+    physics: Physics
+    models: dict[str, RobotModel]
+    arms: dict[str, ArmState]
+    object: BodyState
+
+    @staticmethod
+    def resolve(scenario: Scenario, object_name: str, case_name: str) -> Scene:
+        """Solve the inverse kinematics of the impact pose and place the object.
+
+        Raises:
+            InputError: No such object or case, an unreachable pose, or a joint velocity beyond its limit.
+        """
+        physics = Physics.nominal(scenario, object_name)
+        case_name = scenario.case_name(case_name)
+        case = scenario.cases[case_name]
+        models, arms = {}, {}
+        for name, robot in scenario.robots.items():
+            wanted = case.robots[name]
+            model = physics.robot_model(name)
+            q = model.inverse_kinematics(robot.impact.placement, wanted.joint_1, np.array(robot.impact.joint_guess))
+            dq = _impact_velocity(model, q, np.array(wanted.ante_velocity), wanted.joint_1_velocity)
+            if np.any(np.abs(dq) > model.velocity_max):
+                joint = int(np.argmax(np.abs(dq) / model.velocity_max))
+                raise InputError(
+                    f"cases.{case_name}: arm {name!r} needs {dq[joint]:.3g} rad/s in joint {joint + 1}, "
+                    f"its limit is {model.velocity_max[joint]:.3g} rad/s"
+                )
+            models[name] = model
+            arms[name] = ArmState(q, dq)
+        return Scene(
+            scenario=scenario,
+            object_name=object_name,
+            case_name=case_name,
+            physics=physics,
+            models=models,
+            arms=arms,
+            object=_place_object(scenario, object_name),
+        )
+
+
+def _impact_velocity(model: RobotModel, q: Array, linear: Array, joint_1: float | None) -> Array:
+    """Joint velocity with the wanted end-effector velocity, no rotation, and joint 1 as asked."""
+    jacobian = model.jacobian(q)
+    task = np.concatenate((linear, np.zeros(3)))
+    if joint_1 is None:
+        return np.asarray(np.linalg.pinv(jacobian) @ task)
+    selector = np.zeros((1, model.joint_count))
+    selector[0, 0] = 1.0
+    return np.linalg.solve(np.vstack((jacobian, selector)), np.append(task, joint_1))
+
+
+def _place_object(scenario: Scenario, object_name: str) -> BodyState:
+    """On the support, with a face in the plane of the first arm's pad, centred on it sideways."""
+    size = np.array(scenario.object(object_name).size)
+    impact = next(iter(scenario.robots.values())).impact
+    normal = np.array(impact.pad_normal)
+    position = np.array(impact.position) + normal * (np.abs(normal) @ size) / 2.0
+    position[2] = scenario.support.height + size[2] / 2.0
+    return BodyState(position, np.eye(3), np.zeros(6))
+
+
+def placement(state: BodyState) -> pin.SE3:
+    """Pose of the body's geometric centre in A."""
+    return pin.SE3(state.rotation, state.position)

@@ -1,0 +1,114 @@
+"""The one URDF: written from the facts, loaded by Pinocchio, by PyBullet and by viewers.
+
+Links are ``base``, ``link1`` ... ``linkN`` and ``end_effector``; joints are ``joint1`` ... ``jointN``. Only the pad has
+a collision shape: arm against scene is out of scope, and a self-collision of coarse shapes would be a
+force that no real robot feels. Visual shapes are plain cylinders between joint origins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.robot import Array, EndEffector, RobotFacts
+
+
+def joint_names(facts: RobotFacts) -> list[str]:
+    """Names of the joints in order, as in the URDF and in every ``sensor_msgs/JointState``."""
+    return [f"joint{index + 1}" for index in range(facts.joint_count)]
+
+
+def _text(values: Iterable[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _inertial(link: Xml.Element, mass: float, com: Array, inertia: Array) -> None:
+    inertial = Xml.SubElement(link, "inertial")
+    Xml.SubElement(inertial, "origin", xyz=_text(com), rpy="0 0 0")
+    Xml.SubElement(inertial, "mass", value=repr(float(mass)))
+    entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+    values = {name: repr(float(inertia[index])) for name, index in entries.items()}
+    Xml.SubElement(inertial, "inertia", values)
+
+
+def _visual(link: Xml.Element, start: Array, end: Array, radius: float, colour: str) -> None:
+    span = end - start
+    length = float(np.linalg.norm(span))
+    if length < 1e-6:
+        return
+    rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), span / length).matrix()
+    visual = Xml.SubElement(link, "visual")
+    rpy = pin.rpy.matrixToRpy(rotation)
+    Xml.SubElement(visual, "origin", xyz=_text((start + end) / 2.0), rpy=_text(rpy))
+    geometry = Xml.SubElement(visual, "geometry")
+    Xml.SubElement(geometry, "cylinder", radius=repr(radius), length=repr(length))
+    material = Xml.SubElement(visual, "material", name=f"colour_{colour.replace(' ', '_')}")
+    Xml.SubElement(material, "color", rgba=colour)
+
+
+def write_urdf(facts: RobotFacts, end_effector: EndEffector, name: str = "arm", prefix: str = "") -> str:
+    """URDF of an arm with its end effector.
+
+    Args:
+        facts: Kinematics, inertials and limits.
+        end_effector: Mass, inertia and pad.
+        name: Robot name of the URDF.
+        prefix: Prefix of every link name, for viewers that show several robots (joint names stay as they are).
+    """
+    robot = Xml.Element("robot", name=name)
+    base = Xml.SubElement(robot, "link", name=f"{prefix}base")
+    _inertial(base, 1.0, np.zeros(3), 0.01 * np.eye(3))  # fixed to the world; Bullet warns where it is absent
+    _visual(base, np.zeros(3), np.array([0.0, 0.0, 0.14]), 0.09, "0.92 0.92 0.94 1")
+    limits = facts.limits
+    previous = "base"
+    for index, (origin, inertials) in enumerate(zip(facts.joints, facts.links, strict=True)):
+        link_name = f"link{index + 1}"
+        joint = Xml.SubElement(robot, "joint", name=f"joint{index + 1}", type="revolute")
+        Xml.SubElement(joint, "parent", link=f"{prefix}{previous}")
+        Xml.SubElement(joint, "child", link=f"{prefix}{link_name}")
+        Xml.SubElement(joint, "origin", xyz=_text(origin.xyz), rpy=_text(origin.rpy))
+        Xml.SubElement(joint, "axis", xyz="0 0 1")
+        Xml.SubElement(
+            joint,
+            "limit",
+            lower=repr(limits.position_min_rad[index]),
+            upper=repr(limits.position_max_rad[index]),
+            velocity=repr(limits.velocity_rad_s[index]),
+            effort=repr(limits.torque_Nm[index]),
+        )
+        Xml.SubElement(joint, "dynamics", damping="0.0", friction="0.0")
+        link = Xml.SubElement(robot, "link", name=f"{prefix}{link_name}")
+        _inertial(link, inertials.mass, np.array(inertials.com), inertials.inertia_matrix)
+        axis = np.array([0.0, 0.0, 0.065])
+        _visual(link, -axis, axis, 0.055, "0.25 0.27 0.30 1")
+        following = facts.joints[index + 1].xyz if index + 1 < facts.joint_count else facts.flange.xyz
+        _visual(link, np.zeros(3), np.array(following), 0.045, "0.92 0.92 0.94 1")
+        previous = link_name
+
+    mount = Xml.SubElement(robot, "joint", name="end_effector_mount", type="fixed")
+    Xml.SubElement(mount, "parent", link=f"{prefix}{previous}")
+    Xml.SubElement(mount, "child", link=f"{prefix}end_effector")
+    origin_e = np.array(facts.flange.xyz) + np.array([0.0, 0.0, end_effector.length])
+    Xml.SubElement(mount, "origin", xyz=_text(origin_e), rpy=_text((0.0, 0.0, end_effector.mount_yaw)))
+    link = Xml.SubElement(robot, "link", name=f"{prefix}end_effector")
+    _inertial(link, end_effector.mass, end_effector.com, end_effector.inertia)
+    thickness = end_effector.pad_size[2]
+    _visual(
+        link,
+        np.array([0.0, 0.0, -end_effector.length]),
+        np.array([0.0, 0.0, -thickness]),
+        0.03,
+        "0.25 0.27 0.30 1",
+    )
+    for kind in ("visual", "collision"):
+        shape = Xml.SubElement(link, kind)
+        Xml.SubElement(shape, "origin", xyz=_text((0.0, 0.0, -thickness / 2.0)), rpy="0 0 0")
+        Xml.SubElement(Xml.SubElement(shape, "geometry"), "box", size=_text(end_effector.pad_size))
+        if kind == "visual":
+            material = Xml.SubElement(shape, "material", name="pad")
+            Xml.SubElement(material, "color", rgba="0.85 0.35 0.2 1")
+    Xml.indent(robot)
+    return '<?xml version="1.0"?>\n' + Xml.tostring(robot, encoding="unicode") + "\n"
