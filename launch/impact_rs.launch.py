@@ -13,14 +13,10 @@ def generate_launch_description() -> LaunchDescription:
     """Return the five nodes, all with the same parameter file and scenario."""
     return LaunchDescription(
         [
-            DeclareLaunchArgument(
-                "scenario", default_value="push", description="Name or path of the scenario."
-            ),
+            DeclareLaunchArgument("scenario", default_value="push", description="Name or path of the scenario."),
             DeclareLaunchArgument(
                 "params_file",
-                default_value=PathJoinSubstitution(
-                    [FindPackageShare("impact_rs"), "config", "nodes.yaml"]
-                ),
+                default_value=PathJoinSubstitution([FindPackageShare("impact_rs"), "config", "nodes.yaml"]),
                 description="Parameters of the nodes.",
             ),
             *(

@@ -1,0 +1,75 @@
+"""The package lies where ``ros2 run``, ``ros2 launch`` and ``pip uninstall`` look for it."""
+
+import importlib.metadata
+import os
+import sys
+from pathlib import Path
+
+import pytest
+from ament_index_python.packages import get_package_prefix, get_package_share_directory
+from ament_index_python.resources import get_resource
+from catkin_pkg.package import parse_package
+
+import impact_rs_ros
+
+NODES = ("controller", "experiment", "impact_map", "plant", "recorder")
+
+
+@pytest.fixture(autouse=True)
+def ament_prefix_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", sys.prefix)
+
+
+def test_ament_finds_the_package() -> None:
+    assert get_package_prefix("impact_rs") == sys.prefix
+    share = Path(get_package_share_directory("impact_rs"))
+    assert parse_package(share / "package.xml").name == "impact_rs"
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_ros2_run_finds_the_executable(node: str) -> None:
+    executable = Path(get_package_prefix("impact_rs")) / "lib" / "impact_rs" / node
+    assert os.access(executable, os.X_OK)
+    assert f"impact_rs_ros.{node}_node" in executable.read_text()
+
+
+def test_ros2_launch_finds_launch_files_and_parameters() -> None:
+    share = Path(get_package_share_directory("impact_rs"))
+    assert (share / "launch" / "impact_rs.launch.py").is_file()
+    assert (share / "config" / "nodes.yaml").is_file()
+    assert any((share / "config").rglob("*.yaml"))
+
+
+def test_ros2_interface_finds_every_interface() -> None:
+    content, _ = get_resource("rosidl_interfaces", "impact_rs")
+    listed = [line for line in content.splitlines() if line.endswith((".msg", ".srv", ".action"))]
+    share = Path(get_package_share_directory("impact_rs"))
+    assert "msg/ControllerState.msg" in listed
+    for interface in listed:
+        assert (share / interface).is_file(), interface
+
+
+def test_uninstalling_leaves_nothing_behind() -> None:
+    """Every file of ours below the environment is recorded, so an uninstallation removes it."""
+    distribution = importlib.metadata.distribution("impact-rs")
+    recorded = {Path(os.path.normpath(distribution.locate_file(f))) for f in distribution.files or []}
+    prefix = Path(sys.prefix)
+    present = {
+        path
+        for folder in ("lib/impact_rs", "share/impact_rs")
+        for path in (prefix / folder).rglob("*")
+        if path.is_file()
+    }
+    present |= set((prefix / "lib").glob("libimpact_rs__*"))
+    present |= set((prefix / "share/ament_index/resource_index").glob("*/impact_rs"))
+    assert present
+    assert present <= recorded
+    assert not list(prefix.glob("lib/python3*/site-packages/impact_rs*.egg-info"))
+
+
+def test_a_pip_environment_announces_itself_to_ros_tools(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "/somewhere/else")
+    impact_rs_ros._announce_environment()
+    assert os.environ["AMENT_PREFIX_PATH"] == f"/somewhere/else{os.pathsep}{sys.prefix}"
+    impact_rs_ros._announce_environment()
+    assert os.environ["AMENT_PREFIX_PATH"].count(sys.prefix) == 1

@@ -1,0 +1,96 @@
+"""Conventions of the package: one version, executables that lead somewhere, documented fields."""
+
+import ast
+import os
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from catkin_pkg.package import parse_package
+
+ROOT = Path(__file__).resolve().parent.parent
+INTERFACES = sorted(
+    path for kind in ("msg", "srv", "action") for path in (ROOT / "impact_msgs_py" / kind).glob(f"*.{kind}")
+)
+SCRIPTS = sorted((ROOT / "scripts").iterdir())
+PACKAGES = (
+    "impact_msgs_py",
+    "impact_rs_analysis",
+    "impact_rs_control",
+    "impact_rs_ros",
+    "impact_rs_sim",
+)
+PHYSICAL = ("float64", "uint8", "uint32", "uint64", "bool", "geometry_msgs/")
+
+
+def pyproject() -> dict:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def test_package_xml_is_valid_for_ament() -> None:
+    package = parse_package(ROOT / "package.xml")
+    package.validate()
+    assert package.package_format == 3
+    assert package.get_build_type() == "ament_cmake"
+    assert [g.name for g in package.member_of_groups] == ["rosidl_interface_packages"]
+    assert all("@" in maintainer.email for maintainer in package.maintainers)
+    assert package.licenses == [pyproject()["project"]["license"]]
+
+
+def test_one_version_everywhere() -> None:
+    version = pyproject()["project"]["version"]
+    assert parse_package(ROOT / "package.xml").version == version
+    newest = re.search(r"^(\d+\.\d+\.\d+) \(.+\)\n-+$", (ROOT / "CHANGELOG.rst").read_text(), re.M)
+    assert newest is not None
+    assert newest[1] == version
+
+
+def test_one_list_of_python_packages_everywhere() -> None:
+    configured = pyproject()["tool"]
+    assert sorted(configured["scikit-build"]["wheel"]["packages"]) == list(PACKAGES)
+    assert sorted(configured["mypy"]["packages"]) == list(PACKAGES)
+    for package in PACKAGES:
+        assert package in (ROOT / "CMakeLists.txt").read_text()
+        assert ast.get_docstring(ast.parse((ROOT / package / "__init__.py").read_text()))
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_a_script_is_executable_and_leads_to_a_module_with_main(script: Path) -> None:
+    assert os.access(script, os.X_OK)
+    lines = script.read_text().splitlines()
+    assert lines[0] == "#!/usr/bin/env python3"
+    imported = next(n for n in ast.parse(script.read_text()).body if isinstance(n, ast.ImportFrom))
+    assert [alias.name for alias in imported.names] == ["main"]
+    module = ROOT / f"{str(imported.module).replace('.', '/')}.py"
+    assert module.is_file()
+    tree = ast.parse(module.read_text())
+    assert any(isinstance(n, ast.FunctionDef) and n.name == "main" for n in tree.body)
+
+
+def test_every_script_and_interface_is_built() -> None:
+    cmake = (ROOT / "CMakeLists.txt").read_text()
+    for script in SCRIPTS:
+        assert f"scripts/{script.name}" in cmake
+    for interface in INTERFACES:
+        assert f'"{interface.parent.name}/{interface.name}"' in cmake
+
+
+@pytest.mark.parametrize("interface", INTERFACES, ids=lambda path: path.name)
+def test_an_interface_says_what_it_is_and_comments_every_field(interface: Path) -> None:
+    lines = interface.read_text().splitlines()
+    assert lines[0].startswith("# ")
+    for line in lines:
+        declaration, _, comment = line.partition("#")
+        if not declaration.strip() or declaration.strip() == "---":
+            continue
+        assert comment.strip(), f"{line!r} has no comment"
+        if declaration.startswith(PHYSICAL):
+            assert re.search(r"\[.+\]|unit quaternion", comment), f"{line!r} has no unit"
+
+
+def test_launch_files_compile() -> None:
+    launch_files = sorted((ROOT / "launch").glob("*.launch.py"))
+    assert launch_files
+    for path in launch_files:
+        compile(path.read_text(), str(path), "exec")
