@@ -70,6 +70,7 @@ class BulletWorld:
     ) -> None:
         self.physics = physics
         self.time_step = time_step
+        self._com_is_offset = bool(np.any(physics.object.com_offset))
         with _quiet():
             self.client = BulletClient(connection_mode=pybullet.DIRECT)
         client = self.client
@@ -96,6 +97,13 @@ class BulletWorld:
         self.end_effector_link = dict(counts)
         self.object = self._make_object()
         self.support = self._make_support()
+        # Bound once: the wrapper's attribute look-up would cost more than some of the calls in the inner loop.
+        self._step = client.stepSimulation
+        self._get_joints = client.getJointStates
+        self._set_torques = client.setJointMotorControlArray
+        self._get_pose = client.getBasePositionAndOrientation
+        self._get_velocity = client.getBaseVelocity
+        self._get_contacts = client.getContactPoints
 
     def close(self) -> None:
         """Disconnect from Bullet."""
@@ -209,33 +217,33 @@ class BulletWorld:
 
     def arm_state(self, name: str) -> ArmState:
         """Joint positions and velocities of an arm."""
-        states = self.client.getJointStates(self.arms[name], self.joints[name])
+        states = self._get_joints(self.arms[name], self.joints[name])
         return ArmState(np.array([s[0] for s in states]), np.array([s[1] for s in states]))
 
     def object_state(self) -> BodyState:
         """State of the object, at its geometric centre."""
-        client = self.client
-        position, quaternion = client.getBasePositionAndOrientation(self.object)
-        linear, angular = (np.array(v) for v in client.getBaseVelocity(self.object))
-        rotation = np.array(client.getMatrixFromQuaternion(quaternion)).reshape(3, 3)
-        offset = rotation @ self.physics.object.com_offset
-        twist = np.concatenate((linear - np.cross(angular, offset), angular))
-        return BodyState(np.array(position) - offset, rotation, twist)
+        position, quaternion = self._get_pose(self.object)
+        linear, angular = self._get_velocity(self.object)
+        rotation = pin.Quaternion(np.array(quaternion)).matrix()
+        centre, twist = np.array(position), np.array(linear + angular)
+        if self._com_is_offset:
+            offset = rotation @ self.physics.object.com_offset
+            centre -= offset
+            twist[:3] -= np.cross(twist[3:], offset)
+        return BodyState(centre, rotation, twist)
 
     def apply_torque(self, name: str, torque: Array) -> None:
         """Joint torque of an arm over the next step, ``(n,)`` [N m]."""
-        self.client.setJointMotorControlArray(
-            self.arms[name], self.joints[name], pybullet.TORQUE_CONTROL, forces=torque.tolist()
-        )
+        self._set_torques(self.arms[name], self.joints[name], pybullet.TORQUE_CONTROL, forces=torque.tolist())
 
     def step(self) -> None:
         """Advance by one step."""
-        self.client.stepSimulation()
+        self._step()
 
     def pad_force(self, name: str) -> Array:
         """Force of the object on an arm's pad in the last step, in A, ``(3,)`` [N]."""
         force = np.zeros(3)
-        for point in self.client.getContactPoints(self.arms[name], self.object):
+        for point in self._get_contacts(self.arms[name], self.object):
             force += np.array(point[7]) * point[9]
             force += np.array(point[11]) * point[10] + np.array(point[13]) * point[12]
         return force

@@ -118,6 +118,16 @@ class RobotModel:
         pin.framesForwardKinematics(self.pinocchio, self.data, q)
         return self.data.oMf[self._frame].copy()
 
+    def link_placements(self, q: Array) -> dict[str, pin.SE3]:
+        """Placement in A of every link, by its name in the URDF."""
+        pin.framesForwardKinematics(self.pinocchio, self.data, q)
+        frames = {
+            frame.name: self.data.oMf[index].copy()
+            for index, frame in enumerate(self.pinocchio.frames)
+            if frame.type == pin.FrameType.BODY and frame.name != "universe"
+        }
+        return {**frames, "base": self.base}
+
     def inverse_dynamics(self, q: Array, dq: Array, ddq: Array) -> Array:
         """M ddq + h, ``(n,)`` [N m], a copy."""
         return np.array(pin.rnea(self.pinocchio, self.data, q, dq, ddq))

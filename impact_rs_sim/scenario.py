@@ -211,6 +211,7 @@ class Timing(Schema):
     )
     stop: Positive = Field(description="time the overrun reference takes to stop [s]")
     push: Positive = Field(description="duration of the post-impact reference until rest [s]")
+    slide: Positive = Field(description="time in which the pad stops sliding across the object [s]")
     duration: Positive = Field(description="length of a trial [s]")
     window_before: Positive = Field(description="net feedback starts at T_nom minus this [s]")
     window_after: Positive = Field(description="net feedback ends at T_nom plus this [s]")

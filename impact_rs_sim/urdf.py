@@ -112,3 +112,45 @@ def write_urdf(facts: RobotFacts, end_effector: EndEffector, name: str = "arm", 
             Xml.SubElement(material, "color", rgba="0.85 0.35 0.2 1")
     Xml.indent(robot)
     return '<?xml version="1.0"?>\n' + Xml.tostring(robot, encoding="unicode") + "\n"
+
+
+def write_scene_urdf(
+    arms: dict[str, tuple[RobotFacts, EndEffector]],
+    object_size: tuple[float, float, float],
+    support: tuple[float, tuple[float, float]] | None,
+) -> str:
+    """URDF of the whole scene for viewers; poses come from ``/tf``.
+
+    Every link hangs on ``world`` by a floating joint, because ``/tf`` states every frame in the world frame.
+
+    Args:
+        arms: Facts and end effector by arm; links are called ``ARM_link1`` and so on.
+        object_size: Extent of the object along x, y, z [m]; its link is called ``object``.
+        support: Height of the surface and its extent along x, y [m], or None.
+    """
+    scene = Xml.Element("robot", name="scene")
+    Xml.SubElement(scene, "link", name="world")
+
+    def hang(link: Xml.Element) -> None:
+        name = link.get("name", "")
+        scene.append(link)
+        joint = Xml.SubElement(scene, "joint", name=f"{name}_in_world", type="floating")
+        Xml.SubElement(joint, "parent", link="world")
+        Xml.SubElement(joint, "child", link=name)
+
+    for name, (facts, end_effector) in arms.items():
+        for link in Xml.fromstring(write_urdf(facts, end_effector, prefix=f"{name}_")).iter("link"):
+            hang(link)
+    boxes = [("object", object_size, (0.0, 0.0, 0.0), "0.76 0.6 0.42 1")]
+    if support is not None:
+        height, (x, y) = support
+        boxes.append(("support", (x, y, 0.02), (0.0, 0.0, height - 0.01), "0.55 0.6 0.65 1"))
+    for name, size, origin, colour in boxes:
+        link = Xml.Element("link", name=name)
+        visual = Xml.SubElement(link, "visual")
+        Xml.SubElement(visual, "origin", xyz=_text(origin), rpy="0 0 0")
+        Xml.SubElement(Xml.SubElement(visual, "geometry"), "box", size=_text(size))
+        Xml.SubElement(Xml.SubElement(visual, "material", name=name), "color", rgba=colour)
+        hang(link)
+    Xml.indent(scene)
+    return '<?xml version="1.0"?>\n' + Xml.tostring(scene, encoding="unicode") + "\n"

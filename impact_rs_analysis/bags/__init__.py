@@ -1,0 +1,1 @@
+"""Bags: one trial is one rosbag2 folder with mcap storage."""

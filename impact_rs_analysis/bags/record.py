@@ -1,0 +1,126 @@
+"""Run a trial in-process and record what the nodes would record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pinocchio as pin
+
+from impact_rs_analysis.bags import topics
+from impact_rs_analysis.bags.messages import TF_PERIOD, MessageMaker, RosbagsTypes
+from impact_rs_analysis.bags.trial_info import Outcome, TrialInfo
+from impact_rs_analysis.bags.writer import BagWriter
+from impact_rs_control.closed_loop import Tick, make_plant, run_closed_loop
+from impact_rs_control.plan import TrialPlan
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.plant import Measurement, Truth
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.urdf import write_scene_urdf
+
+
+def scene_urdf(plan: TrialPlan) -> str:
+    """URDF of the scene for ``/robot_description``."""
+    physics = plan.scene.physics
+    x, y, z = physics.object.size.tolist()
+    support = None if physics.support_height is None else (physics.support_height, physics.support_size)
+    arms = {name: (arm.facts, arm.end_effector) for name, arm in physics.arms.items()}
+    return write_scene_urdf(arms, (x, y, z), support)
+
+
+class FrameSource:
+    """Frames for ``/tf``, from measurements alone."""
+
+    def __init__(self, models: dict[str, RobotModel], plan: TrialPlan) -> None:
+        self._models = models
+        self._every = max(1, round(TF_PERIOD / plan.scene.scenario.timing.control_period))
+        self._object = pin.SE3(plan.scene.object.rotation, plan.scene.object.position)
+
+    def due(self, tick: int) -> bool:
+        """Whether transforms are published in this tick."""
+        return tick % self._every == 0
+
+    def frames(self, measurement: Measurement) -> dict[str, pin.SE3]:
+        """Placement of every link, the object and the support in the world frame."""
+        frames = {"support": pin.SE3.Identity()}
+        for name, model in self._models.items():
+            links = model.link_placements(measurement.arms[name].position)
+            frames |= {f"{name}_{link}": placement for link, placement in links.items()}
+        if measurement.object is not None:
+            rotation = pin.Quaternion(measurement.object.quaternion).matrix()
+            self._object = pin.SE3(rotation, measurement.object.position)
+        frames["object"] = self._object
+        return frames
+
+
+def plant_messages(
+    maker: MessageMaker, tick: int, measurement: Measurement, truth: Truth, frames: FrameSource
+) -> Iterator[tuple[str, Any]]:
+    """What the plant publishes in one tick: measurements first, they are awaited."""
+    for arm, measured in measurement.arms.items():
+        yield topics.joint_states(arm), maker.joint_states(tick, arm, measured)
+    for arm, measured in measurement.arms.items():
+        yield topics.motor_states(arm), maker.motor_states(tick, arm, measured)
+    if measurement.object is not None:
+        yield topics.OBJECT_POSE, maker.object_pose(tick, measurement.object)
+        yield topics.TRUTH_OBJECT_POSE, maker.truth_object_pose(tick, truth)
+        yield topics.TRUTH_OBJECT_TWIST, maker.truth_object_twist(tick, truth)
+    for arm, state in truth.arms.items():
+        yield topics.truth_joint_states(arm), maker.joint_states(tick, arm, state)
+        yield topics.truth_contact_wrench(arm), maker.truth_contact_wrench(tick, state)
+    if frames.due(tick):
+        yield topics.TF, maker.transforms(tick, frames.frames(measurement))
+        yield topics.CLOCK, maker.clock(tick)
+
+
+def controller_messages(maker: MessageMaker, tick: int, commands: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """What the controller publishes in one tick: torques first, they are awaited."""
+    for arm, command in commands.items():
+        yield topics.joint_command(arm), maker.joint_command(tick, arm, command.torque)
+    for arm, command in commands.items():
+        yield topics.controller_state(arm), maker.controller_state(tick, arm, command)
+        if command.detection is not None:
+            yield topics.impact_event(arm), maker.impact_event(tick, arm, command.detection)
+
+
+def record_trial(
+    plan: TrialPlan, info: TrialInfo, path: Path, physics: Physics | None = None
+) -> tuple[Outcome, dict[str, Array]]:
+    """Run one trial in lockstep and write its bag.
+
+    Args:
+        plan: What to do.
+        info: Identity; its seed makes the scatter and the noise.
+        path: Folder of the bag.
+        physics: True physics of the plant; None: the scenario's.
+
+    Returns:
+        Outcome, and net feedback ``(3,)`` [m/s] by arm.
+
+    Raises:
+        InputError: The bag exists or cannot be written.
+    """
+    maker = MessageMaker(RosbagsTypes(), plan)
+    frames = FrameSource(plan.scene.models, plan)
+    plant = make_plant(plan, info.seed, physics)
+    try:
+        with BagWriter(path, list(plan.arms)) as bag:
+            bag.describe(info)
+            bag.write(topics.TRIAL_INFO, 0, maker.trial_info(info))
+            bag.write(topics.ROBOT_DESCRIPTION, 0, maker.robot_description(scene_urdf(plan)))
+            detected = set()
+            tick: Tick
+            for tick in run_closed_loop(plan, plant):
+                now = maker.nanoseconds(tick.number)
+                for topic, message in plant_messages(maker, tick.number, tick.measurement, tick.truth, frames):
+                    bag.write(topic, now, message)
+                for topic, message in controller_messages(maker, tick.number, tick.commands):
+                    bag.write(topic, now, message)
+                detected |= {arm for arm, command in tick.commands.items() if command.detection is not None}
+            outcome: Outcome = "OK" if detected == set(plan.arms) else "NO-IMPACT"
+            bag.finish(outcome)
+            return outcome, {arm: command.net_feedback for arm, command in tick.commands.items()}
+    finally:
+        plant.close()

@@ -1,0 +1,114 @@
+"""Writing a trial: mcap by ``rosbags``, into a hidden folder that gets its name when the trial is complete."""
+
+from __future__ import annotations
+
+import shutil
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from impact_rs_analysis.bags import topics
+from impact_rs_analysis.bags.trial_info import Outcome, TrialInfo
+from impact_rs_analysis.bags.types import typestore
+from impact_rs_sim.errors import InputError
+
+LATCHED = (topics.TRIAL_INFO, topics.ROBOT_DESCRIPTION)
+
+
+def _qos(latched: bool) -> Qos:
+    infinite = QosTime(sec=2147483647, nsec=4294967295)
+    return Qos(
+        history=QosHistory.KEEP_LAST if latched else QosHistory.KEEP_ALL,
+        depth=1 if latched else 0,
+        reliability=QosReliability.RELIABLE,
+        durability=QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+        deadline=infinite,
+        lifespan=infinite,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=infinite,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+def partial_path(path: Path) -> Path:
+    """Where the bag ``path`` lies while it is being written."""
+    return path.parent / ".partial" / path.name
+
+
+class BagWriter:
+    """Writes the bag of one trial; a context manager.
+
+    Leaving the context without :meth:`finish` keeps the bag under its hidden name, readable as far as it got, and a
+    campaign runs that trial again.
+
+    Args:
+        path: Folder of the bag; must not exist yet.
+        arms: Names of the arms.
+
+    Raises:
+        InputError: The folder exists already or cannot be made.
+    """
+
+    def __init__(self, path: Path, arms: list[str]) -> None:
+        self.path = path
+        self.messages = 0
+        self._store = typestore()
+        self._finished = False
+        if path.exists():
+            raise InputError("this bag exists already", file=path)
+        hidden = partial_path(path)
+        shutil.rmtree(hidden, ignore_errors=True)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = Writer(hidden, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            self._writer.open()
+        except OSError as error:
+            raise InputError(f"cannot be written: {error.strerror}", file=path) from None
+        self._connections = {
+            topic: self._writer.add_connection(
+                topic, kind, typestore=self._store, offered_qos_profiles=[_qos(topic in LATCHED)]
+            )
+            for topic, kind in topics.recorded(arms).items()
+        }
+
+    def describe(self, info: TrialInfo) -> None:
+        """Put the trial's identity into the bag's metadata."""
+        for name, value in info.values().items():
+            self._writer.set_custom_data(name, value if isinstance(value, str) else str(value))
+
+    def write(self, topic: str, nanoseconds: int, message: Any) -> None:
+        """Write a message of the ``rosbags`` typestore at trial time [ns]."""
+        connection = self._connections[topic]
+        self.write_raw(topic, nanoseconds, self._store.serialize_cdr(message, connection.msgtype))
+
+    def write_raw(self, topic: str, nanoseconds: int, data: bytes | memoryview) -> None:
+        """Write a serialized (CDR) message at trial time [ns]."""
+        self._writer.write(self._connections[topic], nanoseconds, data)
+        self.messages += 1
+
+    def finish(self, outcome: Outcome) -> None:
+        """Close the bag and give it its name."""
+        self._close(outcome)
+        hidden = partial_path(self.path)
+        hidden.rename(self.path)
+        with suppress(OSError):  # other trials may still be in there
+            hidden.parent.rmdir()
+        self._finished = True
+
+    def _close(self, outcome: Outcome) -> None:
+        self._writer.set_custom_data("outcome", outcome)
+        self._writer.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not self._finished:
+            self._close("ABORTED")

@@ -1,0 +1,177 @@
+"""Campaigns: a folder of trials with a manifest, run in parallel, resumed where they stopped.
+
+A trial is a pure function of scenario file, key and campaign seed, so it does not matter where or in which order trials
+run. ``manifest.yaml`` says what the folder holds; a finished bag is never run again, a half-written one is.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+from pydantic import Field
+
+from impact_rs_analysis.bags.record import record_trial
+from impact_rs_analysis.bags.trial_info import Outcome, TrialInfo, TrialKey
+from impact_rs_analysis.bags.writer import partial_path
+from impact_rs_control.plan import plan_trial
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import Scene
+from impact_rs_sim.schema import PositiveVector, Schema, load
+
+MANIFEST = "manifest.yaml"
+
+
+class Manifest(Schema):
+    """What a campaign folder holds (``manifest.yaml``)."""
+
+    scenario: str = Field(description="name or path of the scenario file")
+    objects: tuple[str, ...] = Field(min_length=1, description="names of the objects")
+    cases: tuple[str, ...] = Field(min_length=1, description="full names of the cases")
+    velocity_scales: PositiveVector = Field(min_length=1, description="post-impact references [-]")
+    trials: int = Field(ge=1, description="repeats of every scale")
+    seed: int = Field(ge=0, description="seed of the campaign")
+    motor_inertia: str = Field("reduced", description="motor-inertia model of the reference")
+
+    @property
+    def keys(self) -> list[TrialKey]:
+        """Every trial of the campaign, in order."""
+        return [
+            TrialKey(name, case, scale, repeat)
+            for name in self.objects
+            for case in self.cases
+            for scale in self.velocity_scales
+            for repeat in range(self.trials)
+        ]
+
+
+@dataclass(frozen=True)
+class TrialReport:
+    """How one trial of a campaign went.
+
+    Attributes:
+        key: Which trial.
+        outcome: OK, NO-IMPACT or ABORTED.
+        message: What went wrong, if anything.
+    """
+
+    key: TrialKey
+    outcome: Outcome
+    message: str = ""
+
+
+def make_manifest(
+    scenario_name: str,
+    objects: list[str] | None = None,
+    cases: list[str] | None = None,
+    scales: list[float] | None = None,
+    trials: int | None = None,
+    seed: int = 0,
+) -> Manifest:
+    """A manifest with the scenario's own values where nothing is given.
+
+    Raises:
+        InputError: Unknown scenario, object or case, a scale that is not positive, or fewer than one trial.
+    """
+    scenario = load_scenario(scenario_name)
+    for name in objects or []:
+        scenario.object(name)
+    for scale in scales or []:
+        if not scale > 0.0:
+            raise InputError(f"velocity scale = {scale!r}: expected a number > 0 [-]")
+    if trials is not None and trials < 1:
+        raise InputError(f"trials = {trials}: expected at least 1")
+    if seed < 0:
+        raise InputError(f"seed = {seed}: expected a whole number >= 0")
+    return Manifest(
+        scenario=scenario_name,
+        objects=tuple(dict.fromkeys(objects or scenario.objects)),
+        cases=tuple(dict.fromkeys(scenario.case_name(case) for case in cases or scenario.cases)),
+        velocity_scales=tuple(dict.fromkeys(scales or scenario.velocity_scales)),
+        trials=trials or scenario.trials,
+        seed=seed,
+    )
+
+
+def open_campaign(directory: Path, manifest: Manifest) -> list[TrialKey]:
+    """Prepare a folder and return the trials that are still to be run.
+
+    Raises:
+        InputError: The folder holds another campaign.
+    """
+    path = directory / MANIFEST
+    if path.exists():
+        present = load(Manifest, path)
+        if present != manifest:
+            changed = [name for name in Manifest.model_fields if getattr(present, name) != getattr(manifest, name)]
+            raise InputError(
+                f"this folder holds another campaign (it differs in {', '.join(changed)}); choose another folder",
+                file=path,
+            )
+    else:
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            path.write_text(yaml.safe_dump(manifest.model_dump(mode="json"), sort_keys=False), encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"cannot be written: {error.strerror}", file=path) from None
+    return [key for key in manifest.keys if not (directory / key.name).exists()]
+
+
+def run_one(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
+    """Run one trial in-process and write its bag; a half-written bag of it is thrown away first."""
+    path = directory / key.name
+    shutil.rmtree(partial_path(path), ignore_errors=True)
+    scene = Scene.resolve(load_scenario(manifest.scenario), key.object, key.case)
+    plan = plan_trial(scene, key.scale, manifest.motor_inertia)
+    info = TrialInfo.of(plan, key, key.seed(manifest.seed), "inprocess")
+    outcome, _ = record_trial(plan, info, path)
+    return TrialReport(key, outcome)
+
+
+TrialRunner = Callable[[Path, Manifest, TrialKey], TrialReport]
+
+
+def run_campaign(
+    directory: Path, manifest: Manifest, jobs: int = 1, run: TrialRunner = run_one
+) -> Iterator[TrialReport]:
+    """Run what is missing; yields a report per trial as it ends.
+
+    Args:
+        directory: Campaign folder.
+        manifest: What to run.
+        jobs: Worker processes of a local ``dask.distributed`` cluster; 1 runs in this process.
+        run: Runs one trial.
+
+    Raises:
+        InputError: The folder holds another campaign, or ``jobs`` is below 1.
+    """
+    if jobs < 1:
+        raise InputError(f"jobs = {jobs}: expected at least 1 worker process")
+    todo = open_campaign(directory, manifest)
+    if jobs == 1 or len(todo) <= 1:
+        for key in todo:
+            yield _guarded(run, directory, manifest, key)
+        return
+
+    from distributed import Client, LocalCluster, as_completed
+
+    with (
+        LocalCluster(
+            n_workers=jobs, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        futures = client.map(lambda key: _guarded(run, directory, manifest, key), todo, pure=False)
+        for future in as_completed(futures):
+            yield future.result()
+
+
+def _guarded(run: TrialRunner, directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
+    try:
+        return run(directory, manifest, key)
+    except InputError as error:
+        return TrialReport(key, "ABORTED", str(error))

@@ -1,0 +1,54 @@
+"""One trial in lockstep, in one process: measure, decide, record, step.
+
+The nodes run the same loop with messages in between; a trial through them equals this one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from impact_rs_control.controller import ArmCommand, Controller
+from impact_rs_control.plan import TrialPlan
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.plant import Measurement, Plant, Truth
+
+
+@dataclass(frozen=True)
+class Tick:
+    """What happened in one control tick."""
+
+    number: int
+    measurement: Measurement
+    commands: dict[str, ArmCommand]
+    truth: Truth
+
+
+def make_plant(plan: TrialPlan, seed: int, physics: Physics | None = None) -> Plant:
+    """The plant of a planned trial.
+
+    Args:
+        plan: What the controller will do; it decides where the arms start.
+        seed: Seed of scatter and noise.
+        physics: True physics; None: the scenario's.
+    """
+    scene = plan.scene
+    return Plant(
+        scene.scenario,
+        scene.physics if physics is None else physics,
+        {name: arm.initial for name, arm in plan.arms.items()},
+        scene.object,
+        seed,
+    )
+
+
+def run_closed_loop(plan: TrialPlan, plant: Plant) -> Iterator[Tick]:
+    """Run a trial from the plant's start to the scenario's end, tick by tick."""
+    controller = Controller(plan)
+    last = plan.scene.scenario.timing.ticks
+    for number in range(last + 1):
+        measurement = plant.measure()
+        commands = controller.update(number, measurement.arms)
+        yield Tick(number, measurement, commands, plant.truth())
+        if number < last:
+            plant.step({name: command.torque for name, command in commands.items()})

@@ -1,0 +1,236 @@
+"""Reference-spreading QP control of one or several arms (paper sec. Control approach).
+
+Ante, interim and post mode differ in reference, in the weight gamma of velocity feedback, and in the wrench that is
+fed forward:
+
+    e_p = ddp - ddp_d - gamma 2 sqrt(k_p) (dp_d - dp) - k_p (p_d - p) - a_fric - a_f       (paper eqs. e_pos_*)
+
+Everything here sees measured signals only.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import pinocchio as pin
+from scipy.linalg.lapack import dposv
+
+from impact_rs_control.detection import ImpactDetector
+from impact_rs_control.plan import ArmPlan, TrialPlan
+from impact_rs_control.qp import AccelerationQp, QpStatus
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RigidTerms, RobotModel
+from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.sensors import ArmMeasurement
+
+
+class Mode(IntEnum):
+    """Control modes; values as in ``ControllerState.mode``."""
+
+    ANTE = 0
+    INTERIM = 1
+    POST = 2
+
+
+@dataclass(frozen=True)
+class ImpactDetection:
+    """The moment an impact was detected.
+
+    Attributes:
+        time: T_imp [s].
+        force: Sudden force against the motion [N].
+        threshold: What it had to exceed [N].
+        wrench: Estimated external wrench at E, in E[A], ``(6,)`` [N, N m].
+        twist: Measured twist of E, in E[A], ``(6,)`` [m/s, rad/s].
+    """
+
+    time: float
+    force: float
+    threshold: float
+    wrench: Array
+    twist: Array
+
+
+@dataclass(frozen=True)
+class ArmCommand:
+    """What the controller decided for one arm in one tick.
+
+    Attributes:
+        torque: Desired torque tau_d, ``(n,)`` [N m].
+        mode: Control mode.
+        gamma: Weight of velocity feedback [-].
+        position: Measured position of E in A, ``(3,)`` [m].
+        twist: Measured twist of E in E[A], ``(6,)`` [m/s, rad/s].
+        feedback: a_fb of paper eq. fb_error, ``(3,)`` [m/s^2].
+        net_feedback: Its integral since t1, up to t2, ``(3,)`` [m/s].
+        wrench: Estimated external wrench at E, in E[A], ``(6,)`` [N, N m].
+        qp_status: How the QP was solved.
+        qp_iterations: ProxQP iterations.
+        qp_solve_time: Wall-clock time of the QP [s].
+        detection: The impact, in the tick it is detected.
+    """
+
+    torque: Array
+    mode: Mode
+    gamma: float
+    position: Array
+    twist: Array
+    feedback: Array
+    net_feedback: Array
+    wrench: Array
+    qp_status: QpStatus
+    qp_iterations: int
+    qp_solve_time: float
+    detection: ImpactDetection | None
+
+
+class ArmController:
+    """Controller of one arm for one trial.
+
+    Args:
+        scenario: Gains, times and detection.
+        model: Rigid model of the arm as the controller believes it.
+        motor_inertia: Diagonal of B_theta as the controller believes it, ``(n,)`` [kg m^2].
+        plan: References and feedforward.
+    """
+
+    def __init__(self, scenario: Scenario, model: RobotModel, motor_inertia: Array, plan: ArmPlan) -> None:
+        timing, control = scenario.timing, scenario.control
+        gains = control.gains
+        self._model = model
+        self._plan = plan
+        self._period = timing.control_period
+        self._last_tick = timing.ticks
+        self._window = timing.window
+        self._armed_from = timing.nominal_impact - control.detection.arm_before
+        self._interim = control.interim_duration
+        self._position_gain = gains.position
+        self._position_rate = 2.0 * math.sqrt(gains.position)
+        self._orientation_gains = (gains.orientation, gains.orientation_post)
+        self._posture_gain = gains.posture
+        self._posture_rate = 2.0 * math.sqrt(gains.posture)
+        self._weights = np.array(
+            [gains.position_weight] * 3 + [gains.orientation_weight] * 3 + [gains.posture_weight]
+        )
+        self._motor_inertia = np.diag(motor_inertia)
+        self._qp = AccelerationQp(
+            model.joint_count,
+            model.position_min,
+            model.position_max,
+            model.velocity_max,
+            model.torque_max,
+            timing.control_period,
+        )
+        self._detector = ImpactDetector(model, control.detection, plan.approach_direction, timing.control_period)
+        self._tasks = np.zeros((7, model.joint_count))
+        self._tasks[6, 0] = 1.0
+        self._targets = np.zeros(7)
+        self._net = np.zeros(3)
+        self.detection: ImpactDetection | None = None
+
+    def update(self, tick: int, measured: ArmMeasurement) -> ArmCommand:
+        """One control tick.
+
+        Args:
+            tick: Number of the tick since the start of the trial.
+            measured: Measured state of the arm.
+        """
+        now = tick * self._period
+        index = min(tick, self._last_tick)
+        q, dq = measured.position, measured.velocity
+        terms = self._model.terms(q, dq)
+        detected = self._detect(now, measured, terms)
+        mode, gamma = self._mode(now)
+        after = mode is not Mode.ANTE
+        plan = self._plan
+        position_path = plan.post_position if after else plan.ante_position
+        posture_path = plan.post_posture if after else plan.ante_posture
+
+        twist = terms.twist
+        feedback = self._position_rate * gamma * (position_path.velocity[index] - twist[:3])
+        feedback += self._position_gain * (position_path.position[index] - terms.position)
+        k_theta = self._orientation_gains[int(after)]
+        tilt = terms.rotation @ pin.log3(terms.rotation.T @ plan.orientation)
+        targets = self._targets
+        targets[:3] = position_path.acceleration[index] + feedback
+        targets[3:6] = k_theta * tilt - 2.0 * math.sqrt(k_theta) * gamma * twist[3:]
+        targets[6] = (
+            posture_path.acceleration[index, 0]
+            + self._posture_rate * gamma * (posture_path.velocity[index, 0] - dq[0])
+            + self._posture_gain * (posture_path.position[index, 0] - q[0])
+        )
+        inertia = terms.mass_matrix + self._motor_inertia
+        jacobian = terms.jacobian
+        if after:
+            push = dposv(inertia, jacobian.T @ plan.wrench[index])[1]
+            targets[:6] += jacobian @ push  # paper eq. a_p_f
+            targets[6] += push[0]  # the same torque moves joint 1 as well: no posture feedback shall fight it
+        targets[:6] -= terms.drift
+        self._tasks[:6] = jacobian
+        solution = self._qp.solve(self._tasks, targets, self._weights, inertia, terms.bias, q, dq)
+        torque = inertia @ solution.acceleration + terms.bias
+        if solution.status is not QpStatus.SOLVED:
+            torque = np.clip(torque, -self._model.torque_max, self._model.torque_max)
+        if self._window[0] <= now < self._window[1]:
+            self._net = self._net + self._period * feedback
+        return ArmCommand(
+            torque=torque,
+            mode=mode,
+            gamma=gamma,
+            position=terms.position.copy(),
+            twist=twist,
+            feedback=feedback,
+            net_feedback=self._net,
+            wrench=self._detector.wrench,
+            qp_status=solution.status,
+            qp_iterations=solution.iterations,
+            qp_solve_time=solution.solve_time,
+            detection=detected,
+        )
+
+    def _detect(self, now: float, measured: ArmMeasurement, terms: RigidTerms) -> ImpactDetection | None:
+        hit = self._detector.update(measured.position, measured.velocity, measured.torque, terms)
+        if self.detection is not None or not hit or now < self._armed_from:
+            return None
+        self.detection = ImpactDetection(
+            time=now,
+            force=self._detector.force,
+            threshold=self._detector.threshold,
+            wrench=self._detector.wrench,
+            twist=terms.twist,
+        )
+        return self.detection
+
+    def _mode(self, now: float) -> tuple[Mode, float]:
+        if self.detection is None:
+            return Mode.ANTE, 1.0
+        gamma = (now - self.detection.time) / self._interim
+        return (Mode.INTERIM, gamma) if gamma < 1.0 else (Mode.POST, 1.0)
+
+
+class Controller:
+    """Controllers of all arms of a trial.
+
+    Args:
+        plan: What to do.
+    """
+
+    def __init__(self, plan: TrialPlan) -> None:
+        scene = plan.scene
+        self.plan = plan
+        self.arms = {
+            name: ArmController(
+                scene.scenario,
+                scene.physics.robot_model(name),
+                scene.physics.arms[name].motor_inertia_reduced,
+                arm,
+            )
+            for name, arm in plan.arms.items()
+        }
+
+    def update(self, tick: int, measured: dict[str, ArmMeasurement]) -> dict[str, ArmCommand]:
+        """One control tick of every arm."""
+        return {name: controller.update(tick, measured[name]) for name, controller in self.arms.items()}

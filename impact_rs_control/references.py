@@ -1,0 +1,132 @@
+"""Reference generation: quintic via points, extended past the nominal impact (paper sec. Reference generation).
+
+Ante- and post-impact references coincide in position at T_nom (paper eq. pos_refs_imp), their velocities there differ
+by the impact map, and each goes on where the other is nominally active, so that a reference that fits the
+contact state is there even if the impact comes early or late.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BPoly
+
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scenario import Timing
+
+
+@dataclass(frozen=True)
+class ViaPoint:
+    """A point of a quintic path (paper eq. ante_constr_refgen2).
+
+    Attributes:
+        time: When [s].
+        position: ``(d,)`` [m or rad].
+        velocity: ``(d,)`` [m/s or rad/s].
+        acceleration: ``(d,)`` [m/s^2 or rad/s^2].
+    """
+
+    time: float
+    position: Array
+    velocity: Array
+    acceleration: Array
+
+
+@dataclass(frozen=True)
+class SampledPath:
+    """A path at every control tick, ``(ticks + 1, d)`` each [m, m/s, m/s^2] or [rad, rad/s, rad/s^2]."""
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+
+
+def sample_path(points: list[ViaPoint], times: Array) -> SampledPath:
+    """Quintic polynomials between via points, at rest relative to the end points outside of them.
+
+    Before the first and after the last via point the path goes on with the velocity it has there, so a path that starts
+    or ends at rest stays at rest.
+
+    Args:
+        points: At least two via points in order of time.
+        times: Where to sample, ``(k,)`` [s].
+    """
+    knots = np.array([point.time for point in points])
+    derivatives = [[point.position, point.velocity, point.acceleration] for point in points]
+    path = BPoly.from_derivatives(knots, derivatives)
+    inside = np.clip(times, knots[0], knots[-1])
+    outside = (times - inside)[:, None]
+    velocity = path.derivative(1)(inside)
+    acceleration = np.where(outside == 0.0, path.derivative(2)(inside), 0.0)
+    return SampledPath(path(inside) + velocity * outside, velocity, acceleration)
+
+
+def ante_impact_path(timing: Timing, position: Array, velocity: Array, times: Array) -> SampledPath:
+    """From rest to ``position`` with ``velocity`` at T_nom; keeps that velocity for a while, then stops.
+
+    The way from rest is half of velocity times duration: the quintic is then a smooth step in velocity. It stops by
+    itself because an arm that hits nothing must not run away.
+
+    Args:
+        timing: Times of the scenario.
+        position: At T_nom, ``(d,)`` [m or rad].
+        velocity: At T_nom, just before impact, ``(d,)`` [m/s or rad/s].
+        times: Where to sample, ``(k,)`` [s].
+    """
+    rest, nominal = np.zeros_like(velocity), timing.nominal_impact
+    past = position + velocity * timing.overrun
+    return sample_path(
+        [
+            ViaPoint(nominal - timing.approach, position - velocity * timing.approach / 2.0, rest, rest),
+            ViaPoint(nominal, position, velocity, rest),
+            ViaPoint(nominal + timing.overrun, past, velocity, rest),
+            ViaPoint(nominal + timing.overrun + timing.stop, past + velocity * timing.stop / 2.0, rest, rest),
+        ],
+        times,
+    )
+
+
+def post_impact_path(timing: Timing, position: Array, velocity: Array, times: Array) -> SampledPath:
+    """Through ``position`` with ``velocity`` at T_nom and on to rest; at constant velocity before T_nom.
+
+    Args:
+        timing: Times of the scenario.
+        position: At T_nom, ``(d,)`` [m or rad].
+        velocity: At T_nom, just after impact, ``(d,)`` [m/s or rad/s].
+        times: Where to sample, ``(k,)`` [s].
+    """
+    return _to_rest(timing.nominal_impact, timing.push, position, velocity, times)
+
+
+def push_path(timing: Timing, position: Array, velocity: Array, normal: Array, times: Array) -> SampledPath:
+    """Post-impact path of a pad: pushes on along ``normal``, and soon stops sliding across it.
+
+    At T_nom the whole predicted velocity is there, as the impact map demands. Sliding along the object's face is no
+    part of the task, and as long as it lasts pad friction loads object and support: it ends after
+    ``timing.slide``.
+
+    Args:
+        timing: Times of the scenario.
+        position: At T_nom, ``(3,)`` [m].
+        velocity: At T_nom, just after impact, ``(3,)`` [m/s].
+        normal: Direction of the push, unit vector, ``(3,)``.
+        times: Where to sample, ``(k,)`` [s].
+    """
+    along = normal * (normal @ velocity)
+    push = post_impact_path(timing, position, along, times)
+    slide = _to_rest(timing.nominal_impact, timing.slide, np.zeros(3), velocity - along, times)
+    return SampledPath(
+        push.position + slide.position, push.velocity + slide.velocity, push.acceleration + slide.acceleration
+    )
+
+
+def _to_rest(start: float, duration: float, position: Array, velocity: Array, times: Array) -> SampledPath:
+    rest = np.zeros_like(velocity)
+    return sample_path(
+        [
+            ViaPoint(start, position, velocity, rest),
+            ViaPoint(start + duration, position + velocity * duration / 2.0, rest, rest),
+        ],
+        times,
+    )

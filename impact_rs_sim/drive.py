@@ -1,0 +1,84 @@
+"""Motor side of the joints, with the torque loop that reduces the motor inertia.
+
+    B_rho ddtheta + tau_J + D K^-1 dtau_J = tau_act + tau_fric,m                              (paper eq. EOM_motor)
+    tau_J   = K (theta - q)
+    tau_act = B_rho B_theta^-1 tau_d + (I - B_rho B_theta^-1)(tau_J + D K^-1 dtau_J)   (paper eq. torque_control_law)
+
+B_theta is a setting of the loop, not an inertia of the drive: the motor is integrated with B_rho, and the reduced
+inertia emerges. One step is one period of the loop; semi-implicit Euler, velocity first.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from impact_rs_sim.physics import ArmPhysics
+from impact_rs_sim.robot import Array
+
+
+class Drive:
+    """Motor side of one arm.
+
+    Args:
+        physics: Motor inertias, stiffness, damping, friction and actuation.
+        period: Period of the torque loop [s].
+
+    Attributes:
+        position: Motor position theta, ``(n,)`` [rad].
+        velocity: Motor velocity, ``(n,)`` [rad/s].
+        transmission_torque: tau_J + D K^-1 dtau_J, what the link receives, ``(n,)`` [N m].
+        elastic_torque: tau_J, what the joint torque sensor sees, ``(n,)`` [N m].
+        actuation_torque: tau_act of the last step, ``(n,)`` [N m].
+        friction_torque: tau_fric,m of the last step, ``(n,)`` [N m].
+    """
+
+    def __init__(self, physics: ArmPhysics, period: float) -> None:
+        self._period = period
+        self._stiffness = physics.stiffness
+        self._damping = physics.damping
+        self._rotor_inverse = 1.0 / physics.motor_inertia_rotor
+        self._shaping = physics.motor_inertia_rotor / physics.motor_inertia_reduced
+        self._feedback = 1.0 - self._shaping
+        self._friction = None if physics.friction.is_zero else physics.friction
+        self._gain = physics.torque_gain
+        self._offset = physics.torque_offset
+        delay = round(physics.actuation_delay / period)
+        self._pending: deque[Array] | None = deque(maxlen=delay + 1) if delay else None
+        count = physics.stiffness.size
+        self.position = np.zeros(count)
+        self.velocity = np.zeros(count)
+        self.transmission_torque = np.zeros(count)
+        self.elastic_torque = np.zeros(count)
+        self.actuation_torque = np.zeros(count)
+        self.friction_torque = np.zeros(count)
+
+    def reset(self, link_position: Array, load: Array) -> None:
+        """Rest in equilibrium: the spring carries ``load`` ``(n,)`` [N m] at link position ``(n,)`` [rad]."""
+        self.position = link_position + load / self._stiffness
+        self.velocity = np.zeros_like(load)
+        self.elastic_torque = load.copy()
+        self.transmission_torque = load.copy()
+        if self._pending is not None:
+            self._pending.clear()
+            self._pending.extend([load] * (self._pending.maxlen or 1))
+
+    def sense(self, link_position: Array, link_velocity: Array) -> None:
+        """Update the transmission torque from the present motor and link state."""
+        self.elastic_torque = self._stiffness * (self.position - link_position)
+        self.transmission_torque = self.elastic_torque + self._damping * (self.velocity - link_velocity)
+
+    def step(self, desired: Array) -> None:
+        """One period of the torque loop with desired torque ``(n,)`` [N m]; call :meth:`sense` first."""
+        if self._pending is not None:
+            self._pending.append(desired)
+            desired = self._pending[0]
+        applied = self._gain * desired + self._offset
+        self.actuation_torque = self._shaping * applied + self._feedback * self.transmission_torque
+        net = self.actuation_torque - self.transmission_torque
+        if self._friction is not None:
+            self.friction_torque = self._shaping * self._friction.torque(self.velocity)
+            net = net + self.friction_torque
+        self.velocity = self.velocity + self._period * self._rotor_inverse * net
+        self.position = self.position + self._period * self.velocity
