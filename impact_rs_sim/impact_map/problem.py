@@ -13,11 +13,14 @@ gravity and every other finite force drop out.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map.contacts import boxes, separating_face
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState, Scene
@@ -66,9 +69,10 @@ class ContactImpulse:
     Attributes:
         body_a: ``object``, always.
         body_b: Name of the arm, or ``support``.
-        position: Contact point in A, ``(3,)`` [m].
+        position: Contact point on the object in A, ``(3,)`` [m].
         normal: Unit normal on the object, pointing from ``body_b`` into the object, in A, ``(3,)``.
         impulse: Impulse on the object, in A, ``(3,)`` [N s].
+        gap: Distance from the surface of ``body_b`` along the normal [m]; points within the gap tolerance touch.
     """
 
     body_a: str
@@ -76,6 +80,7 @@ class ContactImpulse:
     position: Array
     normal: Array
     impulse: Array
+    gap: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -100,7 +105,19 @@ class Residual:
     @property
     def largest(self) -> float:
         """The largest of the four."""
-        return max(self.penetration_velocity, self.complementarity, self.friction_cone, self.momentum)
+        return self.worst[1]
+
+    @property
+    def worst(self) -> tuple[str, float]:
+        """Name of the law that is broken most, and by how much."""
+        laws = {
+            "Newton restitution (penetration)": self.penetration_velocity,
+            "complementarity (impulse at a separating point, or pull)": self.complementarity,
+            "Coulomb friction": self.friction_cone,
+            "momentum balance": self.momentum,
+        }
+        law = max(laws, key=lambda name: laws[name] if laws[name] == laws[name] else np.inf)
+        return law, laws[law]
 
 
 @dataclass(frozen=True)
@@ -132,18 +149,107 @@ class ImpactMapError(RuntimeError):
     """An engine found no answer that obeys the laws; the message says which law and by how much."""
 
 
-def check_problem(problem: ImpactProblem, penetration_tolerance: float = 1e-3) -> None:
+def check_problem(
+    problem: ImpactProblem,
+    penetration_tolerance: float = 1e-3,
+    placements: Mapping[str, pin.SE3] | None = None,
+) -> None:
     """Refuse a question that has no answer.
 
     Args:
         problem: The question.
         penetration_tolerance: Deepest accepted overlap of pad and object, or object and support [m].
+        placements: Placement of frame E in A by arm, where the caller knows it already.
 
     Raises:
         InputError: Non-finite or wrong-length state, joint positions or velocities beyond their limits, negative
             mass or motor inertia, restitution outside [0, 1], a rotation that is none, or initial penetration.
     """
-    raise NotImplementedError
+    physics = problem.physics
+    for table, label in ((problem.arms, "arms"), (problem.motor_inertia, "motor_inertia")):
+        if set(table) != set(physics.arms):
+            raise InputError(
+                f"expected one entry per arm of the scene ({', '.join(physics.arms)}), got {sorted(table)}", key=label
+            )
+    for name, state in problem.arms.items():
+        _check_arm(problem, name, state)
+    _check_scalars(problem)
+    body = problem.object
+    _vector(body.position, 3, "object.position", "m")
+    _vector(body.twist, 6, "object.twist", "m/s and rad/s")
+    rotation = np.asarray(body.rotation)
+    if rotation.shape != (3, 3) or not np.all(np.isfinite(rotation)):
+        raise InputError("expected a finite 3 x 3 rotation matrix [-]", key="object.rotation")
+    if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > 1e-6 or np.linalg.det(rotation) < 0.0:
+        raise InputError("expected a rotation matrix: orthonormal, determinant +1 [-]", key="object.rotation")
+    if placements is None:
+        placements = {
+            name: physics.robot_model(name).placement(state.position) for name, state in problem.arms.items()
+        }
+    thing, partners = boxes(physics, body, placements)
+    for name, partner in partners.items():
+        depth = -separating_face(partner, thing)[0]
+        if depth > penetration_tolerance:
+            raise InputError(
+                f"the object penetrates {name!r} by {1e3 * depth:.3g} mm, accepted are "
+                f"{1e3 * penetration_tolerance:.3g} mm",
+                key="object.position",
+            )
+
+
+def _vector(values: Array, length: int, key: str, unit: str) -> None:
+    values = np.asarray(values)
+    if values.shape != (length,):
+        raise InputError(f"expected {length} values [{unit}], got shape {values.shape}", key=key)
+    if not np.all(np.isfinite(values)):
+        raise InputError(f"expected finite values [{unit}], got {values.tolist()}", key=key)
+
+
+def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
+    facts = problem.physics.arms[name].facts
+    count, limits = facts.joint_count, facts.limits
+    _vector(state.position, count, f"arms.{name}.position", "rad")
+    _vector(state.velocity, count, f"arms.{name}.velocity", "rad/s")
+    _vector(problem.motor_inertia[name], count, f"motor_inertia.{name}", "kg m^2")
+    slack = 1e-9  # rad, so that a configuration on its limit passes
+    for index, value in enumerate(state.position):
+        low, high = limits.position_min_rad[index], limits.position_max_rad[index]
+        if not low - slack <= value <= high + slack:
+            raise InputError(
+                f"joint {index + 1} is outside its limits [{low:.4g}, {high:.4g}] rad",
+                key=f"arms.{name}.position[{index}]",
+                value=float(value),
+            )
+    for index, value in enumerate(state.velocity):
+        limit = limits.velocity_rad_s[index]
+        if abs(value) > limit + slack:
+            raise InputError(
+                f"joint {index + 1} is faster than its limit {limit:.4g} rad/s",
+                key=f"arms.{name}.velocity[{index}]",
+                value=float(value),
+            )
+    for index, value in enumerate(problem.motor_inertia[name]):
+        if value < 0.0:
+            raise InputError(
+                "expected motor inertia >= 0 kg m^2", key=f"motor_inertia.{name}[{index}]", value=float(value)
+            )
+
+
+def _check_scalars(problem: ImpactProblem) -> None:
+    physics, thing = problem.physics, problem.physics.object
+    if not 0.0 <= problem.restitution <= 1.0:
+        raise InputError("expected a restitution between 0 and 1 [-]", key="restitution", value=problem.restitution)
+    if not (np.isfinite(thing.mass) and thing.mass > 0.0):
+        raise InputError("expected a finite mass > 0 kg", key="object.mass", value=thing.mass)
+    for key, unit, values in (("size", "m", thing.size), ("inertia", "kg m^2", thing.inertia)):
+        _vector(values, 3, f"object.{key}", unit)
+        if np.min(values) <= 0.0:
+            raise InputError(f"expected three values > 0 {unit}", key=f"object.{key}", value=values.tolist())
+    _vector(thing.com_offset, 3, "object.com_offset", "m")
+    for key in ("pad_friction", "support_friction"):
+        value = getattr(physics, key)
+        if not (np.isfinite(value) and value >= 0.0):
+            raise InputError("expected a finite friction coefficient >= 0 [-]", key=key, value=value)
 
 
 def kinetic_energy(problem: ImpactProblem, result: ImpactResult | None = None) -> float:

@@ -1,0 +1,68 @@
+"""The impact map: ante-impact state in, post-impact state out (see :mod:`impact_rs_sim.impact_map.problem`)."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map.bullet import BulletEngine
+from impact_rs_sim.impact_map.engine import Engine
+from impact_rs_sim.impact_map.pinocchio import PinocchioEngine
+from impact_rs_sim.impact_map.problem import (
+    ContactImpulse,
+    ImpactMapError,
+    ImpactProblem,
+    ImpactResult,
+    Residual,
+    check_problem,
+    kinetic_energy,
+)
+
+__all__ = [
+    "ENGINES",
+    "BulletEngine",
+    "ContactImpulse",
+    "Engine",
+    "ImpactMapError",
+    "ImpactProblem",
+    "ImpactResult",
+    "PinocchioEngine",
+    "Residual",
+    "check_problem",
+    "compute_impact_map",
+    "kinetic_energy",
+]
+
+ENGINES: dict[str, type[Engine]] = {engine.name: engine for engine in (BulletEngine, PinocchioEngine)}
+
+_KEPT = 8  # engines kept warm; a Bullet world is a few MB
+_warm: OrderedDict[tuple[int, str], Engine] = OrderedDict()
+_lock = threading.Lock()
+
+
+def compute_impact_map(problem: ImpactProblem, engine: str = "bullet") -> ImpactResult:
+    """Solve ``problem``.
+
+    The engine stays warm for the next problem with the same :class:`~impact_rs_sim.physics.Physics` object.
+
+    Args:
+        problem: The question.
+        engine: ``bullet`` or ``pinocchio``.
+
+    Raises:
+        InputError: There is no such engine, or the question has no answer.
+        ImpactMapError: The answer breaks a law by more than the engine's tolerance.
+    """
+    if engine not in ENGINES:
+        raise InputError(f"no impact-map engine {engine!r}; known engines: {', '.join(ENGINES)}")
+    with _lock:
+        # An entry holds its physics, so an id cannot come to mean another object while it is in the table.
+        key = (id(problem.physics), engine)
+        if key not in _warm:
+            check_problem(problem)
+            _warm[key] = ENGINES[engine](problem.physics)
+        _warm.move_to_end(key)
+        while len(_warm) > _KEPT:
+            _warm.popitem(last=False)[1].close()
+        return _warm[key].solve(problem)
