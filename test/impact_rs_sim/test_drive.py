@@ -1,0 +1,134 @@
+"""The torque loop runs with B_rho; what is felt is B_theta."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from impact_rs_sim.bullet_world import BulletWorld
+from impact_rs_sim.drive import Drive
+from impact_rs_sim.physics import JointFriction, Physics
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import ArmState, Scene
+
+PERIOD = 0.00025  # s
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return Scene.resolve(load_scenario("push"), "cat_food", "2")
+
+
+@pytest.fixture
+def arm(scene):
+    return scene.physics.arms["arm"]
+
+
+def test_locked_link_leaves_the_motor_with_the_reduced_inertia_and_the_spring(arm):
+    """B_theta ddtheta + K theta = 0: the eigenfrequency is sqrt(K / B_theta), not sqrt(K / B_rho)."""
+    arm = replace(arm, damping=np.zeros(7))
+    period = PERIOD / 20.0
+    drive = Drive(arm, period)
+    drive.reset(np.zeros(7), 10.0 * np.ones(7))
+    crossings = [[] for _ in range(7)]
+    previous = drive.position
+    for step in range(40000):
+        drive.sense(np.zeros(7), np.zeros(7))
+        drive.step(np.zeros(7))
+        for joint in np.flatnonzero(previous * drive.position < 0.0):
+            crossings[joint].append(step * period)
+        previous = drive.position
+    frequency = np.array([np.pi * (len(c) - 1) / (c[-1] - c[0]) for c in crossings])
+    np.testing.assert_allclose(frequency, np.sqrt(arm.stiffness / arm.motor_inertia_reduced), rtol=2e-3)
+
+
+def test_free_motor_accelerates_with_the_reduced_inertia(arm):
+    drive = Drive(arm, PERIOD)
+    torque = np.linspace(1.0, 2.0, 7)
+    for _ in range(400):
+        drive.sense(drive.position, drive.velocity)
+        drive.step(torque)
+    np.testing.assert_allclose(drive.velocity, torque / arm.motor_inertia_reduced * 400 * PERIOD, rtol=1e-12)
+
+
+def test_friction_is_felt_as_stated_at_the_desired_torque(arm):
+    """tau_fric = B_theta B_rho^-1 tau_fric,m: a motor pushed with exactly its friction keeps its velocity."""
+    friction = JointFriction(np.full(7, 0.5), np.full(7, 0.3), np.zeros(7), np.full(7, 0.05))
+    drive = Drive(replace(arm, friction=friction), PERIOD)
+    drive.velocity = np.full(7, 0.8)
+    for _ in range(400):
+        drive.sense(drive.position, drive.velocity)
+        drive.step(np.full(7, 0.5 + 0.3 * 0.8))
+    np.testing.assert_allclose(drive.velocity, 0.8, rtol=1e-9)
+
+
+def test_friction_only_ever_takes_power(arm):
+    sigmoid = replace(JointFriction.none(7), sigmoid=arm.facts.friction)
+    stribeck = JointFriction(np.full(7, 0.4), np.full(7, 0.2), np.full(7, 0.3), np.full(7, 0.05))
+    for friction in (sigmoid, stribeck):
+        for velocity in np.linspace(-2.0, 2.0, 41):
+            assert np.all(friction.torque(np.full(7, velocity)) * velocity <= 1e-12)
+
+
+def test_actuation_delay_shifts_the_torque_by_that_time(arm):
+    drive = Drive(replace(arm, actuation_delay=4 * PERIOD), PERIOD)
+    drive.reset(np.zeros(7), np.zeros(7))
+    moved = []
+    for _ in range(6):
+        drive.sense(drive.position, drive.velocity)
+        drive.step(np.ones(7))
+        moved.append(bool(np.any(drive.velocity)))
+    assert moved == [False] * 4 + [True] * 2
+
+
+def energy_defect(physics: Physics, period: float, duration: float) -> float:
+    """Largest |energy - work put in| over a free motion, relative to the largest kinetic energy."""
+    arm, model = physics.arms["arm"], physics.robot_model("arm")
+    world = BulletWorld(
+        physics, time_step=period, gravity=True, compliant_pads=True, iterations=20, residual_threshold=0.0
+    )
+    q = np.array([-0.3, -0.3, 0.5, -2.2, -1.2, 1.5, -0.6])
+    load = model.gravity_torque(q)
+    drive = Drive(arm, period)
+    drive.reset(q, load)
+    world.set_arm("arm", ArmState(q, np.zeros(7)))
+    state = world.arm_state("arm")
+
+    def energy():
+        import pinocchio as pin
+
+        stretch = drive.position - state.position
+        kinetic = 0.5 * state.velocity @ model.mass_matrix(state.position) @ state.velocity
+        motor = 0.5 * arm.motor_inertia_rotor @ np.square(drive.velocity)
+        spring = 0.5 * arm.stiffness @ np.square(stretch)
+        potential = pin.computePotentialEnergy(model.pinocchio, model.data, state.position)
+        return kinetic + motor, kinetic + motor + spring + potential
+
+    _, start = energy()
+    work, worst, largest = 0.0, 0.0, 0.0
+    for step in range(round(duration / period)):
+        time = step * period
+        torque = load + 4.0 * np.sin(2.0 * np.pi * 2.0 * time) * np.array([1, -1, 1, -1, 0.5, 0.5, 0.3])
+        world.apply_torque("arm", drive.transmission_torque)
+        old_motor, old_link = drive.velocity, state.velocity
+        damping_torque = drive.transmission_torque - drive.elastic_torque
+        drive.step(torque)
+        world.step()
+        state = world.arm_state("arm")
+        motor, link = (old_motor + drive.velocity) / 2.0, (old_link + state.velocity) / 2.0
+        work += period * (drive.actuation_torque + drive.friction_torque) @ motor
+        work -= period * damping_torque @ (motor - link)
+        drive.sense(state.position, state.velocity)
+        kinetic, total = energy()
+        worst, largest = max(worst, abs(total - start - work)), max(largest, kinetic)
+    world.close()
+    return worst / largest
+
+
+def test_energy_balance_of_plant_and_drive_closes_as_the_step_shrinks(scene):
+    friction = JointFriction(np.full(7, 0.5), np.full(7, 0.3), np.zeros(7), np.full(7, 0.05))
+    arm = replace(scene.physics.arms["arm"], friction=friction)
+    physics = replace(scene.physics, arms={"arm": arm})
+    coarse, fine = (energy_defect(physics, period, 0.5) for period in (PERIOD, PERIOD / 2.0))
+    assert coarse < 0.01
+    assert fine < 0.6 * coarse

@@ -1,0 +1,94 @@
+"""One URDF, two engines: Pinocchio and Bullet must see the same arm."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from impact_rs_sim.bullet_world import BulletWorld
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import Scene
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return Scene.resolve(load_scenario("push"), "cat_food", "2")
+
+
+def random_configurations(model, count, seed=0):
+    return np.random.default_rng(seed).uniform(model.position_min, model.position_max, (count, model.joint_count))
+
+
+def test_pinocchio_and_bullet_agree_on_mass_matrix_and_gravity_torque(scene):
+    model = scene.models["arm"]
+    world = BulletWorld(
+        scene.physics, time_step=1e-3, gravity=True, compliant_pads=False, iterations=50, residual_threshold=0.0
+    )
+    still = [0.0] * model.joint_count
+    for q in random_configurations(model, 50):
+        bullet_mass = np.array(world.client.calculateMassMatrix(world.arms["arm"], q.tolist()))
+        mass = model.mass_matrix(q)
+        assert np.abs(mass - bullet_mass).max() < 1e-6 * np.abs(mass).max()
+        bullet_gravity = np.array(world.client.calculateInverseDynamics(world.arms["arm"], q.tolist(), still, still))
+        gravity = model.gravity_torque(q)
+        assert np.abs(gravity - bullet_gravity).max() < 1e-6 * np.abs(gravity).max()
+    world.close()
+
+
+def test_drift_is_the_time_derivative_of_the_jacobian_times_velocity(scene):
+    model = scene.models["arm"]
+    rng = np.random.default_rng(1)
+    step = 1e-6
+    for q in random_configurations(model, 5):
+        dq = rng.standard_normal(model.joint_count)
+        ahead, behind = model.jacobian(q + step * dq), model.jacobian(q - step * dq)
+        numeric = (ahead - behind) @ dq / (2.0 * step)
+        np.testing.assert_allclose(model.terms(q, dq).drift, numeric, atol=1e-6)
+
+
+def test_bias_at_rest_is_gravity_and_twist_is_jacobian_times_velocity(scene):
+    model = scene.models["arm"]
+    q = scene.arms["arm"].position
+    dq = scene.arms["arm"].velocity
+    np.testing.assert_allclose(model.terms(q, np.zeros(7)).bias, model.gravity_torque(q), atol=1e-12)
+    terms = model.terms(q, dq)
+    np.testing.assert_allclose(terms.twist, [0.0, -0.7, 0.0, 0.0, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(terms.mass_matrix, terms.mass_matrix.T, atol=1e-12)
+
+
+def test_effective_masses_at_impact_are_those_the_paper_implies(scene):
+    """Table II implies 3.92 / 4.52 / 5.43 kg for B = 0 / B_theta / B_rho."""
+    model, arm = scene.models["arm"], scene.physics.arms["arm"]
+    q = scene.arms["arm"].position
+    masses = [model.effective_mass(q, np.array([0, 1, 0]), arm.motor_inertia(b)) for b in ("zero", "reduced", "rotor")]
+    np.testing.assert_allclose(masses, [3.92, 4.52, 5.43], rtol=2e-3)
+
+
+def test_more_motor_inertia_is_never_felt_as_less_mass(scene):
+    model = scene.models["arm"]
+    rng = np.random.default_rng(2)
+    for q in random_configurations(model, 20):
+        direction = rng.standard_normal(3)
+        direction /= np.linalg.norm(direction)
+        inertia = rng.uniform(0.0, 1.0, 7)
+        lighter = model.effective_mass(q, direction, inertia)
+        assert model.effective_mass(q, direction, inertia + rng.uniform(0.0, 1.0, 7)) >= lighter
+
+
+def test_inverse_kinematics_reaches_the_pose_with_joint_1_where_it_shall_be(scene):
+    model = scene.models["arm"]
+    target = scene.scenario.robots["arm"].impact.placement
+    for joint_1 in (-0.4, 0.0, 0.5):
+        q = model.inverse_kinematics(target, joint_1, scene.arms["arm"].position)
+        assert q[0] == joint_1
+        assert np.linalg.norm(pin.log6(model.placement(q).actInv(target)).vector) < 1e-8
+        assert np.all(q >= model.position_min) and np.all(q <= model.position_max)
+
+
+def test_unreachable_pose_says_so(scene):
+    model = scene.models["arm"]
+    far = pin.SE3(np.eye(3), np.array([2.0, 0.0, 0.5]))
+    with pytest.raises(InputError, match="unreachable"):
+        model.inverse_kinematics(far, 0.0, scene.arms["arm"].position)
+    with pytest.raises(InputError, match="limits"):
+        model.inverse_kinematics(far, 4.0, scene.arms["arm"].position)

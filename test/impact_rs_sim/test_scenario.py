@@ -1,0 +1,93 @@
+"""What a user reads after a slip of the pen in a scenario file."""
+
+import copy
+
+import pytest
+import yaml
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.scenario import Scenario, load_scenario, scenario_path
+from impact_rs_sim.scene import Scene
+from impact_rs_sim.schema import validate
+
+
+@pytest.fixture(scope="module")
+def text():
+    return yaml.safe_load(scenario_path("push").read_text(encoding="utf-8"))
+
+
+def broken(text, key, value):
+    data = copy.deepcopy(text)
+    *parents, last = key.split(".")
+    place = data
+    for part in parents:
+        place = place[part]
+    if value is None:
+        del place[last]
+    else:
+        place[last] = value
+    return data
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("objects.juice.mass", -2.2, ["objects.juice.mass = -2.2", "greater than 0", "[kg]"]),
+        ("objects.juice.mass", "heavy", ["objects.juice.mass = 'heavy'", "number", "[kg]"]),
+        ("objects.juice.mass", float("nan"), ["objects.juice.mass", "finite", "[kg]"]),
+        ("objects.juice.mass", None, ["objects.juice.mass", "missing", "[kg]"]),
+        ("objects.juice.colour", "red", ["objects.juice.colour", "unknown key"]),
+        ("contact.frictoin", 0.3, ["contact.frictoin", "did you mean 'friction'"]),
+        ("robots.arm.drive.motor_inertia_rotor", [0.6, 0.6, 0.45, 0.45, 0.2, 0.2, -0.2], ["every entry", "[kg m^2]"]),
+        ("robots.arm.drive.stiffness", [14000] * 6, ["6 entries", "one per joint (7)"]),
+        ("robots.arm.impact.pad_normal", [0, -2, 0], ["unit vectors"]),
+        ("contact.restitution", 1.5, ["contact.restitution = 1.5", "[-]"]),
+        ("timing.window_after", 5.0, ["window ends after the trial", "[s]"]),
+        ("axis", "w", ["axis = 'w'", "'x', 'y' or 'z'"]),
+        ("robots.arm.facts", "panda9", ["panda9", "known robots: franka_fer"]),
+    ],
+)
+def test_error_names_file_key_value_and_what_was_expected(text, key, value, expected):
+    with pytest.raises(InputError) as caught:
+        validate(Scenario, broken(text, key, value), "my_push.yaml")
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in ["my_push.yaml", *expected]:
+        assert part in message
+
+
+def test_key_that_stands_twice_is_refused(tmp_path):
+    path = tmp_path / "twice.yaml"
+    path.write_text("name: a\nname: b\n")
+    with pytest.raises(InputError, match="twice"):
+        load_scenario(str(path))
+
+
+@pytest.mark.parametrize("content", ["- a list", "a: [1, 2", ""])
+def test_file_that_is_no_mapping_is_refused(tmp_path, content):
+    path = tmp_path / "bad.yaml"
+    path.write_text(content)
+    with pytest.raises(InputError, match=r"bad\.yaml"):
+        load_scenario(str(path))
+
+
+def test_unknown_names_list_those_that_exist():
+    scenario = load_scenario("push")
+    with pytest.raises(InputError, match="parcel, cat_food, juice"):
+        Scene.resolve(scenario, "dog_food", "1")
+    with pytest.raises(InputError, match="case_1, case_2, case_3"):
+        Scene.resolve(scenario, "juice", "4")
+    with pytest.raises(InputError, match="known scenarios: .*push"):
+        load_scenario("pusch")
+
+
+def test_case_2_differs_in_velocity_only_and_case_3_in_configuration_only():
+    scenario = load_scenario("push")
+    one, two, three = (Scene.resolve(scenario, "juice", case) for case in "123")
+    model = one.models["arm"]
+    velocity = [s.models["arm"].jacobian(s.arms["arm"].position) @ s.arms["arm"].velocity for s in (one, two, three)]
+    assert one.arms["arm"].position == pytest.approx(two.arms["arm"].position)
+    assert velocity[0][1] == pytest.approx(velocity[2][1]) == pytest.approx(-0.5)
+    assert velocity[1][1] == pytest.approx(-0.7)
+    assert abs(one.arms["arm"].position[0] - three.arms["arm"].position[0]) > 0.2
+    assert model.placement(one.arms["arm"].position).isApprox(model.placement(three.arms["arm"].position), 1e-7)
