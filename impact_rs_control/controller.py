@@ -106,7 +106,8 @@ class ArmController:
         self._last_tick = timing.ticks
         self._window = timing.window
         self._armed_from = timing.nominal_impact - control.detection.arm_before
-        self._interim = control.interim_duration
+        self._interim_ticks = control.interim_duration / timing.control_period
+        self._detected_tick = 0
         self._position_gain = gains.position
         self._position_rate = 2.0 * math.sqrt(gains.position)
         self._orientation_gains = (gains.orientation, gains.orientation_post)
@@ -143,7 +144,9 @@ class ArmController:
         q, dq = measured.position, measured.velocity
         terms = self._model.terms(q, dq)
         detected = self._detect(now, measured, terms)
-        mode, gamma = self._mode(now)
+        if detected is not None:
+            self._detected_tick = tick
+        mode, gamma = self._mode(tick)
         after = mode is not Mode.ANTE
         plan = self._plan
         position_path = plan.post_position if after else plan.ante_position
@@ -204,11 +207,11 @@ class ArmController:
         )
         return self.detection
 
-    def _mode(self, now: float) -> tuple[Mode, float]:
+    def _mode(self, tick: int) -> tuple[Mode, float]:
         if self.detection is None:
             return Mode.ANTE, 1.0
-        gamma = (now - self.detection.time) / self._interim
-        return (Mode.INTERIM, gamma) if gamma < 1.0 else (Mode.POST, 1.0)
+        gamma = (tick - self._detected_tick) / self._interim_ticks
+        return (Mode.INTERIM, gamma) if gamma < 1.0 - 1e-9 else (Mode.POST, 1.0)
 
 
 class Controller:
