@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+import weakref
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
 
 from impact_rs_analysis.bags import topics
+from impact_rs_analysis.bags.cdr import decode
 from impact_rs_analysis.bags.trial_info import TrialInfo
 from impact_rs_analysis.bags.types import typestore
 from impact_rs_sim.robot import Array
@@ -100,32 +101,49 @@ class TrialBag:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._store = typestore()
+        if not path.is_dir():
+            raise BagError(path, "a bare file; a trial is a folder with metadata.yaml")
+        if not (path / "metadata.yaml").is_file():
+            reason = "no metadata.yaml: the recording was cut off" if any(path.iterdir()) else "an empty folder"
+            raise BagError(path, reason)
+        self._reader = Reader(path)
         try:
-            with Reader(path) as reader:
-                self.counts = {connection.topic: connection.msgcount for connection in reader.connections}
-                self.metadata = dict(reader.metadata.get("custom_data") or {})
-                info = self._messages(reader, topics.TRIAL_INFO)
-        except BagError:
-            raise
+            self._reader.open()
+            weakref.finalize(self, self._reader.close)
+            self.counts = {connection.topic: connection.msgcount for connection in self._reader.connections}
+            self.metadata: dict[str, str] = dict(self._reader.storage.metadata.custom or {})
         except (ReaderError, OSError) as error:
             raise BagError(path, f"not a readable bag ({error})") from None
         except Exception as error:  # a damaged file can fail anywhere inside the library
             raise BagError(path, f"damaged bag ({type(error).__name__}: {error})") from None
-        if not info:
+        if self.counts.get(topics.TRIAL_INFO) is None:
             raise BagError(path, f"no {topics.TRIAL_INFO}: not a trial of impact_rs")
-        self.info = TrialInfo.from_message(info[0])
+        info = self.messages(topics.TRIAL_INFO)
+        if not info:
+            raise BagError(path, f"{topics.TRIAL_INFO} is empty: the recording was cut off")
+        try:
+            self.info = TrialInfo.from_message(info[0])
+        except AttributeError as error:
+            raise BagError(path, f"{topics.TRIAL_INFO} is of another kind: {error}") from None
 
     @property
     def outcome(self) -> str:
-        """``OK``, ``NO-IMPACT`` or ``ABORTED``, as the recorder wrote it."""
+        """``OK``, ``NO-IMPACT`` or ``ABORTED``, as the recorder wrote it; ``ABORTED`` where it wrote nothing."""
         return self.metadata.get("outcome", "ABORTED")
 
-    def _messages(self, reader: Reader, topic: str) -> list[Any]:
-        connections: list[Connection] = [c for c in reader.connections if c.topic == topic]
-        return [
-            self._store.deserialize_cdr(data, connection.msgtype)
-            for connection, _, data in reader.messages(connections=connections)
-        ]
+    def _raw(self, topic: str) -> tuple[str, list[bytes]]:
+        """Type and serialized messages of a topic."""
+        connections = [c for c in self._reader.connections if c.topic == topic]
+        if not connections:
+            return "", []
+        try:
+            rows = [data for _, _, data in self._reader.messages(connections=connections)]
+        except Exception as error:  # as above
+            raise BagError(self.path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
+        expected = connections[0].msgcount
+        if len(rows) < expected:
+            raise BagError(self.path, f"{topic}: damaged ({len(rows)} of {expected} messages are left)")
+        return connections[0].msgtype, rows
 
     def messages(self, topic: str) -> list[Any]:
         """All messages of a topic, as objects of the ``rosbags`` typestore.
@@ -133,36 +151,39 @@ class TrialBag:
         Raises:
             BagError: The bag breaks off inside this topic.
         """
+        kind, rows = self._raw(topic)
         try:
-            with Reader(self.path) as reader:
-                return self._messages(reader, topic)
+            return [self._store.deserialize_cdr(data, kind) for data in rows]
         except Exception as error:
             raise BagError(self.path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
 
+    def _columns(self, topic: str) -> dict[str, Array]:
+        """All numbers of a topic by field path, and ``time`` from the header stamps [s]."""
+        kind, rows = self._raw(topic)
+        try:
+            columns = decode(self._store, kind, rows)
+        except Exception as error:
+            raise BagError(self.path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
+        if columns:
+            columns["time"] = columns["header.stamp.sec"] + 1e-9 * columns["header.stamp.nanosec"]
+        return columns
+
     def joints(self, topic: str) -> JointColumns:
         """A JointState topic."""
-        found = self.messages(topic)
-        return JointColumns(
-            _times(found),
-            *(_stack([getattr(message, name) for message in found]) for name in ("position", "velocity", "effort")),
-        )
+        columns = self._columns(topic)
+        return JointColumns(*(_column(columns, name) for name in ("time", "position", "velocity", "effort")))
 
     def controller(self, arm: str) -> ControllerColumns:
         """The ControllerState topic of an arm."""
-        found = self.messages(topics.controller_state(arm))
-        names = [name for name in ControllerColumns.__dataclass_fields__ if name != "time"]
-        return ControllerColumns(
-            _times(found), **{name: _stack([getattr(message, name) for message in found]) for name in names}
-        )
+        columns = self._columns(topics.controller_state(arm))
+        return ControllerColumns(**{name: _column(columns, name) for name in ControllerColumns.__dataclass_fields__})
 
     def poses(self, topic: str) -> PoseColumns:
         """A PoseStamped topic."""
-        found = self.messages(topic)
-        positions = [(m.pose.position.x, m.pose.position.y, m.pose.position.z) for m in found]
-        quaternions = [
-            (m.pose.orientation.x, m.pose.orientation.y, m.pose.orientation.z, m.pose.orientation.w) for m in found
-        ]
-        return PoseColumns(_times(found), _stack(positions), _stack(quaternions))
+        columns = self._columns(topic)
+        position = [_column(columns, f"pose.position.{axis}") for axis in "xyz"]
+        quaternion = [_column(columns, f"pose.orientation.{axis}") for axis in "xyzw"]
+        return PoseColumns(_column(columns, "time"), np.stack(position, axis=-1), np.stack(quaternion, axis=-1))
 
     def impact_time(self, arm: str) -> float:
         """Detected impact time of an arm [s]; NaN where nothing was detected."""
@@ -170,9 +191,5 @@ class TrialBag:
         return float(found[0].detected_time) if found else math.nan
 
 
-def _times(messages: list[Any]) -> Array:
-    return np.array([m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for m in messages])
-
-
-def _stack(rows: list[Any]) -> Array:
-    return np.array(rows, dtype=float) if rows else np.zeros(0)
+def _column(columns: dict[str, Array], name: str) -> Array:
+    return columns[name].astype(float) if columns else np.zeros(0)

@@ -1,0 +1,225 @@
+"""Many messages of one topic at once: CDR as a NumPy structured array.
+
+In a trial nearly every topic sends messages of one and the same layout: strings and array lengths never change, only
+numbers do. The bytes of such a topic are a table with one row per message, and NumPy reads and writes a whole column at
+a time. The layout is found by walking one serialized message along its type definition (OMG XCDR1, little endian: a
+value is aligned to its own size, counted from behind the four bytes of the encapsulation header).
+
+Where messages differ in layout, both directions fall back on ``rosbags``, message by message, and so does every topic
+whose first or last message ``rosbags`` would write or read differently.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
+
+from impact_rs_sim.robot import Array
+
+LITTLE_ENDIAN = b"\x00\x01"
+HEADER = 4  # bytes of the encapsulation header
+
+_FORMATS = {
+    "bool": "?",
+    "byte": "u1",
+    "octet": "u1",
+    "char": "u1",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "int64": "i8",
+    "uint64": "u8",
+    "float32": "f4",
+    "float64": "f8",
+}
+
+
+class _NoColumnsError(Exception):
+    """The type holds something that has no place in a table, an array of messages for example."""
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where the parts of a message lie.
+
+    Attributes:
+        numbers: Field path, NumPy format, shape and byte offset of all numbers that may change.
+        texts: Field paths of strings and lists of strings, which must not change.
+        fixed: Byte ranges that are the same in all messages: lengths and strings.
+    """
+
+    numbers: tuple[tuple[str, str, tuple[int, ...], int], ...]
+    texts: tuple[str, ...]
+    fixed: tuple[tuple[int, int], ...]
+
+    def dtype(self, size: int) -> np.dtype[Any]:
+        """Structured type of a message of ``size`` bytes; one field per path."""
+        return np.dtype(
+            {
+                "names": [path for path, _, _, _ in self.numbers],
+                "formats": [(kind, shape) for _, kind, shape, _ in self.numbers],
+                "offsets": [offset for _, _, _, offset in self.numbers],
+                "itemsize": size,
+            }
+        )
+
+
+class _Walker:
+    """Follows a type definition through the bytes of one message."""
+
+    def __init__(self, store: Typestore, data: bytes | memoryview) -> None:
+        self._store = store
+        self._data = data
+        self._at = HEADER
+        self._numbers: list[tuple[str, str, tuple[int, ...], int]] = []
+        self._texts: list[str] = []
+        self._fixed: list[tuple[int, int]] = []
+
+    def layout(self, kind: str) -> _Layout:
+        """Layout of a message of type ``kind``."""
+        self._message(kind, "")
+        if self._at > len(self._data):
+            raise _NoColumnsError
+        return _Layout(tuple(self._numbers), tuple(self._texts), tuple(self._fixed))
+
+    def _message(self, kind: str, prefix: str) -> None:
+        for name, (node, payload) in self._store.fielddefs[kind][1]:
+            path: str = prefix + name
+            if node == Nodetype.NAME:
+                self._message(str(payload), path + ".")
+            elif node == Nodetype.BASE:
+                self._base(str(payload[0]), path, ())
+            else:
+                (inner, base), length = payload  # type: ignore[misc]
+                if inner != Nodetype.BASE:
+                    raise _NoColumnsError
+                count = self._length() if node == Nodetype.SEQUENCE else int(length)  # type: ignore[call-overload]
+                self._base(str(base[0]), path, (count,))  # type: ignore[index]
+
+    def _base(self, base: str, path: str, shape: tuple[int, ...]) -> None:
+        if base in ("string", "wstring"):
+            for _ in range(shape[0] if shape else 1):
+                length = self._length()
+                self._fixed.append((self._at, self._at + length))
+                self._at += length
+            self._texts.append(path)
+            return
+        kind = "<" + _FORMATS[base]
+        size = np.dtype(kind).itemsize
+        if shape != (0,):  # nothing is aligned for nothing
+            self._align(size)
+        self._numbers.append((path, kind, shape, self._at))
+        self._at += size * (shape[0] if shape else 1)
+
+    def _align(self, size: int) -> None:
+        self._at += -(self._at - HEADER) % size
+
+    def _length(self) -> int:
+        self._align(4)
+        self._fixed.append((self._at, self._at + 4))
+        self._at += 4
+        return int.from_bytes(self._data[self._at - 4 : self._at], "little")
+
+
+def encode(store: Typestore, kind: str, messages: Sequence[Any]) -> list[bytes | memoryview]:
+    """Serialize messages of one type, byte for byte as ``rosbags`` does.
+
+    Args:
+        store: Type definitions.
+        kind: ``package/msg/Name`` of all of them.
+        messages: Objects of the ``rosbags`` typestore.
+    """
+    first = bytes(store.serialize_cdr(messages[0], kind))
+    if len(messages) > 2:
+        try:
+            table = _encode_table(store, kind, messages, first)
+        except (_NoColumnsError, ValueError):  # ValueError: rows of different length
+            table = None
+        if table is not None:
+            rows, size = memoryview(table.tobytes()), len(first)
+            encoded: list[bytes | memoryview] = [rows[i : i + size] for i in range(0, len(rows), size)]
+            if encoded[0] == first and encoded[-1] == store.serialize_cdr(messages[-1], kind):
+                return encoded
+    return [first, *(store.serialize_cdr(message, kind) for message in messages[1:])]
+
+
+def _encode_table(store: Typestore, kind: str, messages: Sequence[Any], first: bytes) -> Array | None:
+    layout = _Walker(store, first).layout(kind)
+    for path in layout.texts:
+        get = attrgetter(path)
+        text = get(messages[0])
+        if any(get(message) != text for message in messages):
+            return None
+    # A bytearray, because copying a structured array would lose what lies between its fields: lengths and strings.
+    table = np.frombuffer(bytearray(first * len(messages)), layout.dtype(len(first)))
+    for path, _, shape, _ in layout.numbers:
+        column = np.array(list(map(attrgetter(path), messages)))
+        if column.shape[1:] != shape:
+            return None
+        table[path] = column
+    return table
+
+
+def decode(store: Typestore, kind: str, rows: Sequence[bytes | memoryview]) -> dict[str, Array]:
+    """All numbers of messages of one type as columns, by field path (``header.stamp.sec``).
+
+    Args:
+        store: Type definitions.
+        kind: ``package/msg/Name`` of all of them.
+        rows: Serialized messages.
+
+    Returns:
+        ``(k,)`` for numbers, ``(k, n)`` for arrays. Strings are left out.
+
+    Raises:
+        ValueError: An array changes its length from message to message.
+    """
+    if not rows:
+        return {}
+    columns = _decode_table(store, kind, rows)
+    if columns is None:
+        messages = [store.deserialize_cdr(row, kind) for row in rows]
+        return {path: np.array([attrgetter(path)(m) for m in messages]) for path in number_paths(store, kind)}
+    return columns
+
+
+def _decode_table(store: Typestore, kind: str, rows: Sequence[bytes | memoryview]) -> dict[str, Array] | None:
+    size = len(rows[0])
+    if bytes(rows[0][:2]) != LITTLE_ENDIAN or any(len(row) != size for row in rows):
+        return None
+    try:
+        layout = _Walker(store, rows[0]).layout(kind)
+    except _NoColumnsError:
+        return None
+    data = np.frombuffer(b"".join(rows), np.uint8).reshape(-1, size)
+    if any(np.any(data[:, start:end] != data[0, start:end]) for start, end in layout.fixed):
+        return None
+    table = data.reshape(-1).view(layout.dtype(size))
+    for index in (0, -1):
+        message = store.deserialize_cdr(rows[index], kind)
+        for path, _, _, _ in layout.numbers:
+            if not np.array_equal(attrgetter(path)(message), table[path][index], equal_nan=True):
+                return None
+    return {path: np.ascontiguousarray(table[path]) for path, _, _, _ in layout.numbers}
+
+
+def number_paths(store: Typestore, kind: str, prefix: str = "") -> list[str]:
+    """Paths of all numbers and arrays of numbers of a message type."""
+    paths: list[str] = []
+    for name, (node, payload) in store.fielddefs[kind][1]:
+        if node == Nodetype.NAME:
+            paths += number_paths(store, str(payload), f"{prefix}{name}.")
+            continue
+        base = payload if node == Nodetype.BASE else payload[0][1]  # type: ignore[index]
+        if base[0] in _FORMATS:
+            paths.append(prefix + name)
+    return paths

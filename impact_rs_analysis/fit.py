@@ -1,0 +1,114 @@
+"""From net feedback to the experimental estimate (paper sec. Experimental results).
+
+Per set of trials, with reference velocity x_i and net feedback y_i:
+
+    y_i = a + b x_i + e_i,          estimate x0 = -a / b  (zero crossing)
+
+The reference velocities are set by the experimenter, the feedback scatters: this is inverse regression, and x0 is a
+ratio of two correlated estimates. Its confidence interval is Fieller's (1954), exact for normal e_i: all x for which
+the hypothesis a + b x = 0 is not rejected,
+
+    (a + b x)^2 <= t^2 s^2 (1/n + (x - x_mean)^2 / S_xx),
+
+where t is the 97.5 % quantile of Student's t with n - 2 degrees of freedom. (The delta method, its limit for a steep
+line, is too narrow for few trials.)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from impact_rs_sim.robot import Array
+
+
+class FitError(Exception):
+    """These trials determine no estimate; the message says what is missing."""
+
+
+@dataclass(frozen=True)
+class LineFit:
+    """Line through net feedback over reference velocity.
+
+    Attributes:
+        intercept: a [m/s].
+        slope: b [-].
+        estimate: Zero crossing -a/b: experimental estimate of the post-impact velocity [m/s].
+        interval: 95 % interval of the estimate, low then high [m/s]; None where the data bound it on neither side or
+            on one side only.
+        r_squared: Share of the variance that the line explains [-].
+        scatter: Standard deviation of the residuals [m/s].
+        count: Trials.
+    """
+
+    intercept: float
+    slope: float
+    estimate: float
+    interval: tuple[float, float] | None
+    r_squared: float
+    scatter: float
+    count: int
+
+    def at(self, velocity: Array) -> Array:
+        """Net feedback of the line at reference velocities ``(k,)`` [m/s], ``(k,)`` [m/s]."""
+        return self.intercept + self.slope * velocity
+
+
+def fit_zero_crossing(velocity: Array, net: Array, confidence: float = 0.95) -> LineFit:
+    """Fit the line and find its zero crossing with a Fieller interval.
+
+    Args:
+        velocity: Post-impact reference velocity of every trial, ``(n,)`` [m/s].
+        net: Net feedback of every trial, ``(n,)`` [m/s].
+        confidence: Coverage of the interval [-].
+
+    Raises:
+        FitError: Fewer than three trials, fewer than two reference velocities, or a level line.
+    """
+    velocity, net = np.asarray(velocity, dtype=float), np.asarray(net, dtype=float)
+    count = velocity.size
+    distinct = np.unique(np.round(velocity, 9)).size
+    if count < 3 or distinct < 2:
+        raise FitError(
+            f"{count} trial{'s' * (count != 1)} with impact at {distinct} post-impact "
+            f"velocit{'y' if distinct == 1 else 'ies'}; a line with an interval needs at least 3 trials at 2 velocities"
+        )
+    mean = float(np.mean(velocity))
+    spread = float(np.sum(np.square(velocity - mean)))
+    slope = float((velocity - mean) @ net / spread)
+    level = float(np.mean(net))
+    intercept = level - slope * mean
+    residuals = net - intercept - slope * velocity
+    total = float(np.sum(np.square(net - level)))
+    squares = float(residuals @ residuals)
+    # A slope that is rounding noise divides by zero in all but name.
+    if abs(slope) * math.sqrt(spread) <= 1e-12 * max(1.0, float(np.max(np.abs(net)))):
+        raise FitError("the net feedback does not depend on the post-impact velocity: there is no zero crossing")
+    estimate = -intercept / slope
+    scatter = math.sqrt(squares / (count - 2))
+    quantile = float(student.ppf(0.5 + confidence / 2.0, count - 2))
+    return LineFit(
+        intercept=intercept,
+        slope=slope,
+        estimate=estimate,
+        interval=_fieller(estimate, slope, mean, spread, quantile * scatter, count),
+        r_squared=1.0 - squares / total,
+        scatter=scatter,
+        count=count,
+    )
+
+
+def _fieller(
+    estimate: float, slope: float, mean: float, spread: float, error: float, count: int
+) -> tuple[float, float] | None:
+    """Fieller's interval; ``error`` is t s [m/s]. None where the slope is not significant and the set is unbounded."""
+    leverage = error * error / (slope * slope * spread)
+    if leverage >= 1.0:
+        return None
+    offset = estimate - mean
+    centre = mean + offset / (1.0 - leverage)
+    half = error / abs(slope) / (1.0 - leverage) * math.sqrt((1.0 - leverage) / count + offset * offset / spread)
+    return centre - half, centre + half

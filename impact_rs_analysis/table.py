@@ -1,0 +1,99 @@
+"""The paper's result table (paper tables comparison_push and comparison_grab), ours beside the paper's own numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field, RootModel
+
+from impact_rs_analysis.analyze import Analysis
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
+from impact_rs_sim.schema import Schema, parse_yaml
+
+HEADINGS = {
+    "reduced": "Nominal prediction (B_θ)",
+    "rotor": "Prediction with B_ρ",
+    "zero": "Prediction with B = 0",
+}
+
+
+class PaperRow(Schema):
+    """One row of the paper's tables."""
+
+    estimate: float = Field(description="experimental estimate of the post-impact speed [m/s]")
+    reduced: float = Field(description="mismatch of the prediction with B_theta [%]")
+    rotor: float = Field(description="mismatch of the prediction with B_rho [%]")
+    zero: float = Field(description="mismatch of the prediction with B = 0 [%]")
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Mismatch by motor-inertia model [%]."""
+        return {"reduced": self.reduced, "rotor": self.rotor, "zero": self.zero}
+
+
+class PaperTables(RootModel[dict[str, dict[str, dict[str, PaperRow]]]]):
+    """``config/paper/tables.yaml``: rows by scenario, object and case."""
+
+
+def paper_row(scenario: str, object_name: str, case: str) -> PaperRow | None:
+    """The paper's row for a set of ours, where the names are the paper's."""
+    path = config_directory() / "paper" / "tables.yaml"
+    if not path.is_file():
+        return None
+    tables = PaperTables.model_validate(parse_yaml(path.read_text(encoding="utf-8"), path)).root
+    return tables.get(scenario, {}).get(object_name, {}).get(case)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the table.
+
+    Attributes:
+        label: Object and case, or what is averaged.
+        estimate: Experimental estimate [m/s]; None in the rows of averages.
+        half_interval: Larger half of the 95 % interval [m/s]; None where there is none.
+        errors: Mismatch by motor-inertia model [%].
+        paper_estimate: The paper's estimate [m/s], if it has this row.
+        paper_errors: The paper's mismatch by model [%], if it has this row.
+    """
+
+    label: str
+    estimate: float | None
+    half_interval: float | None
+    errors: dict[str, float]
+    paper_estimate: float | None
+    paper_errors: dict[str, float] | None
+
+
+def result_table(analysis: Analysis) -> list[Row]:
+    """A row per set, then average error (bias) and absolute error (quality), over the rows shown."""
+    rows = []
+    for entry in analysis.sets:
+        paper = paper_row(entry.scenario, entry.object, entry.case)
+        half = None if entry.interval is None else max(abs(bound - entry.estimate) for bound in entry.interval)
+        rows.append(
+            Row(
+                label=entry.label,
+                estimate=entry.estimate,
+                half_interval=half,
+                errors={model: entry.predictions[model].error for model in MOTOR_INERTIA_MODELS},
+                paper_estimate=None if paper is None else paper.estimate,
+                paper_errors=None if paper is None else paper.errors,
+            )
+        )
+    if not rows:
+        return rows
+    ours = [row.errors for row in rows]
+    theirs = [row.paper_errors for row in rows if row.paper_errors is not None]
+    for label, absolute in (("Average error", False), ("Absolute error", True)):
+        rows.append(Row(label, None, None, _mean(ours, absolute), None, _mean(theirs, absolute) if theirs else None))
+    return rows
+
+
+def _mean(errors: list[dict[str, float]], absolute: bool) -> dict[str, float]:
+    return {
+        model: float(np.mean([abs(row[model]) if absolute else row[model] for row in errors]))
+        for model in MOTOR_INERTIA_MODELS
+    }
