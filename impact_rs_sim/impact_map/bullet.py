@@ -1,12 +1,19 @@
 """The impact map on Bullet, which knows no reflected inertia: B is brought in from outside.
 
-One step of Bullet from (q, v^-) without gravity and with the joint impulse tau gives v^+(tau). The impulse that motors of
-inertia B exert on the links in the impact is their own loss of momentum,
+One step of Bullet from (q, u^-) without gravity, with the inertia M' and the generalised impulse p, gives u^+(p). What is
+missing from M' + p to the laws of :mod:`impact_rs_sim.impact_map.problem` is
 
-    tau = -B (v^+(tau) - v^-),
+    p = -(M + B - M') (u^+(p) - u^-) + J_t^T c(u^+(p)),
 
-solved by Newton's method: the derivative of v^+ follows from the contact modes (open, sticking, sliding) that Bullet
-found, and Bullet has the last word in the residual. With B = 0 the first step is the answer, and it is plain Bullet.
+solved by a fixed-point iteration with Anderson acceleration. With B = 0 and no correction c the first step is the answer,
+and it is plain Bullet. Its parts:
+
+* **M'**: every link carries its rotor as a thin disc about the joint axis, which is M + B up to couplings between joints.
+  With M' = M the iteration would be hopeless at the wrist, where B is a hundred times M.
+* **c**: Bullet's friction cone scales each of its two friction axes with the inverse mass along it, so that its friction
+  opposes ``D^-1 v_t`` and not the sliding velocity ``v_t``. c turns it back. It vanishes at sticking points.
+* **First guess**: the conic solver of the other engine, on Bullet's contact points and to a coarse tolerance. It saves
+  iterations and decides nothing: the residual is judged on what Bullet answers.
 
 What is set on purpose, and why:
 
@@ -14,151 +21,234 @@ What is set on purpose, and why:
 * Bullet's box-box detector sees overlapping boxes only. The base of every arm that touches is moved ``GAP_TOLERANCE``
   towards the object, and the support as much upwards: a translation, which changes no Jacobian, and every point that
   counts as touching overlaps. Contact ERP is 0, so no overlap turns into velocity.
-* Bullet applies joint torques before it evaluates Newton's restitution, whose approach velocity would contain tau. Its
+* Bullet applies joint torques before it evaluates Newton's restitution, whose approach velocity would contain p. Its
   restitution is 0. Instead the step starts from u^- + s and s is taken off its answer, with J_n s = e J_n u^- and
   J_t s = 0 at the contact points: the normal velocity that Bullet keeps from being negative is then u^+ + e u^-, and the
   sliding velocity is that of u^+.
 * Contact points survive in Bullet's manifolds from call to call. The object is moved out of reach first, which empties
   them, so an answer depends on its question only.
+* Bullet's sequential impulses may settle into a small limit cycle instead of converging, so more than ``_ITERATIONS``
+  buy nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from impact_rs_sim.bullet_world import BulletWorld
-from impact_rs_sim.impact_map.contacts import (
-    GAP_TOLERANCE,
-    SUPPORT,
-    ContactPoint,
-    boxes,
-    contact_frame,
-    separating_face,
-)
+from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, boxes, separating_face
 from impact_rs_sim.impact_map.engine import Engine
+from impact_rs_sim.impact_map.pinocchio import solve_contacts
 from impact_rs_sim.impact_map.problem import ImpactProblem
+from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import System
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState
+
+_STEP = 1e-7  # s
+_ITERATIONS = 300  # of Bullet's solver in a step
+_SETTLED = 1e-20  # (m/s)^2, Bullet's solver stops where no row changes by more
+_DISC = np.array([0.5, 0.0, 0.0, 0.5, 0.0, 1.0])  # a thin disc about the joint axis, in the order of Link.inertia
+_FAR = BodyState(np.array([0.0, 0.0, 1e3]), np.eye(3), np.zeros(6))
 
 
 class BulletEngine(Engine):
     """Impact map by single steps of Bullet."""
 
     name = "bullet"
-    tolerance = 1e-2  # m/s
+    tolerance = 3e-2  # m/s
 
-    _STEP = 1e-7  # s
-    _ITERATIONS = 2000
-    _RESIDUAL = 1e-24
-    _NEWTON_STEPS = 20
-    _NEWTON_TOLERANCE = 1e-9  # m/s and rad/s, of u^+
+    _STEPS = 8  # of the fixed-point iteration, at most
+    _PATIENCE = 2  # steps without progress that end it
+    _GOAL = 1e-6  # m/s, residual that ends it
+    _GUESS = 1e-6  # m/s, tolerance of the first guess
+    _KEPT = 4  # worlds kept warm, one per motor inertia
 
     def __init__(self, physics: Physics) -> None:
         super().__init__(physics)
-        self._world = BulletWorld(
-            physics,
-            time_step=self._STEP,
-            gravity=False,
-            compliant_pads=False,
-            iterations=self._ITERATIONS,
-            residual_threshold=self._RESIDUAL,
-            contact_erp=0.0,
-        )
-        self._far = BodyState(np.array([0.0, 0.0, 1e3]), np.eye(3), np.zeros(6))
+        self._worlds: OrderedDict[bytes, _World] = OrderedDict()
 
     def close(self) -> None:
         """Disconnect from Bullet."""
-        self._world.close()
+        while self._worlds:
+            self._worlds.popitem()[1].bullet.close()
+
+    def _world(self, motor_inertia: Mapping[str, Array]) -> _World:
+        key = b"".join(np.asarray(motor_inertia[name], dtype=float).tobytes() for name in self.physics.arms)
+        if key not in self._worlds:
+            self._worlds[key] = _World(self.physics, motor_inertia)
+            while len(self._worlds) > self._KEPT:
+                self._worlds.popitem(last=False)[1].bullet.close()
+        self._worlds.move_to_end(key)
+        return self._worlds[key]
 
     def _solve(self, problem: ImpactProblem, system: System) -> tuple[Sequence[ContactPoint], Array, Array, int]:
-        shifts = self._bring_together(problem)
+        world = self._world(problem.motor_inertia)
+        world.bring_together(problem, self._placements(problem))
+        inertia = world.inertia(problem, system)
         start = system.velocity
+        push = np.zeros(start.size)
         if problem.restitution > 0.0:
-            self._place(problem, start)
-            self._world.client.performCollisionDetection()
-            start = start + _restitution_shift(system, self._contacts(shifts)[0], problem.restitution)
-        arms = system.columns["object"].start
-        motor = np.diag(system.inertia - system.link_inertia)[:arms]
-        impulse = np.zeros(arms)
-        for count in range(1, self._NEWTON_STEPS + 1):
-            after = self._step(problem, system, start, impulse)
-            contacts, impulses = self._contacts(shifts)
-            velocity = after - start + system.velocity
-            defect = impulse + motor * (after - start)[:arms]
-            if not np.any(motor):
-                break
-            derivative = _derivative(system, contacts, impulses, velocity)[:arms, :arms]
-            correction = np.linalg.solve(np.eye(arms) + motor[:, None] * derivative, -defect)
-            if np.max(np.abs(derivative @ correction)) < self._NEWTON_TOLERANCE:
-                break
-            impulse = impulse + correction
-        return contacts, impulses, velocity, count
+            world.place(problem, start)
+            world.bullet.client.performCollisionDetection()
+            start = start + _restitution_shift(system, world.contacts()[0], problem.restitution)
+        moved = world.step(problem, system, inertia, start, push) - start
+        contacts, impulses, axes = world.contacts()
+        if not contacts:
+            return contacts, impulses, system.velocity + moved, 1
+        terms = ContactTerms(system, contacts, problem.restitution)
+        error = terms.residual(impulses, system.velocity + moved).largest
+        best = (error, impulses, system.velocity + moved)
+        missing = system.inertia - inertia
+        if error > self._GOAL:
+            total, _ = solve_contacts(system, contacts, problem.restitution, self._GUESS)
+            moved = terms.response @ total.ravel()
+            extra = total - _bullet_friction(terms, inertia, axes, total, system.velocity + moved)
+            wanted = -missing @ moved
+            accelerate = _Anderson()
+        count, stalled = 1, 0
+        while best[0] > self._GOAL and stalled < self._PATIENCE and count <= self._STEPS:
+            count += 1
+            push = wanted + terms.jacobian.T @ extra.ravel()
+            moved = world.step(problem, system, inertia, start, push) - start
+            impulses = world.impulses(contacts)
+            velocity = system.velocity + moved
+            error = terms.residual(impulses + extra, velocity).largest
+            stalled = 0 if error < best[0] else stalled + 1
+            if error < best[0]:
+                best = (error, impulses + extra, velocity)
+            total = _coulomb(terms, impulses, extra, velocity)
+            extra = total - impulses
+            wanted = accelerate(wanted, -missing @ terms.response @ total.ravel())
+        return contacts, best[1], best[2], count
 
-    def _bring_together(self, problem: ImpactProblem) -> dict[str, Array]:
-        """Move arms and support until touching boxes overlap; returns what each was moved by, ``(3,)`` [m]."""
-        world, physics = self._world, self.physics
-        client = world.client
-        world.set_object(self._far)
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a contact partner stands in the world: its body there, and what it was moved by, ``(3,)`` [m]."""
+
+    body: int
+    shift: Array
+
+
+class _World:
+    """A Bullet world whose links carry their rotors as discs."""
+
+    def __init__(self, physics: Physics, motor_inertia: Mapping[str, Array]) -> None:
+        arms = {}
+        for name, arm in physics.arms.items():
+            links = tuple(
+                link.model_copy(update={"inertia": tuple(np.add(link.inertia, rotor * _DISC).tolist())})
+                for link, rotor in zip(arm.facts.links, motor_inertia[name], strict=True)
+            )
+            arms[name] = replace(arm, facts=arm.facts.model_copy(update={"links": links}))
+        self.physics = replace(physics, arms=arms)
+        self._models = {name: self.physics.robot_model(name) for name in arms}
+        self.bullet = BulletWorld(
+            self.physics,
+            time_step=_STEP,
+            gravity=False,
+            compliant_pads=False,
+            iterations=_ITERATIONS,
+            residual_threshold=_SETTLED,
+            contact_erp=0.0,
+        )
+        for name, body in self.bullet.arms.items():
+            # A call of its own: next to some other arguments Bullet ignores the friction of a link without a word.
+            link = self.bullet.end_effector_link[name]
+            self.bullet.client.changeDynamics(body, link, lateralFriction=physics.pad_friction)
+        self._places: dict[str, _Place] = {}
+
+    def inertia(self, problem: ImpactProblem, system: System) -> Array:
+        """M' of the whole system, ``(nv, nv)``."""
+        inertia = system.inertia.copy()
+        for name, model in self._models.items():
+            where = system.columns[name]
+            inertia[where, where] = model.mass_matrix(problem.arms[name].position)
+        return inertia
+
+    def bring_together(self, problem: ImpactProblem, placements: Mapping) -> None:
+        """Empty the manifolds, and move arms and support until touching boxes overlap."""
+        client = self.bullet.client
+        self.bullet.set_object(_FAR)
         client.performCollisionDetection()
-        thing, partners = boxes(physics, problem.object, self._placements(problem))
-        shifts = {}
+        thing, partners = boxes(self.physics, problem.object, placements)
         for name, partner in partners.items():
             separation, normal, _ = separating_face(partner, thing)
-            touching = separation <= GAP_TOLERANCE
-            shifts[name] = GAP_TOLERANCE * normal if touching else np.zeros(3)
+            shift = GAP_TOLERANCE * normal if separation <= GAP_TOLERANCE else np.zeros(3)
             if name == SUPPORT:
-                body, position = world.support, partner.centre
-                rotation = [0.0, 0.0, 0.0, 1.0]
+                assert self.bullet.support is not None
+                body, origin = self.bullet.support, partner.centre
             else:
-                body, position = world.arms[name], physics.arms[name].base.translation
-                _, rotation = client.getBasePositionAndOrientation(body)
-            client.resetBasePositionAndOrientation(body, (position + shifts[name]).tolist(), rotation)
-        return shifts
+                body, origin = self.bullet.arms[name], self.physics.arms[name].base.translation
+            _, rotation = client.getBasePositionAndOrientation(body)
+            client.resetBasePositionAndOrientation(body, (origin + shift).tolist(), rotation)
+            self._places[name] = _Place(body, shift)
 
-    def _place(self, problem: ImpactProblem, velocity: Array) -> None:
+    def place(self, problem: ImpactProblem, velocity: Array) -> None:
+        """Set all configurations, and the velocity u, ``(nv,)``."""
         start = 0
         for name, state in problem.arms.items():
             stop = start + state.position.size
-            self._world.set_arm(name, ArmState(state.position, velocity[start:stop]))
+            self.bullet.set_arm(name, ArmState(state.position, velocity[start:stop]))
             start = stop
-        self._world.set_object(BodyState(problem.object.position, problem.object.rotation, velocity[start:]))
+        self.bullet.set_object(BodyState(problem.object.position, problem.object.rotation, velocity[start:]))
 
-    def _step(self, problem: ImpactProblem, system: System, start: Array, impulse: Array) -> Array:
-        """u after one step from u = ``start`` with joint impulses ``impulse`` [N m s]."""
-        self._place(problem, start)
+    def step(self, problem: ImpactProblem, system: System, inertia: Array, start: Array, push: Array) -> Array:
+        """u after one step from u = ``start`` with the generalised impulse ``push``, ``(nv,)`` [N m s, N s]."""
+        thing = system.columns["object"]
+        start = start.copy()
+        start[thing] += np.linalg.solve(inertia[thing, thing], push[thing])
+        self.place(problem, start)
         for name in problem.arms:
-            self._world.apply_torque(name, impulse[system.columns[name]] / self._STEP)
-        self._world.step()
-        arms = [self._world.arm_state(name).velocity for name in problem.arms]
-        return np.concatenate((*arms, self._world.object_state().twist))
+            self.bullet.apply_torque(name, push[system.columns[name]] / _STEP)
+        self.bullet.step()
+        arms = [self.bullet.arm_state(name).velocity for name in problem.arms]
+        return np.concatenate((*arms, self.bullet.object_state().twist))
 
-    def _contacts(self, shifts: dict[str, Array]) -> tuple[list[ContactPoint], Array]:
-        """Bullet's contact points, moved back to where they belong, and their impulses ``(m, 3)`` [N s]."""
-        world, physics = self._world, self.physics
-        names = {body: name for name, body in world.arms.items()}
-        if world.support is not None:
-            names[world.support] = SUPPORT
-        contacts, impulses = [], []
-        # Asked for one pair, Bullet may swap the bodies and turn the normal, but not the friction directions.
-        for point in world.client.getContactPoints():
-            if world.object not in point[1:3]:
-                continue
-            object_first = point[1] == world.object
-            sign = 1.0 if object_first else -1.0  # Bullet's impulses act on its first body
-            name = names[point[2] if object_first else point[1]]
-            on_object, on_partner = (np.array(p) for p in ((point[5], point[6]) if object_first else (point[6], point[5])))
-            normal = sign * np.array(point[7])
-            gap = float(normal @ (on_object - on_partner + shifts[name]))
+    def contacts(self) -> tuple[list[ContactPoint], Array, Array]:
+        """Contact points back where they belong, impulses on the object ``(m, 3)`` [N s], friction axes ``(m, 2, 3)``."""
+        thing, physics = self.bullet.object, self.physics
+        names = {place.body: name for name, place in self._places.items()}
+        contacts, impulses, axes = [], [], []
+        for point in self._points():
+            first = point[1] == thing
+            name = names[point[2] if first else point[1]]
+            on_object, on_partner = np.array([point[5], point[6]] if first else [point[6], point[5]])
+            normal = (1.0 if first else -1.0) * np.array(point[7])
+            gap = float(normal @ (on_object - on_partner + self._places[name].shift))
             friction = physics.support_friction if name == SUPPORT else physics.pad_friction
             contacts.append(ContactPoint(name, on_object, normal, gap, friction))
-            force = np.array(point[7]) * point[9]
-            force += np.array(point[11]) * point[10] + np.array(point[13]) * point[12]
-            impulses.append(sign * force * self._STEP)
-        return contacts, np.array(impulses).reshape(-1, 3)
+            impulses.append(self._impulse(point))
+            axes.append((point[11], point[13]))
+        return contacts, np.array(impulses).reshape(-1, 3), np.array(axes).reshape(-1, 2, 3)
+
+    def impulses(self, contacts: Sequence[ContactPoint]) -> Array:
+        """Impulses on the object at the points of an earlier step, in their order, ``(m, 3)`` [N s]."""
+        impulses = np.zeros((len(contacts), 3))
+        partners = [self._places[contact.partner].body for contact in contacts]
+        positions = np.array([contact.position for contact in contacts])
+        for point in self._points():
+            first = point[1] == self.bullet.object
+            partner, position = (point[2], point[5]) if first else (point[1], point[6])
+            distance = np.sum(np.square(positions - position), axis=1)
+            distance[[body != partner for body in partners]] = np.inf
+            impulses[int(np.argmin(distance))] += self._impulse(point)
+        return impulses
+
+    def _points(self) -> list:
+        # Asked for one pair, Bullet may swap the bodies and turn the normal, but not the friction directions.
+        return [point for point in self.bullet.client.getContactPoints() if self.bullet.object in point[1:3]]
+
+    def _impulse(self, point: tuple) -> Array:
+        sign = _STEP if point[1] == self.bullet.object else -_STEP  # Bullet's impulses act on its first body
+        directions = np.array((point[7], point[11], point[13]))
+        return np.asarray(sign * (np.array((point[9], point[10], point[12])) @ directions))
 
 
 def _restitution_shift(system: System, contacts: Sequence[ContactPoint], restitution: float) -> Array:
@@ -172,44 +262,51 @@ def _restitution_shift(system: System, contacts: Sequence[ContactPoint], restitu
     return np.asarray(np.linalg.lstsq(jacobian, wanted.ravel(), rcond=1e-10)[0])
 
 
-def _derivative(system: System, contacts: Sequence[ContactPoint], impulses: Array, velocity: Array) -> Array:
-    """du^+ / dtau of the links alone, with the contact modes of an answer, ``(nv, nv)``.
+_SLIDING = 1e-7  # m/s, slower points stick
 
-    Open points drop out, sticking ones keep their velocity, sliding ones keep their normal velocity while the friction
-    impulse follows the sliding direction.
-    """
-    inverse = np.linalg.inv(system.link_inertia)
-    largest = np.max(np.sum(impulses * impulses, axis=1), initial=0.0) ** 0.5
-    rows = []
-    jacobian = system.jacobian(contacts).reshape(-1, 3, velocity.size)
-    blocks = []
-    for contact, impulse, block in zip(contacts, impulses, jacobian, strict=True):
-        frame = contact_frame(contact.normal)
-        local, relative = frame @ impulse, frame @ block @ velocity
-        if local[2] <= 1e-9 * largest:
-            continue
-        speed = float(np.hypot(relative[0], relative[1]))
-        radius = contact.friction * local[2]
-        # Rows C dL + S J du = 0 of this point: what its mode demands.
-        force, motion = np.zeros((3, 3)), np.eye(3)
-        if np.hypot(local[0], local[1]) >= radius * (1.0 - 1e-6) and speed > 1e-9:
-            direction = relative[:2] / speed
-            force[:2, :2] = np.eye(2)
-            force[:2, 2] = contact.friction * direction
-            motion[:2, :2] = radius / speed * (np.eye(2) - np.outer(direction, direction))
-        elif contact.friction == 0.0:
-            force[:2, :2], motion[:2, :2] = np.eye(2), 0.0
-        rows.append((force, motion))
-        blocks.append(frame @ block)
-    if not rows:
-        return inverse
-    size = 3 * len(rows)
-    force, motion = np.zeros((size, size)), np.zeros((size, size))
-    for index, (of_force, of_motion) in enumerate(rows):
-        where = slice(3 * index, 3 * index + 3)
-        force[where, where], motion[where, where] = of_force, of_motion
-    stacked = np.vstack(blocks)
-    response = inverse @ stacked.T
-    demand = motion @ stacked
-    change = np.linalg.lstsq(force + demand @ response, -demand @ inverse, rcond=1e-10)[0]
-    return np.asarray(inverse + response @ change)
+
+def _coulomb(terms: ContactTerms, impulses: Array, extra: Array, velocity: Array) -> Array:
+    """Impulses with Bullet's normal parts and friction after Coulomb, ``(m, 3)`` [N s]."""
+    pressing, tangential = terms.split(impulses)
+    pressing = np.maximum(pressing, 0.0)
+    _, sliding = terms.split((terms.jacobian @ velocity).reshape(-1, 3))
+    radius, speed = terms.friction * pressing, np.linalg.norm(sliding, axis=1)
+    slides = (np.linalg.norm(tangential, axis=1) >= radius * (1.0 - 1e-9)) & (speed > _SLIDING)
+    opposed = -(radius / np.maximum(speed, _SLIDING))[:, None] * sliding
+    _, held = terms.split(impulses + extra)
+    held = held * np.minimum(1.0, radius / np.maximum(np.linalg.norm(held, axis=1), 1e-300))[:, None]
+    return np.asarray(pressing[:, None] * terms.normals + np.where(slides[:, None], opposed, held))
+
+
+def _bullet_friction(terms: ContactTerms, inertia: Array, axes: Array, impulses: Array, velocity: Array) -> Array:
+    """``impulses`` with the friction that Bullet would give where the points slide with ``velocity``, ``(m, 3)`` [N s]."""
+    pressing, _ = terms.split(impulses)
+    _, sliding = terms.split((terms.jacobian @ velocity).reshape(-1, 3))
+    rows = np.einsum("maj,mjv->mav", axes, terms.jacobian.reshape(len(axes), 3, -1))
+    mobility = np.einsum("mav,vw,maw->ma", rows, np.linalg.inv(inertia), rows, optimize=True)
+    along = np.einsum("maj,mj->ma", axes, sliding) / mobility
+    direction = np.einsum("ma,maj->mj", along, axes)
+    direction /= np.maximum(np.linalg.norm(direction, axis=1), 1e-300)[:, None]
+    skewed = pressing[:, None] * terms.normals - (terms.friction * pressing)[:, None] * direction
+    slides = np.linalg.norm(sliding, axis=1) > _SLIDING
+    return np.where(slides[:, None], skewed, impulses)
+
+
+class _Anderson:
+    """Anderson acceleration (type II) of a fixed-point iteration x = g(x)."""
+
+    _MEMORY = 6
+
+    def __init__(self) -> None:
+        self._images: list[Array] = []
+        self._defects: list[Array] = []
+
+    def __call__(self, point: Array, image: Array) -> Array:
+        """Next point, from ``point`` and its image g(``point``)."""
+        self._images = [*self._images, image][-self._MEMORY :]
+        self._defects = [*self._defects, image - point][-self._MEMORY :]
+        if len(self._defects) == 1:
+            return image
+        steps = np.diff(np.array(self._defects), axis=0).T
+        weights = np.linalg.lstsq(steps, self._defects[-1], rcond=1e-9)[0]
+        return np.asarray(image - np.diff(np.array(self._images), axis=0).T @ weights)

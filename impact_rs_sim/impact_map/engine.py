@@ -16,7 +16,7 @@ from impact_rs_sim.impact_map.problem import (
     ImpactResult,
     check_problem,
 )
-from impact_rs_sim.impact_map.residual import evaluate_residual
+from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
@@ -48,7 +48,7 @@ class Engine(ABC):
         check_problem(problem, placements=self._placements(problem))
         system = build_system(problem, self.models)
         contacts, impulses, velocity, iterations = self._solve(problem, system)
-        residual = evaluate_residual(system, contacts, impulses, velocity, problem.restitution)
+        residual = ContactTerms(system, contacts, problem.restitution).residual(impulses, velocity)
         if not residual.largest <= self.tolerance:
             law, amount = residual.worst
             raise ImpactMapError(

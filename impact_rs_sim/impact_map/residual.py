@@ -23,43 +23,58 @@ from impact_rs_sim.impact_map.system import System
 from impact_rs_sim.robot import Array
 
 
-def evaluate_residual(
-    system: System, contacts: Sequence[ContactPoint], impulses: Array, velocity: Array, restitution: float
-) -> Residual:
-    """Residuals of an answer.
+class ContactTerms:
+    """What the residual needs of a problem and its contact points, for any number of answers.
 
     Args:
         system: Terms of the problem.
         contacts: The m contact points of the answer.
-        impulses: L on the object in axes of A, ``(m, 3)`` [N s].
-        velocity: u^+, ``(nv,)`` [rad/s, m/s].
         restitution: Newton restitution e [-].
+
+    Attributes:
+        jacobian: J_c, ``(3 m, nv)``.
+        response: H^-1 J_c^T, ``(nv, 3 m)``.
+        normals: Unit normals into the object, ``(m, 3)``.
+        friction: Coulomb coefficients, ``(m,)`` [-].
     """
-    jump = velocity - system.velocity
-    if not contacts:
-        return Residual(0.0, 0.0, 0.0, float(np.max(np.abs(jump))))
-    jacobian = system.jacobian(contacts)
-    response = np.linalg.solve(system.inertia, jacobian.T)
-    momentum = np.max(np.abs(jump - response @ impulses.ravel()))
-    inverse_mass = np.einsum("ij,ji->i", jacobian, response).reshape(-1, 3).mean(axis=1)
-    normals = np.array([contact.normal for contact in contacts])
-    friction = np.array([contact.friction for contact in contacts])
-    after = (jacobian @ velocity).reshape(-1, 3)
-    before = (jacobian @ system.velocity).reshape(-1, 3)
-    separation = np.sum(normals * (after + restitution * before), axis=1)
-    pressing = np.sum(normals * impulses, axis=1)
-    tangential = impulses - pressing[:, None] * normals
-    sliding = after - np.sum(normals * after, axis=1)[:, None] * normals
-    largest = max(float(np.max(pressing)), 1e-300)
-    carried = np.maximum(separation, 0.0) * np.maximum(pressing, 0.0) / largest
-    wanted = tangential - sliding / inverse_mass[:, None]
-    length = np.linalg.norm(wanted, axis=1)
-    radius = friction * np.maximum(pressing, 0.0)
-    wanted = wanted * np.minimum(1.0, radius / np.maximum(length, 1e-300))[:, None]
-    cone = inverse_mass * np.linalg.norm(tangential - wanted, axis=1)
-    return Residual(
-        penetration_velocity=float(np.max(np.maximum(-separation, 0.0))),
-        complementarity=float(max(np.max(carried), np.max(inverse_mass * np.maximum(-pressing, 0.0)))),
-        friction_cone=float(np.max(cone)),
-        momentum=float(momentum),
-    )
+
+    def __init__(self, system: System, contacts: Sequence[ContactPoint], restitution: float) -> None:
+        self.jacobian = system.jacobian(contacts)
+        self.response = np.linalg.solve(system.inertia, self.jacobian.T)
+        self.normals = np.array([contact.normal for contact in contacts]).reshape(-1, 3)
+        self.friction = np.array([contact.friction for contact in contacts])
+        self._before = system.velocity
+        approach, _ = self.split((self.jacobian @ system.velocity).reshape(-1, 3))
+        self._rebound = restitution * approach
+        self._inverse_mass = np.einsum("ij,ji->i", self.jacobian, self.response).reshape(-1, 3).mean(axis=1)
+
+    def split(self, vectors: Array) -> tuple[Array, Array]:
+        """Normal components ``(m,)`` and tangential parts ``(m, 3)`` of one vector per point, ``(m, 3)``."""
+        along = np.sum(self.normals * vectors, axis=1)
+        return along, vectors - along[:, None] * self.normals
+
+    def residual(self, impulses: Array, velocity: Array) -> Residual:
+        """Residuals of an answer.
+
+        Args:
+            impulses: L on the object in axes of A, ``(m, 3)`` [N s].
+            velocity: u^+, ``(nv,)`` [rad/s, m/s].
+        """
+        jump = velocity - self._before
+        momentum = float(np.max(np.abs(jump - self.response @ impulses.ravel())))
+        if not len(impulses):
+            return Residual(0.0, 0.0, 0.0, momentum)
+        leaving, sliding = self.split((self.jacobian @ velocity).reshape(-1, 3))
+        separation = leaving + self._rebound
+        pressing, tangential = self.split(impulses)
+        pushed, pulled = np.maximum(pressing, 0.0), np.maximum(-pressing, 0.0)
+        carried = np.maximum(separation, 0.0) * pushed / max(float(np.max(pushed)), 1e-300)
+        wanted = tangential - sliding / self._inverse_mass[:, None]
+        length = np.maximum(np.linalg.norm(wanted, axis=1), 1e-300)
+        wanted = wanted * np.minimum(1.0, self.friction * pushed / length)[:, None]
+        return Residual(
+            penetration_velocity=float(np.max(np.maximum(-separation, 0.0))),
+            complementarity=float(max(np.max(carried), np.max(self._inverse_mass * pulled))),
+            friction_cone=float(np.max(self._inverse_mass * np.linalg.norm(tangential - wanted, axis=1))),
+            momentum=momentum,
+        )
