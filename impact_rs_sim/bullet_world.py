@@ -25,15 +25,18 @@ from impact_rs_sim.urdf import joint_names, write_urdf
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Bullet prints banners to the C-level standard output, which belongs to ``--json`` alone."""
+    """Bullet prints banners to the C-level standard output and error, which belong to the command line alone."""
     sys.stdout.flush()
-    kept, null = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    sys.stderr.flush()
+    kept, null = (os.dup(1), os.dup(2)), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(null, 1)
+        os.dup2(null, 2)
         yield
     finally:
-        os.dup2(kept, 1)
-        os.close(kept)
+        for stream, original in enumerate(kept, start=1):
+            os.dup2(original, stream)
+            os.close(original)
         os.close(null)
 
 
