@@ -113,9 +113,7 @@ class ArmController:
         self._orientation_gains = (gains.orientation, gains.orientation_post)
         self._posture_gain = gains.posture
         self._posture_rate = 2.0 * math.sqrt(gains.posture)
-        self._weights = np.array(
-            [gains.position_weight] * 3 + [gains.orientation_weight] * 3 + [gains.posture_weight]
-        )
+        self._weights = np.array([gains.position_weight] * 3 + [gains.orientation_weight] * 3 + [gains.posture_weight])
         self._motor_inertia = np.diag(motor_inertia)
         self._qp = AccelerationQp(
             model.joint_count,

@@ -105,16 +105,14 @@ def plan_trial(
 def _plan_arm(scene: Scene, name: str, impact: ImpactResult, scale: float) -> ArmPlan:
     scenario, model, state = scene.scenario, scene.models[name], scene.arms[name]
     timing = scenario.timing
-    times = np.arange(timing.ticks + 1) * timing.control_period
+    times: Array = np.arange(timing.ticks + 1, dtype=np.float64) * timing.control_period
     pose = scenario.robots[name].impact.placement
     velocity = model.jacobian(state.position)[:3] @ state.velocity
     joint_1, joint_1_velocity = state.position[:1], state.velocity[:1]
     ante_position = ante_impact_path(timing, pose.translation, velocity, times)
     ante_posture = ante_impact_path(timing, joint_1, joint_1_velocity, times)
     normal = np.array(scenario.robots[name].impact.pad_normal)
-    post_position = push_path(
-        timing, pose.translation, scale * impact.end_effector_twist[name][:3], normal, times
-    )
+    post_position = push_path(timing, pose.translation, scale * impact.end_effector_twist[name][:3], normal, times)
     post_posture = post_impact_path(timing, joint_1, scale * impact.joint_velocity[name][:1], times)
 
     start = pose.copy()

@@ -85,7 +85,9 @@ class AccelerationQp:
         self._qp.settings.compute_timings = False
         self._ready = False
 
-    def solve(self, tasks: Array, targets: Array, weights: Array, inertia: Array, bias: Array, q: Array, dq: Array) -> QpSolution:
+    def solve(
+        self, tasks: Array, targets: Array, weights: Array, inertia: Array, bias: Array, q: Array, dq: Array
+    ) -> QpSolution:
         """Solve for one tick.
 
         Args:
@@ -117,9 +119,7 @@ class AccelerationQp:
             if result.info.status == proxqp.QPSolverOutput.PROXQP_SOLVED and np.isfinite(result.x).all():
                 return QpSolution(result.x.copy(), QpStatus.SOLVED, result.info.iter, time.perf_counter() - started)
         self._ready = False  # a failed solve is no warm start
-        return self._solve_relaxed(
-            hessian, gradient, inertia, torque_lower, torque_upper, lower, upper, started
-        )
+        return self._solve_relaxed(hessian, gradient, inertia, torque_lower, torque_upper, lower, upper, started)
 
     def _acceleration_bounds(self, q: Array, dq: Array) -> tuple[Array, Array]:
         """Bounds on ddq that paper eqs. const_q and const_dq imply."""
@@ -165,6 +165,4 @@ class AccelerationQp:
             status = QpStatus.FAILED
         if not np.isfinite(acceleration).all():
             acceleration = np.zeros(count)
-        return QpSolution(
-            np.array(acceleration), status, int(qp.results.info.iter), time.perf_counter() - started
-        )
+        return QpSolution(np.array(acceleration), status, int(qp.results.info.iter), time.perf_counter() - started)

@@ -22,7 +22,6 @@ from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.urdf import joint_names, write_urdf
 
 
-
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Bullet prints banners to the C-level standard output and error, which belong to the command line alone."""
@@ -127,9 +126,7 @@ class BulletWorld:
                 flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
             )
         joints = list(range(len(joint_names(physics.facts))))
-        client.setJointMotorControlArray(
-            body, joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(joints)
-        )
+        client.setJointMotorControlArray(body, joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(joints))
         for link in range(-1, client.getNumJoints(body)):
             client.changeDynamics(
                 body,

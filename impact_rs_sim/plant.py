@@ -210,7 +210,5 @@ def _scatter(
         position=object_state.position + np.append(shift, 0.0),
         rotation=object_state.rotation @ pin.rpy.rpyToMatrix(0.0, 0.0, yaw),
     )
-    started = {
-        name: q + scatter.joint_position * rng.standard_normal(q.size) for name, q in initial.items()
-    }
+    started = {name: q + scatter.joint_position * rng.standard_normal(q.size) for name, q in initial.items()}
     return replace(physics, support_friction=max(0.0, friction)), started, moved

@@ -107,11 +107,7 @@ class RobotModel:
 
     def jacobian(self, q: Array) -> Array:
         """J(q) of frame E in E[A], ``(6, n)``."""
-        return np.array(
-            pin.computeFrameJacobian(
-                self.pinocchio, self.data, q, self._frame, pin.LOCAL_WORLD_ALIGNED
-            )
-        )
+        return np.array(pin.computeFrameJacobian(self.pinocchio, self.data, q, self._frame, pin.LOCAL_WORLD_ALIGNED))
 
     def placement(self, q: Array) -> pin.SE3:
         """Placement of frame E in A."""
@@ -132,9 +128,7 @@ class RobotModel:
         """M ddq + h, ``(n,)`` [N m], a copy."""
         return np.array(pin.rnea(self.pinocchio, self.data, q, dq, ddq))
 
-    def inverse_kinematics(
-        self, target: pin.SE3, joint_1: float, guess: Array, tolerance: float = 1e-9
-    ) -> Array:
+    def inverse_kinematics(self, target: pin.SE3, joint_1: float, guess: Array, tolerance: float = 1e-9) -> Array:
         """Joint positions that reach ``target`` with frame E while joint 1 stands at ``joint_1`` [rad].
 
         Args:
@@ -154,13 +148,9 @@ class RobotModel:
 
         lower, upper = self.position_min, self.position_max
         if not lower[0] <= joint_1 <= upper[0]:
-            raise InputError(
-                f"joint 1 at {joint_1:.4g} rad is outside its limits [{lower[0]:.4g}, {upper[0]:.4g}] rad"
-            )
+            raise InputError(f"joint 1 at {joint_1:.4g} rad is outside its limits [{lower[0]:.4g}, {upper[0]:.4g}] rad")
         start = np.clip(guess, lower + 1e-6, upper - 1e-6)[1:]
-        solution = least_squares(
-            error, start, bounds=(lower[1:], upper[1:]), xtol=1e-15, ftol=1e-15, gtol=1e-15
-        )
+        solution = least_squares(error, start, bounds=(lower[1:], upper[1:]), xtol=1e-15, ftol=1e-15, gtol=1e-15)
         residual = float(np.max(np.abs(solution.fun)))
         if residual > tolerance:
             raise InputError(

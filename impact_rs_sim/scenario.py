@@ -50,9 +50,7 @@ class Pad(Schema):
     """The flat pad that hits, and the silicone cover that makes it compliant."""
 
     size: PositiveVector3 = Field(description="width, height and thickness of the pad [m]")
-    stiffness: Positive | None = Field(
-        None, description="stiffness of the whole pad face [N/m]; absent: a rigid pad"
-    )
+    stiffness: Positive | None = Field(None, description="stiffness of the whole pad face [N/m]; absent: a rigid pad")
     damping: NonNegative = Field(0.0, description="damping of the whole pad face [N s/m]")
 
 
@@ -61,9 +59,7 @@ class EndEffectorSpec(Schema):
 
     mass: Positive = Field(description="mass of the end effector [kg]")
     com: Vector3 = Field(description="centre of mass in frame E [m]")
-    inertia: PositiveVector3 = Field(
-        description="principal moments about the centre of mass, axes of frame E [kg m^2]"
-    )
+    inertia: PositiveVector3 = Field(description="principal moments about the centre of mass, axes of frame E [kg m^2]")
     length: Positive = Field(description="distance from the flange to the pad's outer face [m]")
     mount_yaw: float = Field(0.0, description="rotation of the pad about the flange axis [rad]")
     pad: Pad = Field(description="the pad")
@@ -83,9 +79,7 @@ class EndEffectorSpec(Schema):
 class Drive(Schema):
     """Motor side of the joints (paper eqs. EOM_motor, torque_control_law)."""
 
-    motor_inertia_rotor: PositiveVector = Field(
-        description="B_rho, reflected motor inertia per joint [kg m^2]"
-    )
+    motor_inertia_rotor: PositiveVector = Field(description="B_rho, reflected motor inertia per joint [kg m^2]")
     motor_inertia_reduced: PositiveVector = Field(
         description="B_theta, motor inertia that the torque loop leaves, per joint [kg m^2]"
     )
@@ -156,9 +150,7 @@ class ObjectSpec(Schema):
     label: str = Field(description="name for tables and figures")
     mass: Positive = Field(description="mass of the object [kg]")
     size: PositiveVector3 = Field(description="extent along x, y and z [m]")
-    com_offset: Vector3 = Field(
-        (0.0, 0.0, 0.0), description="centre of mass from the geometric centre [m]"
-    )
+    com_offset: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass from the geometric centre [m]")
 
     @property
     def inertia(self) -> Array:
@@ -206,9 +198,7 @@ class Timing(Schema):
 
     nominal_impact: Positive = Field(description="T_nom, nominal impact time [s]")
     approach: Positive = Field(description="duration of the motion that ends at T_nom [s]")
-    overrun: Positive = Field(
-        description="how long the ante-impact reference keeps its velocity past T_nom [s]"
-    )
+    overrun: Positive = Field(description="how long the ante-impact reference keeps its velocity past T_nom [s]")
     stop: Positive = Field(description="time the overrun reference takes to stop [s]")
     push: Positive = Field(description="duration of the post-impact reference until rest [s]")
     slide: Positive = Field(description="time in which the pad stops sliding across the object [s]")
@@ -306,9 +296,7 @@ class Scenario(Schema):
     support: Support = Field(description="what the object lies on")
     contact: Contact = Field(description="contact between pad and object")
     cases: dict[str, Case] = Field(min_length=1, description="cases by name")
-    velocity_scales: PositiveVector = Field(
-        description="post-impact references, as fractions of the prediction [-]"
-    )
+    velocity_scales: PositiveVector = Field(description="post-impact references, as fractions of the prediction [-]")
     trials: Annotated[int, Field(ge=1)] = Field(description="repeats of every scale")
     timing: Timing = Field(description="times")
     control: Control = Field(description="controller")

@@ -154,11 +154,7 @@ def _walk(annotation: Any, location: list[Any]) -> tuple[type[Schema] | None, st
                 annotation = get_args(annotation)[0]
         while get_origin(annotation) in (Annotated, Union, UnionType):
             annotation = next(a for a in get_args(annotation) if a is not type(None))
-        schema = (
-            annotation
-            if isinstance(annotation, type) and issubclass(annotation, Schema)
-            else None
-        )
+        schema = annotation if isinstance(annotation, type) and issubclass(annotation, Schema) else None
     return schema, description
 
 

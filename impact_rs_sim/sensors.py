@@ -55,9 +55,7 @@ class ArmSensors:
         self._motor_velocity_noise = sensors.joint_velocity_noise * rng.standard_normal(shape)
         self._torque_noise = sensors.joint_torque_noise * rng.standard_normal(shape)
 
-    def measure(
-        self, tick: int, q: Array, dq: Array, torque: Array, theta: Array, dtheta: Array
-    ) -> ArmMeasurement:
+    def measure(self, tick: int, q: Array, dq: Array, torque: Array, theta: Array, dtheta: Array) -> ArmMeasurement:
         """The measurement of one control tick."""
         return ArmMeasurement(
             position=self._quantise(q),

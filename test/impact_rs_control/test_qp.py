@@ -45,7 +45,13 @@ def test_velocity_limit_is_not_crossed_in_the_next_step():
     qp = make_qp()
     velocity = np.full(COUNT, 1.999)
     solution = qp.solve(
-        np.eye(COUNT), np.full(COUNT, 50.0), np.ones(COUNT), 0.1 * np.eye(COUNT), np.zeros(COUNT), np.zeros(COUNT), velocity
+        np.eye(COUNT),
+        np.full(COUNT, 50.0),
+        np.ones(COUNT),
+        0.1 * np.eye(COUNT),
+        np.zeros(COUNT),
+        np.zeros(COUNT),
+        velocity,
     )
     assert solution.status is QpStatus.SOLVED
     assert np.all(velocity + PERIOD * solution.acceleration <= SPEED + 1e-9)
@@ -55,7 +61,13 @@ def test_position_limit_is_not_crossed_in_the_next_step():
     """Paper eq. const_q."""
     position = POSITION - 1e-6
     solution = make_qp().solve(
-        np.eye(COUNT), np.full(COUNT, 50.0), np.ones(COUNT), 1e-3 * np.eye(COUNT), np.zeros(COUNT), position, np.zeros(COUNT)
+        np.eye(COUNT),
+        np.full(COUNT, 50.0),
+        np.ones(COUNT),
+        1e-3 * np.eye(COUNT),
+        np.zeros(COUNT),
+        position,
+        np.zeros(COUNT),
     )
     assert solution.status is QpStatus.SOLVED
     assert np.all(position + 0.5 * PERIOD**2 * solution.acceleration <= POSITION + 1e-9)

@@ -53,7 +53,10 @@ def test_apparent_motor_inertia_identified_from_a_motion_is_the_reduced_one(plan
     middle = slice(60, -60)
     for joint in range(7):
         rigid = np.array(
-            [model.inverse_dynamics(q, dq, a) for q, dq, a in zip(positions[1:-1], velocity[1:-1], acceleration, strict=True)]
+            [
+                model.inverse_dynamics(q, dq, a)
+                for q, dq, a in zip(positions[1:-1], velocity[1:-1], acceleration, strict=True)
+            ]
         )
         # The torque acts from this tick to the next, the central difference stands at the tick: mean of two.
         applied = (np.array(torques)[1:-1] + np.array(torques)[:-2]) / 2.0
