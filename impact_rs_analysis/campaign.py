@@ -6,7 +6,10 @@ run. ``manifest.yaml`` says what the folder holds; a finished bag is never run a
 
 from __future__ import annotations
 
+import functools
+import logging
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +17,13 @@ from pathlib import Path
 import yaml
 from pydantic import Field
 
+from impact_rs_analysis.bags.reader import BagError, TrialBag
 from impact_rs_analysis.bags.record import record_trial
 from impact_rs_analysis.bags.trial_info import Outcome, TrialInfo, TrialKey
 from impact_rs_analysis.bags.writer import partial_path
-from impact_rs_control.plan import plan_trial
+from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenario import load_scenario, scenario_path
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import PositiveVector, Schema, load
 
@@ -94,6 +98,7 @@ def make_manifest(
         velocity_scales=tuple(dict.fromkeys(scales or scenario.velocity_scales)),
         trials=trials or scenario.trials,
         seed=seed,
+        motor_inertia="reduced",
     )
 
 
@@ -121,15 +126,41 @@ def open_campaign(directory: Path, manifest: Manifest) -> list[TrialKey]:
     return [key for key in manifest.keys if not (directory / key.name).exists()]
 
 
+@functools.lru_cache(maxsize=16)
+def _scene(scenario: str, modified: int, object_name: str, case_name: str) -> Scene:
+    del modified
+    return Scene.resolve(load_scenario(scenario), object_name, case_name)
+
+
+@functools.lru_cache(maxsize=16)
+def _plan(scenario: str, modified: int, object_name: str, case_name: str, scale: float, inertia: str) -> TrialPlan:
+    """Repeats of a trial share its plan: inverse kinematics and impact map are solved once per worker."""
+    return plan_trial(_scene(scenario, modified, object_name, case_name), scale, inertia)
+
+
 def run_one(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
-    """Run one trial in-process and write its bag; a half-written bag of it is thrown away first."""
+    """Run one trial in-process and write its bag.
+
+    A half-written bag of it is thrown away first; a finished one stands (a worker can die between writing a bag and
+    telling so).
+    """
     path = directory / key.name
+    if path.exists():
+        return TrialReport(key, _outcome(path))
     shutil.rmtree(partial_path(path), ignore_errors=True)
-    scene = Scene.resolve(load_scenario(manifest.scenario), key.object, key.case)
-    plan = plan_trial(scene, key.scale, manifest.motor_inertia)
+    modified = scenario_path(manifest.scenario).stat().st_mtime_ns
+    plan = _plan(manifest.scenario, modified, key.object, key.case, key.scale, manifest.motor_inertia)
     info = TrialInfo.of(plan, key, key.seed(manifest.seed), "inprocess")
     outcome, _ = record_trial(plan, info, path)
     return TrialReport(key, outcome)
+
+
+def _outcome(path: Path) -> Outcome:
+    try:
+        found = TrialBag(path).outcome
+    except BagError:
+        return "ABORTED"
+    return found if found in ("OK", "NO-IMPACT") else "ABORTED"  # type: ignore[return-value]
 
 
 TrialRunner = Callable[[Path, Manifest, TrialKey], TrialReport]
@@ -139,6 +170,8 @@ def run_campaign(
     directory: Path, manifest: Manifest, jobs: int = 1, run: TrialRunner = run_one
 ) -> Iterator[TrialReport]:
     """Run what is missing; yields a report per trial as it ends.
+
+    Stopping the iteration, or an interrupt, leaves a folder in which the campaign can be resumed.
 
     Args:
         directory: Campaign folder.
@@ -156,22 +189,46 @@ def run_campaign(
         for key in todo:
             yield _guarded(run, directory, manifest, key)
         return
+    yield from _run_on_cluster(directory, manifest, min(jobs, len(todo)), run, todo)
 
+
+def _run_on_cluster(
+    directory: Path, manifest: Manifest, jobs: int, run: TrialRunner, todo: list[TrialKey]
+) -> Iterator[TrialReport]:
+    """Run trials on a local cluster; a trial whose worker dies is run again on another one."""
     from distributed import Client, LocalCluster, as_completed
 
     with (
+        tempfile.TemporaryDirectory(prefix="impact_rs_") as scratch,
         LocalCluster(
-            n_workers=jobs, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+            n_workers=jobs,
+            threads_per_worker=1,  # dask sets OMP_NUM_THREADS and its like to 1 in worker processes
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address=None,
+            memory_limit=0,  # a trial needs little memory and keeps none
+            local_directory=scratch,
+            silence_logs=logging.CRITICAL,
         ) as cluster,
-        Client(cluster) as client,
+        Client(cluster, set_as_default=False) as client,
     ):
-        futures = client.map(lambda key: _guarded(run, directory, manifest, key), todo, pure=False)
-        for future in as_completed(futures):
-            yield future.result()
+        # One key to a task, in order: repeats of a trial follow each other and share their plan.
+        futures = client.map(
+            _guarded, *zip(*((run, directory, manifest, key) for key in todo), strict=True), pure=False, retries=2
+        )
+        keys = {future.key: key for future, key in zip(futures, todo, strict=True)}
+        for future in as_completed(futures, loop=client.loop):
+            if future.status == "finished":
+                yield future.result()
+            else:  # its workers died, again and again
+                yield TrialReport(keys[future.key], "ABORTED", f"its worker process died ({future.exception()})")
 
 
 def _guarded(run: TrialRunner, directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
+    """One broken trial does not end a campaign."""
     try:
         return run(directory, manifest, key)
     except InputError as error:
         return TrialReport(key, "ABORTED", str(error))
+    except Exception as error:  # whatever it is, it is reported and the other trials go on
+        return TrialReport(key, "ABORTED", f"{type(error).__name__}: {error}")

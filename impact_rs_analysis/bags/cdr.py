@@ -73,6 +73,11 @@ class _Layout:
         )
 
 
+def _fields(store: Typestore, kind: str) -> list[tuple[str, tuple[Nodetype, Any]]]:
+    """Field names and their types, as ``rosbags`` nests them: a node type and what it is made of."""
+    return store.fielddefs[kind][1]  # type: ignore[return-value]
+
+
 class _Walker:
     """Follows a type definition through the bytes of one message."""
 
@@ -92,18 +97,18 @@ class _Walker:
         return _Layout(tuple(self._numbers), tuple(self._texts), tuple(self._fixed))
 
     def _message(self, kind: str, prefix: str) -> None:
-        for name, (node, payload) in self._store.fielddefs[kind][1]:
+        for name, (node, payload) in _fields(self._store, kind):
             path: str = prefix + name
             if node == Nodetype.NAME:
                 self._message(str(payload), path + ".")
             elif node == Nodetype.BASE:
                 self._base(str(payload[0]), path, ())
             else:
-                (inner, base), length = payload  # type: ignore[misc]
+                (inner, base), length = payload
                 if inner != Nodetype.BASE:
                     raise _NoColumnsError
-                count = self._length() if node == Nodetype.SEQUENCE else int(length)  # type: ignore[call-overload]
-                self._base(str(base[0]), path, (count,))  # type: ignore[index]
+                count = self._length() if node == Nodetype.SEQUENCE else length
+                self._base(str(base[0]), path, (count,))
 
     def _base(self, base: str, path: str, shape: tuple[int, ...]) -> None:
         if base in ("string", "wstring"):
@@ -215,11 +220,11 @@ def _decode_table(store: Typestore, kind: str, rows: Sequence[bytes | memoryview
 def number_paths(store: Typestore, kind: str, prefix: str = "") -> list[str]:
     """Paths of all numbers and arrays of numbers of a message type."""
     paths: list[str] = []
-    for name, (node, payload) in store.fielddefs[kind][1]:
+    for name, (node, payload) in _fields(store, kind):
         if node == Nodetype.NAME:
             paths += number_paths(store, str(payload), f"{prefix}{name}.")
             continue
-        base = payload if node == Nodetype.BASE else payload[0][1]  # type: ignore[index]
+        base = payload if node == Nodetype.BASE else payload[0][1]
         if base[0] in _FORMATS:
             paths.append(prefix + name)
     return paths

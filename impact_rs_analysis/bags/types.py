@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -17,7 +18,7 @@ def typestore() -> Typestore:
     spec = find_spec("impact_msgs_py")  # finds the package without importing it, and so without ROS
     if spec is None or spec.origin is None:
         raise ModuleNotFoundError("impact_msgs_py, which holds the message definitions, is not installed")
-    types = {}
+    types: dict[str, Any] = {}
     for path in sorted((Path(spec.origin).parent / "msg").glob("*.msg")):
         types |= get_types_from_msg(path.read_text(encoding="utf-8"), f"impact_rs/msg/{path.stem}")
     store.register(types)
