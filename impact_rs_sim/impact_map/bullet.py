@@ -27,8 +27,8 @@ What is set on purpose, and why:
   sliding velocity is that of u^+.
 * Contact points survive in Bullet's manifolds from call to call. The object is moved out of reach first, which empties
   them, so an answer depends on its question only.
-* Bullet's sequential impulses may settle into a small limit cycle instead of converging, so more than ``_ITERATIONS``
-  buy nothing.
+* Bullet's sequential impulses converge linearly, and may end in a small limit cycle. Few iterations are enough for most
+  problems; the hard ones (on the edge of sticking and sliding) are tried again with many.
 """
 
 from __future__ import annotations
@@ -51,10 +51,28 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState
 
 _STEP = 1e-7  # s
-_ITERATIONS = 300  # of Bullet's solver in a step
 _SETTLED = 1e-20  # (m/s)^2, Bullet's solver stops where no row changes by more
 _DISC = np.array([0.5, 0.0, 0.0, 0.5, 0.0, 1.0])  # a thin disc about the joint axis, in the order of Link.inertia
 _FAR = BodyState(np.array([0.0, 0.0, 1e3]), np.eye(3), np.zeros(6))
+
+
+@dataclass(frozen=True)
+class _Effort:
+    """How hard to try.
+
+    Attributes:
+        solver_iterations: Of Bullet's solver, in a step.
+        steps: Bullet's steps, at most.
+        patience: Steps without progress that end it.
+        guess: Tolerance of the first guess [m/s].
+        accepted: Residual above which the next effort follows [m/s].
+    """
+
+    solver_iterations: int
+    steps: int
+    patience: int
+    guess: float
+    accepted: float
 
 
 class BulletEngine(Engine):
@@ -63,10 +81,11 @@ class BulletEngine(Engine):
     name = "bullet"
     tolerance = 3e-2  # m/s
 
-    _STEPS = 8  # of the fixed-point iteration, at most
-    _PATIENCE = 2  # steps without progress that end it
-    _GOAL = 1e-6  # m/s, residual that ends it
-    _GUESS = 1e-6  # m/s, tolerance of the first guess
+    _GOAL = 1e-6  # m/s, residual that ends the iteration
+    _EFFORTS = (
+        _Effort(solver_iterations=150, steps=5, patience=2, guess=1e-6, accepted=1e-3),
+        _Effort(solver_iterations=2000, steps=20, patience=8, guess=1e-8, accepted=np.inf),
+    )
     _KEPT = 4  # worlds kept warm, one per motor inertia
 
     def __init__(self, physics: Physics) -> None:
@@ -90,42 +109,87 @@ class BulletEngine(Engine):
     def _solve(self, problem: ImpactProblem, system: System) -> tuple[Sequence[ContactPoint], Array, Array, int]:
         world = self._world(problem.motor_inertia)
         world.bring_together(problem, self._placements(problem))
-        inertia = world.inertia(problem, system)
-        start = system.velocity
-        push = np.zeros(start.size)
-        if problem.restitution > 0.0:
-            world.place(problem, start)
-            world.bullet.client.performCollisionDetection()
-            start = start + _restitution_shift(system, world.contacts()[0], problem.restitution)
-        moved = world.step(problem, system, inertia, start, push) - start
-        contacts, impulses, axes = world.contacts()
+        world.place(problem, system.velocity)
+        world.bullet.client.performCollisionDetection()
+        contacts = world.contacts()
         if not contacts:
-            return contacts, impulses, system.velocity + moved, 1
+            return contacts, np.zeros((0, 3)), system.velocity.copy(), 0
         terms = ContactTerms(system, contacts, problem.restitution)
-        error = terms.residual(impulses, system.velocity + moved).largest
-        best = (error, impulses, system.velocity + moved)
-        missing = system.inertia - inertia
-        if error > self._GOAL:
-            total, _ = solve_contacts(system, contacts, problem.restitution, self._GUESS)
-            moved = terms.response @ total.ravel()
-            extra = total - _bullet_friction(terms, inertia, axes, total, system.velocity + moved)
-            wanted = -missing @ moved
-            accelerate = _Anderson()
-        count, stalled = 1, 0
-        while best[0] > self._GOAL and stalled < self._PATIENCE and count <= self._STEPS:
+        run = _Run(
+            problem=problem,
+            system=system,
+            terms=terms,
+            inertia=world.inertia(problem, system),
+            contacts=contacts,
+            start=system.velocity + _restitution_shift(system, terms, problem.restitution),
+        )
+        best, count = _Answer(np.inf, np.zeros((len(contacts), 3)), system.velocity), 0
+        for effort in self._EFFORTS:
+            best, steps = self._iterate(world, run, effort, best)
+            count += steps
+            if best.error <= effort.accepted:
+                break
+        return contacts, best.impulses, best.velocity, count
+
+    def _iterate(self, world: _World, run: _Run, effort: _Effort, best: _Answer) -> tuple[_Answer, int]:
+        """Improve on ``best``; returns the best answer so far and the number of Bullet's steps."""
+        world.bullet.client.setPhysicsEngineParameter(numSolverIterations=effort.solver_iterations)
+        terms, system = run.terms, run.system
+        missing = system.inertia - run.inertia
+        count, stalled = 0, 0
+        if not np.any(missing) and not np.isfinite(best.error):
+            best = run.judge(world, np.zeros(run.start.size), np.zeros((len(run.contacts), 3)))[0]
+            count = 1
+            if best.error <= self._GOAL:
+                return best, count
+        total, _ = solve_contacts(system, run.contacts, run.problem.restitution, effort.guess)
+        moved = terms.response @ total.ravel()
+        extra = total - _bullet_friction(terms, run.inertia, total, system.velocity + moved)
+        inertial = -missing @ moved
+        accelerate = _Anderson()
+        while best.error > self._GOAL and stalled < effort.patience and count < effort.steps:
             count += 1
-            push = wanted + terms.jacobian.T @ extra.ravel()
-            moved = world.step(problem, system, inertia, start, push) - start
-            impulses = world.impulses(contacts)
-            velocity = system.velocity + moved
-            error = terms.residual(impulses + extra, velocity).largest
-            stalled = 0 if error < best[0] else stalled + 1
-            if error < best[0]:
-                best = (error, impulses + extra, velocity)
-            total = _coulomb(terms, impulses, extra, velocity)
+            answer, impulses = run.judge(world, inertial, extra)
+            stalled = 0 if answer.error < 0.9 * best.error else stalled + 1
+            best = min(best, answer, key=lambda candidate: candidate.error)
+            total = _coulomb(terms, impulses, extra, answer.velocity)
             extra = total - impulses
-            wanted = accelerate(wanted, -missing @ terms.response @ total.ravel())
-        return contacts, best[1], best[2], count
+            inertial = accelerate(inertial, -missing @ terms.response @ total.ravel())
+        return best, count
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """Impulses on the object ``(m, 3)`` [N s], u^+ ``(nv,)``, and their largest residual [m/s]."""
+
+    error: float
+    impulses: Array
+    velocity: Array
+
+
+@dataclass(frozen=True)
+class _Run:
+    """One problem in one world: M' as ``inertia``, and u^- + s as ``start``."""
+
+    problem: ImpactProblem
+    system: System
+    terms: ContactTerms
+    inertia: Array
+    contacts: Sequence[ContactPoint]
+    start: Array
+
+    def judge(self, world: _World, inertial: Array, extra: Array) -> tuple[_Answer, Array]:
+        """One step of Bullet with a generalised impulse ``(nv,)`` and extra friction ``(m, 3)``.
+
+        Returns:
+            The answer that follows, and Bullet's own share of its impulses, ``(m, 3)`` [N s].
+        """
+        push = inertial + self.terms.jacobian.T @ extra.ravel()
+        moved = world.step(self.problem, self.system, self.inertia, self.start, push) - self.start
+        impulses = world.impulses(self.contacts)
+        velocity = self.system.velocity + moved
+        error = self.terms.residual(impulses + extra, velocity).largest
+        return _Answer(error if np.isfinite(error) else np.inf, impulses + extra, velocity), impulses
 
 
 @dataclass(frozen=True)
@@ -154,7 +218,7 @@ class _World:
             time_step=_STEP,
             gravity=False,
             compliant_pads=False,
-            iterations=_ITERATIONS,
+            iterations=BulletEngine._EFFORTS[0].solver_iterations,
             residual_threshold=_SETTLED,
             contact_erp=0.0,
         )
@@ -211,22 +275,20 @@ class _World:
         arms = [self.bullet.arm_state(name).velocity for name in problem.arms]
         return np.concatenate((*arms, self.bullet.object_state().twist))
 
-    def contacts(self) -> tuple[list[ContactPoint], Array, Array]:
-        """Contact points back where they belong, impulses on the object ``(m, 3)`` [N s], friction axes ``(m, 2, 3)``."""
-        thing, physics = self.bullet.object, self.physics
+    def contacts(self) -> list[ContactPoint]:
+        """Bullet's contact points, moved back to where they belong."""
+        physics = self.physics
         names = {place.body: name for name, place in self._places.items()}
-        contacts, impulses, axes = [], [], []
+        contacts = []
         for point in self._points():
-            first = point[1] == thing
+            first = point[1] == self.bullet.object
             name = names[point[2] if first else point[1]]
             on_object, on_partner = np.array([point[5], point[6]] if first else [point[6], point[5]])
             normal = (1.0 if first else -1.0) * np.array(point[7])
             gap = float(normal @ (on_object - on_partner + self._places[name].shift))
             friction = physics.support_friction if name == SUPPORT else physics.pad_friction
             contacts.append(ContactPoint(name, on_object, normal, gap, friction))
-            impulses.append(self._impulse(point))
-            axes.append((point[11], point[13]))
-        return contacts, np.array(impulses).reshape(-1, 3), np.array(axes).reshape(-1, 2, 3)
+        return contacts
 
     def impulses(self, contacts: Sequence[ContactPoint]) -> Array:
         """Impulses on the object at the points of an earlier step, in their order, ``(m, 3)`` [N s]."""
@@ -251,15 +313,13 @@ class _World:
         return np.asarray(sign * (np.array((point[9], point[10], point[12])) @ directions))
 
 
-def _restitution_shift(system: System, contacts: Sequence[ContactPoint], restitution: float) -> Array:
+def _restitution_shift(system: System, terms: ContactTerms, restitution: float) -> Array:
     """s with J_n s = e J_n u^- and J_t s = 0, ``(nv,)``."""
-    if not contacts:
+    if restitution == 0.0:
         return np.zeros_like(system.velocity)
-    jacobian = system.jacobian(contacts)
-    normals = np.array([contact.normal for contact in contacts])
-    before = (jacobian @ system.velocity).reshape(-1, 3)
-    wanted = restitution * np.sum(before * normals, axis=1)[:, None] * normals
-    return np.asarray(np.linalg.lstsq(jacobian, wanted.ravel(), rcond=1e-10)[0])
+    before, _ = terms.split((terms.jacobian @ system.velocity).reshape(-1, 3))
+    wanted = restitution * before[:, None] * terms.normals
+    return np.asarray(np.linalg.lstsq(terms.jacobian, wanted.ravel(), rcond=1e-10)[0])
 
 
 _SLIDING = 1e-7  # m/s, slower points stick
@@ -278,10 +338,11 @@ def _coulomb(terms: ContactTerms, impulses: Array, extra: Array, velocity: Array
     return np.asarray(pressing[:, None] * terms.normals + np.where(slides[:, None], opposed, held))
 
 
-def _bullet_friction(terms: ContactTerms, inertia: Array, axes: Array, impulses: Array, velocity: Array) -> Array:
+def _bullet_friction(terms: ContactTerms, inertia: Array, impulses: Array, velocity: Array) -> Array:
     """``impulses`` with the friction that Bullet would give where the points slide with ``velocity``, ``(m, 3)`` [N s]."""
     pressing, _ = terms.split(impulses)
     _, sliding = terms.split((terms.jacobian @ velocity).reshape(-1, 3))
+    axes = np.array([_friction_axes(normal) for normal in terms.normals])
     rows = np.einsum("maj,mjv->mav", axes, terms.jacobian.reshape(len(axes), 3, -1))
     mobility = np.einsum("mav,vw,maw->ma", rows, np.linalg.inv(inertia), rows, optimize=True)
     along = np.einsum("maj,mj->ma", axes, sliding) / mobility
@@ -290,6 +351,16 @@ def _bullet_friction(terms: ContactTerms, inertia: Array, axes: Array, impulses:
     skewed = pressing[:, None] * terms.normals - (terms.friction * pressing)[:, None] * direction
     slides = np.linalg.norm(sliding, axis=1) > _SLIDING
     return np.where(slides[:, None], skewed, impulses)
+
+
+def _friction_axes(normal: Array) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Bullet's two friction axes at a contact (its ``btPlaneSpace1``), up to their signs."""
+    x, y, z = (float(value) for value in normal)
+    if abs(z) > 0.5**0.5:
+        k = float(np.hypot(y, z))
+        return (0.0, -z / k, y / k), (k, -x * y / k, -x * z / k)
+    k = float(np.hypot(x, y))
+    return (-y / k, x / k, 0.0), (-z * x / k, -z * y / k, k)
 
 
 class _Anderson:
