@@ -1,0 +1,103 @@
+"""The controller as a node: answers every measured state with a torque of the same stamp."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from impact_rs_analysis.bags import topics
+from impact_rs_analysis.bags.record import controller_messages
+from impact_rs_analysis.bags.trial_info import TrialInfo
+from impact_rs_control.controller import Controller
+from impact_rs_control.plan import TrialPlan
+from impact_rs_control.qp import QpStatus
+from impact_rs_ros.process import run
+from impact_rs_ros.trial_node import TrialNode
+from impact_rs_sim.sensors import ArmMeasurement
+
+
+class ControllerNode(TrialNode):
+    """Runs a :class:`~impact_rs_control.controller.Controller`."""
+
+    kind = "controller"
+
+    def __init__(self) -> None:
+        self._qp = dict.fromkeys(QpStatus, 0)
+        self._skipped = 0
+        super().__init__()
+
+    def received(self, arms: list[str]) -> dict[str, str]:
+        return {topics.joint_states(arm): topics.JOINT_STATE for arm in arms}
+
+    def published(self, arms: list[str]) -> dict[str, str]:
+        kinds = topics.recorded(arms)
+        return {
+            name: kinds[name]
+            for arm in arms
+            for name in (topics.joint_command(arm), topics.controller_state(arm), topics.impact_event(arm))
+        }
+
+    def prepare(self, plan: TrialPlan, info: TrialInfo) -> None:
+        del info
+        self._controller = Controller(plan)
+        self._arm_of = {topics.joint_states(arm): arm for arm in plan.arms}
+        self._ticks = dict.fromkeys(plan.arms, -1)
+        self._answers: dict[str, tuple[str, Any]] = {}
+        self._period_ns = round(plan.scene.scenario.timing.control_period * 1e9)
+        self._qp = dict.fromkeys(QpStatus, 0)
+        self._skipped = 0
+
+    def end(self) -> str:
+        return "OK" if all(arm.detection is not None for arm in self._controller.arms.values()) else "NO-IMPACT"
+
+    def status(self) -> tuple[str, dict[str, object]]:
+        failed, relaxed = self._qp[QpStatus.FAILED], self._qp[QpStatus.RELAXED]
+        line = f"{failed} QPs failed" if failed else f"{self._skipped} ticks skipped" if self._skipped else "ok"
+        return line, {
+            **self.tick_statistics(),
+            "qp_failures": failed,
+            "qp_relaxations": relaxed,
+            "missed_ticks": self._skipped,
+        }
+
+    def work(self, until: float) -> None:
+        while (left := until - time.monotonic()) > 0.0:
+            self.inbox.wait(left)
+            for topic, message in self.inbox.take():
+                self._answer(self._arm_of[topic], message)
+
+    def _answer(self, arm: str, message: Any) -> None:
+        started = time.monotonic()
+        assert self.maker is not None
+        stamp = message.header.stamp
+        tick = round((stamp.sec * 1_000_000_000 + stamp.nanosec) / self._period_ns)
+        last = self._ticks[arm]
+        if tick <= last:
+            if tick == last:  # the plant asks again
+                self.outbox.repeat(*self._answers[arm])
+            return
+        self._skipped += tick - last - 1
+        self._ticks[arm] = tick
+        position, velocity = np.array(message.position), np.array(message.velocity)
+        measured = ArmMeasurement(position, velocity, np.array(message.effort), position, velocity)
+        command = self._controller.arms[arm].update(tick, measured)
+        messages = controller_messages(self.maker, tick, {arm: command})
+        answer = next(messages)
+        self.outbox.publish(*answer)
+        self._answers[arm] = answer
+        self._qp[command.qp_status] += 1
+        for topic, rest in messages:
+            self.outbox.publish(topic, rest)
+        self.now = stamp
+        self.tick_times.append(time.monotonic() - started)
+
+
+def main() -> None:
+    """Run the node."""
+    run(ControllerNode)
+
+
+if __name__ == "__main__":
+    main()

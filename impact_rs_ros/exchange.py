@@ -1,0 +1,132 @@
+"""Sending and receiving past the executor, where microseconds count.
+
+An rclpy executor builds a wait set of everything a node has for every single callback. What is awaited in the lockstep,
+and what the recorder stores, is taken by the node itself instead; services and parameters stay with the executor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from impact_rs_ros.message_types import available, message_type
+
+
+class _NotForTheExecutor(CallbackGroup):
+    """Callback group that no executor ever executes."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        return
+
+
+class Inbox:
+    """Subscriptions that their owner reads.
+
+    Args:
+        node: Node that subscribes.
+        topics: Type ``package/msg/Name`` by topic.
+        qos: Quality of service of all of them.
+        raw: Hand out serialized (CDR) messages.
+    """
+
+    def __init__(self, node: Node, topics: Mapping[str, str], qos: QoSProfile, raw: bool = False) -> None:
+        self._node = node
+        group = _NotForTheExecutor()
+        self._subscriptions = {
+            topic: node.create_subscription(message_type(kind), topic, _ignore, qos, callback_group=group, raw=raw)
+            for topic, kind in topics.items()
+            if available(kind)
+        }
+        self._handles = [(topic, s.handle, s.msg_type) for topic, s in self._subscriptions.items()]
+        self._raw = raw
+        self._wait_set = rclpy_implementation.WaitSet(len(self._handles), 0, 0, 0, 0, 0, node.context.handle)
+
+    def wait(self, timeout: float) -> None:
+        """Return when a message is there, or after ``timeout`` [s]."""
+        wait_set = self._wait_set
+        wait_set.clear_entities()
+        for _, handle, _ in self._handles:
+            wait_set.add_subscription(handle)
+        wait_set.wait(max(0, int(timeout * 1e9)))
+
+    def take(self) -> Iterator[tuple[str, Any]]:
+        """Everything that has been received: topic and message."""
+        raw = self._raw
+        for topic, handle, kind in self._handles:
+            while (taken := handle.take_message(kind, raw)) is not None:
+                yield topic, taken[0]
+
+    def clear(self) -> None:
+        """Throw away what has been received."""
+        for _ in self.take():
+            pass
+
+    def publishers(self) -> dict[str, int]:
+        """Number of matched publishers by topic."""
+        return {topic: handle.get_publisher_count() for topic, handle, _ in self._handles}
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        for subscription in self._subscriptions.values():
+            self._node.destroy_subscription(subscription)
+
+
+class Outbox:
+    """Publishers that count what they publish.
+
+    Args:
+        node: Node that publishes.
+        topics: Type ``package/msg/Name`` by topic.
+        qos: Quality of service of all of them.
+    """
+
+    def __init__(self, node: Node, topics: Mapping[str, str], qos: QoSProfile) -> None:
+        self._node = node
+        self._publishers = {
+            topic: node.create_publisher(message_type(kind), topic, qos)
+            for topic, kind in topics.items()
+            if available(kind)
+        }
+        self.counts = dict.fromkeys(self._publishers, 0)
+
+    def publish(self, topic: str, message: Any) -> None:
+        """Publish and count; a message whose type is not installed is left out."""
+        if (publisher := self._publishers.get(topic)) is not None:
+            publisher.publish(message)
+            self.counts[topic] += 1
+
+    def repeat(self, topic: str, message: Any) -> None:
+        """Publish once more what may have got lost; it has the stamp it had, and counts as the same message."""
+        self._publishers[topic].publish(message)
+
+    def reset(self) -> None:
+        """Count from zero."""
+        self.counts = dict.fromkeys(self._publishers, 0)
+
+    def unmatched(self) -> list[str]:
+        """Topics that nobody listens to, or not everybody yet of whom this node knows."""
+        return [
+            topic
+            for topic, publisher in self._publishers.items()
+            if publisher.get_subscription_count() < max(1, self._node.count_subscribers(topic))
+        ]
+
+    def close(self) -> None:
+        """Take the publishers down."""
+        for publisher in self._publishers.values():
+            self._node.destroy_publisher(publisher)
+
+
+def _ignore(message: Any) -> None:
+    del message

@@ -1,0 +1,188 @@
+"""The experiment as a node: actions that run one trial, or a campaign, with the other nodes."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from impact_rs.action import RunCampaign, RunTrial
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import Executor, MultiThreadedExecutor
+
+from impact_rs_analysis.bags.trial_info import TrialKey
+from impact_rs_analysis.campaign import make_manifest, open_campaign
+from impact_rs_control.plan import TrialPlan, plan_trial
+from impact_rs_ros.process import NodeProgram, run
+from impact_rs_ros.trial_session import Progress, TrialResult, TrialSession
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import Scene
+
+
+class ExperimentNode(NodeProgram):
+    """Serves ``/run_trial`` and ``/run_campaign``, one goal at a time."""
+
+    kind = "experiment"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._session = TrialSession(self.node)
+        self._busy = threading.Lock()
+        self._cancelling = threading.Event()
+        self._trials = 0
+        self._aborted = 0
+        try:
+            self._session.watch(list(load_scenario(self.parameter("scenario")).robots))
+        except InputError as error:
+            self.node.get_logger().error(str(error))
+        group = ReentrantCallbackGroup()
+        self._servers = [
+            ActionServer(
+                self.node,
+                kind,
+                name,
+                execute_callback=execute,
+                goal_callback=self._on_goal,
+                cancel_callback=lambda _: CancelResponse.ACCEPT,
+                callback_group=group,
+            )
+            for kind, name, execute in (
+                (RunTrial, "run_trial", self._run_trial),
+                (RunCampaign, "run_campaign", self._run_campaign),
+            )
+        ]
+
+    def make_executor(self) -> Executor:
+        return MultiThreadedExecutor(num_threads=4)
+
+    def status(self) -> tuple[str, dict[str, object]]:
+        return "ok", {"trials": self._trials, "aborted": self._aborted}
+
+    def close(self) -> None:
+        self._cancelling.set()
+        with self._busy:  # the trial that runs closes its bag
+            for server in self._servers:
+                server.destroy()
+
+    def _on_goal(self, goal: Any) -> GoalResponse:
+        del goal
+        if self._busy.locked() or self._cancelling.is_set():
+            self.node.get_logger().warning("goal rejected: another trial or campaign is running")
+            return GoalResponse.REJECT
+        return GoalResponse.ACCEPT
+
+    def _one(
+        self,
+        plan: TrialPlan,
+        key: TrialKey,
+        seed: int,
+        directory: Path,
+        handle: Any,
+        feedback: Callable[[Progress], None] = lambda progress: None,
+    ) -> TrialResult:
+        result = self._session.run(
+            plan, key, seed, directory, feedback, lambda: handle.is_cancel_requested or self._cancelling.is_set()
+        )
+        self._trials += 1
+        if result.outcome == "ABORTED":
+            self._aborted += 1
+            self.node.get_logger().warning(f"{key.name}: {result.message}")
+        return result
+
+    def _run_trial(self, handle: Any) -> RunTrial.Result:
+        goal = handle.request
+        answer = RunTrial.Result(outcome="ABORTED", detected_time=float("nan"))
+        with self._busy:
+            try:
+                plan, key = _planned(goal, goal.scenario or self.parameter("scenario"))
+                directory = Path(goal.output_directory or ".")
+
+                def feedback(progress: Progress) -> None:
+                    handle.publish_feedback(
+                        RunTrial.Feedback(
+                            time=progress.time, mode=progress.mode, net_feedback=progress.net_feedback
+                        )
+                    )
+
+                result = self._one(plan, key, goal.seed, directory, handle, feedback)
+            except Exception as error:  # a node outlives every trial
+                return self._failed(handle, answer, error)
+        answer.success = result.outcome != "ABORTED"
+        answer.message = result.message
+        answer.outcome = result.outcome
+        answer.bag_path = str(result.bag_path)
+        answer.net_feedback = result.progress.net_feedback
+        answer.detected_time = result.progress.detected_time
+        _close(handle, answer.success)
+        return answer
+
+    def _run_campaign(self, handle: Any) -> RunCampaign.Result:
+        goal = handle.request
+        answer = RunCampaign.Result()
+        with self._busy:
+            try:
+                manifest = make_manifest(
+                    goal.scenario or self.parameter("scenario"),
+                    list(goal.objects) or None,
+                    list(goal.cases) or None,
+                    list(goal.velocity_scales) or None,
+                    goal.trials or None,
+                    goal.seed,
+                ).model_copy(update={"motor_inertia": goal.motor_inertia or "reduced"})
+                directory = Path(goal.output_directory or ".")
+                todo = open_campaign(directory, manifest)
+                answer.skipped = len(manifest.keys) - len(todo)
+                scenario = load_scenario(manifest.scenario)
+                for number, key in enumerate(todo):
+                    if handle.is_cancel_requested or self._cancelling.is_set():
+                        answer.message = "cancelled"
+                        break
+                    handle.publish_feedback(RunCampaign.Feedback(finished=number, total=len(todo), current=key.name))
+                    scene = Scene.resolve(scenario, key.object, key.case)
+                    plan = plan_trial(scene, key.scale, manifest.motor_inertia)
+                    result = self._one(plan, key, key.seed(manifest.seed), directory, handle)
+                    if result.outcome == "ABORTED":
+                        answer.failed += 1
+                        answer.message = f"{key.name}: {result.message}"
+                    else:
+                        answer.finished += 1
+            except Exception as error:  # a node outlives every campaign
+                return self._failed(handle, answer, error)
+        answer.success = answer.failed == 0 and not answer.message
+        _close(handle, answer.success)
+        return answer
+
+    def _failed(self, handle: Any, answer: Any, error: Exception) -> Any:
+        answer.message = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+        self.node.get_logger().error(answer.message)
+        _close(handle, False)
+        return answer
+
+
+def _close(handle: Any, success: bool) -> None:
+    if handle.is_cancel_requested:
+        handle.canceled()
+    elif success:
+        handle.succeed()
+    else:
+        handle.abort()
+
+
+def _planned(goal: Any, name: str) -> tuple[TrialPlan, TrialKey]:
+    scenario = load_scenario(name)
+    case = scenario.case_name(goal.case_name)
+    scene = Scene.resolve(scenario, goal.object_name, case)
+    plan = plan_trial(scene, goal.velocity_scale, goal.motor_inertia or "reduced")
+    return plan, TrialKey(goal.object_name, case, goal.velocity_scale, goal.repeat)
+
+
+def main() -> None:
+    """Run the node."""
+    run(ExperimentNode)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,320 @@
+"""The five nodes as processes: started, watched, restarted and stopped together."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import rclpy
+from impact_rs.action import RunCampaign, RunTrial
+from impact_rs.srv import ComputeImpactMap, ConfigureTrial
+from rclpy.action import ActionClient
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+
+from impact_rs_analysis.bags.trial_info import TrialKey
+from impact_rs_analysis.campaign import Manifest, TrialReport
+from impact_rs_ros.process import SUPERVISOR
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.scenario import load_scenario, scenario_path
+
+NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
+START_TIMEOUT = 60.0  # s, for all nodes to answer; imports take some seconds on a busy machine
+STOP_TIMEOUT = 5.0  # s, for a node to leave in order
+RESULT_TIMEOUT = 10.0  # s, for the answer to a goal, beyond what the experiment node may wait itself
+
+
+class GraphError(RuntimeError):
+    """The nodes cannot be run; the message says why."""
+
+
+class Graph:
+    """Processes of the five nodes; a context manager.
+
+    Nodes that run already in the same domain would answer as well; where that matters, give the graph its own domain.
+
+    Args:
+        scenario: Name or path of the scenario the nodes start with.
+        domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
+        parameters: Parameter file; None: ``config/nodes.yaml``.
+        quiet: Nodes write to a file, shown when one dies, and not to the terminal.
+    """
+
+    def __init__(
+        self, scenario: str, domain_id: int | None = None, parameters: Path | None = None, quiet: bool = True
+    ) -> None:
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self.restarts = dict.fromkeys(NODES, 0)
+        path = scenario_path(scenario)
+        self._scenario = str(path.resolve()) if scenario.endswith((".yaml", ".yml")) else scenario
+        self._parameters = parameters or config_directory() / "nodes.yaml"
+        self._quiet = quiet
+        self._environment = dict(os.environ)
+        self._environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        self._environment.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small; more threads only get in the way
+        self._environment[SUPERVISOR] = str(os.getpid())
+        if domain_id is not None:
+            self._environment["ROS_DOMAIN_ID"] = str(domain_id)
+        os.environ.setdefault(
+            "ROS_AUTOMATIC_DISCOVERY_RANGE", self._environment["ROS_AUTOMATIC_DISCOVERY_RANGE"]
+        )  # this process talks to them
+        self._domain = int(self._environment.get("ROS_DOMAIN_ID") or 0)
+
+    def __enter__(self) -> Self:
+        self._logs = tempfile.TemporaryDirectory(prefix="impact_rs_")
+        if self._quiet:
+            self._environment["ROS_LOG_DIR"] = self._logs.name
+        try:
+            for name in NODES:
+                self._start(name)
+            self._context = Context()
+            rclpy.init(context=self._context, domain_id=self._domain)
+            self.node = rclpy.create_node(f"runner_{os.getpid()}", context=self._context)
+            self._executor = SingleThreadedExecutor(context=self._context)
+            self._executor.add_node(self.node)
+            self.run_trial = ActionClient(self.node, RunTrial, "run_trial")
+            self._run_campaign = ActionClient(self.node, RunCampaign, "run_campaign")
+            self._services = [
+                self.node.create_client(ConfigureTrial, f"{name}/configure_trial")
+                for name in ("plant", "controller", "recorder")
+            ]
+            self._services.append(self.node.create_client(ComputeImpactMap, "compute_impact_map"))
+            self.wait_until_ready()
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def _start(self, name: str) -> None:
+        command = [sys.executable, "-m", f"impact_rs_ros.{name}_node", "--ros-args"]
+        command += ["--params-file", str(self._parameters), "-p", f"scenario:={self._scenario}"]
+        if self._quiet:
+            command += ["--log-level", "warn"]
+        with open(self._log(name), "ab") as log:
+            output = log if self._quiet else None
+            self.processes[name] = subprocess.Popen(
+                command,
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT if self._quiet else None,
+                start_new_session=True,  # Ctrl-C reaches the runner alone, which stops the nodes in order
+            )
+
+    def _log(self, name: str) -> Path:
+        return Path(self._logs.name) / f"{name}.log"
+
+    def spin(self, timeout: float) -> None:
+        """Let messages arrive for at most ``timeout`` [s]; returns as soon as one did."""
+        self._executor.spin_once(timeout_sec=timeout)
+
+    def wait_until_ready(self) -> None:
+        """Wait until every node offers its services.
+
+        Raises:
+            GraphError: A node ended, or does not come up.
+        """
+        deadline = time.monotonic() + START_TIMEOUT
+        while not (
+            self.run_trial.server_is_ready()
+            and self._run_campaign.server_is_ready()
+            and all(client.service_is_ready() for client in self._services)
+        ):
+            for name, process in self.processes.items():
+                if process.poll() is not None:
+                    raise GraphError(f"node {name} ended with {_how(process)} while starting: {self.last_words(name)}")
+            if time.monotonic() > deadline:
+                raise GraphError(f"the nodes did not all come up within {START_TIMEOUT:g} s")
+            self.spin(0.02)
+
+    def revive(self) -> list[str]:
+        """Start the nodes again that have died; returns a line about each."""
+        lines = []
+        for name, process in list(self.processes.items()):
+            if process.poll() is not None:
+                lines.append(f"node {name} died ({_how(process)}) and is started again: {self.last_words(name)}")
+                self.restarts[name] += 1
+                self._start(name)
+        return lines
+
+    def last_words(self, name: str) -> str:
+        """Last line that a quiet node wrote."""
+        if not self._quiet or not self._log(name).exists():
+            return "see its output above"
+        lines = self._log(name).read_text(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "it wrote nothing"
+
+    def call_trial(self, goal: RunTrial.Goal, feedback: Any = None) -> RunTrial.Result:
+        """Run one trial.
+
+        Raises:
+            GraphError: The experiment node rejected the goal or is gone.
+        """
+        handle = self._wait(self.run_trial.send_goal_async(goal, feedback_callback=feedback), RESULT_TIMEOUT)
+        if not handle.accepted:
+            raise GraphError("the experiment node rejected the trial: another one is running")
+        try:
+            answer: RunTrial.Result = self._wait(handle.get_result_async(), None).result
+        except BaseException:
+            if self.processes["experiment"].poll() is None:
+                self._wait(handle.cancel_goal_async(), STOP_TIMEOUT)
+            raise
+        return answer
+
+    def _wait(self, future: Any, timeout: float | None) -> Any:
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while not future.done():
+            self.spin(0.1)
+            if self.processes["experiment"].poll() is not None:
+                raise GraphError(f"node experiment died: {self.last_words('experiment')}")
+            if deadline is not None and time.monotonic() > deadline:
+                raise GraphError(f"node experiment did not answer within {timeout:g} s")
+        return future.result()
+
+    def stop(self) -> None:
+        """Stop every node, in order where possible, by force where not."""
+        running = {name: process for name, process in self.processes.items() if process.poll() is None}
+        # The experiment first: it closes the trial that runs.
+        for name in ("experiment", *NODES):
+            if name in running:
+                process = running.pop(name)
+                process.send_signal(signal.SIGINT)
+                if name == "experiment":
+                    _wait_for(process, time.monotonic() + STOP_TIMEOUT)
+        deadline = time.monotonic() + STOP_TIMEOUT
+        for process in self.processes.values():
+            _wait_for(process, deadline)
+        if hasattr(self, "_context"):
+            self._executor.shutdown(timeout_sec=1.0)
+            self.run_trial.destroy()
+            self._run_campaign.destroy()
+            self.node.destroy_node()
+            rclpy.try_shutdown(context=self._context)
+            del self._context
+        self._logs.cleanup()
+
+
+def _wait_for(process: subprocess.Popen[bytes], deadline: float) -> None:
+    try:
+        process.wait(max(0.0, deadline - time.monotonic()))
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def _how(process: subprocess.Popen[bytes]) -> str:
+    code = process.returncode
+    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
+
+
+def run_trials_through_nodes(
+    directory: Path, manifest: Manifest, keys: list[TrialKey], domain_id: int | None = None
+) -> Iterator[TrialReport]:
+    """Run trials of a campaign through the nodes, one after the other; yields a report per trial as it ends.
+
+    A node that dies ends its trial with an error and is started again; the campaign goes on.
+
+    Args:
+        directory: Campaign folder.
+        manifest: The campaign.
+        keys: Trials to run.
+        domain_id: ``ROS_DOMAIN_ID`` of the nodes; None: the environment's.
+
+    Raises:
+        GraphError: The nodes cannot be started.
+    """
+    if not keys:
+        return
+    with Graph(manifest.scenario, domain_id) as graph:
+        for key in keys:
+            yield _run_key(graph, directory, manifest, key)
+
+
+def _run_key(graph: Graph, directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
+    goal = RunTrial.Goal(
+        scenario=manifest.scenario,
+        object_name=key.object,
+        case_name=key.case,
+        velocity_scale=key.scale,
+        seed=key.seed(manifest.seed),
+        repeat=key.repeat,
+        motor_inertia=manifest.motor_inertia,
+        output_directory=str(directory.resolve()),
+    )
+    try:
+        result = graph.call_trial(goal)
+        outcome, message = result.outcome, result.message
+    except GraphError as error:
+        outcome, message = "ABORTED", str(error)
+    died = graph.revive()
+    if died:
+        graph.wait_until_ready()
+    return TrialReport(key, outcome, "; ".join(filter(None, (message, *died))))
+
+
+def up(scenario: str, domain_id: int | None = None) -> int:
+    """Run the nodes until Ctrl-C, and tell how to call them.
+
+    Args:
+        scenario: Name or path of the scenario.
+        domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
+
+    Returns:
+        Exit code of the process.
+    """
+    known = load_scenario(scenario)
+    stopping = False
+
+    def stop(number: int, frame: object) -> None:
+        nonlocal stopping
+        del number, frame
+        stopping = True
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with Graph(scenario, domain_id, quiet=False) as graph:
+            print(_instructions(known.name, next(iter(known.objects)), next(iter(known.cases))), flush=True)
+            while not stopping:
+                for line in graph.revive():
+                    print(line, file=sys.stderr, flush=True)
+                graph.spin(0.2)
+            print("stopping the nodes", flush=True)
+    except GraphError as error:
+        print(error, file=sys.stderr)
+        return 1
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    return 0
+
+
+def _instructions(scenario: str, object_name: str, case: str) -> str:
+    what = f"{{scenario: {scenario}, object_name: {object_name}, case_name: {case}"
+    return "\n".join(
+        (
+            f"The nodes are up: {', '.join(NODES)}. Ctrl-C stops them.",
+            "",
+            "Run a trial into the folder trials/:",
+            "  ros2 action send_goal --feedback /run_trial impact_rs/action/RunTrial \\",
+            f'    "{what}, velocity_scale: 1.0, seed: 1, output_directory: trials}}"',
+            "Ask the impact map:",
+            "  ros2 service call /compute_impact_map impact_rs/srv/ComputeImpactMap \\",
+            f'    "{what}, motor_inertia: reduced, restitution: -1.0}}"',
+            "Look on:",
+            "  ros2 topic echo /diagnostics",
+            "  ros2 param describe /plant realtime",
+        )
+    )

@@ -1,0 +1,183 @@
+"""The impact map as a service, ``/compute_impact_map``."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from impact_rs.msg import ContactPoint, ImpactResidual, ObjectDescription, RigidBodyTwist, RobotState
+from impact_rs.srv import ComputeImpactMap
+
+from impact_msgs_py.conversions import (
+    point_to_message,
+    pose_from_message,
+    twist_from_message,
+    twist_to_message,
+    vector_from_message,
+    vector_to_message,
+)
+from impact_rs_ros.process import NodeProgram, run
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import ImpactMapError, compute_impact_map
+from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, ObjectPhysics, Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.scene import ArmState, BodyState, Scene
+
+SCENES_KEPT = 8  # each keeps an engine warm
+
+
+class ImpactMapNode(NodeProgram):
+    """Answers questions to the impact map; a bad question is answered as well."""
+
+    kind = "impact_map"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._scenes: dict[tuple[int, str, str], Scene] = {}
+        self._answered = 0
+        self._refused = 0
+        self.node.create_service(ComputeImpactMap, "compute_impact_map", self._on_request)
+
+    def status(self) -> tuple[str, dict[str, object]]:
+        return "ok", {"answered": self._answered, "refused": self._refused}
+
+    def _on_request(
+        self, request: ComputeImpactMap.Request, response: ComputeImpactMap.Response
+    ) -> ComputeImpactMap.Response:
+        started = time.perf_counter()
+        engine = request.engine or self.parameter("engine")
+        try:
+            problem = self._problem(request)
+            name = request.object_description.name if request.use_object_description else request.object_name
+            _fill(response, problem, compute_impact_map(problem, engine), name)
+            response.success = True
+            self._answered += 1
+        except (InputError, ImpactMapError) as error:
+            response.message = str(error)
+            self._refused += 1
+        except Exception as error:  # whatever was asked, the node goes on
+            self.node.get_logger().error(f"{type(error).__name__}: {error}")
+            response.message = f"the impact map failed: {type(error).__name__}: {error}"
+            self._refused += 1
+        response.engine = engine
+        response.elapsed = time.perf_counter() - started
+        return response
+
+    def _scene(self, scenario: Scenario, object_name: str, case_name: str) -> Scene:
+        """The same scene for the same question, so that its engine stays warm."""
+        key = (id(scenario), object_name, case_name)  # the scene holds its scenario, so the id stays its own
+        if key not in self._scenes:
+            while len(self._scenes) >= SCENES_KEPT:
+                del self._scenes[next(iter(self._scenes))]
+            self._scenes[key] = Scene.resolve(scenario, object_name, case_name)
+        return self._scenes[key]
+
+    def _problem(self, request: ComputeImpactMap.Request) -> ImpactProblem:
+        scenario = load_scenario(request.scenario or self.parameter("scenario"))
+        known = request.object_name or (next(iter(scenario.objects)) if request.use_object_description else "")
+        scenario.object(known)
+        scene = self._scene(scenario, known, scenario.case_name(request.case_name))
+        physics, thing = scene.physics, scene.object
+        if request.use_object_description:
+            physics, thing = _described(physics, request.object_description)
+        arms = dict(scene.arms)
+        for state in request.robots:
+            if state.robot not in arms:
+                raise InputError(
+                    f"scenario {scenario.name!r} has no robot {state.robot!r}; it has: {', '.join(arms)}", key="robots"
+                )
+            arms[state.robot] = ArmState(np.array(state.joint_position), np.array(state.joint_velocity))
+        restitution = physics.restitution if request.restitution < 0.0 else request.restitution
+        return ImpactProblem(physics, arms, thing, _motor_inertia(request, physics), restitution)
+
+
+def _described(physics: Physics, described: ObjectDescription) -> tuple[Physics, BodyState]:
+    """Physics and state with the object of a request; its values are checked with the whole question."""
+    if not (np.isfinite(described.mass) and described.mass > 0.0):
+        raise InputError("expected a finite mass > 0 kg", key="object_description.mass", value=described.mass)
+    size = vector_from_message(described.size)
+    pose = pose_from_message(described.pose)
+    if not abs(np.linalg.norm(pose[3:]) - 1.0) < 1e-3:
+        raise InputError(
+            "expected a unit quaternion (x, y, z, w)",
+            key="object_description.pose.orientation",
+            value=pose[3:].tolist(),
+        )
+    x, y, z = np.square(size)
+    thing = ObjectPhysics(described.mass, size, described.mass / 12.0 * np.array([y + z, x + z, x + y]), np.zeros(3))
+    changed = replace(
+        physics,
+        object=thing,
+        pad_friction=described.pad_friction,
+        support_friction=described.support_friction,
+        support_height=described.support_height if described.has_support else None,
+    )
+    rotation = pin.Quaternion(pose[3:] / np.linalg.norm(pose[3:])).matrix()
+    return changed, BodyState(pose[:3], rotation, twist_from_message(described.twist))
+
+
+def _motor_inertia(request: ComputeImpactMap.Request, physics: Physics) -> dict[str, Array]:
+    model = request.motor_inertia or "reduced"
+    if model == "diagonal":
+        diagonal = np.array(request.motor_inertia_diagonal, dtype=float)
+        counts = [arm.facts.joint_count for arm in physics.arms.values()]
+        if diagonal.size == sum(counts):
+            parts = np.split(diagonal, np.cumsum(counts)[:-1])
+        elif all(diagonal.size == count for count in counts):
+            parts = [diagonal] * len(counts)
+        else:
+            raise InputError(
+                f"expected {sum(counts)} values, one per joint [kg m^2], got {diagonal.size}",
+                key="motor_inertia_diagonal",
+            )
+        return dict(zip(physics.arms, parts, strict=True))
+    if model not in MOTOR_INERTIA_MODELS:
+        raise InputError(f"no motor-inertia model {model!r}; known: {', '.join(MOTOR_INERTIA_MODELS)}, diagonal")
+    return {name: arm.motor_inertia(model) for name, arm in physics.arms.items()}
+
+
+def _fill(response: ComputeImpactMap.Response, problem: ImpactProblem, result: ImpactResult, object_name: str) -> None:
+    response.post = [
+        RobotState(
+            robot=name,
+            joint_position=problem.arms[name].position.tolist(),
+            joint_velocity=result.joint_velocity[name].tolist(),
+        )
+        for name in problem.arms
+    ]
+    response.end_effector_twists = [_twist(name, twist) for name, twist in result.end_effector_twist.items()]
+    response.body_twists = [_twist(object_name, result.object_twist)]
+    response.contacts = [
+        ContactPoint(
+            body_a=object_name,
+            body_b=contact.body_b,
+            position=point_to_message(contact.position),
+            normal=vector_to_message(contact.normal),
+            impulse=vector_to_message(contact.impulse),
+        )
+        for contact in result.contacts
+    ]
+    response.residual = ImpactResidual(
+        penetration_velocity=float(result.residual.penetration_velocity),
+        complementarity=float(result.residual.complementarity),
+        friction_cone=float(result.residual.friction_cone),
+        momentum=float(result.residual.momentum),
+    )
+
+
+def _twist(body: str, twist: Any) -> RigidBodyTwist:
+    return RigidBodyTwist(body=body, twist=twist_to_message(twist))
+
+
+def main() -> None:
+    """Run the node."""
+    run(ImpactMapNode)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,187 @@
+"""The plant as a node: measured state out, torque in, and the truth below ``/truth``.
+
+In lockstep the plant waits for the torque of every tick, matched by its stamp. An answer that does not come is asked
+for again: the same sample with the same stamp, which the recorder stores once. Whatever nobody waits for is published
+while the controller computes.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+
+from impact_rs_analysis.bags import topics
+from impact_rs_analysis.bags.record import FrameSource, plant_messages
+from impact_rs_analysis.bags.trial_info import TrialInfo
+from impact_rs_control.closed_loop import make_plant
+from impact_rs_control.plan import TrialPlan
+from impact_rs_ros.process import run
+from impact_rs_ros.trial_node import TrialNode
+from impact_rs_sim.plant import Plant
+from impact_rs_sim.robot import Array
+
+MATCHING = 0.002  # s, between two looks whether everybody listens
+
+
+class PlantNode(TrialNode):
+    """Steps a :class:`~impact_rs_sim.plant.Plant`."""
+
+    kind = "plant"
+
+    def __init__(self) -> None:
+        self._plant: Plant | None = None
+        self._over: Future | None = None  # present from the start of the ticks to their end
+        self._missed = 0
+        super().__init__()
+        # The answer comes when the trial is over; meanwhile the other services stay open.
+        self.node.create_service(
+            Trigger, "~/run_trial", self._on_run, callback_group=MutuallyExclusiveCallbackGroup()
+        )
+
+    def received(self, arms: list[str]) -> dict[str, str]:
+        return {topics.joint_command(arm): topics.JOINT_STATE for arm in arms}
+
+    def published(self, arms: list[str]) -> dict[str, str]:
+        names = [topics.CLOCK, topics.TF, topics.OBJECT_POSE, topics.TRUTH_OBJECT_POSE, topics.TRUTH_OBJECT_TWIST]
+        for arm in arms:
+            names += [topics.joint_states(arm), topics.motor_states(arm)]
+            names += [topics.truth_joint_states(arm), topics.truth_contact_wrench(arm)]
+        kinds = topics.recorded(arms)
+        return {name: kinds[name] for name in names}
+
+    def prepare(self, plan: TrialPlan, info: TrialInfo) -> None:
+        self._close_plant()
+        self._plant = make_plant(plan, info.seed)
+        self._frames = FrameSource(plan.scene.models, plan)
+        self._arm_of = {topics.joint_command(arm): arm for arm in plan.arms}
+        self._last = plan.scene.scenario.timing.ticks
+        self._period = plan.scene.scenario.timing.control_period
+        self._torques: dict[str, Array] = {}
+        self._tick = 0
+        self._begun = False
+        self._silent_since = 0.0
+        self._missed = 0
+        self._realtime = self.parameter("realtime")
+        self._repeat_after = self.parameter("repeat_after")
+        self._answer_timeout = self.parameter("answer_timeout")
+
+    def end(self) -> str:
+        self._close_plant()
+        if self._over is not None:
+            self._stop("the trial was aborted")
+        return "OK"
+
+    def status(self) -> tuple[str, dict[str, object]]:
+        line = "ok" if self._missed == 0 else f"{self._missed} ticks without a torque in time"
+        return line, {**self.tick_statistics(), "missed_ticks": self._missed}
+
+    async def _on_run(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        del request
+        if self.plan is None or self._over is not None:
+            response.message = f"plant: {'configure a trial first' if self.plan is None else 'the trial runs already'}"
+            return response
+        self._over = Future(executor=self.executor)
+        self.failure = await self._over
+        response.success = not self.failure
+        response.message = self.failure
+        return response
+
+    def _stop(self, failure: str) -> None:
+        if self._over is not None:
+            self._over.set_result(failure)
+            self._over = None
+            self.failure = failure
+
+    def work(self, until: float) -> None:
+        plant = self._plant
+        if self._over is None or plant is None:
+            self.executor.spin_once(timeout_sec=MATCHING)
+            return
+        if not self._begun:
+            if self.outbox.unmatched():
+                time.sleep(MATCHING)
+                return
+            self._begun = True
+            self._waiting = self._measure(plant)
+            self._started = time.monotonic()
+        while (now := time.monotonic()) < until:
+            for topic, message in self._waiting:
+                self.outbox.publish(topic, message)
+            if not self._await_torques(now):
+                return
+            if self._tick == self._last:
+                self._stop("")
+                return
+            plant.step(self._torques)
+            self._tick += 1
+            self._waiting = self._measure(plant)
+            self.tick_times.append(time.monotonic() - now)
+
+    def _measure(self, plant: Plant) -> Iterator[tuple[str, Any]]:
+        """Publish what the controller waits for; returns what nobody waits for."""
+        assert self.maker is not None
+        measurement = plant.measure()
+        rest = plant_messages(self.maker, self._tick, measurement, plant.truth(), self._frames)
+        self._asked = [next(rest) for _ in self.arms]
+        for topic, message in self._asked:
+            self.outbox.publish(topic, message)
+        self.now = self._asked[0][1].header.stamp
+        self._missing = set(self.arms)
+        return rest
+
+    def _await_torques(self, asked: float) -> bool:
+        """Whether this tick's torques are there; gives up for this turn, or for good, when they do not come."""
+        paced = self._realtime and self._tick > 0
+        deadline = self._started + self._tick * self._period if paced else asked + self._repeat_after
+        stamp = self.now
+        while True:
+            for topic, message in self.inbox.take():
+                if message.header.stamp == stamp:
+                    arm = self._arm_of[topic]
+                    self._torques[arm] = np.array(message.effort)
+                    self._missing.discard(arm)
+            left = deadline - time.monotonic()
+            if not self._missing:
+                if paced and left > 0.0:
+                    time.sleep(left)
+                elif self._tick == 0:
+                    self._started = time.monotonic()
+                self._silent_since = 0.0
+                return True
+            if left <= 0.0:
+                break
+            self.inbox.wait(left)
+        if paced:
+            self._missed += 1
+            return True
+        self._silent_since = self._silent_since or asked
+        if time.monotonic() - self._silent_since > self._answer_timeout:
+            who = ", ".join(sorted(self._missing))
+            self._stop(
+                f"no torque for {who} at t = {self._tick * self._period:.3f} s within {self._answer_timeout:g} s: "
+                "the controller is gone or too slow"
+            )
+            return False
+        for topic, message in self._asked:
+            self.outbox.repeat(topic, message)
+        return False
+
+    def _close_plant(self) -> None:
+        if self._plant is not None:
+            self._plant.close()
+            self._plant = None
+
+
+def main() -> None:
+    """Run the node."""
+    run(PlantNode)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,107 @@
+"""What the five nodes have in common as processes: start, main loop, signals, diagnostics."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from impact_rs_analysis.bags import topics
+from impact_rs_ros import parameters
+from impact_rs_ros.qos import STREAM
+
+SUPERVISOR = "IMPACT_RS_SUPERVISOR"  # process id of the runner; a node does not outlive it
+IDLE = 0.05  # s, how long an idle node waits for work before it looks around
+
+
+class NodeProgram:
+    """A node and its main loop."""
+
+    kind: ClassVar[str]
+
+    def __init__(self) -> None:
+        self.node = Node(self.kind)
+        parameters.declare(self.node, self.kind)
+        self.executor = self.make_executor()
+        self.executor.add_node(self.node)
+        self.now = Time()  # trial time, for diagnostics
+        self._diagnostics = self.node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, STREAM)
+        self._diagnosed = time.monotonic()
+
+    def make_executor(self) -> Executor:
+        """Who runs services, actions and parameters."""
+        return SingleThreadedExecutor()
+
+    def parameter(self, name: str) -> Any:
+        """Present value of a parameter."""
+        return parameters.value(self.node, name)
+
+    def turn(self) -> None:
+        """One turn of the main loop; must return within a fraction of a second."""
+        self.executor.spin_once(timeout_sec=IDLE)
+        self.diagnose()
+
+    def status(self) -> tuple[str, Mapping[str, object]]:
+        """A line and numbers for ``/diagnostics``; a line that does not begin with ``ok`` is a warning."""
+        return "ok", {}
+
+    def diagnose(self, now: bool = False) -> None:
+        """Publish diagnostics when they are due, or at once."""
+        clock = time.monotonic()
+        if not now and clock - self._diagnosed < self.parameter("diagnostics_period"):
+            return
+        self._diagnosed = clock
+        line, numbers = self.status()
+        message = DiagnosticArray()
+        message.header.stamp = self.now
+        message.status = [
+            DiagnosticStatus(
+                level=DiagnosticStatus.OK if line.startswith("ok") else DiagnosticStatus.WARN,
+                name=self.node.get_fully_qualified_name(),
+                message=line,
+                hardware_id="impact_rs",
+                values=[KeyValue(key=key, value=str(number)) for key, number in numbers.items()],
+            )
+        ]
+        self._diagnostics.publish(message)
+
+    def close(self) -> None:
+        """Leave everything in order; the process ends."""
+
+
+def run(program: type[NodeProgram]) -> None:
+    """Run a node until it is told to stop (SIGINT, SIGTERM) or its supervisor is gone."""
+    stopping = False
+
+    def stop(number: int, frame: object) -> None:
+        nonlocal stopping
+        del number, frame
+        stopping = True
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    supervisor = os.environ.get(SUPERVISOR)
+    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = program()
+        try:
+            while not stopping and rclpy.ok() and (supervisor is None or os.getppid() == int(supervisor)):
+                node.turn()
+        except (ExternalShutdownException, KeyboardInterrupt):
+            pass
+        finally:
+            node.close()
+            node.executor.shutdown(timeout_sec=1.0)
+            node.node.destroy_node()
+    finally:
+        rclpy.try_shutdown()

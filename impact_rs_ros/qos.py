@@ -1,0 +1,46 @@
+"""Quality of service of every connection, with the reason; the only place it is stated."""
+
+from __future__ import annotations
+
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+
+STREAM = QoSProfile(
+    reliability=QoSReliabilityPolicy.RELIABLE,
+    durability=QoSDurabilityPolicy.VOLATILE,
+    history=QoSHistoryPolicy.KEEP_LAST,
+    depth=4000,
+)
+"""Publishers of signals. Reliable, because the recorder must not lose a sample. Deep, so that a recorder that is late
+by some seconds still gets every sample; yet bounded, because a publisher that keeps all blocks as soon as one of its
+subscribers has died, until the middleware notices that (20 s)."""
+
+AWAITED = QoSProfile(
+    reliability=QoSReliabilityPolicy.RELIABLE,
+    durability=QoSDurabilityPolicy.VOLATILE,
+    history=QoSHistoryPolicy.KEEP_LAST,
+    depth=10,
+)
+"""Subscribers of the lockstep. One sample is on its way at a time, more only in real time."""
+
+RECORD = QoSProfile(
+    reliability=QoSReliabilityPolicy.RELIABLE,
+    durability=QoSDurabilityPolicy.VOLATILE,
+    history=QoSHistoryPolicy.KEEP_ALL,
+)
+"""Subscribers of the recorder: reliable, and nothing is thrown away before it is written."""
+
+WATCH = QoSProfile(
+    reliability=QoSReliabilityPolicy.RELIABLE,
+    durability=QoSDurabilityPolicy.VOLATILE,
+    history=QoSHistoryPolicy.KEEP_LAST,
+    depth=1,
+)
+"""Subscribers that only want to know how things stand; reliable, so that they see the last sample."""
+
+LATCHED = QoSProfile(
+    reliability=QoSReliabilityPolicy.RELIABLE,
+    durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
+    history=QoSHistoryPolicy.KEEP_LAST,
+    depth=1,
+)
+"""What is said once per trial (``/trial_info``, ``/robot_description``): who comes late still hears it."""

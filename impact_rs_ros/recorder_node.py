@@ -1,0 +1,172 @@
+"""The recorder as a node: stores what it receives, as it receives it, in one bag per trial.
+
+Messages are never decoded; trial time is read from the stamp, which stands at a fixed place. ``/trial_info``
+and ``/robot_description`` are latched for others; the recorder is told them when the trial is configured.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections import Counter
+from contextlib import ExitStack
+from pathlib import Path
+
+from impact_rs.srv import ConfigureTrial, FinishTrial
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
+
+from impact_rs_analysis.bags import topics
+from impact_rs_analysis.bags.trial_info import Outcome, TrialInfo
+from impact_rs_analysis.bags.writer import LATCHED, BagWriter
+from impact_rs_ros.exchange import Inbox
+from impact_rs_ros.process import NodeProgram, run
+from impact_rs_ros.qos import RECORD
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.scenario import load_scenario
+
+_HEADER_FIRST = 4  # byte of the stamp behind the CDR encapsulation
+_SEQUENCE_FIRST = 8  # the same with the length of a sequence before it
+
+
+class RecorderNode(NodeProgram):
+    """Writes with a :class:`~impact_rs_analysis.bags.writer.BagWriter`."""
+
+    kind = "recorder"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._arms: list[str] = []
+        self._inbox: Inbox
+        self._bag: BagWriter | None = None
+        self._open = ExitStack()
+        self._counts: Counter[str] = Counter()
+        self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
+        self.node.create_service(FinishTrial, "~/finish_trial", self._on_finish)
+        try:
+            self._connect(list(load_scenario(self.parameter("scenario")).robots))
+        except InputError as error:
+            self.node.get_logger().error(str(error))
+
+    def turn(self) -> None:
+        self.executor.spin_once(timeout_sec=self.parameter("drain_period"))
+        self._drain()
+        self.diagnose()
+
+    def status(self) -> tuple[str, dict[str, object]]:
+        return "ok", {"messages": self._counts.total()}
+
+    def _connect(self, arms: list[str]) -> None:
+        if arms == self._arms:
+            return
+        if self._arms:
+            self._inbox.close()
+        recorded = {topic: kind for topic, kind in topics.recorded(arms).items() if topic not in LATCHED}
+        self._inbox = Inbox(self.node, recorded, RECORD, raw=True)
+        self._stamp_at = {
+            topic: _SEQUENCE_FIRST if kind == topics.TF_MESSAGE else _HEADER_FIRST for topic, kind in recorded.items()
+        }
+        self._arms = arms
+
+    def _drain(self) -> None:
+        """Write what has been received; outside a trial, throw it away."""
+        if not self._arms:
+            return
+        bag = self._bag
+        if bag is None:
+            self._inbox.clear()
+            return
+        for topic, data in self._inbox.take():
+            seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_at[topic])
+            now = seconds * 1_000_000_000 + nanoseconds
+            if topic != topics.DIAGNOSTICS:
+                if self._last.get(topic) == now:  # sent again, because the answer to it was lost
+                    continue
+                self._last[topic] = now
+            bag.write_raw(topic, now, data)
+            self._counts[topic] += 1
+
+    def _on_configure(
+        self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
+    ) -> ConfigureTrial.Response:
+        self._abort()
+        try:
+            info = TrialInfo.from_message(request.trial)
+            if not request.bag_path:
+                raise InputError("ConfigureTrial.bag_path is empty; the recorder needs to know where to write")
+            self._connect(list(info.robots))
+            self._inbox.clear()
+            bag = self._open.enter_context(BagWriter(Path(request.bag_path), self._arms))
+            bag.describe(info)
+            bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
+            bag.write_raw(topics.ROBOT_DESCRIPTION, 0, serialize_message(String(data=request.robot_description)))
+        except InputError as error:
+            response.message = str(error)
+            return response
+        except Exception as error:  # a node outlives every trial
+            self._open.close()
+            self.node.get_logger().error(f"cannot open the bag: {type(error).__name__}: {error}")
+            response.message = f"recorder: {type(error).__name__}: {error}"
+            return response
+        self._bag = bag
+        self._counts = Counter()
+        self._last: dict[str, int] = {}
+        response.success = True
+        return response
+
+    def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
+        bag = self._bag
+        if bag is None:
+            response.message = "recorder: there is no bag to finish"
+            return response
+        expected = dict(zip(request.topics, request.counts, strict=False))
+        missing = self._complete(expected)
+        outcome: Outcome = "OK" if all(self._counts[topics.impact_event(arm)] for arm in self._arms) else "NO-IMPACT"
+        if request.aborted or missing:
+            outcome = "ABORTED"
+            response.message = request.reason or f"messages were published and not received: {missing}"
+            self._abort()
+        else:
+            try:
+                bag.finish(outcome)
+            except OSError as error:
+                outcome = "ABORTED"
+                response.message = f"the bag cannot be closed: {error}"
+            self._bag = None
+            self._open.close()
+        response.success = outcome != "ABORTED" or bool(request.aborted)
+        response.outcome = outcome
+        response.messages = bag.messages
+        response.topics = list(self._counts)
+        response.counts = list(self._counts.values())
+        return response
+
+    def _complete(self, expected: dict[str, int]) -> str:
+        """Receive until everything is there; returns what is missing."""
+        deadline = time.monotonic() + self.parameter("completion_timeout")
+        while True:
+            self._drain()
+            missing = {topic: count for topic, count in expected.items() if self._counts[topic] < count}
+            left = deadline - time.monotonic()
+            if not missing or left <= 0.0:
+                return ", ".join(f"{topic} {self._counts[topic]} of {count}" for topic, count in missing.items())
+            self._inbox.wait(left)
+
+    def _abort(self) -> None:
+        """Close the bag as far as it got; it stays readable under its hidden name."""
+        if self._bag is not None:
+            self._drain()
+        self._bag = None
+        self._open.close()
+
+    def close(self) -> None:
+        self._abort()
+
+
+def main() -> None:
+    """Run the node."""
+    run(RecorderNode)
+
+
+if __name__ == "__main__":
+    main()

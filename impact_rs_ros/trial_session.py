@@ -1,0 +1,268 @@
+"""One trial through the nodes, from configuring them to closing the bag; the experiment node runs it in a thread."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from impact_rs.msg import TrialInfo as TrialInfoMessage
+from impact_rs.srv import ConfigureTrial, FinishTrial
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.client import Client
+from rclpy.node import Node
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from impact_rs_analysis.bags import topics
+from impact_rs_analysis.bags.messages import MessageMaker
+from impact_rs_analysis.bags.record import scene_urdf
+from impact_rs_analysis.bags.trial_info import Outcome, TrialInfo, TrialKey
+from impact_rs_analysis.bags.writer import partial_path
+from impact_rs_control.plan import TrialPlan
+from impact_rs_ros import parameters
+from impact_rs_ros.exchange import Inbox
+from impact_rs_ros.message_types import RosidlTypes
+from impact_rs_ros.qos import LATCHED, WATCH
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array
+
+ATTEMPT = 1.0  # s; a request into the discovery of a restarted node can be lost and is sent again
+LAST_SAMPLE = 0.5  # s, how long the last controller state may take
+FINISH = 1.0  # s, how long plant or controller may take to leave a trial
+
+
+class TrialError(RuntimeError):
+    """A trial could not be run to its end; the message says why and what to do."""
+
+
+@dataclass
+class Progress:
+    """How a trial stands.
+
+    Attributes:
+        time: Trial time of the newest controller state [s]; NaN before the first.
+        mode: Least controller mode of the arms.
+        net_feedback: Mean over the arms, ``(3,)`` [m/s].
+        detected_time: First detected impact [s]; NaN without one.
+    """
+
+    time: float = math.nan
+    mode: int = 0
+    net_feedback: Array = field(default_factory=lambda: np.zeros(3))
+    detected_time: float = math.nan
+
+
+@dataclass(frozen=True)
+class TrialResult:
+    """How a trial ended."""
+
+    outcome: Outcome
+    message: str
+    bag_path: Path
+    progress: Progress
+
+
+class TrialSession:
+    """Runs trials with plant, controller and recorder.
+
+    Args:
+        node: The node whose executor, in another thread, serves the clients.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        group = ReentrantCallbackGroup()
+
+        def client(kind: Any, name: str) -> Client:
+            return node.create_client(kind, name, callback_group=group)
+
+        members = ("recorder", "controller", "plant")
+        self._configure = {name: client(ConfigureTrial, f"{name}/configure_trial") for name in members}
+        self._finish = {name: client(FinishTrial, f"{name}/finish_trial") for name in members}
+        self._run = client(Trigger, "plant/run_trial")
+        self._trial_info = node.create_publisher(TrialInfoMessage, topics.TRIAL_INFO, LATCHED)
+        self._description = node.create_publisher(String, topics.ROBOT_DESCRIPTION, LATCHED)
+        self._arms: list[str] = []
+        self._watched: Inbox | None = None
+
+    def watch(self, arms: list[str]) -> None:
+        """Follow the controllers of these arms."""
+        if arms != self._arms:
+            if self._watched is not None:
+                self._watched.close()
+            kinds = topics.recorded(arms)
+            names = [name(arm) for arm in arms for name in (topics.controller_state, topics.impact_event)]
+            self._watched = Inbox(self._node, {name: kinds[name] for name in names}, WATCH)
+            self._arms = arms
+
+    def run(
+        self,
+        plan: TrialPlan,
+        key: TrialKey,
+        seed: int,
+        directory: Path,
+        feedback: Callable[[Progress], None] = lambda progress: None,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> TrialResult:
+        """Run one trial; every failure is told in the result.
+
+        Args:
+            plan: What to do.
+            key: Which trial.
+            seed: Seed of scatter and noise.
+            directory: Folder of the bag.
+            feedback: Called now and then.
+            cancelled: Whether to stop.
+        """
+        info = TrialInfo.of(plan, key, seed, "nodes")
+        path = directory / key.name
+        maker = MessageMaker(RosidlTypes(), plan)
+        self.watch(list(plan.arms))
+        assert self._watched is not None
+        self._watched.clear()
+        progress = Progress()
+        reason = ""
+        try:
+            trial, description = maker.trial_info(info), scene_urdf(plan)
+            self._configure_all(trial, description, path)
+            self._trial_info.publish(trial)
+            self._description.publish(String(data=description))
+            self._follow(progress, plan, feedback, cancelled)
+        except (TrialError, InputError) as error:
+            reason = str(error)
+        return self._finish_all(progress, reason, path)
+
+    def _call(self, name: str, client: Client, request: Any, timeout: float) -> Any:
+        """Answers of a service that may be called twice.
+
+        Raises:
+            TrialError: No answer.
+        """
+        deadline = time.monotonic() + timeout
+        while (left := deadline - time.monotonic()) > 0.0:
+            if not client.service_is_ready():
+                time.sleep(min(left, 0.01))
+                continue
+            answered = threading.Event()
+            future = client.call_async(request)
+            future.add_done_callback(lambda _, answered=answered: answered.set())
+            if answered.wait(min(left, max(ATTEMPT, timeout / 4.0))):
+                return future.result()
+            client.remove_pending_request(future)
+        raise TrialError(f"{name} does not answer {client.srv_name}; is the node running?")
+
+    def _call_all(
+        self, calls: dict[str, tuple[Client, Any]], timeout: float
+    ) -> tuple[dict[str, Any], dict[str, str]]:
+        """Answers, and failures, of several services at once."""
+        answers: dict[str, Any] = {}
+        failures: dict[str, str] = {}
+
+        def one(name: str, client: Client, request: Any) -> None:
+            try:
+                answers[name] = self._call(name, client, request, timeout)
+            except TrialError as error:
+                failures[name] = str(error)
+
+        threads = [threading.Thread(target=one, args=(name, *call), daemon=True) for name, call in calls.items()]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        return answers, failures
+
+    def _configure_all(self, trial: Any, description: str, path: Path) -> None:
+        requests = {name: ConfigureTrial.Request(trial=trial) for name in self._configure}
+        requests["recorder"].bag_path = str(path)
+        requests["recorder"].robot_description = description
+        timeout = parameters.value(self._node, "service_timeout")
+        calls = {name: (client, requests[name]) for name, client in self._configure.items()}
+        answers, failures = self._call_all(calls, timeout)
+        failures |= {name: answer.message for name, answer in answers.items() if not answer.success}
+        if failures:
+            raise TrialError("; ".join(failures.values()))
+
+    def _follow(
+        self,
+        progress: Progress,
+        plan: TrialPlan,
+        feedback: Callable[[Progress], None],
+        cancelled: Callable[[], bool],
+    ) -> None:
+        """Let the plant run, and watch."""
+        period = parameters.value(self._node, "feedback_period")
+        patience = parameters.value(self._node, "progress_timeout")
+        over = threading.Event()
+        future = self._run.call_async(Trigger.Request())
+        future.add_done_callback(lambda _: over.set())
+        alive = time.monotonic()
+        try:
+            while not over.wait(period):
+                if cancelled():
+                    raise TrialError("cancelled")
+                before = progress.time
+                self._look(progress)
+                if progress.time != before and not math.isnan(progress.time):
+                    alive = time.monotonic()
+                    feedback(progress)
+                elif time.monotonic() - alive > patience:
+                    raise TrialError(
+                        f"no progress for {patience:g} s after t = {progress.time:.3f} s: the plant or the controller "
+                        "is gone"
+                    )
+        finally:
+            if not over.is_set():
+                self._run.remove_pending_request(future)
+        answer = future.result()
+        if not answer.success:
+            raise TrialError(answer.message)
+        end = plan.scene.scenario.timing.ticks * plan.scene.scenario.timing.control_period
+        deadline = time.monotonic() + LAST_SAMPLE
+        while not progress.time >= end - 1e-9 and time.monotonic() < deadline:
+            time.sleep(0.001)
+            self._look(progress)
+        feedback(progress)
+
+    def _look(self, progress: Progress) -> None:
+        states = {}
+        assert self._watched is not None
+        for topic, message in self._watched.take():
+            if topic.endswith("impact_event"):
+                progress.detected_time = float(np.fmin(progress.detected_time, message.detected_time))
+            else:
+                states[topic] = message
+        if len(states) == len(self._arms):
+            newest = list(states.values())
+            stamps = [state.header.stamp for state in newest]
+            progress.time = min(stamp.sec + stamp.nanosec / 1e9 for stamp in stamps)
+            progress.mode = min(state.mode for state in newest)
+            progress.net_feedback = np.mean([state.net_feedback for state in newest], axis=0)
+
+    def _finish_all(self, progress: Progress, reason: str, path: Path) -> TrialResult:
+        aborted = bool(reason)
+        request = FinishTrial.Request(aborted=aborted, reason=reason)
+        calls = {name: (self._finish[name], request) for name in ("plant", "controller")}
+        answers, failures = self._call_all(calls, FINISH)
+        if not aborted:
+            failures |= {name: answer.message for name, answer in answers.items() if not answer.success}
+            reason = "; ".join(failures.values())
+        last = FinishTrial.Request(aborted=bool(reason), reason=reason)
+        if not reason:
+            last.topics = [topic for answer in answers.values() for topic in answer.topics]
+            last.counts = [count for answer in answers.values() for count in answer.counts]
+        try:
+            # The recorder may wait for late messages; it is given the time to.
+            closed = self._call("recorder", self._finish["recorder"], last, FINISH if reason else 10.0)
+        except TrialError as error:
+            return TrialResult("ABORTED", reason or str(error), partial_path(path), progress)
+        if reason:
+            return TrialResult("ABORTED", reason, partial_path(path), progress)
+        if closed.outcome == "ABORTED" or not closed.success:
+            return TrialResult("ABORTED", closed.message, partial_path(path), progress)
+        return TrialResult(closed.outcome, "", path, progress)

@@ -1,0 +1,31 @@
+"""From a ``TrialInfo`` message to what a node needs for the trial."""
+
+from __future__ import annotations
+
+import functools
+
+from pydantic import ValidationError
+
+from impact_rs_analysis.bags.trial_info import TrialInfo
+from impact_rs_control.plan import TrialPlan, plan_trial
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scene import Scene
+
+
+def plan_of(info: TrialInfo) -> TrialPlan:
+    """The plan of a trial; it follows from the trial's identity alone, so every node makes its own.
+
+    Raises:
+        InputError: The identity is not one of a trial that can be run.
+    """
+    return _plan(info.scenario_yaml, info.object, info.case_name, info.velocity_scale, info.motor_inertia)
+
+
+@functools.lru_cache(maxsize=4)
+def _plan(scenario: str, object_name: str, case: str, scale: float, motor_inertia: str) -> TrialPlan:
+    try:
+        parsed = Scenario.model_validate_json(scenario)
+    except ValidationError as error:
+        raise InputError(f"TrialInfo.scenario_yaml is no scenario: {error}") from None
+    return plan_trial(Scene.resolve(parsed, object_name, case), scale, motor_inertia)
