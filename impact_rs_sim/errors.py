@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
 
 
@@ -34,3 +36,9 @@ class InputError(ValueError):
         if key is not None:
             place.append(f"{key} = {value!r}" if value is not None else key)
         super().__init__(": ".join([*place, message]))
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """``; did you mean 'x'?`` where ``name`` looks like a slip of the pen, else nothing."""
+    close = get_close_matches(name, list(known), n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""

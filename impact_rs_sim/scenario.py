@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field, model_validator
 
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
 from impact_rs_sim.schema import (
@@ -346,7 +346,8 @@ class Scenario(Schema):
 
 def _choose(kind: str, name: str, table: dict[str, Item], scenario: str) -> Item:
     if name not in table:
-        raise InputError(f"scenario {scenario!r} has no {kind} {name!r}; it has: {', '.join(table)}")
+        known = ", ".join(table)
+        raise InputError(f"scenario {scenario!r} has no {kind} {name!r}; it has: {known}{did_you_mean(name, table)}")
     return table[name]
 
 
@@ -359,8 +360,11 @@ def scenario_path(name: str) -> Path:
     directory = config_directory() / "scenarios"
     path = Path(name) if name.endswith((".yaml", ".yml")) else directory / f"{name}.yaml"
     if not path.is_file():
-        known = ", ".join(sorted(file.stem for file in directory.glob("*.yaml")))
-        raise InputError(f"no scenario {name!r}; known scenarios: {known}, or give a path to a .yaml file")
+        known = sorted(file.stem for file in directory.glob("*.yaml"))
+        raise InputError(
+            f"no scenario {name!r}; known scenarios: {', '.join(known)}, or give a path to a .yaml file"
+            f"{did_you_mean(name, known)}"
+        )
     return path
 
 
