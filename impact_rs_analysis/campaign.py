@@ -79,7 +79,8 @@ def make_manifest(
     """A manifest with the scenario's own values where nothing is given.
 
     Raises:
-        InputError: Unknown scenario, object or case, a scale that is not positive, or fewer than one trial.
+        InputError: Unknown scenario, object or case, a pose that cannot be reached, a scale that is not positive, or
+            fewer than one trial.
     """
     scenario = load_scenario(scenario_name)
     for name in objects or []:
@@ -91,7 +92,7 @@ def make_manifest(
         raise InputError(f"trials = {trials}: expected at least 1")
     if seed < 0:
         raise InputError(f"seed = {seed}: expected a whole number >= 0")
-    return Manifest(
+    manifest = Manifest(
         scenario=scenario_name,
         objects=tuple(dict.fromkeys(objects or scenario.objects)),
         cases=tuple(dict.fromkeys(scenario.case_name(case) for case in cases or scenario.cases)),
@@ -100,6 +101,10 @@ def make_manifest(
         seed=seed,
         motor_inertia="reduced",
     )
+    for name in manifest.objects:
+        for case in manifest.cases:
+            Scene.resolve(scenario, name, case)
+    return manifest
 
 
 def open_campaign(directory: Path, manifest: Manifest) -> list[TrialKey]:

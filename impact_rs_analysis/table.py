@@ -12,12 +12,6 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.schema import Schema, parse_yaml
 
-HEADINGS = {
-    "reduced": "Nominal prediction (B_θ)",
-    "rotor": "Prediction with B_ρ",
-    "zero": "Prediction with B = 0",
-}
-
 
 class PaperRow(Schema):
     """One row of the paper's tables."""
@@ -57,6 +51,7 @@ class Row:
         errors: Mismatch by motor-inertia model [%].
         paper_estimate: The paper's estimate [m/s], if it has this row.
         paper_errors: The paper's mismatch by model [%], if it has this row.
+        signed: Whether the mismatches have a sign; absolute errors have none.
     """
 
     label: str
@@ -65,6 +60,7 @@ class Row:
     errors: dict[str, float]
     paper_estimate: float | None
     paper_errors: dict[str, float] | None
+    signed: bool = True
 
 
 def result_table(analysis: Analysis) -> list[Row]:
@@ -88,7 +84,17 @@ def result_table(analysis: Analysis) -> list[Row]:
     ours = [row.errors for row in rows]
     theirs = [row.paper_errors for row in rows if row.paper_errors is not None]
     for label, absolute in (("Average error", False), ("Absolute error", True)):
-        rows.append(Row(label, None, None, _mean(ours, absolute), None, _mean(theirs, absolute) if theirs else None))
+        rows.append(
+            Row(
+                label,
+                None,
+                None,
+                _mean(ours, absolute),
+                None,
+                _mean(theirs, absolute) if theirs else None,
+                not absolute,
+            )
+        )
     return rows
 
 

@@ -197,7 +197,7 @@ def fit_figure(entry: ExperimentSet) -> Figure:
         prediction = entry.predictions[model]
         curves.append(
             Curve(
-                f"{label}: {abs(prediction.velocity):.3f} m/s ({prediction.error:+.2f} %)",
+                f"{label}: {abs(prediction.velocity):.3f} m/s ({prediction.error:+.2f} %)".replace("-", "−"),
                 np.array([prediction.velocity]),
                 zero,
                 colour,

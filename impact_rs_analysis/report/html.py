@@ -13,7 +13,9 @@ from plotly.offline import get_plotlyjs
 
 from impact_rs_analysis.analyze import Analysis, ExperimentSet
 from impact_rs_analysis.report.figures import Figure
-from impact_rs_analysis.table import HEADINGS, Row, result_table
+from impact_rs_analysis.table import Row, result_table
+
+HEADINGS = ("B<sub>θ</sub> (nominal)", "B<sub>ρ</sub>", "B = 0")
 
 STYLE = """
 :root { color-scheme: light; }
@@ -23,10 +25,11 @@ body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; m
 h1 { font-size: 1.5rem; line-height: 1.25; margin: .5rem 0; } h2 { font-size: 1.2rem; margin: 2rem 0 .5rem; }
 p { margin: .5rem 0; } .note { color: #555; font-size: .9rem; }
 .wide { overflow-x: auto; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .95rem; width: 100%; }
-th, td { padding: .35rem .6rem; text-align: right; border-bottom: 1px solid #ddd; white-space: nowrap; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .95rem; }
+th, td { padding: .35rem .45rem; text-align: right; border-bottom: 1px solid #ddd; white-space: nowrap; }
 th { vertical-align: bottom; white-space: normal; font-weight: 600; }
 th:first-child, td:first-child { text-align: left; position: sticky; left: 0; background: #fff; }
+tr.group th { text-align: left; padding-bottom: 0; border: 0; color: #555; font-size: .85rem; }
 tr.mean td { font-weight: 600; } td small { color: #666; font-size: .85em; margin-left: .4em; }
 td.best { background: #e6f2fa; }
 details { border-top: 1px solid #ddd; padding: .25rem 0; } summary { cursor: pointer; padding: .5rem 0;
@@ -120,7 +123,7 @@ def plotly_figure(figure: Figure) -> go.Figure:
     drawn.update_layout(
         template="plotly_white",
         height=720 if panels > 1 else 560,
-        margin={"l": 10, "r": 10, "t": 30, "b": 10},
+        margin={"l": 10, "r": 10, "t": 58, "b": 10},
         xaxis={
             "title": {"text": figure.x_label, "standoff": 6},
             "range": None if figure.x_range is None else list(figure.x_range),
@@ -130,14 +133,21 @@ def plotly_figure(figure: Figure) -> go.Figure:
             "automargin": True,
         },
         # Below the axis title, in rows that wrap where the screen is narrow.
-        legend={"orientation": "h", "yanchor": "top", "y": -0.09 if panels > 1 else -0.14, "x": 0, "xanchor": "left"},
+        legend={
+            "orientation": "h",
+            "yanchor": "top",
+            "y": -0.09 if panels > 1 else -0.14,
+            "x": 0,
+            "xanchor": "left",
+            "font": {"size": 13},
+        },
         hoverlabel={"namelength": -1},
     )
     return drawn
 
 
-def _percent(value: float) -> str:
-    return f"{value:+.2f}".replace("-", "−") + "&nbsp;%"
+def _percent(value: float, signed: bool = True) -> str:
+    return (f"{value:+.2f}" if signed else f"{value:.2f}").replace("-", "−") + "&nbsp;%"
 
 
 def _cells(row: Row, with_paper: bool) -> str:
@@ -149,25 +159,28 @@ def _cells(row: Row, with_paper: bool) -> str:
     cells = [f"<td>{html.escape(row.label)}</td>", f"<td>{estimate}</td>"]
     for model, error in row.errors.items():
         shade = ' class="best"' if model == best else ""
-        cells.append(f"<td{shade}>{_percent(error)}</td>")
+        cells.append(f"<td{shade}>{_percent(error, row.signed)}</td>")
     if with_paper:
         paper = "–" if row.paper_estimate is None else f"{row.paper_estimate:.3f}"
         cells.append(f"<td>{paper}</td>")
         for model in row.errors:
-            cells.append(f"<td>{'–' if row.paper_errors is None else _percent(row.paper_errors[model])}</td>")
+            cells.append(
+                f"<td>{'–' if row.paper_errors is None else _percent(row.paper_errors[model], row.signed)}</td>"
+            )
     return f"<tr{' class=mean' if average else ''}>{''.join(cells)}</tr>"
 
 
 def _table(rows: Sequence[Row]) -> str:
     with_paper = any(row.paper_errors is not None for row in rows)
-    names = "".join(f"<th>{html.escape(text)}</th>" for text in HEADINGS.values())
-    head = f"<tr><th></th><th>Experimental estimate [m/s]</th>{names}"
-    group = ""
+    names = "".join(f"<th>{text}</th>" for text in HEADINGS)
+    columns = f"<th>estimate [m/s]</th>{names}"
+    group = '<th colspan="4">this campaign: experimental estimate, errors of the predictions</th>'
     if with_paper:
-        head += f"<th>Estimate [m/s]</th>{names}"
-        group = '<tr><th></th><th colspan="4">this campaign</th><th colspan="4">published experiment</th></tr>'
+        columns += columns
+        group += '<th colspan="4">published experiment</th>'
+    head = f"<tr class=group><th></th>{group}</tr><tr><th></th>{columns}</tr>"
     body = "".join(_cells(row, with_paper) for row in rows)
-    return f'<div class="wide"><table><thead>{group}{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    return f'<div class="wide"><table><thead>{head}</thead><tbody>{body}</tbody></table></div>'
 
 
 def _listing(title: str, items: Sequence[str]) -> str:
