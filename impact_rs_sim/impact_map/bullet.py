@@ -79,12 +79,12 @@ class BulletEngine(Engine):
     """Impact map by single steps of Bullet."""
 
     name = "bullet"
-    tolerance = 3e-2  # m/s
+    tolerance = 1e-2  # m/s; most answers are below 1e-4
 
     _GOAL = 1e-6  # m/s, residual that ends the iteration
     _EFFORTS = (
-        _Effort(solver_iterations=150, steps=5, patience=2, guess=1e-6, accepted=1e-3),
-        _Effort(solver_iterations=2000, steps=20, patience=8, guess=1e-8, accepted=np.inf),
+        _Effort(solver_iterations=300, steps=8, patience=3, guess=1e-7, accepted=1e-4),
+        _Effort(solver_iterations=1000, steps=20, patience=8, guess=1e-8, accepted=np.inf),
     )
     _KEPT = 4  # worlds kept warm, one per motor inertia
 

@@ -1,0 +1,163 @@
+"""The two impact-map engines side by side: agreement over random problems, and time per warm call.
+
+    python benchmarks/impact_map.py [--problems 300] [--calls 200] [--seed 0]
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from impact_rs_sim.impact_map import (
+    BulletEngine,
+    ImpactMapError,
+    ImpactProblem,
+    ImpactResult,
+    PinocchioEngine,
+    kinetic_energy,
+)
+from impact_rs_sim.impact_map.sampling import random_problem
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import Scene
+
+LIMIT = 0.5  # % of the ante-impact speed
+LAWFUL = 1e-5  # m/s, residual below which an answer obeys the laws
+
+console = Console(width=130)
+
+
+def spread(values: Sequence[float], digits: str) -> list[str]:
+    """Median, 95 % and maximum as text."""
+    return [format(float(value), digits) for value in np.percentile(values, [50, 95, 100])]
+
+
+def difference(bullet: ImpactResult, pinocchio: ImpactResult) -> float:
+    """Largest difference in a linear velocity of end effector or object [m/s]."""
+    arms = [np.abs(bullet.end_effector_twist[n] - pinocchio.end_effector_twist[n])[:3] for n in bullet.joint_velocity]
+    return float(np.max([*arms, np.abs(bullet.object_twist - pinocchio.object_twist)[:3]]))
+
+
+def same_points(bullet: ImpactResult, pinocchio: ImpactResult) -> bool:
+    """Whether both found the same contact points, to a tenth of a millimetre."""
+    if len(bullet.contacts) != len(pinocchio.contacts):
+        return False
+    theirs = np.array([contact.position for contact in pinocchio.contacts])
+    return all(
+        np.min(np.linalg.norm(theirs - contact.position, axis=1), initial=np.inf) < 1e-4 for contact in bullet.contacts
+    )
+
+
+def reason(bullet: ImpactResult, pinocchio: ImpactResult) -> str:
+    """Why two answers differ."""
+    broken = [
+        f"{result.engine} breaks {result.residual.worst[0]} by {result.residual.worst[1]:.1e} m/s"
+        for result in (bullet, pinocchio)
+        if result.residual.largest > LAWFUL
+    ]
+    if broken:
+        return "; ".join(broken)
+    if not same_points(bullet, pinocchio):
+        return f"contact points differ ({len(bullet.contacts)} and {len(pinocchio.contacts)})"
+    return "both obey all laws on the same points: redundant contacts with friction have several solutions"
+
+
+def agreement(problems: int, seed: int) -> None:
+    """Disagreement, residuals, energy and times over random problems."""
+    scenario = load_scenario("push")
+    percent, gains, failures = [], [], []
+    residuals: dict[str, list[float]] = {"bullet": [], "pinocchio": []}
+    times: dict[str, list[float]] = {"bullet": [], "pinocchio": []}
+    outliers = Table("problem", "%", "e", "mu pad", "mu support", "why")
+    for index in range(problems):
+        problem = random_problem(scenario, np.random.default_rng([seed, index]))
+        engines = (BulletEngine(problem.physics), PinocchioEngine(problem.physics))
+        try:
+            answers = [[engine.solve(problem) for _ in range(2)][-1] for engine in engines]
+        except ImpactMapError as error:
+            failures.append(f"problem {index}: {error}")
+            continue
+        finally:
+            for engine in engines:
+                engine.close()
+        bullet, pinocchio = answers
+        state = problem.arms["arm"]
+        speed = float(np.linalg.norm((engines[0].models["arm"].jacobian(state.position) @ state.velocity)[:3]))
+        percent.append(100.0 * difference(bullet, pinocchio) / speed)
+        gains.append(kinetic_energy(problem, pinocchio) / kinetic_energy(problem))
+        for answer in answers:
+            residuals[answer.engine].append(answer.residual.largest)
+            times[answer.engine].append(1e3 * answer.elapsed)
+        if percent[-1] > LIMIT:
+            physics = problem.physics
+            numbers = (problem.restitution, physics.pad_friction, physics.support_friction)
+            outliers.add_row(
+                str(index), f"{percent[-1]:.2f}", *(f"{n:.2f}" for n in numbers), reason(bullet, pinocchio)
+            )
+    table = Table("over random problems", "median", "95 %", "max", title=f"{problems} problems, seed {seed}")
+    table.add_row("disagreement [% of ante-impact speed]", *spread(percent, ".4f"))
+    for name in residuals:
+        table.add_row(f"{name}: residual [m/s]", *spread(residuals[name], ".1e"))
+        table.add_row(f"{name}: warm call [ms]", *spread(times[name], ".2f"))
+    table.add_row("energy after / before", *spread(gains, ".4f"))
+    console.print(table)
+    if outliers.row_count:
+        console.print(f"{outliers.row_count} above {LIMIT} %:")
+        console.print(outliers)
+    for failure in failures:
+        console.print(f"no answer, {failure}")
+
+
+def timing(calls: int) -> None:
+    """Warm calls at the nominal impact of the push scenario."""
+    scene = Scene.resolve(load_scenario("push"), "cat_food", "case_2")
+    table = Table("nominal push, warm call", "motor inertia", "median [ms]", "5 % .. 95 % [ms]", "steps", "residual [m/s]")
+    for kind in (BulletEngine, PinocchioEngine):
+        engine = kind(scene.physics)
+        for motor in ("zero", "reduced", "rotor"):
+            problem = ImpactProblem.at_nominal_impact(scene, motor)
+            answers = [engine.solve(problem) for _ in range(calls + 1)][1:]
+            low, middle, high = 1e3 * np.percentile([answer.elapsed for answer in answers], [5, 50, 95])
+            last = answers[-1]
+            row = (f"{middle:.2f}", f"{low:.2f} .. {high:.2f}", str(last.iterations), f"{last.residual.largest:.1e}")
+            table.add_row(kind.name, motor, *row)
+        engine.close()
+    console.print(table)
+
+
+def predictions() -> None:
+    """Velocity after the nominal impact for every object, case and motor inertia."""
+    scenario = load_scenario("push")
+    table = Table("v_y+ [m/s], pinocchio (bullet)", "zero", "reduced", "rotor")
+    for name in scenario.objects:
+        for case in scenario.cases:
+            scene = Scene.resolve(scenario, name, case)
+            engines = (PinocchioEngine(scene.physics), BulletEngine(scene.physics))
+            cells = []
+            for motor in ("zero", "reduced", "rotor"):
+                problem = ImpactProblem.at_nominal_impact(scene, motor)
+                first, second = (float(e.solve(problem).end_effector_twist["arm"][1]) for e in engines)
+                cells.append(f"{first:.4f} ({second:.4f})")
+            for engine in engines:
+                engine.close()
+            table.add_row(f"{name} {case}", *cells)
+    console.print(table)
+
+
+def main() -> None:
+    """Run all parts."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--problems", type=int, default=300, help="number of random problems")
+    parser.add_argument("--calls", type=int, default=200, help="number of timed calls")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the random problems")
+    options = parser.parse_args()
+    timing(options.calls)
+    predictions()
+    agreement(options.problems, options.seed)
+
+
+if __name__ == "__main__":
+    main()
