@@ -1,0 +1,96 @@
+"""``impact-rs analyze``: experimental estimates, prediction errors and the report."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from impact_rs_ros.commands.terminal import Terminal, add_command, add_json, output_folder
+
+if TYPE_CHECKING:
+    from impact_rs_analysis.analyze import Analysis
+
+TEXT = """\
+Compare the impact map's predictions with what a folder of trials shows.
+
+For every object and case: the net feedback of each trial over its post-impact reference velocity, a line through them,
+and its zero crossing, which is the experimental estimate of the post-impact velocity, with a 95 % interval. Errors are
+(prediction - estimate) / estimate in percent, for three models of the motor inertia. Writes report.html, which opens
+offline and on a phone, analysis.json, and the figures as PNG.
+
+Damaged or foreign bags are named and left out; trials without impact never enter a fit.
+
+example:
+  impact-rs analyze campaigns/push                  # report in campaigns/push/report
+  impact-rs analyze campaigns/push -o /tmp/report --json
+
+Units: speeds in m/s along the scenario's axis, errors in percent."""
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "analyze", run, "compare predictions with recorded trials", TEXT)
+    parser.add_argument("directory", type=Path, metavar="DIR", help="folder whose subfolders are bags of trials")
+    parser.add_argument(
+        "-o", dest="output", type=Path, metavar="REPORT_DIR", help="folder for the report; default: DIR/report"
+    )
+    add_json(parser)
+
+
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Run the command."""
+    return report_on(args.directory, args.output, terminal)[0]
+
+
+def report_on(directory: Path, output: Path | None, terminal: Terminal) -> tuple[int, Path]:
+    """Analyse, write the report and show the table; exit code and path of the report."""
+    from impact_rs_analysis.analyze import analyze_campaign
+    from impact_rs_analysis.report import write_report
+
+    with terminal.progress("reading bags") as tell:
+        analysis = analyze_campaign(directory, tell)
+    with output_folder(output or directory / "report") as folder, terminal.progress("report") as tell:
+        written = write_report(analysis, folder, tell)
+    terminal.result(analysis.to_json())
+    _show(analysis, terminal)
+    terminal.say(f"report: {written[0].resolve()}")
+    if not analysis.sets:
+        terminal.warn("no set has enough trials for an estimate; see above what is missing")
+    return (0 if analysis.sets else 1), written[0]
+
+
+def _show(analysis: Analysis, terminal: Terminal) -> None:
+    from rich.table import Table
+
+    from impact_rs_analysis.table import result_table
+
+    rows = result_table(analysis)
+    if rows:
+        table = Table(title="Errors of the predictions [%]")
+        table.add_column("")
+        table.add_column("estimate [m/s]", justify="right")
+        for heading in ("B_θ (nominal)", "B_ρ", "B = 0"):
+            table.add_column(heading, justify="right")
+        published = any(row.paper_errors for row in rows)
+        if published:
+            table.add_column("published: B_θ", justify="right")
+        for row in rows:
+            estimate = "" if row.estimate is None else f"{row.estimate:.3f}"
+            if row.half_interval is not None:
+                estimate += f" ± {row.half_interval:.3f}"
+            form = "{:+.2f}" if row.signed else "{:.2f}"
+            cells = [form.format(error) for error in row.errors.values()]
+            if published:
+                cells.append("" if row.paper_errors is None else form.format(row.paper_errors["reduced"]))
+            table.add_row(row.label, estimate, *cells)
+        terminal.say(table)
+    for entry in analysis.incomplete:
+        terminal.say(f"no estimate for {entry.object} {entry.case}: {entry.reason}")
+    for bag in analysis.skipped:
+        terminal.say(f"skipped {bag.name}: {bag.reason}")
+    if analysis.no_impact:
+        terminal.say(f"without impact, not in the fit: {', '.join(analysis.no_impact)}")
+    if analysis.missing:
+        shown = ", ".join(analysis.missing[:5]) + (", ..." if len(analysis.missing) > 5 else "")
+        terminal.say(f"{len(analysis.missing)} trials of the manifest are missing: {shown}")

@@ -1,0 +1,105 @@
+"""``impact-rs campaign``: many trials."""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from impact_rs_ros.commands.terminal import Terminal, add_command, add_json, output_folder
+
+if TYPE_CHECKING:
+    from impact_rs_analysis.campaign import Manifest, TrialReport
+
+TEXT = """\
+Run every trial of a scenario, or the part of it that you name, and record a bag of each.
+
+A campaign that was interrupted goes on where it stopped when the same command is given again: finished bags stay, a
+half-written one is run again. --jobs runs trials in parallel worker processes; results do not depend on it.
+
+example:
+  impact-rs campaign push -o campaigns/push --jobs 2
+  impact-rs campaign push -o campaigns/quick --objects cat_food --cases 2 --scales 0.8 1.0 1.2 --trials 2
+  impact-rs analyze campaigns/push
+
+Units: scales have none (post-impact reference velocity over predicted velocity)."""
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "campaign", run, "run many trials, or go on with them", TEXT)
+    parser.add_argument("scenario", metavar="SCENARIO", help="name of a scenario, or path of its YAML file")
+    parser.add_argument("-o", dest="output", type=Path, required=True, metavar="DIR", help="folder of the campaign")
+    parser.add_argument("--objects", nargs="+", metavar="NAME", help="default: all of the scenario")
+    parser.add_argument("--cases", nargs="+", metavar="NAME", help="default: all of the scenario")
+    parser.add_argument("--scales", nargs="+", type=float, metavar="S", help="default: the scenario's [-]")
+    parser.add_argument("--trials", type=int, metavar="N", help="repeats of every scale; default: the scenario's")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the campaign; default: 0")
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="worker processes; default: 1")
+    parser.add_argument(
+        "--via",
+        choices=("inprocess", "nodes"),
+        default="inprocess",
+        help="run trials in this program, or through the ROS 2 nodes (one at a time); default: %(default)s",
+    )
+    add_json(parser)
+
+
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Run the command."""
+    from impact_rs_analysis.campaign import make_manifest, run_campaign
+    from impact_rs_sim.errors import InputError
+
+    if args.via == "nodes" and args.jobs != 1:
+        raise InputError("--jobs is for --via inprocess: the nodes run one trial at a time")
+    manifest = make_manifest(args.scenario, args.objects, args.cases, args.scales, args.trials, args.seed)
+    with output_folder(args.output):
+        if args.via == "nodes":
+            reports = through_nodes(args.output, manifest)
+        else:
+            reports = run_campaign(args.output, manifest, args.jobs)
+        outcomes, failures = follow(reports, manifest, args.output, terminal)
+    done = sum((args.output / key.name).exists() for key in manifest.keys)
+    terminal.result(
+        {
+            "directory": str(args.output),
+            "trials": len(manifest.keys),
+            "present": done,
+            "ran": sum(outcomes.values()),
+            "outcomes": dict(outcomes),
+            "failures": [{"trial": report.key.name, "message": report.message} for report in failures],
+        }
+    )
+    counted = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()) or "nothing was left to run"
+    terminal.say(
+        f"{done} of {len(manifest.keys)} trials are there ({counted})", f"next: impact-rs analyze {args.output}"
+    )
+    return 0 if done == len(manifest.keys) and not failures else 1
+
+
+def through_nodes(directory: Path, manifest: Manifest) -> Iterator[TrialReport]:
+    """Run what is missing through the ROS 2 nodes."""
+    from impact_rs_analysis.campaign import open_campaign
+    from impact_rs_ros.graph import run_trials_through_nodes
+
+    yield from run_trials_through_nodes(directory, manifest, open_campaign(directory, manifest))
+
+
+def follow(
+    reports: Iterator[TrialReport], manifest: Manifest, directory: Path, terminal: Terminal
+) -> tuple[Counter[str], list[TrialReport]]:
+    """Show progress while trials run; outcomes by number, and the trials that failed."""
+    outcomes: Counter[str] = Counter()
+    failures = []
+    total = sum(not (directory / key.name).exists() for key in manifest.keys)
+    with terminal.progress("trials") as tell:
+        tell(0, total)
+        for number, report in enumerate(reports, start=1):
+            outcomes[report.outcome] += 1
+            if report.outcome == "ABORTED":
+                failures.append(report)
+                terminal.warn(f"{report.key.name}: {report.message or 'aborted'}")
+            tell(number, total)
+    return outcomes, failures

@@ -1,0 +1,148 @@
+"""What the commands share: where output goes, progress bars, and folders that vanish if nothing came of them."""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import json
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, NoReturn
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from impact_rs_sim.errors import did_you_mean
+
+Report = Callable[[int, int], None]
+
+
+class Parser(argparse.ArgumentParser):
+    """Argument parser whose errors are one line and name what was probably meant."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print one line and leave with exit code 2."""
+        print(f"{self.prog}: {message}{self._suggestion(message)} (see {self.prog} --help)", file=sys.stderr)
+        raise SystemExit(2)
+
+    def _suggestion(self, message: str) -> str:
+        """The nearest choice or option to the word that was refused."""
+        if found := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
+            word, known = found[1], re.findall(r"'(.*?)'", found[2])
+        elif found := re.search(r"unrecognized arguments: .*?(--[\w-]+)", message):
+            word, known = found[1], self._options()
+        else:
+            return ""
+        return did_you_mean(word, known)
+
+    def _options(self) -> list[str]:
+        """Long options of this parser and its subcommands."""
+        options = [option for option in self._option_string_actions if option.startswith("--")]
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                options += [option for parser in action.choices.values() for option in parser._options()]
+        return options
+
+
+class Terminal:
+    """Output of a command: text for people, or one JSON document and nothing else on standard output.
+
+    Args:
+        as_json: Whether the document is wanted.
+    """
+
+    def __init__(self, as_json: bool) -> None:
+        self.as_json = as_json
+        self._document: dict[str, Any] | None = None
+        self._errors = Console(stderr=True, highlight=False)
+
+    def result(self, document: dict[str, Any]) -> None:
+        """The document of ``--json``; printed when the command has ended."""
+        self._document = document
+
+    def say(self, *renderables: Any) -> None:
+        """Print for people; silent with ``--json``."""
+        if not self.as_json:
+            console = Console(highlight=False)
+            for item in renderables:
+                console.print(item, soft_wrap=isinstance(item, str), markup=False)
+
+    def warn(self, text: str) -> None:
+        """One line on standard error."""
+        self._errors.print(text, soft_wrap=True, markup=False)
+
+    @contextmanager
+    def progress(self, what: str) -> Iterator[Report]:
+        """A bar with the time left, on standard error; none where that is no terminal."""
+        bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(elapsed_when_finished=True),
+            console=self._errors,
+            disable=not self._errors.is_terminal,
+            redirect_stdout=False,
+            redirect_stderr=False,
+        )
+        with bar:
+            task = bar.add_task(what, total=None)
+            yield lambda done, total: bar.update(task, completed=done, total=total)
+
+    @contextmanager
+    def owned_output(self) -> Iterator[None]:
+        """With ``--json``, whatever a library writes to standard output goes to standard error instead."""
+        if not self.as_json:
+            yield
+            return
+        sys.stdout.flush()
+        kept = os.dup(1)
+        try:
+            os.dup2(2, 1)
+            yield
+        finally:
+            sys.stdout.flush()
+            with suppress(OSError, AttributeError):
+                ctypes.CDLL(None).fflush(None)  # what C code printed and not yet wrote
+            os.dup2(kept, 1)
+            os.close(kept)
+
+    def finish(self) -> None:
+        """Print the document."""
+        if self.as_json and self._document is not None:
+            print(json.dumps(self._document, indent=2, allow_nan=False), flush=True)
+
+
+@contextmanager
+def output_folder(path: Path) -> Iterator[Path]:
+    """A folder for results: what an unsuccessful command made of it, and left empty, goes away again."""
+    missing = []
+    for folder in (path, *path.parents):
+        if folder.exists():
+            break
+        missing.append(folder)
+    try:
+        yield path
+    finally:
+        for folder in missing:
+            with suppress(OSError):  # it holds something, and so stays
+                folder.rmdir()
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """The option ``--json``."""
+    parser.add_argument("--json", action="store_true", help="print one JSON document on standard output, nothing else")
+
+
+def add_command(
+    subparsers: Any, name: str, run: Callable[[argparse.Namespace, Terminal], int], summary: str, text: str
+) -> Parser:
+    """Declare a subcommand."""
+    parser: Parser = subparsers.add_parser(
+        name, help=summary, description=text, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.set_defaults(run=run, json=False)
+    return parser
