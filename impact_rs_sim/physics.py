@@ -66,6 +66,39 @@ class JointFriction:
 
 
 @dataclass(frozen=True)
+class LoadState:
+    """What a :class:`Load` may depend on.
+
+    Attributes:
+        time: Time since the start of the trial [s].
+        joint_position: q, ``(n,)`` [rad].
+        joint_velocity: dq, ``(n,)`` [rad/s].
+        position: Origin of frame E in A, ``(3,)`` [m].
+        velocity: Its velocity, ``(3,)`` [m/s].
+        impact_position: Where E is at the nominal impact, ``(3,)`` [m].
+    """
+
+    time: float
+    joint_position: Array
+    joint_velocity: Array
+    position: Array
+    velocity: Array
+    impact_position: Array
+
+
+class Load:
+    """Something outside the model that acts on the links of one arm; subclasses override what they need."""
+
+    def joint_torque(self, state: LoadState) -> Array | None:
+        """Torque on the links, ``(n,)`` [N m], or None."""
+        return None
+
+    def end_effector_force(self, state: LoadState) -> Array | None:
+        """Force at the origin of E, axes of A, ``(3,)`` [N], or None."""
+        return None
+
+
+@dataclass(frozen=True)
 class ArmPhysics:
     """One arm: link side, motor side, actuation and pad.
 
@@ -83,6 +116,8 @@ class ArmPhysics:
         actuation_delay: Delay of the desired torque [s].
         pad_stiffness: Stiffness of the whole pad face [N/m]; None: rigid.
         pad_damping: Damping of the whole pad face [N s/m].
+        impact_position: Where frame E is at the nominal impact, ``(3,)`` [m].
+        loads: What else acts on the links.
     """
 
     facts: RobotFacts
@@ -98,6 +133,8 @@ class ArmPhysics:
     actuation_delay: float
     pad_stiffness: float | None
     pad_damping: float
+    impact_position: Array
+    loads: tuple[Load, ...] = ()
 
     def motor_inertia(self, model: str) -> Array:
         """Diagonal of B for ``reduced``, ``rotor`` or ``zero``, ``(n,)`` [kg m^2]."""
@@ -177,6 +214,7 @@ class Physics:
                 actuation_delay=drive.actuation_delay,
                 pad_stiffness=pad.stiffness,
                 pad_damping=pad.damping,
+                impact_position=np.array(robot.impact.position),
             )
         return Physics(
             arms=arms,

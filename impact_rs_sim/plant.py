@@ -15,7 +15,7 @@ import pinocchio as pin
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.drive import Drive
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import Physics
+from impact_rs_sim.physics import LoadState, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scatter, Scenario
 from impact_rs_sim.scene import ArmState, BodyState
@@ -102,6 +102,7 @@ class Plant:
         self._links: dict[str, ArmState] = {}
         self._arm_sensors: dict[str, ArmSensors] = {}
         self._forces = {name: np.zeros(3) for name in physics.arms}
+        self._loaded = {name: physics.robot_model(name) for name, arm in physics.arms.items() if arm.loads}
         for (name, arm), sensor_seed in zip(physics.arms.items(), sensor_seeds[1:], strict=True):
             q = initial[name]
             load = physics.robot_model(name).gravity_torque(q)
@@ -177,9 +178,11 @@ class Plant:
         if self._tick + 1 >= self._samples:
             raise InputError(f"the trial is over after {self._timing.duration} s")
         world = self._world
+        loads = {name: self._load_torque(name) for name in self._loaded}
         for _ in range(self._timing.substeps):
             for name, drive in self._drives.items():
-                world.apply_torque(name, drive.transmission_torque)
+                torque = drive.transmission_torque
+                world.apply_torque(name, torque + loads[name] if name in loads else torque)
                 drive.step(desired[name])
             world.step()
             for name, drive in self._drives.items():
@@ -188,6 +191,27 @@ class Plant:
                 self._links[name] = link
         self._forces = {name: world.pad_force(name) for name in self._drives}
         self._tick += 1
+
+    def _load_torque(self, name: str) -> Array:
+        """Joint torque of everything outside the model, held over one control period, ``(n,)`` [N m]."""
+        arm, model, link = self.physics.arms[name], self._loaded[name], self._links[name]
+        jacobian = model.jacobian(link.position)[:3]
+        state = LoadState(
+            time=self.time,
+            joint_position=link.position,
+            joint_velocity=link.velocity,
+            position=model.placement(link.position).translation,
+            velocity=jacobian @ link.velocity,
+            impact_position=arm.impact_position,
+        )
+        total = np.zeros_like(link.position)
+        for load in arm.loads:
+            torque, force = load.joint_torque(state), load.end_effector_force(state)
+            if torque is not None:
+                total += torque
+            if force is not None:
+                total += jacobian.T @ force
+        return total
 
     def close(self) -> None:
         """Free the Bullet world."""

@@ -1,0 +1,229 @@
+"""Effects that a user writes as formulas in YAML, without any code.
+
+    - name: cable_drag
+      sentence: A cable drags behind the end effector.
+      end_effector_force: {y: "-drag * vy"}
+      joint_torque: {joint2: "-c * tanh(dq2 / 0.02)"}
+      parameters:
+        drag: {unit: N s/m, nominal: 0, lower: 0, upper: 50, scale: 1}
+        c: {unit: N m, nominal: 0, lower: 0, upper: 3, scale: 0.1}
+
+Symbols: ``t`` [s]; ``q1`` ... ``dq1`` ... [rad, rad/s]; ``x y z`` and ``vx vy vz`` of frame E [m, m/s]; ``pi``; and the
+named parameters. Functions: see :data:`FUNCTIONS`. The text is parsed into a syntax tree of which only arithmetic is
+accepted; nothing is ever evaluated as Python.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field
+
+from impact_rs_sim.effects.base import Effect, Parameter, change_arms
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import ArmPhysics, Load, LoadState, Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.schema import Schema, load
+
+FUNCTIONS: dict[str, tuple[int, Callable[..., float]]] = {
+    "sin": (1, math.sin),
+    "cos": (1, math.cos),
+    "tan": (1, math.tan),
+    "exp": (1, math.exp),
+    "log": (1, math.log),
+    "sqrt": (1, math.sqrt),
+    "tanh": (1, math.tanh),
+    "abs": (1, abs),
+    "sign": (1, lambda value: float(np.sign(value))),
+    "min": (2, min),
+    "max": (2, max),
+}
+_BINARY: dict[type[ast.operator], Callable[[float, float], float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+AXES = ("x", "y", "z")
+LONGEST = 400  # characters; a physical law is shorter
+
+Symbols = Mapping[str, float]
+Expression = Callable[[Symbols], float]
+
+
+def parse(text: str, symbols: set[str]) -> Expression:
+    """Turn a formula into a function of its symbols.
+
+    Raises:
+        InputError: The text does not parse, names an unknown symbol or function, or is no arithmetic.
+    """
+    if len(text) > LONGEST:
+        raise InputError(f"formula is longer than {LONGEST} characters")
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+        return _compile(tree, symbols, text)
+    except SyntaxError as error:
+        raise InputError(f"formula {text!r} does not parse at column {error.offset}: {error.msg}") from None
+    except (RecursionError, ValueError, MemoryError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"formula {text!r} does not parse") from None
+
+
+def _compile(node: ast.AST, symbols: set[str], text: str) -> Expression:
+    if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not isinstance(node.value, bool):
+        value = float(node.value)
+        return lambda _: value
+    if isinstance(node, ast.Name):
+        name = node.id
+        if name == "pi":
+            return lambda _: math.pi
+        if name not in symbols:
+            raise InputError(f"formula {text!r}: unknown symbol {name!r}; known: {', '.join(sorted(symbols))}")
+        return lambda values: values[name]
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.UAdd)):
+        inner = _compile(node.operand, symbols, text)
+        sign = -1.0 if isinstance(node.op, ast.USub) else 1.0
+        return lambda values: sign * inner(values)
+    if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
+        left, right = _compile(node.left, symbols, text), _compile(node.right, symbols, text)
+        combine = _BINARY[type(node.op)]
+        return lambda values: combine(left(values), right(values))
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
+        if node.func.id not in FUNCTIONS:
+            raise InputError(f"formula {text!r}: unknown function {node.func.id!r}; known: {', '.join(FUNCTIONS)}")
+        count, function = FUNCTIONS[node.func.id]
+        if len(node.args) != count:
+            raise InputError(f"formula {text!r}: {node.func.id} takes {count} argument(s)")
+        arguments = [_compile(argument, symbols, text) for argument in node.args]
+        return lambda values: function(*(argument(values) for argument in arguments))
+    raise InputError(f"formula {text!r}: only arithmetic is understood, not {type(node).__name__}")
+
+
+class FormulaParameter(Schema):
+    """A named number of a formula."""
+
+    unit: str = Field(description="unit, '-' where it has none")
+    nominal: float = Field(0.0, description="value at which the effect does nothing")
+    lower: float = Field(description="smallest value that makes sense")
+    upper: float = Field(description="largest value that makes sense")
+    scale: float = Field(gt=0.0, description="a noticeable change")
+    meaning: str = Field("", description="what it is")
+
+
+class FormulaSpec(Schema):
+    """One effect written as formulas."""
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", description="name of the effect, lower case with underscores")
+    sentence: str = Field(description="what it is, in one sentence")
+    joint_torque: dict[str, str] = Field({}, description="formula per joint (joint1 ...) [N m]")
+    end_effector_force: dict[str, str] = Field({}, description="formula per axis (x, y, z) [N]")
+    parameters: dict[str, FormulaParameter] = Field(min_length=1, description="named numbers")
+
+
+class FormulaFile(Schema):
+    """A YAML file of formula effects."""
+
+    effects: tuple[FormulaSpec, ...] = Field(min_length=1, description="effects as formulas")
+
+
+class FormulaEffect(Effect):
+    """An effect made from a :class:`FormulaSpec`.
+
+    Args:
+        spec: The formulas.
+        joint_count: Number of joints of the arms it may act on.
+
+    Raises:
+        InputError: A formula does not parse or names something unknown.
+    """
+
+    acts_on = "joint torque"
+
+    def __init__(self, spec: FormulaSpec, joint_count: int = 7) -> None:
+        self.spec = spec
+        self.name = spec.name  # type: ignore[misc]
+        self.sentence = spec.sentence  # type: ignore[misc]
+        self.parameters = tuple(  # type: ignore[misc]
+            Parameter(name, p.unit, p.nominal, p.lower, p.upper, p.scale, p.meaning)
+            for name, p in spec.parameters.items()
+        )
+        joints = [f"joint{index + 1}" for index in range(joint_count)]
+        symbols = {"t", *AXES, *(f"v{axis}" for axis in AXES), *spec.parameters}
+        symbols |= {f"{kind}{index + 1}" for kind in ("q", "dq") for index in range(joint_count)}
+        clash = set(spec.parameters) & (FUNCTIONS.keys() | {"t", "pi", *AXES})
+        if clash:
+            raise InputError(f"effect {spec.name!r}: {sorted(clash)} cannot be parameter names")
+        for table, known in ((spec.joint_torque, joints), (spec.end_effector_force, list(AXES))):
+            for key in table:
+                if key not in known:
+                    raise InputError(f"effect {spec.name!r}: unknown {key!r}; known: {', '.join(known)}")
+        if not spec.joint_torque and not spec.end_effector_force:
+            raise InputError(f"effect {spec.name!r} needs joint_torque or end_effector_force")
+        self._torque = {joints.index(key): parse(text, symbols) for key, text in spec.joint_torque.items()}
+        self._force = {AXES.index(key): parse(text, symbols) for key, text in spec.end_effector_force.items()}
+
+    def apply(self, physics: Physics, values: dict[str, Array]) -> Physics:
+        """See :meth:`Effect.apply`."""
+        numbers = {name: float(value[0]) for name, value in values.items()}
+        formula_load = FormulaLoad(self.name, self._torque, self._force, numbers)
+
+        def change(arm: ArmPhysics) -> ArmPhysics:
+            return replace(arm, loads=(*arm.loads, formula_load))
+
+        return change_arms(physics, change)
+
+
+@dataclass(frozen=True)
+class FormulaLoad(Load):
+    """Formulas with numbers filled in."""
+
+    name: str
+    torque: dict[int, Expression]
+    force: dict[int, Expression]
+    numbers: dict[str, float]
+
+    def _evaluate(self, table: dict[int, Expression], size: int, state: LoadState) -> Array:
+        values: dict[str, float] = {"t": state.time, **self.numbers}
+        values |= {f"q{i + 1}": value for i, value in enumerate(state.joint_position.tolist())}
+        values |= {f"dq{i + 1}": value for i, value in enumerate(state.joint_velocity.tolist())}
+        values |= dict(zip(AXES, state.position.tolist(), strict=True))
+        values |= {f"v{axis}": value for axis, value in zip(AXES, state.velocity.tolist(), strict=True)}
+        result = np.zeros(size)
+        for index, expression in table.items():
+            try:
+                result[index] = expression(values)
+            except (ArithmeticError, ValueError, TypeError) as error:
+                raise InputError(f"effect {self.name!r} blows up at t = {state.time:.3f} s: {error}") from None
+            if not np.isfinite(result[index]):
+                raise InputError(f"effect {self.name!r} is not finite at t = {state.time:.3f} s")
+        return result
+
+    def joint_torque(self, state: LoadState) -> Array | None:
+        """Torque on the links, ``(n,)`` [N m]."""
+        return self._evaluate(self.torque, state.joint_position.size, state) if self.torque else None
+
+    def end_effector_force(self, state: LoadState) -> Array | None:
+        """Force at E, axes of A, ``(3,)`` [N]."""
+        return self._evaluate(self.force, 3, state) if self.force else None
+
+
+def load_formulas(path: str | Path) -> dict[str, FormulaEffect]:
+    """Effects of a formula file, by name.
+
+    Raises:
+        InputError: The file breaks the schema, or a formula does not parse.
+    """
+    try:
+        return {spec.name: FormulaEffect(spec) for spec in load(FormulaFile, path).effects}
+    except InputError as error:
+        if error.file is None:
+            raise InputError(error.message, file=path) from None
+        raise
