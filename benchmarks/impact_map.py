@@ -98,10 +98,10 @@ def agreement(problems: int, seed: int) -> None:
                 str(index), f"{percent[-1]:.2f}", *(f"{n:.2f}" for n in numbers), reason(bullet, pinocchio)
             )
     table = Table("over random problems", "median", "95 %", "max", title=f"{problems} problems, seed {seed}")
-    table.add_row("disagreement [% of ante-impact speed]", *spread(percent, ".4f"))
+    table.add_row("disagreement, % of ante-impact speed", *spread(percent, ".4f"))
     for name in residuals:
-        table.add_row(f"{name}: residual [m/s]", *spread(residuals[name], ".1e"))
-        table.add_row(f"{name}: warm call [ms]", *spread(times[name], ".2f"))
+        table.add_row(f"{name}: residual, m/s", *spread(residuals[name], ".1e"))
+        table.add_row(f"{name}: warm call, ms", *spread(times[name], ".2f"))
     table.add_row("energy after / before", *spread(gains, ".4f"))
     console.print(table)
     if outliers.row_count:
@@ -114,7 +114,8 @@ def agreement(problems: int, seed: int) -> None:
 def timing(calls: int) -> None:
     """Warm calls at the nominal impact of the push scenario."""
     scene = Scene.resolve(load_scenario("push"), "cat_food", "case_2")
-    table = Table("nominal push, warm call", "motor inertia", "median [ms]", "5 % .. 95 % [ms]", "steps", "residual [m/s]")
+    columns = ("nominal push, warm call", "motor inertia", "median, ms", "5 % .. 95 %, ms", "steps", "residual, m/s")
+    table = Table(*columns)
     for kind in (BulletEngine, PinocchioEngine):
         engine = kind(scene.physics)
         for motor in ("zero", "reduced", "rotor"):
@@ -131,7 +132,7 @@ def timing(calls: int) -> None:
 def predictions() -> None:
     """Velocity after the nominal impact for every object, case and motor inertia."""
     scenario = load_scenario("push")
-    table = Table("v_y+ [m/s], pinocchio (bullet)", "zero", "reduced", "rotor")
+    table = Table("v_y+ in m/s, pinocchio (bullet)", "zero", "reduced", "rotor")
     for name in scenario.objects:
         for case in scenario.cases:
             scene = Scene.resolve(scenario, name, case)

@@ -1,17 +1,17 @@
 """The impact map on Bullet, which knows no reflected inertia: B is brought in from outside.
 
-One step of Bullet from (q, u^-) without gravity, with the inertia M' and the generalised impulse p, gives u^+(p). What is
-missing from M' + p to the laws of :mod:`impact_rs_sim.impact_map.problem` is
+One step of Bullet from (q, u^-) without gravity, with the inertia M' and the generalised impulse p, gives u^+(p). It
+obeys the laws of :mod:`impact_rs_sim.impact_map.problem` if
 
     p = -(M + B - M') (u^+(p) - u^-) + J_t^T c(u^+(p)),
 
-solved by a fixed-point iteration with Anderson acceleration. With B = 0 and no correction c the first step is the answer,
-and it is plain Bullet. Its parts:
+solved by Newton's method for the inertial part, with the derivative at fixed contact modes, and by fixed-point iteration
+for c. With B = 0 and no sliding the first step is the answer, and it is plain Bullet. Its parts:
 
-* **M'**: every link carries its rotor as a thin disc about the joint axis, which is M + B up to couplings between joints.
-  With M' = M the iteration would be hopeless at the wrist, where B is a hundred times M.
-* **c**: Bullet's friction cone scales each of its two friction axes with the inverse mass along it, so that its friction
-  opposes ``D^-1 v_t`` and not the sliding velocity ``v_t``. c turns it back. It vanishes at sticking points.
+* **M'**: every link carries its rotor as a thin disc about the joint axis, which is M + B up to couplings between
+  joints. With M' = M the iteration would be hopeless at the wrist, where B is a hundred times M.
+* **c**: Bullet's friction cone scales each of its two friction axes with the inverse mass along it, so that its
+  friction opposes ``D^-1 v_t`` and not the sliding velocity ``v_t``. c turns it back; sticking points need none.
 * **First guess**: the conic solver of the other engine, on Bullet's contact points and to a coarse tolerance. It saves
   iterations and decides nothing: the residual is judged on what Bullet answers.
 
@@ -23,8 +23,8 @@ What is set on purpose, and why:
   counts as touching overlaps. Contact ERP is 0, so no overlap turns into velocity.
 * Bullet applies joint torques before it evaluates Newton's restitution, whose approach velocity would contain p. Its
   restitution is 0. Instead the step starts from u^- + s and s is taken off its answer, with J_n s = e J_n u^- and
-  J_t s = 0 at the contact points: the normal velocity that Bullet keeps from being negative is then u^+ + e u^-, and the
-  sliding velocity is that of u^+.
+  J_t s = 0 at the contact points: the normal velocity that Bullet keeps from being negative is then that of
+  u^+ + e u^-, and the sliding velocity is that of u^+.
 * Contact points survive in Bullet's manifolds from call to call. The object is moved out of reach first, which empties
   them, so an answer depends on its question only.
 * Bullet's sequential impulses converge linearly, and may end in a small limit cycle. Few iterations are enough for most
@@ -38,13 +38,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pinocchio as pin
 
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, boxes, separating_face
 from impact_rs_sim.impact_map.engine import Engine
 from impact_rs_sim.impact_map.pinocchio import solve_contacts
 from impact_rs_sim.impact_map.problem import ImpactProblem
-from impact_rs_sim.impact_map.residual import ContactTerms
+from impact_rs_sim.impact_map.residual import SLIDING, ContactTerms
 from impact_rs_sim.impact_map.system import System
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
@@ -81,9 +82,9 @@ class BulletEngine(Engine):
     name = "bullet"
     tolerance = 1e-2  # m/s; most answers are below 1e-4
 
-    _GOAL = 1e-6  # m/s, residual that ends the iteration
+    _GOAL = 1e-5  # m/s, residual that ends the iteration
     _EFFORTS = (
-        _Effort(solver_iterations=300, steps=8, patience=3, guess=1e-7, accepted=1e-4),
+        _Effort(solver_iterations=200, steps=8, patience=3, guess=1e-7, accepted=1e-4),
         _Effort(solver_iterations=1000, steps=20, patience=8, guess=1e-8, accepted=np.inf),
     )
     _KEPT = 4  # worlds kept warm, one per motor inertia
@@ -146,15 +147,17 @@ class BulletEngine(Engine):
         moved = terms.response @ total.ravel()
         extra = total - _bullet_friction(terms, run.inertia, total, system.velocity + moved)
         inertial = -missing @ moved
-        accelerate = _Anderson()
         while best.error > self._GOAL and stalled < effort.patience and count < effort.steps:
             count += 1
             answer, impulses = run.judge(world, inertial, extra)
             stalled = 0 if answer.error < 0.9 * best.error else stalled + 1
             best = min(best, answer, key=lambda candidate: candidate.error)
             total = _coulomb(terms, impulses, extra, answer.velocity)
-            extra = total - impulses
-            inertial = accelerate(inertial, -missing @ terms.response @ total.ravel())
+            change, extra = total - impulses - extra, total - impulses
+            moved = answer.velocity - system.velocity
+            slope = _response(terms, run.inertia, impulses, answer.velocity)
+            defect = inertial + missing @ (moved + slope @ (terms.jacobian.T @ change.ravel()))
+            inertial = inertial - np.linalg.solve(np.eye(moved.size) + missing @ slope, defect)
         return best, count
 
 
@@ -236,7 +239,7 @@ class _World:
             inertia[where, where] = model.mass_matrix(problem.arms[name].position)
         return inertia
 
-    def bring_together(self, problem: ImpactProblem, placements: Mapping) -> None:
+    def bring_together(self, problem: ImpactProblem, placements: Mapping[str, pin.SE3]) -> None:
         """Empty the manifolds, and move arms and support until touching boxes overlap."""
         client = self.bullet.client
         self.bullet.set_object(_FAR)
@@ -322,24 +325,18 @@ def _restitution_shift(system: System, terms: ContactTerms, restitution: float) 
     return np.asarray(np.linalg.lstsq(terms.jacobian, wanted.ravel(), rcond=1e-10)[0])
 
 
-_SLIDING = 1e-7  # m/s, slower points stick
-
-
 def _coulomb(terms: ContactTerms, impulses: Array, extra: Array, velocity: Array) -> Array:
     """Impulses with Bullet's normal parts and friction after Coulomb, ``(m, 3)`` [N s]."""
-    pressing, tangential = terms.split(impulses)
-    pressing = np.maximum(pressing, 0.0)
-    _, sliding = terms.split((terms.jacobian @ velocity).reshape(-1, 3))
-    radius, speed = terms.friction * pressing, np.linalg.norm(sliding, axis=1)
-    slides = (np.linalg.norm(tangential, axis=1) >= radius * (1.0 - 1e-9)) & (speed > _SLIDING)
-    opposed = -(radius / np.maximum(speed, _SLIDING))[:, None] * sliding
+    pressing = np.maximum(terms.split(impulses)[0], 0.0)
+    radius = terms.friction * pressing
+    slides, opposed = terms.sliding(impulses, velocity)
     _, held = terms.split(impulses + extra)
     held = held * np.minimum(1.0, radius / np.maximum(np.linalg.norm(held, axis=1), 1e-300))[:, None]
-    return np.asarray(pressing[:, None] * terms.normals + np.where(slides[:, None], opposed, held))
+    return np.asarray(pressing[:, None] * terms.normals + np.where(slides[:, None], radius[:, None] * opposed, held))
 
 
 def _bullet_friction(terms: ContactTerms, inertia: Array, impulses: Array, velocity: Array) -> Array:
-    """``impulses`` with the friction that Bullet would give where the points slide with ``velocity``, ``(m, 3)`` [N s]."""
+    """``impulses`` with the friction that Bullet would give to points that slide, ``(m, 3)`` [N s]."""
     pressing, _ = terms.split(impulses)
     _, sliding = terms.split((terms.jacobian @ velocity).reshape(-1, 3))
     axes = np.array([_friction_axes(normal) for normal in terms.normals])
@@ -349,8 +346,33 @@ def _bullet_friction(terms: ContactTerms, inertia: Array, impulses: Array, veloc
     direction = np.einsum("ma,maj->mj", along, axes)
     direction /= np.maximum(np.linalg.norm(direction, axis=1), 1e-300)[:, None]
     skewed = pressing[:, None] * terms.normals - (terms.friction * pressing)[:, None] * direction
-    slides = np.linalg.norm(sliding, axis=1) > _SLIDING
+    slides = np.linalg.norm(sliding, axis=1) > SLIDING
     return np.where(slides[:, None], skewed, impulses)
+
+
+def _response(terms: ContactTerms, inertia: Array, impulses: Array, velocity: Array) -> Array:
+    """du^+ / dp of Bullet's step while every contact point keeps its mode, ``(nv, nv)``.
+
+    With the rows C of the velocities that the modes hold at zero (all three where a point sticks, the normal one where
+    it slides) and D of the impulses that hold them, ``M'^-1 - M'^-1 D^T (C M'^-1 D^T)^+ C M'^-1``.
+    """
+    pressing, _ = terms.split(impulses)
+    jacobian = terms.jacobian.reshape(len(pressing), 3, -1)
+    slides, opposed = terms.sliding(impulses, velocity)
+    held, holding = [], []
+    for index in np.flatnonzero(pressing > 1e-9 * np.max(pressing, initial=0.0)):
+        if slides[index]:
+            normal = terms.normals[index]
+            held.append(normal @ jacobian[index])
+            holding.append((normal + terms.friction[index] * opposed[index]) @ jacobian[index])
+        else:
+            held.extend(jacobian[index])
+            holding.extend(jacobian[index])
+    inverse = np.linalg.inv(inertia)
+    if not held:
+        return inverse
+    of_velocity, of_impulse = np.array(held) @ inverse, inverse @ np.array(holding).T
+    return np.asarray(inverse - of_impulse @ np.linalg.pinv(np.array(held) @ of_impulse, rcond=1e-9) @ of_velocity)
 
 
 def _friction_axes(normal: Array) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
@@ -361,23 +383,3 @@ def _friction_axes(normal: Array) -> tuple[tuple[float, float, float], tuple[flo
         return (0.0, -z / k, y / k), (k, -x * y / k, -x * z / k)
     k = float(np.hypot(x, y))
     return (-y / k, x / k, 0.0), (-z * x / k, -z * y / k, k)
-
-
-class _Anderson:
-    """Anderson acceleration (type II) of a fixed-point iteration x = g(x)."""
-
-    _MEMORY = 6
-
-    def __init__(self) -> None:
-        self._images: list[Array] = []
-        self._defects: list[Array] = []
-
-    def __call__(self, point: Array, image: Array) -> Array:
-        """Next point, from ``point`` and its image g(``point``)."""
-        self._images = [*self._images, image][-self._MEMORY :]
-        self._defects = [*self._defects, image - point][-self._MEMORY :]
-        if len(self._defects) == 1:
-            return image
-        steps = np.diff(np.array(self._defects), axis=0).T
-        weights = np.linalg.lstsq(steps, self._defects[-1], rcond=1e-9)[0]
-        return np.asarray(image - np.diff(np.array(self._images), axis=0).T @ weights)

@@ -23,6 +23,9 @@ from impact_rs_sim.impact_map.system import System
 from impact_rs_sim.robot import Array
 
 
+SLIDING = 1e-7  # m/s, slower points stick
+
+
 class ContactTerms:
     """What the residual needs of a problem and its contact points, for any number of answers.
 
@@ -52,6 +55,15 @@ class ContactTerms:
         """Normal components ``(m,)`` and tangential parts ``(m, 3)`` of one vector per point, ``(m, 3)``."""
         along = np.sum(self.normals * vectors, axis=1)
         return along, vectors - along[:, None] * self.normals
+
+    def sliding(self, impulses: Array, velocity: Array) -> tuple[Array, Array]:
+        """Which points slide with their friction at its limit ``(m,)``, and unit vectors against sliding ``(m, 3)``."""
+        pressing, tangential = self.split(impulses)
+        _, sliding = self.split((self.jacobian @ velocity).reshape(-1, 3))
+        speed = np.linalg.norm(sliding, axis=1)
+        limit = self.friction * np.maximum(pressing, 0.0)
+        slides = (np.linalg.norm(tangential, axis=1) >= limit * (1.0 - 1e-9)) & (speed > SLIDING)
+        return slides, -sliding / np.maximum(speed, SLIDING)[:, None]
 
     def residual(self, impulses: Array, velocity: Array) -> Residual:
         """Residuals of an answer.
