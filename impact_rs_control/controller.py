@@ -154,10 +154,12 @@ class ArmController:
         feedback = self._position_rate * gamma * (position_path.velocity[index] - twist[:3])
         feedback += self._position_gain * (position_path.position[index] - terms.position)
         k_theta = self._orientation_gains[int(after)]
-        tilt = terms.rotation @ pin.log3(terms.rotation.T @ plan.orientation)
+        tilt = terms.rotation @ pin.log3(terms.rotation.T @ plan.orientation[index])
+        spin = plan.pad_normal * plan.rotation.velocity[index, 0]
         targets = self._targets
         targets[:3] = position_path.acceleration[index] + feedback
-        targets[3:6] = k_theta * tilt - 2.0 * math.sqrt(k_theta) * gamma * twist[3:]
+        targets[3:6] = k_theta * tilt + 2.0 * math.sqrt(k_theta) * gamma * (spin - twist[3:])
+        targets[3:6] += plan.pad_normal * plan.rotation.acceleration[index, 0]
         targets[6] = (
             posture_path.acceleration[index, 0]
             + self._posture_rate * gamma * (posture_path.velocity[index, 0] - dq[0])

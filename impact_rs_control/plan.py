@@ -5,8 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 
-from impact_rs_control.references import SampledPath, ante_impact_path, post_impact_path, push_path
+from impact_rs_control.references import (
+    SampledPath,
+    ante_impact_path,
+    post_impact_path,
+    push_path,
+    there_and_back_path,
+)
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import compute_impact_map
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
@@ -26,7 +33,9 @@ class ArmPlan:
         post_position: Post-impact position reference of E.
         ante_posture: Ante-impact reference of joint 1.
         post_posture: Post-impact reference of joint 1.
-        orientation: Constant desired orientation R_d of E, ``(3, 3)``.
+        orientation: Desired orientation R_d of E per tick, ``(ticks + 1, 3, 3)``; constant in a hit.
+        rotation: Desired rotation about the pad's normal that ``orientation`` holds, ``(ticks + 1, 1)`` [rad].
+        pad_normal: The pad's normal in A, ``(3,)``; it keeps its direction.
         wrench: Desired wrench f_d of the arm on the object per tick, at E in E[A], ``(ticks + 1, 6)`` [N, N m].
         approach_direction: Direction of the ante-impact velocity, ``(3,)``.
         initial: Initial joint positions, ``(n,)`` [rad].
@@ -37,6 +46,8 @@ class ArmPlan:
     ante_posture: SampledPath
     post_posture: SampledPath
     orientation: Array
+    rotation: SampledPath
+    pad_normal: Array
     wrench: Array
     approach_direction: Array
     initial: Array
@@ -50,15 +61,20 @@ class TrialPlan:
         scene: Scenario, object and case.
         velocity_scale: Post-impact reference velocity over predicted velocity [-].
         motor_inertia: Motor-inertia model of the reference's impact map.
-        impact: The prediction the reference is made from.
+        impact: The prediction the reference is made from; None where nothing is hit.
         arms: Plan by arm.
     """
 
     scene: Scene
     velocity_scale: float
     motor_inertia: str
-    impact: ImpactResult
+    impact: ImpactResult | None
     arms: dict[str, ArmPlan]
+
+    @property
+    def expects_impact(self) -> bool:
+        """Whether the arms are meant to hit the object."""
+        return self.impact is not None
 
     @property
     def ante_velocity(self) -> float:
@@ -69,7 +85,9 @@ class TrialPlan:
 
     @property
     def predicted_post_velocity(self) -> float:
-        """Predicted post-impact velocity along the measured axis, mean over the arms [m/s]."""
+        """Predicted post-impact velocity along the measured axis, mean over the arms [m/s]; 0 without impact."""
+        if self.impact is None:
+            return 0.0
         axis = self.scene.scenario.axis_index
         return float(np.mean([twist[axis] for twist in self.impact.end_effector_twist.values()]))
 
@@ -97,40 +115,84 @@ def plan_trial(
         raise InputError(f"velocity scale = {velocity_scale!r}: expected a number > 0 [-]")
     if motor_inertia not in MOTOR_INERTIA_MODELS:
         raise InputError(f"no motor-inertia model {motor_inertia!r}; known: {', '.join(MOTOR_INERTIA_MODELS)}")
+    if scene.scenario.excursion is not None:
+        arms = {name: _plan_excursion(scene, name) for name in scene.arms}
+        return TrialPlan(scene, velocity_scale, motor_inertia, None, arms)
     impact = compute_impact_map(ImpactProblem.at_nominal_impact(scene, motor_inertia), engine)
-    arms = {name: _plan_arm(scene, name, impact, velocity_scale) for name in scene.arms}
+    arms = {name: _plan_hit(scene, name, impact, velocity_scale) for name in scene.arms}
     return TrialPlan(scene, velocity_scale, motor_inertia, impact, arms)
 
 
-def _plan_arm(scene: Scene, name: str, impact: ImpactResult, scale: float) -> ArmPlan:
+def _tick_times(scene: Scene) -> Array:
+    timing = scene.scenario.timing
+    return np.arange(timing.ticks + 1, dtype=np.float64) * timing.control_period
+
+
+def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> ArmPlan:
     scenario, model, state = scene.scenario, scene.models[name], scene.arms[name]
-    timing = scenario.timing
-    times: Array = np.arange(timing.ticks + 1, dtype=np.float64) * timing.control_period
+    timing, times = scenario.timing, _tick_times(scene)
     pose = scenario.robots[name].impact.placement
+    normal = np.array(scenario.robots[name].impact.pad_normal)
     velocity = model.jacobian(state.position)[:3] @ state.velocity
     joint_1, joint_1_velocity = state.position[:1], state.velocity[:1]
     ante_position = ante_impact_path(timing, pose.translation, velocity, times)
     ante_posture = ante_impact_path(timing, joint_1, joint_1_velocity, times)
-    normal = np.array(scenario.robots[name].impact.pad_normal)
-    post_position = push_path(timing, pose.translation, scale * impact.end_effector_twist[name][:3], normal, times)
+    after = scale * impact.end_effector_twist[name][:3]
+    post_position = push_path(timing, pose.translation, after, normal, times)
     post_posture = post_impact_path(timing, joint_1, scale * impact.joint_velocity[name][:1], times)
-
-    start = pose.copy()
-    start.translation = ante_position.position[0]
-    try:
-        initial = model.inverse_kinematics(start, float(ante_posture.position[0, 0]), state.position)
-    except InputError as error:
-        raise InputError(f"arm {name!r}, start of the motion: {error}") from None
+    still = np.zeros((times.size, 1))
     return ArmPlan(
         ante_position=ante_position,
         post_position=post_position,
         ante_posture=ante_posture,
         post_posture=post_posture,
-        orientation=pose.rotation,
+        orientation=np.broadcast_to(pose.rotation, (times.size, 3, 3)),
+        rotation=SampledPath(still, still, still),
+        pad_normal=normal,
         wrench=_push_wrench(scene, name, post_position),
         approach_direction=velocity / np.linalg.norm(velocity),
-        initial=initial,
+        initial=_initial(scene, name, pose.rotation, ante_position, ante_posture),
     )
+
+
+def _plan_excursion(scene: Scene, name: str) -> ArmPlan:
+    """There and back through free space; ante- and post-impact references are the same."""
+    scenario, state = scene.scenario, scene.arms[name]
+    excursion, times = scenario.excursion, _tick_times(scene)
+    assert excursion is not None
+    robot = scenario.cases[scene.case_name].robots[name]
+    pose = scenario.robots[name].impact.placement
+    normal = np.array(scenario.robots[name].impact.pad_normal)
+    leg = scenario.excursion_leg(robot)
+
+    def path(start: Array, end: Array) -> SampledPath:
+        return there_and_back_path(excursion.begin, leg, excursion.rest, start, end, times)
+
+    position = path(pose.translation + np.array(excursion.start), pose.translation + np.array(excursion.end))
+    posture = path(state.position[:1], state.position[:1] + excursion.joint_1)
+    rotation = path(np.zeros(1), np.array([excursion.twist]))
+    turned = np.array([pose.rotation @ pin.exp3(np.array([0.0, 0.0, angle])) for angle in rotation.position[:, 0]])
+    return ArmPlan(
+        ante_position=position,
+        post_position=position,
+        ante_posture=posture,
+        post_posture=posture,
+        orientation=turned,
+        rotation=rotation,
+        pad_normal=normal,
+        wrench=np.zeros((times.size, 6)),
+        approach_direction=np.array(robot.ante_velocity) / np.linalg.norm(robot.ante_velocity),
+        initial=_initial(scene, name, pose.rotation, position, posture),
+    )
+
+
+def _initial(scene: Scene, name: str, rotation: Array, position: SampledPath, posture: SampledPath) -> Array:
+    """Joint positions at the start of the motion."""
+    start = pin.SE3(rotation, position.position[0])
+    try:
+        return scene.models[name].inverse_kinematics(start, float(posture.position[0, 0]), scene.arms[name].position)
+    except InputError as error:
+        raise InputError(f"arm {name!r}, start of the motion: {error}") from None
 
 
 def _push_wrench(scene: Scene, name: str, post: SampledPath) -> Array:

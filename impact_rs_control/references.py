@@ -121,6 +121,24 @@ def push_path(timing: Timing, position: Array, velocity: Array, normal: Array, t
     )
 
 
+def there_and_back_path(begin: float, leg: float, rest: float, start: Array, end: Array, times: Array) -> SampledPath:
+    """From rest at ``start`` to rest at ``end`` and back again.
+
+    Args:
+        begin: When the motion begins [s].
+        leg: Duration of one way [s].
+        rest: Rest at ``end`` [s].
+        start: ``(d,)`` [m or rad].
+        end: ``(d,)`` [m or rad].
+        times: Where to sample, ``(k,)`` [s].
+    """
+    still = np.zeros_like(start)
+    knots = [(begin, start), (begin + leg, end), (begin + leg + rest, end), (begin + 2.0 * leg + rest, start)]
+    if rest == 0.0:
+        del knots[2]
+    return sample_path([ViaPoint(time, position, still, still) for time, position in knots], times)
+
+
 def _to_rest(start: float, duration: float, position: Array, velocity: Array, times: Array) -> SampledPath:
     rest = np.zeros_like(velocity)
     return sample_path(

@@ -78,6 +78,7 @@ class Model(Schema):
             name=name,
             parent=parent,
             parent_digest=self.digest,
+            note="",
             formulas=tuple(own.values()),
             effects=(*kept, item),
         )

@@ -193,6 +193,17 @@ class Case(Schema):
     robots: dict[str, CaseRobot] = Field(description="what each arm does")
 
 
+class Excursion(Schema):
+    """A motion there and back without contact; its peak speed is that of the case's ante_velocity."""
+
+    start: Vector3 = Field(description="start of frame E from its pose at impact [m]")
+    end: Vector3 = Field(description="turning point of frame E from its pose at impact [m]")
+    joint_1: float = Field(description="change of joint 1 from start to turning point [rad]")
+    twist: float = Field(description="rotation of E about the pad's normal from start to turning point [rad]")
+    begin: Positive = Field(description="when the motion begins [s]")
+    rest: Annotated[float, Field(ge=0.0, description="rest at the turning point [s]")]
+
+
 class Timing(Schema):
     """When things happen in a trial."""
 
@@ -291,6 +302,12 @@ class Scenario(Schema):
     name: str = Field(description="name of the scenario")
     description: str = Field(description="what happens, in a sentence")
     axis: Literal["x", "y", "z"] = Field(description="axis of the measure")
+    object_gap: NonNegative = Field(
+        0.0, description="distance between pad and object at the nominal impact pose [m]; 0: the pad hits"
+    )
+    excursion: Excursion | None = Field(
+        None, description="a motion there and back without contact; absent: the pad hits the object"
+    )
     robots: dict[str, Robot] = Field(min_length=1, description="arms by name")
     objects: dict[str, ObjectSpec] = Field(min_length=1, description="objects by name")
     support: Support = Field(description="what the object lies on")
@@ -311,6 +328,32 @@ class Scenario(Schema):
                     f"cases.{case_name}.robots names {sorted(case.robots)}, expected {sorted(self.robots)}"
                 )
         return self
+
+    @model_validator(mode="after")
+    def _excursion_fits(self) -> Self:
+        if self.excursion is None:
+            return self
+        if self.object_gap <= 0.0:
+            raise ValueError("an excursion is a motion without contact: object_gap must be > 0 [m]")
+        for name, case in self.cases.items():
+            for robot in case.robots.values():
+                end = self.excursion_end(robot)
+                if end > self.timing.duration:
+                    raise ValueError(
+                        f"cases.{name}: there and back at this speed ends at {end:.2f} s, after timing.duration [s]"
+                    )
+        return self
+
+    def excursion_leg(self, robot: CaseRobot) -> float:
+        """Duration of one way of the excursion [s]; a quintic from rest to rest peaks at 15/8 of its mean speed."""
+        assert self.excursion is not None
+        way = np.linalg.norm(np.array(self.excursion.end) - np.array(self.excursion.start))
+        return float(15.0 / 8.0 * way / np.linalg.norm(robot.ante_velocity))
+
+    def excursion_end(self, robot: CaseRobot) -> float:
+        """When the arm is back [s]."""
+        assert self.excursion is not None
+        return self.excursion.begin + 2.0 * self.excursion_leg(robot) + self.excursion.rest
 
     @property
     def axis_index(self) -> int:

@@ -115,11 +115,11 @@ def _impact_velocity(model: RobotModel, q: Array, linear: Array, joint_1: float 
 
 
 def _place_object(scenario: Scenario, object_name: str) -> BodyState:
-    """On the support, with a face in the plane of the first arm's pad, centred on it sideways."""
+    """On the support, a face in the plane of the first arm's pad or ``object_gap`` off it, centred on it sideways."""
     size = np.array(scenario.object(object_name).size)
     impact = next(iter(scenario.robots.values())).impact
     normal = np.array(impact.pad_normal)
-    position = np.array(impact.position) + normal * (np.abs(normal) @ size) / 2.0
+    position = np.array(impact.position) + normal * ((np.abs(normal) @ size) / 2.0 + scenario.object_gap)
     position[2] = scenario.support.height + size[2] / 2.0
     return BodyState(position, np.eye(3), np.zeros(6))
 

@@ -119,7 +119,8 @@ def record_trial(
                 for topic, message in controller_messages(maker, tick.number, tick.commands):
                     bag.write(topic, now, message)
                 detected |= {arm for arm, command in tick.commands.items() if command.detection is not None}
-            outcome: Outcome = "OK" if detected == set(plan.arms) else "NO-IMPACT"
+            hit = detected == set(plan.arms) or not plan.expects_impact
+            outcome: Outcome = "OK" if hit else "NO-IMPACT"
             bag.finish(outcome)
             return outcome, {arm: command.net_feedback for arm, command in tick.commands.items()}
     finally:
