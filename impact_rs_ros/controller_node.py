@@ -5,14 +5,13 @@ from __future__ import annotations
 import time
 from typing import Any
 
-import numpy as np
-
 from impact_rs_analysis.bags import topics
 from impact_rs_analysis.bags.record import controller_messages
 from impact_rs_analysis.bags.trial_info import TrialInfo
 from impact_rs_control.controller import Controller
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
+from impact_rs_ros.exchange import JointSignals, joint_signals
 from impact_rs_ros.process import run
 from impact_rs_ros.trial_node import TrialNode
 from impact_rs_sim.sensors import ArmMeasurement
@@ -65,14 +64,13 @@ class ControllerNode(TrialNode):
     def work(self, until: float) -> None:
         while (left := until - time.monotonic()) > 0.0:
             self.inbox.wait(left)
-            for topic, message in self.inbox.take():
-                self._answer(self._arm_of[topic], message)
+            for topic, data in self.inbox.take():
+                self._answer(self._arm_of[topic], joint_signals(data))
 
-    def _answer(self, arm: str, message: Any) -> None:
+    def _answer(self, arm: str, signals: JointSignals) -> None:
         started = time.monotonic()
         assert self.maker is not None
-        stamp = message.header.stamp
-        tick = round((stamp.sec * 1_000_000_000 + stamp.nanosec) / self._period_ns)
+        tick = round(signals.stamp / self._period_ns)
         last = self._ticks[arm]
         if tick <= last:
             if tick == last:  # the plant asks again
@@ -80,8 +78,8 @@ class ControllerNode(TrialNode):
             return
         self._skipped += tick - last - 1
         self._ticks[arm] = tick
-        position, velocity = np.array(message.position), np.array(message.velocity)
-        measured = ArmMeasurement(position, velocity, np.array(message.effort), position, velocity)
+        position, velocity, torque = signals.values
+        measured = ArmMeasurement(position, velocity, torque, position, velocity)  # it does not read the motor's
         command = self._controller.arms[arm].update(tick, measured)
         messages = controller_messages(self.maker, tick, {arm: command})
         answer = next(messages)
@@ -90,7 +88,7 @@ class ControllerNode(TrialNode):
         self._qp[command.qp_status] += 1
         for topic, rest in messages:
             self.outbox.publish(topic, rest)
-        self.now = stamp
+        self.now = answer[1].header.stamp
         self.tick_times.append(time.monotonic() - started)
 
 

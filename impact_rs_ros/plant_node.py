@@ -11,7 +11,6 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.task import Future
 from std_srvs.srv import Trigger
@@ -21,6 +20,7 @@ from impact_rs_analysis.bags.record import FrameSource, plant_messages
 from impact_rs_analysis.bags.trial_info import TrialInfo
 from impact_rs_control.closed_loop import make_plant
 from impact_rs_control.plan import TrialPlan
+from impact_rs_ros.exchange import joint_signals
 from impact_rs_ros.process import run
 from impact_rs_ros.trial_node import TrialNode
 from impact_rs_sim.plant import Plant
@@ -139,12 +139,14 @@ class PlantNode(TrialNode):
         """Whether this tick's torques are there; gives up for this turn, or for good, when they do not come."""
         paced = self._realtime and self._tick > 0
         deadline = self._started + self._tick * self._period if paced else asked + self._repeat_after
-        stamp = self.now
+        assert self.maker is not None
+        stamp = self.maker.nanoseconds(self._tick)
         while True:
-            for topic, message in self.inbox.take():
-                if message.header.stamp == stamp:
+            for topic, data in self.inbox.take():
+                command = joint_signals(data)
+                if command.stamp == stamp:
                     arm = self._arm_of[topic]
-                    self._torques[arm] = np.array(message.effort)
+                    self._torques[arm] = command.values[2]
                     self._missing.discard(arm)
             left = deadline - time.monotonic()
             if not self._missing:

@@ -28,6 +28,8 @@ class NodeProgram:
     """A node and its main loop."""
 
     kind: ClassVar[str]
+    background: ClassVar[bool] = True
+    """Whether the process lets others go first: a recorder that wakes up shall not interrupt plant or controller."""
 
     def __init__(self) -> None:
         self.node = Node(self.kind)
@@ -90,6 +92,9 @@ def run(program: type[NodeProgram]) -> None:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
+    if program.background and hasattr(os, "sched_setscheduler"):
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))  # before the middleware starts its threads
+        os.nice(5)
     supervisor = os.environ.get(SUPERVISOR)
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     try:

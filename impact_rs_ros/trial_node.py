@@ -25,6 +25,8 @@ SLICE = 0.02  # s, how long a running trial may keep a node from its services
 class TrialNode(NodeProgram):
     """A node that takes part in the lockstep."""
 
+    background = False
+
     def __init__(self) -> None:
         super().__init__()
         self.arms: list[str] = []
@@ -87,7 +89,7 @@ class TrialNode(NodeProgram):
         if self.arms:
             self.inbox.close()
             self.outbox.close()
-        self.inbox = Inbox(self.node, self.received(arms), AWAITED)
+        self.inbox = Inbox(self.node, self.received(arms), AWAITED, raw=True)
         self.outbox = Outbox(self.node, self.published(arms), STREAM)
         self.arms = arms
 

@@ -67,14 +67,14 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
 
     rows = result_table(analysis)
     if rows:
-        table = Table(title="Errors of the predictions [%]")
-        table.add_column("")
+        table = Table(title="Experimental estimate, and errors of the predictions [%]")
+        table.add_column("", no_wrap=True)
         table.add_column("estimate [m/s]", justify="right")
         for heading in ("B_θ (nominal)", "B_ρ", "B = 0"):
             table.add_column(heading, justify="right")
         published = any(row.paper_errors for row in rows)
         if published:
-            table.add_column("published: B_θ", justify="right")
+            table.add_column("published", justify="right")
         for row in rows:
             estimate = "" if row.estimate is None else f"{row.estimate:.3f}"
             if row.half_interval is not None:
