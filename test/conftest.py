@@ -1,7 +1,92 @@
 """Settings that hold for every test."""
 
+from collections.abc import Callable
+from pathlib import Path
+
+from __future__ import annotations
+
+import fcntl
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import hypothesis
+import pytest
+
+if TYPE_CHECKING:
+    from impact_rs_ros.graph import Graph
+import pytest
 
 # A shared machine is slow now and then, and the first message of a type loads its type support.
 hypothesis.settings.register_profile("impact_rs", deadline=None)
 hypothesis.settings.load_profile("impact_rs")
+
+
+@pytest.fixture(scope="session")
+def push_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small campaign, run once: cat food, case 2, three scales. Tests copy it before they change it."""
+    from impact_rs_analysis.campaign import make_manifest, run_campaign
+
+    directory = tmp_path_factory.mktemp("campaigns") / "push"
+    manifest = make_manifest("push", ["cat_food"], ["case_2"], [0.8, 1.0, 1.2], trials=1)
+    reports = list(run_campaign(directory, manifest))
+    assert [report.outcome for report in reports] == ["OK"] * 3
+    return directory
+
+
+def rewrite_bag(source: Path, target: Path, keep: Callable[[str], bool]) -> None:
+    """Copy a bag with its metadata, without the topics that ``keep`` refuses."""
+    from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+
+    from impact_rs_analysis.bags.types import typestore
+
+    with Reader(source) as reader:
+        writer = Writer(target, version=9, storage_plugin=StoragePlugin.MCAP)
+        for name, value in (reader.storage.metadata.custom or {}).items():
+            writer.set_custom_data(name, value)
+        with writer:
+            connections = {
+                c.topic: writer.add_connection(c.topic, c.msgtype, typestore=typestore())
+                for c in reader.connections
+                if keep(c.topic)
+            }
+            for connection, timestamp, data in reader.messages():
+                if connection.topic in connections:
+                    writer.write(connections[connection.topic], timestamp, data)
+
+
+@pytest.fixture(name="rewrite_bag")
+def _rewrite_bag() -> Callable[[Path, Path, Callable[[str], bool]], None]:
+    return rewrite_bag
+
+
+@pytest.fixture(scope="session")
+def domain_ids() -> Iterator[Callable[[], int]]:
+    """Hands out ROS domain ids that no other test run on this machine uses; a lock file holds each."""
+    with ExitStack() as held:
+
+        def take() -> int:
+            for number in range(1, 100):  # 101 and above run into the ports the system hands out
+                lock = held.enter_context(open(Path(tempfile.gettempdir()) / f"impact_rs_domain_{number}.lock", "w"))
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except OSError:
+                    lock.close()
+                    continue
+                return number
+            raise RuntimeError("no ROS domain id is free")
+
+        yield take
+
+
+@pytest.fixture(scope="session")
+def graph(domain_ids: Callable[[], int]) -> Iterator[Graph]:
+    """The five nodes as processes, shared by the tests that leave them running."""
+    from impact_rs_ros.graph import Graph
+
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    with Graph("push", domain_ids()) as running:
+        yield running

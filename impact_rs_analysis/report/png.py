@@ -22,7 +22,7 @@ def _text(text: str) -> str:
 
 
 def write_png(figure: Figure, path: Path) -> Path:
-    """Draw a figure, 200 dots per inch."""
+    """Draw a figure, 150 dots per inch."""
     panels = len(figure.panels)
     canvas = Canvas(figsize=(7.2, 2.3 * panels + 1.2 if panels > 1 else 5.2), layout="constrained")
     FigureCanvasAgg(canvas)
@@ -52,7 +52,7 @@ def write_png(figure: Figure, path: Path) -> Path:
     handles, labels = axes[0].get_legend_handles_labels()
     columns = 3 if panels > 1 else 2
     canvas.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False, fontsize=8.5)
-    canvas.savefig(path, dpi=200)
+    canvas.savefig(path, dpi=150)
     return path
 
 
