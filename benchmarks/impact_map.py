@@ -1,6 +1,6 @@
 """The two impact-map engines side by side: agreement over random problems, and time per warm call.
 
-    python benchmarks/impact_map.py [--problems 300] [--calls 200] [--seed 0]
+python benchmarks/impact_map.py [--problems 300] [--calls 200] [--seed 0]
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ obeys the laws of :mod:`impact_rs_sim.impact_map.problem` if
 
     p = -(M + B - M') (u^+(p) - u^-) + J_t^T c(u^+(p)),
 
-solved by Newton's method for the inertial part, with the derivative at fixed contact modes, and by fixed-point iteration
-for c. With B = 0 and no sliding the first step is the answer, and it is plain Bullet. Its parts:
+solved by Newton's method for the inertial part, with the derivative at fixed contact modes, and by fixed-point
+iteration for c. With B = 0 and no sliding the first step is the answer, and it is plain Bullet. Its parts:
 
 * **M'**: every link carries its rotor as a thin disc about the joint axis, which is M + B up to couplings between
   joints. With M' = M the iteration would be hopeless at the wrist, where B is a hundred times M.
@@ -65,6 +65,7 @@ class _Effort:
         solver_iterations: Of Bullet's solver, in a step.
         steps: Bullet's steps, at most.
         patience: Steps without progress that end it.
+        damping: Share of a Newton step that is taken [-].
         guess: Tolerance of the first guess [m/s].
         accepted: Residual above which the next effort follows [m/s].
     """
@@ -72,6 +73,7 @@ class _Effort:
     solver_iterations: int
     steps: int
     patience: int
+    damping: float
     guess: float
     accepted: float
 
@@ -84,8 +86,8 @@ class BulletEngine(Engine):
 
     _GOAL = 1e-5  # m/s, residual that ends the iteration
     _EFFORTS = (
-        _Effort(solver_iterations=200, steps=8, patience=3, guess=1e-7, accepted=1e-4),
-        _Effort(solver_iterations=1000, steps=20, patience=8, guess=1e-8, accepted=np.inf),
+        _Effort(solver_iterations=200, steps=8, patience=3, damping=1.0, guess=1e-7, accepted=1e-4),
+        _Effort(solver_iterations=1000, steps=30, patience=10, damping=0.5, guess=1e-8, accepted=np.inf),
     )
     _KEPT = 4  # worlds kept warm, one per motor inertia
 
@@ -153,11 +155,12 @@ class BulletEngine(Engine):
             stalled = 0 if answer.error < 0.9 * best.error else stalled + 1
             best = min(best, answer, key=lambda candidate: candidate.error)
             total = _coulomb(terms, impulses, extra, answer.velocity)
-            change, extra = total - impulses - extra, total - impulses
+            change = effort.damping * (total - impulses - extra)
+            extra = extra + change
             moved = answer.velocity - system.velocity
             slope = _response(terms, run.inertia, impulses, answer.velocity)
             defect = inertial + missing @ (moved + slope @ (terms.jacobian.T @ change.ravel()))
-            inertial = inertial - np.linalg.solve(np.eye(moved.size) + missing @ slope, defect)
+            inertial = inertial - effort.damping * np.linalg.solve(np.eye(moved.size) + missing @ slope, defect)
         return best, count
 
 
@@ -347,7 +350,7 @@ def _bullet_friction(terms: ContactTerms, inertia: Array, impulses: Array, veloc
     direction /= np.maximum(np.linalg.norm(direction, axis=1), 1e-300)[:, None]
     skewed = pressing[:, None] * terms.normals - (terms.friction * pressing)[:, None] * direction
     slides = np.linalg.norm(sliding, axis=1) > SLIDING
-    return np.where(slides[:, None], skewed, impulses)
+    return np.asarray(np.where(slides[:, None], skewed, impulses))
 
 
 def _response(terms: ContactTerms, inertia: Array, impulses: Array, velocity: Array) -> Array:
@@ -368,11 +371,12 @@ def _response(terms: ContactTerms, inertia: Array, impulses: Array, velocity: Ar
         else:
             held.extend(jacobian[index])
             holding.extend(jacobian[index])
-    inverse = np.linalg.inv(inertia)
+    inverse: Array = np.asarray(np.linalg.inv(inertia), dtype=float)
     if not held:
         return inverse
     of_velocity, of_impulse = np.array(held) @ inverse, inverse @ np.array(holding).T
-    return np.asarray(inverse - of_impulse @ np.linalg.pinv(np.array(held) @ of_impulse, rcond=1e-9) @ of_velocity)
+    held_by = np.linalg.pinv(np.array(held) @ of_impulse, rcond=1e-9)
+    return np.asarray(inverse - of_impulse @ held_by @ of_velocity, dtype=float)
 
 
 def _friction_axes(normal: Array) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

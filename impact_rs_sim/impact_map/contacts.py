@@ -127,9 +127,7 @@ def separating_face(partner: Box, thing: Box) -> tuple[float, Array, bool]:
     return float(separation[best]), sign * axes[best], best >= 3
 
 
-def _touching(
-    partner: Box, thing: Box, normal: Array, on_object: bool, tolerance: float
-) -> list[tuple[Array, float]]:
+def _touching(partner: Box, thing: Box, normal: Array, on_object: bool, tolerance: float) -> list[tuple[Array, float]]:
     """Points on ``thing`` with their gaps."""
     # The reference face owns the normal; the incident face of the other box is clipped to it.
     reference, incident = (thing, partner) if on_object else (partner, thing)

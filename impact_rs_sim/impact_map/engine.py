@@ -78,8 +78,5 @@ class Engine(ABC):
         return {name: self.models[name].placement(state.position) for name, state in problem.arms.items()}
 
     @abstractmethod
-    def _solve(
-        self, problem: ImpactProblem, system: System
-    ) -> tuple[Sequence[ContactPoint], Array, Array, int]:
+    def _solve(self, problem: ImpactProblem, system: System) -> tuple[Sequence[ContactPoint], Array, Array, int]:
         """Contact points (m), impulses on the object ``(m, 3)`` [N s], u^+ ``(nv,)``, and outer iterations."""
-

@@ -35,9 +35,7 @@ class PinocchioEngine(Engine):
     def _solve(self, problem: ImpactProblem, system: System) -> tuple[Sequence[ContactPoint], Array, Array, int]:
         contacts = find_contacts(problem.physics, problem.object, self._placements(problem))
         impulses, iterations = solve_contacts(system, contacts, problem.restitution)
-        velocity = system.velocity + np.linalg.solve(
-            system.inertia, system.jacobian(contacts).T @ impulses.ravel()
-        )
+        velocity = system.velocity + np.linalg.solve(system.inertia, system.jacobian(contacts).T @ impulses.ravel())
         return contacts, impulses, velocity, iterations
 
 

@@ -183,9 +183,7 @@ def check_problem(
     if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > 1e-6 or np.linalg.det(rotation) < 0.0:
         raise InputError("expected a rotation matrix: orthonormal, determinant +1 [-]", key="object.rotation")
     if placements is None:
-        placements = {
-            name: physics.robot_model(name).placement(state.position) for name, state in problem.arms.items()
-        }
+        placements = {name: physics.robot_model(name).placement(state.position) for name, state in problem.arms.items()}
     thing, partners = boxes(physics, body, placements)
     for name, partner in partners.items():
         depth = -separating_face(partner, thing)[0]

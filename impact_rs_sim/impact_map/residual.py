@@ -22,7 +22,6 @@ from impact_rs_sim.impact_map.problem import Residual
 from impact_rs_sim.impact_map.system import System
 from impact_rs_sim.robot import Array
 
-
 SLIDING = 1e-7  # m/s, slower points stick
 
 
