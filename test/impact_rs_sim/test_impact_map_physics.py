@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -184,3 +185,25 @@ def test_jacobian_is_the_velocity_of_the_contact_points(engine: str) -> None:
             local = placements["arm"].actInv(contact.partner_position)
             velocity = (moved.act(local) - contact.partner_position) / step
             np.testing.assert_allclose(row, -velocity, atol=1e-5)
+
+
+def test_two_arms_that_grab_from_both_sides_leave_the_object_at_rest(engine: str) -> None:
+    problem = nominal()
+    body = problem.object
+    turn = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, np.pi), np.zeros(3))
+    centre = pin.SE3(np.eye(3), body.position * np.array([1.0, 1.0, 0.0]))
+    other = replace(ARM, base=centre * turn * centre.inverse() * ARM.base)
+    state, motor = problem.arms["arm"], problem.motor_inertia["arm"]
+    result = compute_impact_map(
+        replace(
+            problem,
+            physics=replace(problem.physics, arms={"left": ARM, "right": other}),
+            arms={"left": state, "right": state},
+            motor_inertia={"left": motor, "right": motor},
+        ),
+        engine,
+    )
+    assert sorted({contact.body_b for contact in result.contacts}) == ["left", "right", "support"]
+    np.testing.assert_allclose(result.object_twist[[0, 1, 3, 4]], 0.0, atol=2e-3)
+    np.testing.assert_allclose(result.end_effector_twist["left"][1], 0.0, atol=2e-3)
+    np.testing.assert_allclose(result.end_effector_twist["right"][1], 0.0, atol=2e-3)
