@@ -134,7 +134,6 @@ class BulletWorld:
                 linearDamping=0.0,
                 angularDamping=0.0,
                 jointDamping=0.0,
-                lateralFriction=self.physics.pad_friction,
                 spinningFriction=0.0,
                 rollingFriction=0.0,
                 restitution=0.0,
@@ -143,6 +142,8 @@ class BulletWorld:
                 jointUpperLimit=-1.0,
                 activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
             )
+            # A call of its own: beside maxJointVelocity or activationState Bullet drops it without a word.
+            client.changeDynamics(body, link, lateralFriction=self.physics.pad_friction)
         if compliant and physics.pad_stiffness is not None:
             client.changeDynamics(
                 body,

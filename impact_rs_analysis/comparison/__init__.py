@@ -1,0 +1,1 @@
+"""Model against measurement: the same signals, the same features, and their differences."""
