@@ -81,7 +81,7 @@ class Graph:
             self._executor = SingleThreadedExecutor(context=self._context)
             self._executor.add_node(self.node)
             self.run_trial = ActionClient(self.node, RunTrial, "run_trial")
-            self._run_campaign = ActionClient(self.node, RunCampaign, "run_campaign")
+            self.run_campaign = ActionClient(self.node, RunCampaign, "run_campaign")
             self._services = [
                 self.node.create_client(ConfigureTrial, f"{name}/configure_trial")
                 for name in ("plant", "controller", "recorder")
@@ -130,7 +130,7 @@ class Graph:
         deadline = time.monotonic() + START_TIMEOUT
         while not (
             self.run_trial.server_is_ready()
-            and self._run_campaign.server_is_ready()
+            and self.run_campaign.server_is_ready()
             and all(client.service_is_ready() for client in self._services)
         ):
             for name, process in self.processes.items():
@@ -150,12 +150,14 @@ class Graph:
                 self._start(name)
         return lines
 
+    def output(self, name: str) -> str:
+        """What a quiet node wrote."""
+        return self._log(name).read_text(errors="replace")
+
     def last_words(self, name: str) -> str:
         """Last line that a quiet node wrote."""
-        if not self._quiet or not self._log(name).exists():
-            return "see its output above"
-        lines = self._log(name).read_text(errors="replace").strip().splitlines()
-        return lines[-1] if lines else "it wrote nothing"
+        lines = self.output(name).strip().splitlines()
+        return lines[-1] if lines else "it wrote nothing" if self._quiet else "see its output above"
 
     def call_trial(self, goal: RunTrial.Goal, feedback: Any = None) -> RunTrial.Result:
         """Run one trial.
@@ -191,7 +193,7 @@ class Graph:
         for name in ("experiment", *NODES):
             if name in running:
                 process = running.pop(name)
-                process.send_signal(signal.SIGINT)
+                process.terminate()  # SIGTERM: also a node that still imports ends without a word
                 if name == "experiment":
                     _wait_for(process, time.monotonic() + STOP_TIMEOUT)
         deadline = time.monotonic() + STOP_TIMEOUT
@@ -200,7 +202,7 @@ class Graph:
         if hasattr(self, "_context"):
             self._executor.shutdown(timeout_sec=1.0)
             self.run_trial.destroy()
-            self._run_campaign.destroy()
+            self.run_campaign.destroy()
             self.node.destroy_node()
             rclpy.try_shutdown(context=self._context)
             del self._context
@@ -240,10 +242,11 @@ def run_trials_through_nodes(
         return
     with Graph(manifest.scenario, domain_id) as graph:
         for key in keys:
-            yield _run_key(graph, directory, manifest, key)
+            yield run_trial(graph, directory, manifest, key)
 
 
-def _run_key(graph: Graph, directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
+def run_trial(graph: Graph, directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
+    """Run one trial of a campaign; whatever goes wrong is told in the report, and what died is started again."""
     goal = RunTrial.Goal(
         scenario=manifest.scenario,
         object_name=key.object,

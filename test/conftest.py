@@ -1,8 +1,5 @@
 """Settings that hold for every test."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 from __future__ import annotations
 
 import fcntl
@@ -18,7 +15,6 @@ import pytest
 
 if TYPE_CHECKING:
     from impact_rs_ros.graph import Graph
-import pytest
 
 # A shared machine is slow now and then, and the first message of a type loads its type support.
 hypothesis.settings.register_profile("impact_rs", deadline=None)

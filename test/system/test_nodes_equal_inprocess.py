@@ -1,0 +1,98 @@
+"""A trial through the nodes, five processes and DDS between them, equals the trial in one process."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from mcap_ros2.reader import read_ros2_messages
+
+from impact_rs_analysis.bags import topics
+from impact_rs_analysis.bags.reader import TrialBag
+from impact_rs_analysis.campaign import Manifest, make_manifest, run_one
+from impact_rs_ros.graph import Graph, run_trial
+from impact_rs_ros.message_types import available
+
+TOLERANCE = 1e-9
+ARM = "arm"
+SKIPPED = {topics.DIAGNOSTICS} | ({topics.TF} if not available(topics.TF_MESSAGE) else set())
+
+
+@pytest.fixture(scope="module")
+def manifest() -> Manifest:
+    return make_manifest("push", ["cat_food"], ["2"], [1.1], trials=1, seed=3)
+
+
+@pytest.fixture(scope="module")
+def inprocess(manifest: Manifest, tmp_path_factory: pytest.TempPathFactory) -> TrialBag:
+    folder = tmp_path_factory.mktemp("inprocess")
+    run_one(folder, manifest, manifest.keys[0])
+    return TrialBag(folder / manifest.keys[0].name)
+
+
+@pytest.fixture(scope="module")
+def through_nodes(graph: Graph, manifest: Manifest, tmp_path_factory: pytest.TempPathFactory) -> list[TrialBag]:
+    """The same trial twice, so that the second one follows another trial in the same nodes."""
+    bags = []
+    for name in ("first", "second"):
+        folder = tmp_path_factory.mktemp(name)
+        report = run_trial(graph, folder, manifest, manifest.keys[0])
+        assert (report.outcome, report.message) == ("OK", "")
+        bags.append(TrialBag(folder / manifest.keys[0].name))
+    return bags
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_every_topic_has_the_same_number_of_messages(
+    inprocess: TrialBag, through_nodes: list[TrialBag], which: int
+) -> None:
+    nodes = through_nodes[which]
+    counts = {topic: nodes.counts[topic] for topic in inprocess.counts if topic not in SKIPPED}
+    assert counts == {topic: count for topic, count in inprocess.counts.items() if topic not in SKIPPED}
+    assert nodes.outcome == inprocess.outcome == "OK"
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_every_column_is_the_same(inprocess: TrialBag, through_nodes: list[TrialBag], which: int) -> None:
+    nodes = through_nodes[which]
+    pairs = [
+        (inprocess.joints(topic), nodes.joints(topic))
+        for topic in (
+            topics.joint_states(ARM),
+            topics.motor_states(ARM),
+            topics.joint_command(ARM),
+            topics.truth_joint_states(ARM),
+        )
+    ]
+    pairs += [
+        (inprocess.poses(topic), nodes.poses(topic)) for topic in (topics.OBJECT_POSE, topics.TRUTH_OBJECT_POSE)
+    ]
+    pairs.append((inprocess.controller(ARM), nodes.controller(ARM)))
+    for one, other in pairs:
+        for field in fields(one):
+            if field.name != "qp_solve_time":
+                np.testing.assert_allclose(
+                    getattr(other, field.name), getattr(one, field.name), rtol=0.0, atol=TOLERANCE, err_msg=field.name
+                )
+    assert nodes.impact_time(ARM) == inprocess.impact_time(ARM)
+
+
+def test_the_trial_says_how_it_was_run(inprocess: TrialBag, through_nodes: list[TrialBag]) -> None:
+    assert inprocess.info.via == "inprocess"
+    assert through_nodes[0].info.via == "nodes"
+    assert through_nodes[0].info.values() | {"via": ""} == inprocess.info.values() | {"via": ""}
+
+
+def test_someone_elses_reader_finds_the_same_messages(through_nodes: list[TrialBag]) -> None:
+    bag = through_nodes[0]
+    counts: dict[str, int] = {}
+    efforts = []
+    for file in bag.path.glob("*.mcap"):
+        for message in read_ros2_messages(file):
+            topic = message.channel.topic
+            counts[topic] = counts.get(topic, 0) + 1
+            if topic == topics.joint_command(ARM):
+                efforts.append(list(message.ros_msg.effort))
+    assert counts == {topic: count for topic, count in bag.counts.items() if count}
+    np.testing.assert_array_equal(np.array(efforts), bag.joints(topics.joint_command(ARM)).effort)

@@ -1,0 +1,206 @@
+"""What goes wrong with the nodes ends a trial with an error, and nothing else."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from action_msgs.msg import GoalStatus
+from impact_rs.action import RunCampaign, RunTrial
+from impact_rs.srv import ConfigureTrial, FinishTrial
+
+from impact_rs_analysis.bags import topics
+from impact_rs_analysis.bags.reader import TrialBag
+from impact_rs_analysis.campaign import make_manifest
+from impact_rs_ros.graph import NODES, Graph, run_trial, run_trials_through_nodes
+
+PATIENCE = 60.0  # s, of the tests; never reached on a machine that works
+
+
+def goal(folder: Path, **changes: object) -> RunTrial.Goal:
+    values = {"scenario": "push", "object_name": "parcel", "case_name": "1", "velocity_scale": 1.0, "seed": 5}
+    return RunTrial.Goal(**values | {"output_directory": str(folder)} | changes)
+
+
+def spin_until(graph: Graph, condition: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, what
+        graph.spin(0.05)
+
+
+@pytest.mark.parametrize("victim", ["controller", "plant"])
+def test_a_node_killed_in_mid_trial_ends_the_trial_and_not_the_campaign(
+    graph: Graph, tmp_path: Path, victim: str
+) -> None:
+    killed = []
+
+    def kill(message: RunTrial.Impl.FeedbackMessage) -> None:
+        if message.feedback.time > 0.2 and not killed:
+            graph.processes[victim].kill()
+            killed.append(time.monotonic())
+
+    result = graph.call_trial(goal(tmp_path), kill)
+    assert time.monotonic() - killed[0] < 5.0
+    assert (result.success, result.outcome) == (False, "ABORTED")
+    assert result.message
+    bag = TrialBag(Path(result.bag_path))
+    assert bag.outcome == "ABORTED"
+    assert 200 < bag.counts[topics.joint_states("arm")] < 1801
+    assert len(bag.joints(topics.joint_states("arm")).time) == bag.counts[topics.joint_states("arm")]
+
+    (line,) = graph.revive()
+    assert victim in line and "SIGKILL" in line
+    graph.wait_until_ready()
+    manifest = make_manifest("push", ["parcel"], ["1"], [1.0], trials=1)
+    assert run_trial(graph, tmp_path, manifest, manifest.keys[0]).outcome == "OK"
+
+
+def test_a_cancelled_trial_leaves_a_readable_bag(graph: Graph, tmp_path: Path) -> None:
+    seen = []
+    sent = graph.run_trial.send_goal_async(goal(tmp_path), feedback_callback=seen.append)
+    spin_until(graph, sent.done, "no answer to the goal")
+    spin_until(graph, lambda: bool(seen), "no feedback")
+    handle = sent.result()
+    handle.cancel_goal_async()
+    result = handle.get_result_async()
+    spin_until(graph, result.done, "no result")
+    assert result.result().status == GoalStatus.STATUS_CANCELED
+    assert result.result().result.outcome == "ABORTED"
+    assert TrialBag(Path(result.result().result.bag_path)).outcome == "ABORTED"
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"scenario": "nowhere"}, "no scenario 'nowhere'"),
+        ({"object_name": "piano"}, "no object 'piano'"),
+        ({"case_name": "9"}, "no case '9'"),
+        ({"velocity_scale": -1.0}, "velocity scale"),
+        ({"motor_inertia": "large"}, "motor-inertia model"),
+    ],
+)
+def test_a_trial_that_cannot_be_is_refused_with_a_reason(
+    graph: Graph, tmp_path: Path, changes: dict[str, object], reason: str
+) -> None:
+    result = graph.call_trial(goal(tmp_path, **changes))
+    assert not result.success
+    assert reason in result.message
+
+
+def test_a_bag_is_never_overwritten(graph: Graph, tmp_path: Path) -> None:
+    (tmp_path / "parcel__case_1__s1.000__r0").mkdir()
+    result = graph.call_trial(goal(tmp_path))
+    assert not result.success
+    assert "exists already" in result.message
+
+
+def test_a_campaign_runs_what_is_missing(graph: Graph, tmp_path: Path) -> None:
+    request = RunCampaign.Goal(
+        scenario="push",
+        objects=["parcel"],
+        cases=["1"],
+        velocity_scales=[1.0],
+        trials=1,
+        output_directory=str(tmp_path),
+    )
+    answers = []
+    for _ in range(2):
+        sent = graph.run_campaign.send_goal_async(request)
+        spin_until(graph, sent.done, "no answer to the goal")
+        result = sent.result().get_result_async()
+        spin_until(graph, result.done, "no result")
+        answer = result.result().result
+        answers.append((answer.success, answer.finished, answer.failed, answer.skipped))
+    assert answers == [(True, 1, 0, 0), (True, 0, 0, 1)]
+
+
+def test_the_recorder_says_what_is_missing(graph: Graph, tmp_path: Path) -> None:
+    configure = graph.node.create_client(ConfigureTrial, "recorder/configure_trial")
+    finish = graph.node.create_client(FinishTrial, "recorder/finish_trial")
+    spin_until(graph, lambda: configure.service_is_ready() and finish.service_is_ready(), "no recorder")
+    request = ConfigureTrial.Request(bag_path=str(tmp_path / "bag"))
+    request.trial.robots = ["arm"]
+    ready = configure.call_async(request)
+    spin_until(graph, ready.done, "no answer")
+    assert ready.result().success, ready.result().message
+    done = finish.call_async(FinishTrial.Request(topics=["/arm/joint_states"], counts=[5]))
+    spin_until(graph, done.done, "no answer")
+    assert not done.result().success
+    assert done.result().outcome == "ABORTED"
+    assert "/arm/joint_states 0 of 5" in done.result().message
+
+
+def test_a_node_ends_in_order_when_it_is_told_to(graph: Graph) -> None:
+    for name, number in (("impact_map", signal.SIGTERM), ("recorder", signal.SIGINT)):
+        process = graph.processes[name]
+        process.send_signal(number)
+        assert process.wait(PATIENCE) == 0
+        assert "Traceback" not in graph.output(name)
+    assert len(graph.revive()) == 2
+    graph.wait_until_ready()
+
+
+def test_trials_of_a_campaign_run_in_nodes_that_are_gone_afterwards(
+    domain_ids: Callable[[], int], tmp_path: Path
+) -> None:
+    manifest = make_manifest("push", ["juice"], ["3"], [0.9], trials=1, seed=2)
+    before = set(descendants(os.getpid()))
+    reports = list(run_trials_through_nodes(tmp_path, manifest, manifest.keys, domain_ids()))
+    assert [(report.outcome, report.message) for report in reports] == [("OK", "")]
+    assert TrialBag(tmp_path / manifest.keys[0].name).info.key == manifest.keys[0]
+    assert set(descendants(os.getpid())) <= before
+
+
+def test_up_tells_what_died_and_stops_on_interrupt(domain_ids: Callable[[], int]) -> None:
+    environment = dict(os.environ, ROS_DOMAIN_ID=str(domain_ids()), PYTHONUNBUFFERED="1")
+    program = "import sys; from impact_rs_ros.graph import up; sys.exit(up('push'))"
+    with subprocess.Popen(
+        [sys.executable, "-c", program],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        assert process.stdout is not None
+        said = []
+        for line in process.stdout:
+            said.append(line)
+            if "The nodes are up" in line:
+                break
+        nodes = descendants(process.pid)
+        assert len(nodes) == len(NODES)
+        victim = next(pid for pid, command in nodes.items() if "impact_map_node" in command)
+        os.kill(victim, signal.SIGKILL)
+        for line in process.stdout:
+            said.append(line)
+            if "node impact_map died (SIGKILL)" in line:
+                break
+        nodes = descendants(process.pid)
+        process.send_signal(signal.SIGINT)
+        said += process.stdout.readlines()
+        assert process.wait(PATIENCE) == 0
+    assert "Traceback" not in "".join(said)
+    assert not [pid for pid in nodes if Path(f"/proc/{pid}").exists()]
+
+
+def descendants(parent: int) -> dict[int, str]:
+    """Command lines of the child processes of a process."""
+    found = {}
+    for path in Path("/proc").iterdir():
+        if path.name.isdigit():
+            try:
+                stat = (path / "stat").read_text()
+                command = (path / "cmdline").read_text().replace("\0", " ")
+            except OSError:  # gone meanwhile
+                continue
+            if int(stat.rsplit(")", 1)[1].split()[1]) == parent:
+                found[int(path.name)] = command
+    return found
