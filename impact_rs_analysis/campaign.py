@@ -211,6 +211,7 @@ def _run_on_cluster(
             processes=True,
             host="127.0.0.1",
             dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # its status port; a fixed one may be taken
             memory_limit=0,  # a trial needs little memory and keeps none
             local_directory=scratch,
             silence_logs=logging.CRITICAL,

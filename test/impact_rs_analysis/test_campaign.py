@@ -1,0 +1,115 @@
+"""Campaigns: resumed where they stopped, never mixed, and not stopped by one broken trial."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from impact_rs_analysis.bags.reader import TrialBag
+from impact_rs_analysis.bags.trial_info import TrialKey
+from impact_rs_analysis.bags.writer import partial_path
+from impact_rs_analysis.campaign import Manifest, TrialReport, make_manifest, open_campaign, run_campaign, run_one
+from impact_rs_sim.errors import InputError
+
+SCALES = [0.8, 1.0, 1.2]
+
+
+@pytest.fixture
+def manifest() -> Manifest:
+    return make_manifest("push", ["cat_food"], ["2"], SCALES, trials=1)
+
+
+def fake(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
+    (directory / key.name).mkdir()
+    return TrialReport(key, "OK")
+
+
+def test_a_campaign_is_resumed_where_it_stopped(tmp_path: Path, manifest: Manifest) -> None:
+    reports = run_campaign(tmp_path, manifest, run=fake)
+    next(reports)
+    reports.close()
+    assert len(open_campaign(tmp_path, manifest)) == 2
+    assert [report.key.scale for report in run_campaign(tmp_path, manifest, run=fake)] == [1.0, 1.2]
+    assert not list(run_campaign(tmp_path, manifest, run=fake))
+
+
+def test_an_interrupt_leaves_a_campaign_that_can_be_resumed(tmp_path: Path, manifest: Manifest) -> None:
+    def interrupted(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
+        if key.scale == 1.0:
+            raise KeyboardInterrupt
+        return fake(directory, manifest, key)
+
+    with pytest.raises(KeyboardInterrupt):
+        list(run_campaign(tmp_path, manifest, run=interrupted))
+    assert [key.scale for key in open_campaign(tmp_path, manifest)] == [1.0, 1.2]
+
+
+def test_another_manifest_is_refused(tmp_path: Path, manifest: Manifest) -> None:
+    open_campaign(tmp_path, manifest)
+    with pytest.raises(InputError, match="another campaign .* seed"):
+        open_campaign(tmp_path, manifest.model_copy(update={"seed": 1}))
+
+
+def test_a_half_written_bag_is_run_again_and_gives_the_same_trial(
+    push_campaign: Path, tmp_path: Path, manifest: Manifest
+) -> None:
+    key = manifest.keys[1]
+    hidden = partial_path(tmp_path / key.name)
+    hidden.mkdir(parents=True)
+    (hidden / "half.mcap").write_bytes(b"")
+    assert run_one(tmp_path, manifest, key).outcome == "OK"
+    assert not hidden.exists()
+    ours, theirs = (TrialBag(folder / key.name).controller("arm") for folder in (tmp_path, push_campaign))
+    assert (ours.feedback_acceleration == theirs.feedback_acceleration).all()
+
+
+def test_a_finished_bag_stands(push_campaign: Path, tmp_path: Path, manifest: Manifest) -> None:
+    directory = Path(shutil.copytree(push_campaign, tmp_path / "push"))
+    before = next((directory / manifest.keys[0].name).glob("*.mcap")).stat().st_mtime_ns
+    assert run_one(directory, manifest, manifest.keys[0]).outcome == "OK"
+    assert next((directory / manifest.keys[0].name).glob("*.mcap")).stat().st_mtime_ns == before
+
+
+def test_one_broken_trial_does_not_end_the_campaign(tmp_path: Path, manifest: Manifest) -> None:
+    def broken(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
+        if key.scale == 0.8:
+            raise ZeroDivisionError("by nothing")
+        return fake(directory, manifest, key)
+
+    reports = list(run_campaign(tmp_path, manifest, run=broken))
+    assert [report.outcome for report in reports] == ["ABORTED", "OK", "OK"]
+    assert "by nothing" in reports[0].message
+
+
+def test_a_trial_whose_worker_dies_is_run_again(tmp_path: Path, manifest: Manifest) -> None:
+    def dies_once(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
+        marker = directory / "died"
+        if key.scale == 1.0 and not marker.exists():
+            marker.write_text("")
+            os._exit(1)
+        assert os.environ["OMP_NUM_THREADS"] == "1"
+        (directory / key.name).mkdir()
+        return TrialReport(key, "OK")
+
+    reports = list(run_campaign(tmp_path, manifest, jobs=2, run=dies_once))
+    assert (tmp_path / "died").exists()
+    assert sorted((report.key.scale, report.outcome, report.message) for report in reports) == [
+        (scale, "OK", "") for scale in SCALES
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"scales": [0.0]}, "velocity scale"),
+        ({"scales": [float("nan")]}, "velocity scale"),
+        ({"trials": 0}, "trials = 0"),
+        ({"seed": -1}, "seed = -1"),
+        ({"objects": ["catfood"]}, "did you mean 'cat_food'"),
+        ({"cases": ["case_22"]}, "did you mean 'case_2'"),
+    ],
+)
+def test_mistakes_are_told_before_anything_runs(arguments: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make_manifest("push", **arguments)
