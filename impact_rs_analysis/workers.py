@@ -1,0 +1,46 @@
+"""A local ``dask.distributed`` cluster for work that splits into pure tasks."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+Map = Callable[[Callable[..., Any], Sequence[Any]], Iterator[Any]]
+
+
+@contextmanager
+def workers(jobs: int) -> Iterator[Map]:
+    """A ``map`` over ``jobs`` worker processes that yields results in order; one job runs in this process.
+
+    Args:
+        jobs: Number of worker processes.
+    """
+    if jobs <= 1:
+        yield lambda function, items: map(function, items)
+        return
+    from distributed import Client, LocalCluster
+
+    with (
+        tempfile.TemporaryDirectory(prefix="impact_rs_") as scratch,
+        LocalCluster(
+            n_workers=jobs,
+            threads_per_worker=1,  # dask sets OMP_NUM_THREADS and its like to 1 in worker processes
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address=None,
+            memory_limit=0,
+            local_directory=scratch,
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+
+        def distributed_map(function: Callable[..., Any], items: Sequence[Any]) -> Iterator[Any]:
+            futures = client.map(function, list(items), pure=False, retries=2)
+            for future in futures:
+                yield future.result()
+
+        yield distributed_map
