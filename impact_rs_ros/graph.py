@@ -176,6 +176,23 @@ class Graph:
             raise
         return answer
 
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        """Call a service of a node.
+
+        Raises:
+            GraphError: It does not answer.
+        """
+        client = self.node.create_client(kind, name)
+        try:
+            deadline = time.monotonic() + RESULT_TIMEOUT
+            while not client.service_is_ready():
+                if time.monotonic() > deadline:
+                    raise GraphError(f"there is no service {client.srv_name}")
+                self.spin(0.02)
+            return self._wait(client.call_async(request), RESULT_TIMEOUT)
+        finally:
+            self.node.destroy_client(client)
+
     def _wait(self, future: Any, timeout: float | None) -> Any:
         deadline = None if timeout is None else time.monotonic() + timeout
         while not future.done():
@@ -183,7 +200,7 @@ class Graph:
             if self.processes["experiment"].poll() is not None:
                 raise GraphError(f"node experiment died: {self.last_words('experiment')}")
             if deadline is not None and time.monotonic() > deadline:
-                raise GraphError(f"node experiment did not answer within {timeout:g} s")
+                raise GraphError(f"no answer within {timeout:g} s")
         return future.result()
 
     def stop(self) -> None:

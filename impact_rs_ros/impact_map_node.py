@@ -91,6 +91,13 @@ class ImpactMapNode(NodeProgram):
                 raise InputError(
                     f"scenario {scenario.name!r} has no robot {state.robot!r}; it has: {', '.join(arms)}", key="robots"
                 )
+            count = physics.arms[state.robot].facts.joint_count
+            for name in ("joint_position", "joint_velocity"):
+                if len(getattr(state, name)) != count:
+                    raise InputError(
+                        f"expected {count} values, one per joint, got {len(getattr(state, name))}",
+                        key=f"robots.{state.robot}.{name}",
+                    )
             arms[state.robot] = ArmState(np.array(state.joint_position), np.array(state.joint_velocity))
         restitution = physics.restitution if request.restitution < 0.0 else request.restitution
         return ImpactProblem(physics, arms, thing, _motor_inertia(request, physics), restitution)

@@ -1,0 +1,59 @@
+"""Parameters are declared once; the example file, the documentation and ``ros2 param describe`` follow."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
+from rclpy.parameter import Parameter as RclParameter
+
+from impact_rs_ros import parameters
+from impact_rs_ros.graph import NODES, Graph
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def example() -> dict[str, dict[str, object]]:
+    """Values of ``config/nodes.yaml`` by node."""
+    sections = yaml.safe_load((ROOT / "config" / "nodes.yaml").read_text())
+    common = sections.pop("/**")["ros__parameters"]
+    own = {name.removeprefix("/"): section["ros__parameters"] for name, section in sections.items()}
+    assert set(own) <= set(NODES)
+    return {name: common | own.get(name, {}) for name in NODES}
+
+
+def test_the_example_file_holds_every_parameter_at_its_default() -> None:
+    assert example() == {kind: {p.name: p.default for p in known} for kind, known in parameters.PARAMETERS.items()}
+
+
+def test_the_documentation_is_up_to_date() -> None:
+    written = (ROOT / "docs" / "parameters.md").read_text()
+    assert written == parameters.markdown(), "run: python -m impact_rs_ros.parameters > docs/parameters.md"
+
+
+@pytest.mark.parametrize("kind", NODES)
+def test_a_node_loads_the_example_and_tells_unit_and_range(graph: Graph, kind: str) -> None:
+    known = parameters.PARAMETERS[kind]
+    names = [p.name for p in known]
+    described = graph.call(DescribeParameters, f"{kind}/describe_parameters", DescribeParameters.Request(names=names))
+    values = graph.call(GetParameters, f"{kind}/get_parameters", GetParameters.Request(names=names))
+    for parameter, descriptor, message in zip(known, described.descriptors, values.values, strict=True):
+        assert descriptor.description == f"{parameter.description} [{parameter.unit}]"
+        limits = [(r.from_value, r.to_value) for r in descriptor.floating_point_range]
+        assert limits == ([parameter.range] if parameter.range else [])
+        found = RclParameter.from_parameter_msg(_named(parameter.name, message)).value
+        assert found == example()[kind][parameter.name]
+
+
+def test_a_value_out_of_range_is_refused(graph: Graph) -> None:
+    wrong = RclParameter("answer_timeout", value=-1.0).to_parameter_msg()
+    answer = graph.call(SetParameters, "plant/set_parameters", SetParameters.Request(parameters=[wrong]))
+    assert not answer.results[0].successful
+
+
+def _named(name: str, value: object) -> object:
+    from rcl_interfaces.msg import Parameter
+
+    return Parameter(name=name, value=value)
