@@ -214,6 +214,7 @@ def _run_on_cluster(
             scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # its status port; a fixed one may be taken
             memory_limit=0,  # a trial needs little memory and keeps none
             local_directory=scratch,
+            preload=["impact_rs_analysis.worker"],
             silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster, set_as_default=False) as client,

@@ -151,7 +151,9 @@ def _arm_features(time: Array, arm: ArmSignals, plan: TrialPlan, name: str, mode
     parts += _impact_features(time, arm, dynamics)
     edges = _push_edges(plan, arm.impact_time)
     motor, link = dynamics.balances(edges)
-    wrench = np.array([dynamics.wrench_at(0.5 * (a + b), row) for a, b, row in zip(edges, edges[1:], link, strict=False)])
+    wrench = np.array(
+        [dynamics.wrench_at(0.5 * (a + b), row) for a, b, row in zip(edges, edges[1:], link, strict=False)]
+    )
     path = plan.arms[name].post_position
     velocity = dynamics.twists[:, :3]
     parts += [motor.ravel(), wrench[:, :3].ravel(), wrench[:, 3:].ravel()]

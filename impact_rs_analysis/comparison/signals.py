@@ -77,7 +77,11 @@ def signals_of_bag(bag: TrialBag) -> Signals:
         ):
             if size != count:
                 raise BagError(bag.path, f"{topic} has {size} messages, {topics.joint_states(arm)} has {count}")
-        for name, values in (("position", measured.position), ("velocity", measured.velocity), ("effort", measured.effort)):
+        for name, values in (
+            ("position", measured.position),
+            ("velocity", measured.velocity),
+            ("effort", measured.effort),
+        ):
             if not np.isfinite(values).all():
                 first = float(measured.time[np.argmax(~np.isfinite(values).all(axis=1))])
                 raise BagError(bag.path, f"{topics.joint_states(arm)}: {name} is not finite at t = {first:.3f} s")
