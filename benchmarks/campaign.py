@@ -70,7 +70,7 @@ def main() -> None:
             writing += time.process_time() - start
 
         run_one(Path(folder) / "single", single, keys[0])  # imports and caches
-        BagWriter.finish = finish  # type: ignore[method-assign]
+        BagWriter.finish = finish  # type: ignore[method-assign, assignment]
         trials = [timed(lambda key=key: run_one(Path(folder) / "single", single, key)) for key in keys[1:]]
         BagWriter.finish = close  # type: ignore[method-assign]
         total_cpu = sum(cpu for _, cpu in trials)

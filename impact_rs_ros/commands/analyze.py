@@ -74,7 +74,7 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
             table.add_column(heading, justify="right")
         published = any(row.paper_errors for row in rows)
         if published:
-            table.add_column("published", justify="right")
+            table.add_column("published B_θ", justify="right")
         for row in rows:
             estimate = "" if row.estimate is None else f"{row.estimate:.3f}"
             if row.half_interval is not None:
