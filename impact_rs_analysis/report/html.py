@@ -69,7 +69,8 @@ def plotly_figure(figure: Figure) -> go.Figure:
         suffix = "" if number == 1 else str(number)
         for curve in panel.curves:
             width = 1 if curve.line == "dashed" else 2
-            size = 11 if curve.x.size == 1 else 7
+            # Hollow and large: an estimate must not hide the prediction that it agrees with.
+            size = 17 if curve.error else 11 if curve.x.size == 1 else 7
             error = None
             if curve.error is not None:
                 low, high = curve.error
@@ -89,9 +90,10 @@ def plotly_figure(figure: Figure) -> go.Figure:
                         "width": width,
                     },
                     marker={
-                        "symbol": curve.marker or "circle",
+                        "symbol": f"{curve.marker}-open" if curve.error else curve.marker or "circle",
                         "color": curve.colour,
                         "size": size,
+                        "line": {"width": 2 if curve.error else 0},
                     },
                     opacity=0.7 if curve.line == "dashed" else 1.0,
                     error_x=error,

@@ -62,7 +62,8 @@ def _draw(axis: Axes, curve: Curve) -> None:
     if curve.error is not None:
         axis.errorbar(
             curve.x, curve.y, xerr=[[curve.error[0]], [curve.error[1]]], color=curve.colour, linestyle="",
-            marker=MARKERS[curve.marker], markersize=6.5, capsize=5, elinewidth=2, label=label, zorder=4,
+            marker=MARKERS[curve.marker], markersize=13, markerfacecolor="none", markeredgewidth=1.8,
+            capsize=5, elinewidth=2, label=label, zorder=4,
         )  # fmt: skip
         return
     axis.plot(
