@@ -87,7 +87,7 @@ class ControllerNode(TrialNode):
         self._answers[arm] = answer
         self._qp[command.qp_status] += 1
         for topic, rest in messages:
-            self.outbox.publish(topic, rest)
+            self.outbox.later(topic, rest)
         self.now = answer[1].header.stamp
         self.tick_times.append(time.monotonic() - started)
 

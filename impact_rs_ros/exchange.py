@@ -20,6 +20,8 @@ from rclpy.qos import QoSProfile
 from impact_rs_ros.message_types import available, message_type
 from impact_rs_sim.robot import Array
 
+BURST = 40  # messages that wait for each other, some ten ticks
+
 
 class _NotForTheExecutor(CallbackGroup):
     """Callback group that no executor ever executes."""
@@ -103,6 +105,7 @@ class Outbox:
             if available(kind)
         }
         self.counts = dict.fromkeys(self._publishers, 0)
+        self._waiting: list[tuple[str, Any]] = []
 
     def publish(self, topic: str, message: Any) -> None:
         """Publish and count; a message whose type is not installed is left out."""
@@ -110,12 +113,25 @@ class Outbox:
             publisher.publish(message)
             self.counts[topic] += 1
 
+    def later(self, topic: str, message: Any) -> None:
+        """Publish together with others what nobody waits for: a burst wakes its readers once, not once per message."""
+        self._waiting.append((topic, message))
+        if len(self._waiting) >= BURST:
+            self.flush()
+
+    def flush(self) -> None:
+        """Publish what waits."""
+        for topic, message in self._waiting:
+            self.publish(topic, message)
+        self._waiting.clear()
+
     def repeat(self, topic: str, message: Any) -> None:
         """Publish once more what may have got lost; it has the stamp it had, and counts as the same message."""
         self._publishers[topic].publish(message)
 
     def reset(self) -> None:
         """Count from zero."""
+        self._waiting.clear()
         self.counts = dict.fromkeys(self._publishers, 0)
 
     def unmatched(self) -> list[str]:

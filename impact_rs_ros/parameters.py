@@ -65,7 +65,7 @@ PARAMETERS: dict[str, tuple[Parameter, ...]] = {
             "Without an answer for so long, the measured state of the tick is sent again",
             (0.01, 10.0),
         ),
-        Parameter("answer_timeout", 2.0, "s", "Without an answer for so long, the trial is aborted", (0.1, 600.0)),
+        Parameter("answer_timeout", 1.5, "s", "Without an answer for so long, the trial is aborted", (0.1, 600.0)),
     ),
     "impact_map": (
         *COMMON,
@@ -89,7 +89,7 @@ PARAMETERS: dict[str, tuple[Parameter, ...]] = {
             "service_timeout", 10.0, "s", "How long plant, controller and recorder may take to get ready", (0.5, 600.0)
         ),
         Parameter(
-            "progress_timeout", 2.5, "s", "Without a sign of life for so long, a running trial is aborted", (0.5, 600.0)
+            "progress_timeout", 2.0, "s", "Without a sign of life for so long, a running trial is aborted", (0.5, 600.0)
         ),
         Parameter("feedback_period", 0.05, "s", "Wall-clock time between two action feedbacks", (0.01, 10.0)),
     ),

@@ -112,7 +112,7 @@ class PlantNode(TrialNode):
             self._started = time.monotonic()
         while (now := time.monotonic()) < until:
             for topic, message in self._waiting:
-                self.outbox.publish(topic, message)
+                self.outbox.later(topic, message)
             if not self._await_torques(now):
                 return
             if self._tick == self._last:

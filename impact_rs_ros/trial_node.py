@@ -124,6 +124,7 @@ class TrialNode(NodeProgram):
         if self.plan is None:
             response.message = f"{self.kind}: there is no trial to finish"
             return response
+        self.outbox.flush()
         self.diagnose(now=True)
         outcome = self._leave()
         response.success = not self.failure
