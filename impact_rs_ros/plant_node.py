@@ -27,6 +27,7 @@ from impact_rs_sim.plant import Plant
 from impact_rs_sim.robot import Array
 
 MATCHING = 0.002  # s, between two looks whether everybody listens
+CONNECTING = 8.0  # s, that a controller which was just started may take to hear the first state
 
 
 class PlantNode(TrialNode):
@@ -163,10 +164,11 @@ class PlantNode(TrialNode):
             self._missed += 1
             return True
         self._silent_since = self._silent_since or asked
-        if time.monotonic() - self._silent_since > self._answer_timeout:
+        patience = self._answer_timeout if self._tick else max(CONNECTING, self._answer_timeout)
+        if time.monotonic() - self._silent_since > patience:
             who = ", ".join(sorted(self._missing))
             self._stop(
-                f"no torque for {who} at t = {self._tick * self._period:.3f} s within {self._answer_timeout:g} s: "
+                f"no torque for {who} at t = {self._tick * self._period:.3f} s within {patience:g} s: "
                 "the controller is gone or too slow"
             )
             return False

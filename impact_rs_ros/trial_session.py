@@ -197,7 +197,7 @@ class TrialSession:
     ) -> None:
         """Let the plant run, and watch."""
         period = parameters.value(self._node, "feedback_period")
-        patience = parameters.value(self._node, "progress_timeout")
+        patience = parameters.value(self._node, "service_timeout")  # until the first sample: discovery takes its time
         over = threading.Event()
         future = self._run.call_async(Trigger.Request())
         future.add_done_callback(lambda _: over.set())
@@ -210,6 +210,7 @@ class TrialSession:
                 self._look(progress)
                 if progress.time != before and not math.isnan(progress.time):
                     alive = time.monotonic()
+                    patience = parameters.value(self._node, "progress_timeout")
                     feedback(progress)
                 elif time.monotonic() - alive > patience:
                     raise TrialError(

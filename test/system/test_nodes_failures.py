@@ -59,7 +59,8 @@ def test_a_node_killed_in_mid_trial_ends_the_trial_and_not_the_campaign(
     assert victim in line and "SIGKILL" in line
     graph.wait_until_ready()
     manifest = make_manifest("push", ["parcel"], ["1"], [1.0], trials=1)
-    assert run_trial(graph, tmp_path, manifest, manifest.keys[0]).outcome == "OK"
+    report = run_trial(graph, tmp_path, manifest, manifest.keys[0])
+    assert (report.outcome, report.message) == ("OK", "")
 
 
 def test_a_cancelled_trial_leaves_a_readable_bag(graph: Graph, tmp_path: Path) -> None:
