@@ -14,12 +14,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import suppress
 from pathlib import Path
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
 from impact_rs_analysis.campaign import make_manifest, run_one
@@ -107,12 +107,11 @@ def ping(domain: int) -> list[float]:
 
 def answer(domain: int) -> None:
     """Send back what comes in, until terminated."""
-    rclpy.init(domain_id=domain)
+    rclpy.init(domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)  # SIGTERM just ends it
     node = rclpy.create_node("pong")
     publisher = node.create_publisher(JointState, "pong", 10)
     node.create_subscription(JointState, "ping", publisher.publish, 10)
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(node)
+    rclpy.spin(node)
 
 
 if __name__ == "__main__":
