@@ -16,12 +16,17 @@ from impact_rs_sim.plant import Measurement, Plant, Truth
 
 @dataclass(frozen=True)
 class Tick:
-    """What happened in one control tick."""
+    """What happened in one control tick; the truth is only worked out when somebody asks for it in time."""
 
     number: int
     measurement: Measurement
     commands: dict[str, ArmCommand]
-    truth: Truth
+    plant: Plant
+
+    @property
+    def truth(self) -> Truth:
+        """The plant's truth, while it still stands at this tick."""
+        return self.plant.truth()
 
 
 def make_plant(plan: TrialPlan, seed: int, physics: Physics | None = None) -> Plant:
@@ -49,6 +54,6 @@ def run_closed_loop(plan: TrialPlan, plant: Plant) -> Iterator[Tick]:
     for number in range(last + 1):
         measurement = plant.measure()
         commands = controller.update(number, measurement.arms)
-        yield Tick(number, measurement, commands, plant.truth())
+        yield Tick(number, measurement, commands, plant)
         if number < last:
             plant.step({name: command.torque for name, command in commands.items()})

@@ -10,6 +10,7 @@ with a slack on every constraint; the caller is told. There is never a NaN.
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 from enum import IntEnum
@@ -84,6 +85,12 @@ class AccelerationQp:
         self._qp.settings.initial_guess = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
         self._qp.settings.compute_timings = False
         self._ready = False
+        # Bounds of eqs. const_q and const_dq are linear in q and dq; their constants are worked out once.
+        self._per_period = 1.0 / period
+        self._per_square = 2.0 / period**2
+        self._position_high = position_max * self._per_square
+        self._position_low = position_min * self._per_square
+        self._velocity_bound = velocity_max * self._per_period
 
     def solve(
         self, tasks: Array, targets: Array, weights: Array, inertia: Array, bias: Array, q: Array, dq: Array
@@ -106,7 +113,7 @@ class AccelerationQp:
         lower, upper = self._acceleration_bounds(q, dq)
         torque_lower = -self._torque_max - bias
         torque_upper = self._torque_max - bias
-        consistent = bool(np.all(lower <= upper))
+        consistent = bool((lower <= upper).all())
         if consistent:
             qp = self._qp
             if self._ready:
@@ -116,18 +123,18 @@ class AccelerationQp:
                 self._ready = True
             qp.solve()
             result = qp.results
-            if result.info.status == proxqp.QPSolverOutput.PROXQP_SOLVED and np.isfinite(result.x).all():
-                return QpSolution(result.x.copy(), QpStatus.SOLVED, result.info.iter, time.perf_counter() - started)
+            answer = result.x.copy()
+            if result.info.status == proxqp.QPSolverOutput.PROXQP_SOLVED and math.isfinite(answer.sum()):
+                return QpSolution(answer, QpStatus.SOLVED, result.info.iter, time.perf_counter() - started)
         self._ready = False  # a failed solve is no warm start
         return self._solve_relaxed(hessian, gradient, inertia, torque_lower, torque_upper, lower, upper, started)
 
     def _acceleration_bounds(self, q: Array, dq: Array) -> tuple[Array, Array]:
         """Bounds on ddq that paper eqs. const_q and const_dq imply."""
-        period = self._period
-        ahead = q + dq * period
-        scale = 2.0 / period**2
-        upper = np.minimum((self._position_max - ahead) * scale, (self._velocity_max - dq) / period)
-        lower = np.maximum((self._position_min - ahead) * scale, (-self._velocity_max - dq) / period)
+        position = q * self._per_square + dq * (self._per_square * self._period)
+        velocity = dq * self._per_period
+        upper = np.minimum(self._position_high - position, self._velocity_bound - velocity)
+        lower = np.maximum(self._position_low - position, -self._velocity_bound - velocity)
         return lower, upper
 
     def _solve_relaxed(

@@ -101,7 +101,6 @@ class Plant:
         self._drives: dict[str, Drive] = {}
         self._links: dict[str, ArmState] = {}
         self._arm_sensors: dict[str, ArmSensors] = {}
-        self._forces = {name: np.zeros(3) for name in physics.arms}
         self._loaded = {name: physics.robot_model(name) for name, arm in physics.arms.items() if arm.loads}
         for (name, arm), sensor_seed in zip(physics.arms.items(), sensor_seeds[1:], strict=True):
             q = initial[name]
@@ -158,7 +157,7 @@ class Plant:
                 drive.elastic_torque,
                 drive.position,
                 drive.velocity,
-                self._forces[name],
+                self._world.pad_force(name),
             )
         return Truth(self.time, arms, self._world.object_state())
 
@@ -189,7 +188,6 @@ class Plant:
                 link = world.arm_state(name)
                 drive.sense(link.position, link.velocity)
                 self._links[name] = link
-        self._forces = {name: world.pad_force(name) for name in self._drives}
         self._tick += 1
 
     def _load_torque(self, name: str) -> Array:

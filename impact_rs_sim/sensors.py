@@ -50,6 +50,7 @@ class ArmSensors:
 
     def __init__(self, sensors: Sensors, joint_count: int, samples: int, rng: np.random.Generator) -> None:
         self._resolution = sensors.joint_position_resolution
+        self._lines = 1.0 / self._resolution if self._resolution > 0.0 else 0.0
         shape = (samples, joint_count)
         self._velocity_noise = sensors.joint_velocity_noise * rng.standard_normal(shape)
         self._motor_velocity_noise = sensors.joint_velocity_noise * rng.standard_normal(shape)
@@ -68,7 +69,7 @@ class ArmSensors:
     def _quantise(self, angle: Array) -> Array:
         if self._resolution == 0.0:
             return angle
-        return np.asarray(np.round(angle / self._resolution) * self._resolution)
+        return np.asarray(np.rint(angle * self._lines) * self._resolution)
 
 
 class ObjectTracker:
