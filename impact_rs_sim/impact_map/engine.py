@@ -45,7 +45,7 @@ class Engine(ABC):
             ImpactMapError: The answer breaks a law by more than ``tolerance``; the message names the law.
         """
         start = time.perf_counter()
-        check_problem(problem, placements=self._placements(problem))
+        check_problem(problem, models=self.models)
         system = build_system(problem, self.models)
         contacts, impulses, velocity, iterations = self._solve(problem, system)
         residual = ContactTerms(system, contacts, problem.restitution).residual(impulses, velocity)

@@ -17,12 +17,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import boxes, separating_face
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
 from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 
 
@@ -152,14 +152,14 @@ class ImpactMapError(RuntimeError):
 def check_problem(
     problem: ImpactProblem,
     penetration_tolerance: float = 1e-3,
-    placements: Mapping[str, pin.SE3] | None = None,
+    models: Mapping[str, RobotModel] | None = None,
 ) -> None:
     """Refuse a question that has no answer.
 
     Args:
         problem: The question.
         penetration_tolerance: Deepest accepted overlap of pad and object, or object and support [m].
-        placements: Placement of frame E in A by arm, where the caller knows it already.
+        models: Rigid-body models by arm, where the caller has them already.
 
     Raises:
         InputError: Non-finite or wrong-length state, joint positions or velocities beyond their limits, negative
@@ -182,8 +182,9 @@ def check_problem(
         raise InputError("expected a finite 3 x 3 rotation matrix [-]", key="object.rotation")
     if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > 1e-6 or np.linalg.det(rotation) < 0.0:
         raise InputError("expected a rotation matrix: orthonormal, determinant +1 [-]", key="object.rotation")
-    if placements is None:
-        placements = {name: physics.robot_model(name).placement(state.position) for name, state in problem.arms.items()}
+    if models is None:
+        models = {name: physics.robot_model(name) for name in problem.arms}
+    placements = {name: models[name].placement(state.position) for name, state in problem.arms.items()}
     thing, partners = boxes(physics, body, placements)
     for name, partner in partners.items():
         depth = -separating_face(partner, thing)[0]

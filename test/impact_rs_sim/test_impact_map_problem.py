@@ -10,6 +10,7 @@ from impact_map_cases import SCENE, nominal, with_velocity
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, check_problem
+from impact_rs_sim.impact_map.pinocchio import PinocchioEngine
 from impact_rs_sim.scene import ArmState, BodyState
 
 GOOD = nominal()
@@ -68,6 +69,13 @@ def test_bad_question_is_refused(case: str) -> None:
     problem, message = REFUSED[case]
     with pytest.raises(InputError, match=message):
         check_problem(problem)
+
+
+def test_a_warm_engine_refuses_it_in_the_same_words() -> None:
+    engine = PinocchioEngine(GOOD.physics)
+    for values in (ARM.position[:6], np.append(ARM.position, 0.0)):
+        with pytest.raises(InputError, match=r"7 values \[rad\]"):
+            engine.solve(_position(values))
 
 
 def test_nominal_question_passes() -> None:
