@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 from impact_rs_analysis.bags import topics
-from impact_rs_analysis.bags.record import controller_messages
 from impact_rs_analysis.bags.trial_info import TrialInfo
 from impact_rs_control.controller import Controller
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
 from impact_rs_ros.exchange import JointSignals, joint_signals
 from impact_rs_ros.process import run
+from impact_rs_ros.streams import Stream, StreamMaker
 from impact_rs_ros.trial_node import TrialNode
 from impact_rs_sim.sensors import ArmMeasurement
 
@@ -38,18 +37,28 @@ class ControllerNode(TrialNode):
             for name in (topics.joint_command(arm), topics.controller_state(arm), topics.impact_event(arm))
         }
 
+    def streams(self, maker: StreamMaker, arms: list[str]) -> dict[str, Stream]:
+        found = {}
+        for arm in arms:
+            found[topics.joint_command(arm)] = maker.joint_command(arm)
+            found[topics.controller_state(arm)] = maker.controller_state(arm)
+        return found
+
     def prepare(self, plan: TrialPlan, info: TrialInfo) -> None:
         del info
+        self._last = plan.scene.scenario.timing.ticks
+        self._expects_impact = plan.expects_impact
         self._controller = Controller(plan)
         self._arm_of = {topics.joint_states(arm): arm for arm in plan.arms}
         self._ticks = dict.fromkeys(plan.arms, -1)
-        self._answers: dict[str, tuple[str, Any]] = {}
+        self._answers: dict[str, bytes] = {}
         self._period_ns = round(plan.scene.scenario.timing.control_period * 1e9)
         self._qp = dict.fromkeys(QpStatus, 0)
         self._skipped = 0
 
     def end(self) -> str:
-        return "OK" if all(arm.detection is not None for arm in self._controller.arms.values()) else "NO-IMPACT"
+        hit = all(arm.detection is not None for arm in self._controller.arms.values())
+        return "OK" if hit or not self._expects_impact else "NO-IMPACT"
 
     def status(self) -> tuple[str, dict[str, object]]:
         failed, relaxed = self._qp[QpStatus.FAILED], self._qp[QpStatus.RELAXED]
@@ -74,21 +83,21 @@ class ControllerNode(TrialNode):
         last = self._ticks[arm]
         if tick <= last:
             if tick == last:  # the plant asks again
-                self.outbox.repeat(*self._answers[arm])
+                self.outbox.repeat(topics.joint_command(arm), self._answers[arm])
             return
         self._skipped += tick - last - 1
         self._ticks[arm] = tick
         position, velocity, torque = signals.values
         measured = ArmMeasurement(position, velocity, torque, position, velocity)  # it does not read the motor's
         command = self._controller.arms[arm].update(tick, measured)
-        messages = controller_messages(self.maker, tick, {arm: command})
-        answer = next(messages)
-        self.outbox.publish(*answer)
-        self._answers[arm] = answer
+        self._answers[arm] = self.outbox.now(topics.joint_command(arm), tick, command)
+        self.outbox.keep(topics.controller_state(arm), tick, command)
+        if command.detection is not None:
+            self.outbox.later(topics.impact_event(arm), self.maker.impact_event(tick, arm, command.detection))
+        if self.outbox.due or tick == self._last:
+            self.outbox.flush()
         self._qp[command.qp_status] += 1
-        for topic, rest in messages:
-            self.outbox.later(topic, rest)
-        self.now = answer[1].header.stamp
+        self.now = tick * self._period_ns
         self.tick_times.append(time.monotonic() - started)
 
 

@@ -7,6 +7,7 @@ and what the recorder stores, is taken by the node itself instead; services and 
 from __future__ import annotations
 
 import struct
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,9 +19,11 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from impact_rs_ros.message_types import available, message_type
+from impact_rs_ros.streams import Stream
 from impact_rs_sim.robot import Array
 
-BURST = 40  # messages that wait for each other, some ten ticks
+BURST = 40  # samples that wait for each other, some ten ticks
+BURST_AGE = 0.1  # s, wall clock: a slow trial still shows that it goes on
 
 
 class _NotForTheExecutor(CallbackGroup):
@@ -104,35 +107,63 @@ class Outbox:
             for topic, kind in topics.items()
             if available(kind)
         }
+        self._publish = {topic: publisher.handle.publish_raw for topic, publisher in self._publishers.items()}
         self.counts = dict.fromkeys(self._publishers, 0)
         self._waiting: list[tuple[str, Any]] = []
+        self._streams: dict[str, Stream] = {}
+        self._samples = 0
+        self._flushed = 0.0
 
-    def publish(self, topic: str, message: Any) -> None:
-        """Publish and count; a message whose type is not installed is left out."""
-        if (publisher := self._publishers.get(topic)) is not None:
-            publisher.publish(message)
-            self.counts[topic] += 1
+    def reset(self, streams: Mapping[str, Stream]) -> None:
+        """Begin a trial: count from zero.
+
+        Args:
+            streams: Signals of every tick, by topic.
+        """
+        self._waiting.clear()
+        self._streams = dict(streams)
+        self._samples = 0
+        self.counts = dict.fromkeys(self._publishers, 0)
+
+    def now(self, topic: str, tick: int, sample: Any) -> bytes:
+        """Publish a sample that is awaited; returns its bytes."""
+        data = self._streams[topic].one(tick, sample)
+        self._publish[topic](data)
+        self.counts[topic] += 1
+        return data
+
+    def repeat(self, topic: str, data: bytes) -> None:
+        """Publish once more what may have got lost; it has the stamp it had, and counts as the same message."""
+        self._publish[topic](data)
+
+    def keep(self, topic: str, tick: int, sample: Any) -> None:
+        """Publish a sample that nobody waits for with the next burst, which wakes its readers once."""
+        self._streams[topic].add(tick, sample)
+        self._samples += 1
 
     def later(self, topic: str, message: Any) -> None:
-        """Publish together with others what nobody waits for: a burst wakes its readers once, not once per message."""
+        """Publish a message that nobody waits for with the next burst."""
         self._waiting.append((topic, message))
-        if len(self._waiting) >= BURST:
-            self.flush()
+
+    @property
+    def due(self) -> bool:
+        """Whether a burst has come together."""
+        return self._samples >= BURST or time.monotonic() - self._flushed > BURST_AGE
 
     def flush(self) -> None:
         """Publish what waits."""
+        for topic, stream in self._streams.items():
+            rows, publish = stream.take(), self._publish[topic]
+            for row in rows:
+                publish(row)
+            self.counts[topic] += len(rows)
         for topic, message in self._waiting:
-            self.publish(topic, message)
+            if (publisher := self._publishers.get(topic)) is not None:  # else its type is not installed
+                publisher.publish(message)
+                self.counts[topic] += 1
         self._waiting.clear()
-
-    def repeat(self, topic: str, message: Any) -> None:
-        """Publish once more what may have got lost; it has the stamp it had, and counts as the same message."""
-        self._publishers[topic].publish(message)
-
-    def reset(self) -> None:
-        """Count from zero."""
-        self._waiting.clear()
-        self.counts = dict.fromkeys(self._publishers, 0)
+        self._samples = 0
+        self._flushed = time.monotonic()
 
     def unmatched(self) -> list[str]:
         """Topics that nobody listens to, or not everybody yet of whom this node knows."""

@@ -82,10 +82,12 @@ class ExperimentNode(NodeProgram):
         directory: Path,
         handle: Any,
         feedback: Callable[[Progress], None] = lambda progress: None,
+        plant_model: str = "",
     ) -> TrialResult:
-        result = self._session.run(
-            plan, key, seed, directory, feedback, lambda: handle.is_cancel_requested or self._cancelling.is_set()
-        )
+        def cancelled() -> bool:
+            return bool(handle.is_cancel_requested or self._cancelling.is_set())
+
+        result = self._session.run(plan, key, seed, directory, feedback, cancelled, plant_model)
         self._trials += 1
         if result.outcome == "ABORTED":
             self._aborted += 1
@@ -102,12 +104,10 @@ class ExperimentNode(NodeProgram):
 
                 def feedback(progress: Progress) -> None:
                     handle.publish_feedback(
-                        RunTrial.Feedback(
-                            time=progress.time, mode=progress.mode, net_feedback=progress.net_feedback
-                        )
+                        RunTrial.Feedback(time=progress.time, mode=progress.mode, net_feedback=progress.net_feedback)
                     )
 
-                result = self._one(plan, key, goal.seed, directory, handle, feedback)
+                result = self._one(plan, key, goal.seed, directory, handle, feedback, goal.plant_model)
             except Exception as error:  # a node outlives every trial
                 return self._failed(handle, answer, error)
         answer.success = result.outcome != "ABORTED"

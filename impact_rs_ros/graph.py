@@ -23,6 +23,8 @@ from rclpy.executors import SingleThreadedExecutor
 from impact_rs_analysis.bags.trial_info import TrialKey
 from impact_rs_analysis.campaign import Manifest, TrialReport
 from impact_rs_ros.process import SUPERVISOR
+from impact_rs_ros.trials import model_text
+from impact_rs_sim.model import Model
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenario import load_scenario, scenario_path
 
@@ -240,7 +242,11 @@ def _how(process: subprocess.Popen[bytes]) -> str:
 
 
 def run_trials_through_nodes(
-    directory: Path, manifest: Manifest, keys: list[TrialKey], domain_id: int | None = None
+    directory: Path,
+    manifest: Manifest,
+    keys: list[TrialKey],
+    domain_id: int | None = None,
+    plant_model: Model | None = None,
 ) -> Iterator[TrialReport]:
     """Run trials of a campaign through the nodes, one after the other; yields a report per trial as it ends.
 
@@ -251,6 +257,7 @@ def run_trials_through_nodes(
         manifest: The campaign.
         keys: Trials to run.
         domain_id: ``ROS_DOMAIN_ID`` of the nodes; None: the environment's.
+        plant_model: Effects that the plant has and nobody else knows; None: none.
 
     Raises:
         GraphError: The nodes cannot be started.
@@ -259,10 +266,12 @@ def run_trials_through_nodes(
         return
     with Graph(manifest.scenario, domain_id) as graph:
         for key in keys:
-            yield run_trial(graph, directory, manifest, key)
+            yield run_trial(graph, directory, manifest, key, plant_model)
 
 
-def run_trial(graph: Graph, directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
+def run_trial(
+    graph: Graph, directory: Path, manifest: Manifest, key: TrialKey, plant_model: Model | None = None
+) -> TrialReport:
     """Run one trial of a campaign; whatever goes wrong is told in the report, and what died is started again."""
     goal = RunTrial.Goal(
         scenario=manifest.scenario,
@@ -273,6 +282,7 @@ def run_trial(graph: Graph, directory: Path, manifest: Manifest, key: TrialKey) 
         repeat=key.repeat,
         motor_inertia=manifest.motor_inertia,
         output_directory=str(directory.resolve()),
+        plant_model="" if plant_model is None else model_text(plant_model),
     )
     try:
         result = graph.call_trial(goal)

@@ -91,6 +91,13 @@ PARAMETERS: dict[str, tuple[Parameter, ...]] = {
         Parameter(
             "progress_timeout", 2.0, "s", "Without a sign of life for so long, a running trial is aborted", (0.5, 600.0)
         ),
+        Parameter(
+            "hide_model",
+            True,
+            "-",
+            "Keep the effects that a trial hides in the plant out of /trial_info and the bag's metadata; they are only"
+            " recorded on /truth/model",
+        ),
         Parameter("feedback_period", 0.05, "s", "Wall-clock time between two action feedbacks", (0.01, 10.0)),
     ),
 }

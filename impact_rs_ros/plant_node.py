@@ -8,21 +8,23 @@ while the controller computes.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from typing import Any
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.task import Future
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from impact_rs_analysis.bags import topics
-from impact_rs_analysis.bags.record import FrameSource, plant_messages
+from impact_rs_analysis.bags.record import FrameSource, occasional_messages
 from impact_rs_analysis.bags.trial_info import TrialInfo
 from impact_rs_control.closed_loop import make_plant
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import joint_signals
 from impact_rs_ros.process import run
+from impact_rs_ros.streams import Stream, StreamMaker
 from impact_rs_ros.trial_node import TrialNode
+from impact_rs_ros.trials import model_of
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.plant import Plant
 from impact_rs_sim.robot import Array
 
@@ -41,25 +43,38 @@ class PlantNode(TrialNode):
         self._missed = 0
         super().__init__()
         # The answer comes when the trial is over; meanwhile the other services stay open.
-        self.node.create_service(
-            Trigger, "~/run_trial", self._on_run, callback_group=MutuallyExclusiveCallbackGroup()
-        )
+        self.node.create_service(Trigger, "~/run_trial", self._on_run, callback_group=MutuallyExclusiveCallbackGroup())
 
     def received(self, arms: list[str]) -> dict[str, str]:
         return {topics.joint_command(arm): topics.JOINT_STATE for arm in arms}
 
     def published(self, arms: list[str]) -> dict[str, str]:
-        names = [topics.CLOCK, topics.TF, topics.OBJECT_POSE, topics.TRUTH_OBJECT_POSE, topics.TRUTH_OBJECT_TWIST]
+        names = [topics.CLOCK, topics.TF, topics.OBJECT_POSE]
+        names += [topics.TRUTH_MODEL, topics.TRUTH_OBJECT_POSE, topics.TRUTH_OBJECT_TWIST]
         for arm in arms:
             names += [topics.joint_states(arm), topics.motor_states(arm)]
             names += [topics.truth_joint_states(arm), topics.truth_contact_wrench(arm)]
         kinds = topics.recorded(arms)
         return {name: kinds[name] for name in names}
 
+    def streams(self, maker: StreamMaker, arms: list[str]) -> dict[str, Stream]:
+        found = {}
+        for arm in arms:
+            found[topics.joint_states(arm)] = maker.joint_states(arm)
+            found[topics.motor_states(arm)] = maker.motor_states(arm)
+            found[topics.truth_joint_states(arm)] = maker.joint_states(arm)
+            found[topics.truth_contact_wrench(arm)] = maker.contact_wrench(arm)
+        return found
+
     def prepare(self, plan: TrialPlan, info: TrialInfo) -> None:
         self._close_plant()
-        self._plant = make_plant(plan, info.seed)
-        self._frames = FrameSource(plan.scene.models, plan)
+        physics = plan.scene.physics
+        if info.model_yaml:
+            physics = model_of(info.model_yaml, "TrialInfo.model_yaml").apply(physics)
+            self.outbox.later(topics.TRUTH_MODEL, String(data=info.model_yaml))
+        self._plant = make_plant(plan, info.seed, physics)
+        self._frames = FrameSource(plan.scene)
+        self._states = {arm: topics.joint_states(arm) for arm in plan.arms}
         self._arm_of = {topics.joint_command(arm): arm for arm in plan.arms}
         self._last = plan.scene.scenario.timing.ticks
         self._period = plan.scene.scenario.timing.control_period
@@ -109,32 +124,52 @@ class PlantNode(TrialNode):
                 time.sleep(MATCHING)
                 return
             self._begun = True
-            self._waiting = self._measure(plant)
+            self._measure(plant)
             self._started = time.monotonic()
         while (now := time.monotonic()) < until:
-            for topic, message in self._waiting:
-                self.outbox.later(topic, message)
+            self._rest()
             if not self._await_torques(now):
                 return
             if self._tick == self._last:
                 self._stop("")
                 return
-            plant.step(self._torques)
+            try:
+                plant.step(self._torques)
+            except InputError as error:
+                self._stop(f"at t = {self._tick * self._period:.3f} s: {error}")
+                return
             self._tick += 1
-            self._waiting = self._measure(plant)
+            self._measure(plant)
             self.tick_times.append(time.monotonic() - now)
 
-    def _measure(self, plant: Plant) -> Iterator[tuple[str, Any]]:
-        """Publish what the controller waits for; returns what nobody waits for."""
+    def _measure(self, plant: Plant) -> None:
+        """Publish what the controller waits for."""
+        self._measured = plant.measure()
+        self._asked = {
+            topic: self.outbox.now(topic, self._tick, self._measured.arms[arm]) for arm, topic in self._states.items()
+        }
         assert self.maker is not None
-        measurement = plant.measure()
-        rest = plant_messages(self.maker, self._tick, measurement, plant.truth(), self._frames)
-        self._asked = [next(rest) for _ in self.arms]
-        for topic, message in self._asked:
-            self.outbox.publish(topic, message)
-        self.now = self._asked[0][1].header.stamp
+        self.now = self.maker.nanoseconds(self._tick)
         self._missing = set(self.arms)
-        return rest
+        self._told = False
+
+    def _rest(self) -> None:
+        """Put aside, or publish, what nobody waits for; once a tick, while the controller computes."""
+        plant, keep, tick = self._plant, self.outbox.keep, self._tick
+        if self._told or plant is None:
+            return
+        self._told = True
+        assert self.maker is not None
+        truth = plant.truth()
+        for arm, measured in self._measured.arms.items():
+            keep(topics.motor_states(arm), tick, measured)
+        for arm, state in truth.arms.items():
+            keep(topics.truth_joint_states(arm), tick, state)
+            keep(topics.truth_contact_wrench(arm), tick, state)
+        for topic, message in occasional_messages(self.maker, tick, self._measured, truth, self._frames):
+            self.outbox.later(topic, message)
+        if self.outbox.due:
+            self.outbox.flush()
 
     def _await_torques(self, asked: float) -> bool:
         """Whether this tick's torques are there; gives up for this turn, or for good, when they do not come."""
@@ -172,8 +207,8 @@ class PlantNode(TrialNode):
                 "the controller is gone or too slow"
             )
             return False
-        for topic, message in self._asked:
-            self.outbox.repeat(topic, message)
+        for topic, data in self._asked.items():
+            self.outbox.repeat(topic, data)
         return False
 
     def _close_plant(self) -> None:

@@ -36,7 +36,7 @@ class NodeProgram:
         parameters.declare(self.node, self.kind)
         self.executor = self.make_executor()
         self.executor.add_node(self.node)
-        self.now = Time()  # trial time, for diagnostics
+        self.now = 0  # ns, trial time, for diagnostics
         self._diagnostics = self.node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, STREAM)
         self._diagnosed = time.monotonic()
 
@@ -65,7 +65,7 @@ class NodeProgram:
         self._diagnosed = clock
         line, numbers = self.status()
         message = DiagnosticArray()
-        message.header.stamp = self.now
+        message.header.stamp = Time(sec=self.now // 1_000_000_000, nanosec=self.now % 1_000_000_000)
         message.status = [
             DiagnosticStatus(
                 level=DiagnosticStatus.OK if line.startswith("ok") else DiagnosticStatus.WARN,

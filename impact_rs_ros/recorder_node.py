@@ -1,6 +1,7 @@
 """The recorder as a node: stores what it receives, as it receives it, in one bag per trial.
 
-Messages are never decoded; trial time is read from the stamp, which stands at a fixed place. ``/trial_info``
+Messages are stored undecoded; trial time is read from the stamp, which stands at a fixed place. Two topics are special:
+``/truth/model`` has no stamp, and ``/tf`` is worked out from others where its type is not installed. ``/trial_info``
 and ``/robot_description`` are latched for others; the recorder is told them when the trial is configured.
 """
 
@@ -20,8 +21,11 @@ from impact_rs_analysis.bags import topics
 from impact_rs_analysis.bags.trial_info import Outcome, TrialInfo
 from impact_rs_analysis.bags.writer import LATCHED, BagWriter
 from impact_rs_ros.exchange import Inbox
+from impact_rs_ros.message_types import available
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_ros.qos import RECORD
+from impact_rs_ros.transforms import Transforms
+from impact_rs_ros.trials import plan_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
 
@@ -77,14 +81,21 @@ class RecorderNode(NodeProgram):
             self._inbox.clear()
             return
         for topic, data in self._inbox.take():
-            seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_at[topic])
-            now = seconds * 1_000_000_000 + nanoseconds
+            if topic == topics.TRUTH_MODEL:  # said once, and without a stamp
+                now = 0
+            else:
+                seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_at[topic])
+                now = seconds * 1_000_000_000 + nanoseconds
             if topic != topics.DIAGNOSTICS:
                 if self._last.get(topic) == now:  # sent again, because the answer to it was lost
                     continue
                 self._last[topic] = now
             bag.write_raw(topic, now, data)
             self._counts[topic] += 1
+            if self._transforms is not None:
+                for at, transforms in self._transforms.receive(topic, now, data):
+                    bag.write_raw(topics.TF, at, transforms)
+                    self._counts[topics.TF] += 1
 
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
@@ -92,6 +103,7 @@ class RecorderNode(NodeProgram):
         self._abort()
         try:
             info = TrialInfo.from_message(request.trial)
+            plan = plan_of(info) if info.scenario_yaml else None
             if not request.bag_path:
                 raise InputError("ConfigureTrial.bag_path is empty; the recorder needs to know where to write")
             self._connect(list(info.robots))
@@ -109,6 +121,8 @@ class RecorderNode(NodeProgram):
             response.message = f"recorder: {type(error).__name__}: {error}"
             return response
         self._bag = bag
+        self._expects_impact = plan is None or plan.expects_impact
+        self._transforms = Transforms(plan) if plan is not None and not available(topics.TF_MESSAGE) else None
         self._counts = Counter()
         self._last: dict[str, int] = {}
         response.success = True
@@ -121,7 +135,8 @@ class RecorderNode(NodeProgram):
             return response
         expected = dict(zip(request.topics, request.counts, strict=False))
         missing = self._complete(expected)
-        outcome: Outcome = "OK" if all(self._counts[topics.impact_event(arm)] for arm in self._arms) else "NO-IMPACT"
+        hit = all(self._counts[topics.impact_event(arm)] for arm in self._arms)
+        outcome: Outcome = "OK" if hit or not self._expects_impact else "NO-IMPACT"
         if request.aborted or missing:
             outcome = "ABORTED"
             response.message = request.reason or f"messages were published and not received: {missing}"

@@ -15,6 +15,7 @@ from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.process import NodeProgram
 from impact_rs_ros.qos import AWAITED, STREAM
+from impact_rs_ros.streams import Stream, StreamMaker
 from impact_rs_ros.trials import plan_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
@@ -50,6 +51,10 @@ class TrialNode(NodeProgram):
     @abstractmethod
     def published(self, arms: list[str]) -> dict[str, str]:
         """Topics that are published, with their types."""
+
+    @abstractmethod
+    def streams(self, maker: StreamMaker, arms: list[str]) -> dict[str, Stream]:
+        """Published signals of every tick, by topic."""
 
     @abstractmethod
     def prepare(self, plan: TrialPlan, info: TrialInfo) -> None:
@@ -103,7 +108,7 @@ class TrialNode(NodeProgram):
             plan = plan_of(info)
             self._connect(list(plan.arms))
             self.inbox.clear()
-            self.outbox.reset()
+            self.outbox.reset(self.streams(StreamMaker(plan), list(plan.arms)))
             self.failure = ""
             self.maker = MessageMaker(RosidlTypes(), plan)
             self.prepare(plan, info)
@@ -143,5 +148,3 @@ class TrialNode(NodeProgram):
     def close(self) -> None:
         if self.plan is not None:
             self._leave()
-
-

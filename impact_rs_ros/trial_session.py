@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +109,7 @@ class TrialSession:
         directory: Path,
         feedback: Callable[[Progress], None] = lambda progress: None,
         cancelled: Callable[[], bool] = lambda: False,
+        plant_model: str = "",
     ) -> TrialResult:
         """Run one trial; every failure is told in the result.
 
@@ -119,6 +120,7 @@ class TrialSession:
             directory: Folder of the bag.
             feedback: Called now and then.
             cancelled: Whether to stop.
+            plant_model: Text of a model file whose effects the plant has; empty: none.
         """
         info = TrialInfo.of(plan, key, seed, "nodes")
         path = directory / key.name
@@ -130,7 +132,10 @@ class TrialSession:
         reason = ""
         try:
             trial, description = maker.trial_info(info), scene_urdf(plan)
-            self._configure_all(trial, description, path)
+            secret = replace(info, model_yaml=plant_model)
+            if plant_model and not parameters.value(self._node, "hide_model"):
+                trial = maker.trial_info(secret)
+            self._configure_all(trial, maker.trial_info(secret), description, path)
             self._trial_info.publish(trial)
             self._description.publish(String(data=description))
             self._follow(progress, plan, feedback, cancelled)
@@ -157,9 +162,7 @@ class TrialSession:
             client.remove_pending_request(future)
         raise TrialError(f"{name} does not answer {client.srv_name}; is the node running?")
 
-    def _call_all(
-        self, calls: dict[str, tuple[Client, Any]], timeout: float
-    ) -> tuple[dict[str, Any], dict[str, str]]:
+    def _call_all(self, calls: dict[str, tuple[Client, Any]], timeout: float) -> tuple[dict[str, Any], dict[str, str]]:
         """Answers, and failures, of several services at once."""
         answers: dict[str, Any] = {}
         failures: dict[str, str] = {}
@@ -177,8 +180,10 @@ class TrialSession:
             thread.join()
         return answers, failures
 
-    def _configure_all(self, trial: Any, description: str, path: Path) -> None:
+    def _configure_all(self, trial: Any, secret: Any, description: str, path: Path) -> None:
+        """Only the plant is told the ``secret`` variant of the trial."""
         requests = {name: ConfigureTrial.Request(trial=trial) for name in self._configure}
+        requests["plant"].trial = secret
         requests["recorder"].bag_path = str(path)
         requests["recorder"].robot_description = description
         timeout = parameters.value(self._node, "service_timeout")

@@ -11,7 +11,7 @@ whose first or last message ``rosbags`` would write or read differently.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
@@ -133,6 +133,34 @@ class _Walker:
         self._fixed.append((self._at, self._at + 4))
         self._at += 4
         return int.from_bytes(self._data[self._at - 4 : self._at], "little")
+
+
+class Template:
+    """Makes the bytes of messages from columns; strings and lengths are those of an example.
+
+    Args:
+        store: Type definitions.
+        kind: ``package/msg/Name``, of a fixed layout.
+        example: Message of the ``rosbags`` typestore.
+    """
+
+    def __init__(self, store: Typestore, kind: str, example: Any) -> None:
+        self._data = bytes(store.serialize_cdr(example, kind))
+        self._dtype = _Walker(store, self._data).layout(kind).dtype(len(self._data))
+
+    def rows(self, columns: Mapping[str, Any], count: int) -> list[bytes]:
+        """Serialized messages.
+
+        Args:
+            columns: One row per message, by field path (``header.stamp.sec``); the example's value where there is none.
+            count: Number of messages.
+        """
+        data = bytearray(self._data * count)
+        table = np.frombuffer(data, self._dtype)
+        for path, column in columns.items():
+            table[path] = column
+        size = len(self._data)
+        return [bytes(data[i : i + size]) for i in range(0, len(data), size)]
 
 
 def encode(store: Typestore, kind: str, messages: Sequence[Any]) -> list[bytes | memoryview]:

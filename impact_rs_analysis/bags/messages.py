@@ -74,7 +74,7 @@ class MessageMaker:
             for name, arm in plan.scene.physics.arms.items()
         }
         self._empty = types.floats(np.zeros(0))
-        self._references = {name: _reference_columns(arm) for name, arm in plan.arms.items()}
+        self._references = {name: reference_columns(arm) for name, arm in plan.arms.items()}
 
     def nanoseconds(self, tick: int) -> int:
         """Trial time of a tick [ns]."""
@@ -210,7 +210,7 @@ def _xyz(values: Array) -> dict[str, float]:
     return {"x": x, "y": y, "z": z}
 
 
-def _reference_columns(arm: ArmPlan) -> dict[str, Array]:
+def reference_columns(arm: ArmPlan) -> dict[str, Array]:
     """Fields of ControllerState that the plan alone decides, one row per tick."""
     columns = {}
     for phase, position, posture in (

@@ -19,7 +19,7 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant import Measurement, Truth
 from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scene import Scene
 from impact_rs_sim.urdf import write_scene_urdf
 
 
@@ -35,10 +35,10 @@ def scene_urdf(plan: TrialPlan) -> str:
 class FrameSource:
     """Frames for ``/tf``, from measurements alone."""
 
-    def __init__(self, models: dict[str, RobotModel], plan: TrialPlan) -> None:
-        self._models = models
-        self._every = max(1, round(TF_PERIOD / plan.scene.scenario.timing.control_period))
-        self._object = pin.SE3(plan.scene.object.rotation, plan.scene.object.position)
+    def __init__(self, scene: Scene) -> None:
+        self._models = scene.models
+        self._every = max(1, round(TF_PERIOD / scene.scenario.timing.control_period))
+        self._object = pin.SE3(scene.object.rotation, scene.object.position)
 
     def due(self, tick: int) -> bool:
         """Whether transforms are published in this tick."""
@@ -46,13 +46,20 @@ class FrameSource:
 
     def frames(self, measurement: Measurement) -> dict[str, pin.SE3]:
         """Placement of every link, the object and the support in the world frame."""
+        seen = measurement.object
+        return self.placements(
+            {name: arm.position for name, arm in measurement.arms.items()},
+            None if seen is None else (seen.position, seen.quaternion),
+        )
+
+    def placements(self, arms: dict[str, Array], seen: tuple[Array, Array] | None) -> dict[str, pin.SE3]:
+        """The same from joint positions by arm, and position and quaternion of the object where it was seen."""
         frames = {"support": pin.SE3.Identity()}
         for name, model in self._models.items():
-            links = model.link_placements(measurement.arms[name].position)
-            frames |= {f"{name}_{link}": placement for link, placement in links.items()}
-        if measurement.object is not None:
-            rotation = pin.Quaternion(measurement.object.quaternion).matrix()
-            self._object = pin.SE3(rotation, measurement.object.position)
+            frames |= {f"{name}_{link}": placement for link, placement in model.link_placements(arms[name]).items()}
+        if seen is not None:
+            position, quaternion = seen
+            self._object = pin.SE3(pin.Quaternion(quaternion).matrix(), position)
         frames["object"] = self._object
         return frames
 
@@ -65,13 +72,20 @@ def plant_messages(
         yield topics.joint_states(arm), maker.joint_states(tick, arm, measured)
     for arm, measured in measurement.arms.items():
         yield topics.motor_states(arm), maker.motor_states(tick, arm, measured)
+    for arm, state in truth.arms.items():
+        yield topics.truth_joint_states(arm), maker.joint_states(tick, arm, state)
+        yield topics.truth_contact_wrench(arm), maker.truth_contact_wrench(tick, state)
+    yield from occasional_messages(maker, tick, measurement, truth, frames)
+
+
+def occasional_messages(
+    maker: MessageMaker, tick: int, measurement: Measurement, truth: Truth, frames: FrameSource
+) -> Iterator[tuple[str, Any]]:
+    """What the plant does not publish in every tick."""
     if measurement.object is not None:
         yield topics.OBJECT_POSE, maker.object_pose(tick, measurement.object)
         yield topics.TRUTH_OBJECT_POSE, maker.truth_object_pose(tick, truth)
         yield topics.TRUTH_OBJECT_TWIST, maker.truth_object_twist(tick, truth)
-    for arm, state in truth.arms.items():
-        yield topics.truth_joint_states(arm), maker.joint_states(tick, arm, state)
-        yield topics.truth_contact_wrench(arm), maker.truth_contact_wrench(tick, state)
     if frames.due(tick):
         yield topics.TF, maker.transforms(tick, frames.frames(measurement))
         yield topics.CLOCK, maker.clock(tick)
@@ -117,7 +131,7 @@ def record_trial(
         InputError: The bag exists or cannot be written.
     """
     maker = MessageMaker(RosbagsTypes(), plan)
-    frames = FrameSource(plan.scene.models, plan)
+    frames = FrameSource(plan.scene)
     plant = make_plant(plan, info.seed, physics)
     try:
         with _no_garbage_collection(), BagWriter(path, list(plan.arms)) as bag:

@@ -12,6 +12,7 @@ TF = "/tf"
 DIAGNOSTICS = "/diagnostics"
 OBJECT_POSE = "/object/pose"
 TRUTH = "/truth"
+TRUTH_MODEL = "/truth/model"
 TRUTH_OBJECT_POSE = "/truth/object/pose"
 TRUTH_OBJECT_TWIST = "/truth/object/twist"
 
@@ -73,6 +74,7 @@ def recorded(arms: list[str]) -> dict[str, str]:
         TF: TF_MESSAGE,
         DIAGNOSTICS: DIAGNOSTIC_ARRAY,
         OBJECT_POSE: POSE,
+        TRUTH_MODEL: STRING,
         TRUTH_OBJECT_POSE: POSE,
         TRUTH_OBJECT_TWIST: TWIST,
     }

@@ -7,16 +7,17 @@ from dataclasses import fields
 import numpy as np
 import pytest
 from mcap_ros2.reader import read_ros2_messages
+from rosbags.highlevel import AnyReader
 
 from impact_rs_analysis.bags import topics
 from impact_rs_analysis.bags.reader import TrialBag
+from impact_rs_analysis.bags.types import typestore
 from impact_rs_analysis.campaign import Manifest, make_manifest, run_one
 from impact_rs_ros.graph import Graph, run_trial
-from impact_rs_ros.message_types import available
 
 TOLERANCE = 1e-9
 ARM = "arm"
-SKIPPED = {topics.DIAGNOSTICS} | ({topics.TF} if not available(topics.TF_MESSAGE) else set())
+SKIPPED = {topics.DIAGNOSTICS}
 
 
 @pytest.fixture(scope="module")
@@ -65,9 +66,7 @@ def test_every_column_is_the_same(inprocess: TrialBag, through_nodes: list[Trial
             topics.truth_joint_states(ARM),
         )
     ]
-    pairs += [
-        (inprocess.poses(topic), nodes.poses(topic)) for topic in (topics.OBJECT_POSE, topics.TRUTH_OBJECT_POSE)
-    ]
+    pairs += [(inprocess.poses(topic), nodes.poses(topic)) for topic in (topics.OBJECT_POSE, topics.TRUTH_OBJECT_POSE)]
     pairs.append((inprocess.controller(ARM), nodes.controller(ARM)))
     for one, other in pairs:
         for field in fields(one):
@@ -76,6 +75,25 @@ def test_every_column_is_the_same(inprocess: TrialBag, through_nodes: list[Trial
                     getattr(other, field.name), getattr(one, field.name), rtol=0.0, atol=TOLERANCE, err_msg=field.name
                 )
     assert nodes.impact_time(ARM) == inprocess.impact_time(ARM)
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_every_transform_is_the_same(inprocess: TrialBag, through_nodes: list[TrialBag], which: int) -> None:
+    expected, found = transforms(inprocess), transforms(through_nodes[which])
+    assert [(time, frame) for time, frame, _ in found] == [(time, frame) for time, frame, _ in expected]
+    np.testing.assert_allclose([v for _, _, v in found], [v for _, _, v in expected], rtol=0.0, atol=TOLERANCE)
+
+
+def transforms(bag: TrialBag) -> list[tuple[int, str, list[float]]]:
+    """Time [ns], frame, and translation with rotation, of everything on ``/tf``."""
+    found = []
+    with AnyReader([bag.path], default_typestore=typestore()) as reader:
+        wanted = [connection for connection in reader.connections if connection.topic == topics.TF]
+        for connection, time, data in reader.messages(wanted):
+            for item in reader.deserialize(data, connection.msgtype).transforms:
+                at, turn = item.transform.translation, item.transform.rotation
+                found.append((time, item.child_frame_id, [at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w]))
+    return found
 
 
 def test_the_trial_says_how_it_was_run(inprocess: TrialBag, through_nodes: list[TrialBag]) -> None:
