@@ -25,8 +25,8 @@ A scenario says what is in the scene, what the robots shall do, and how it is me
     ./run impact-rs map path/to/mine.yaml cat_food case_2
 
 Start from a copy of `config/scenarios/push.yaml`. SI units everywhere; vectors in the axes of the inertial frame A,
-z up (REP-103), where nothing else is said. A key that is missing, misspelt, written twice or out of its limits stops every
-command with one line that names file, key, value and unit. What we *believe* of the physics beyond these nominal
+z up (REP-103), where nothing else is said. A key that is missing, misspelt, written twice or out of its limits stops
+every command with one line that names file, key, value and unit. What we *believe* of the physics beyond these nominal
 values stands in model files (`config/models`), not here.
 
 Made from `impact_rs_sim/scenario.py` by `python -m impact_rs_sim.scenario_docs > docs/scenarios.md`.
