@@ -1,0 +1,157 @@
+"""Mapping files: where a recording that was not made here keeps its signals (``config/mappings/*.yaml``).
+
+One mapping serves bags (topic, message type and field), CSV files (a column per joint) and NPZ files (an array per
+signal). What a signal is called is data; what it means is said here, with its unit.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.robot import EndEffector, RobotFacts, load_facts
+from impact_rs_sim.schema import NonNegativeVector, Schema, Vector3, load
+
+UNITS: dict[str, dict[str, float]] = {  # factor to SI, by quantity
+    "position": {"rad": 1.0, "mrad": 1e-3, "deg": np.pi / 180.0},
+    "velocity": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": np.pi / 180.0},
+    "torque": {"N m": 1.0, "mN m": 1e-3},
+    "torque_rate": {"N m/s": 1.0},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+}
+QUANTITY = {  # quantity of each signal
+    "position": "position",
+    "velocity": "velocity",
+    "torque": "torque",
+    "motor_position": "position",
+    "motor_velocity": "velocity",
+    "command": "torque",
+    "torque_rate": "torque_rate",
+}
+REQUIRED = ("position", "velocity", "torque")
+SignalName = Literal["position", "velocity", "torque", "motor_position", "motor_velocity", "command", "torque_rate"]
+
+
+class SignalSource(Schema):
+    """Where one signal is."""
+
+    topic: str | None = Field(None, description="topic in a bag; * stands for anything, as in */joint_states")
+    type: str | None = Field(None, description="message type, package/msg/Name")
+    field: str | None = Field(None, description="path of the array in the message, for example state.position")
+    names: str | None = Field(None, description="path of the joint names in the message; without it the order counts")
+    column: str | None = Field(None, description="column of a CSV file; {joint} stands for 1, 2, ...")
+    array: str | None = Field(None, description="array of an NPZ file, samples x joints")
+    unit: str = Field(description="unit of the numbers in the file")
+    factor: Annotated[float, Field(description="the numbers are multiplied by this as well, for example -1 [-]")] = 1.0
+
+
+class TimeSource(Schema):
+    """Where the time stamps are."""
+
+    stamp: Literal["header", "log"] = Field("header", description="stamp of a message: its header or the bag's log")
+    column: str = Field("time", description="column of a CSV file")
+    array: str = Field("time", description="array of an NPZ file")
+    unit: Literal["s", "ms", "us", "ns"] = Field("s", description="unit of the stamps in CSV and NPZ files")
+
+
+class MountedEndEffector(Schema):
+    """What was mounted on the flange during the recording."""
+
+    mass: Annotated[float, Field(ge=0.0, description="mass [kg]")] = 0.0
+    com: Vector3 = Field((0.0, 0.0, 0.0), description="centre of mass in frame E [m]")
+    inertia: tuple[float, float, float, float, float, float] = Field(
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), description="ixx, ixy, ixz, iyy, iyz, izz about the centre of mass [kg m^2]"
+    )
+    length: Annotated[float, Field(ge=0.0, description="from the flange to frame E [m]")] = 0.0
+
+    def build(self) -> EndEffector:
+        """For the robot model; an empty flange weighs a nanogram, because a body without any mass is no body."""
+        ixx, ixy, ixz, iyy, iyz, izz = self.inertia
+        inertia = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+        return EndEffector(
+            mass=max(self.mass, 1e-12),
+            com=np.array(self.com),
+            inertia=inertia,
+            length=self.length,
+            mount_yaw=0.0,
+            pad_size=(0.01, 0.01, 0.01),
+        )
+
+
+class Mapping(Schema):
+    """A mapping file."""
+
+    description: str = Field(description="what kind of recording this reads")
+    robot: str = Field(description="robot facts: name of a file in config/robots, or a path")
+    joints: tuple[str, ...] = Field(min_length=1, description="joint names in order; * stands for anything")
+    end_effector: MountedEndEffector = Field(
+        default_factory=MountedEndEffector, description="what was mounted on the flange"
+    )
+    base_rpy: Vector3 = Field((0.0, 0.0, 0.0), description="roll, pitch, yaw of the robot's base in the world [rad]")
+    torque_measured_at: Literal["link", "motor"] = Field(
+        "link",
+        description="'link': torque sensor behind the gear; 'motor': torque that the motor was asked for, which moves "
+        "the motor's own inertia as well",
+    )
+    motor_inertia: NonNegativeVector | None = Field(
+        None, description="motor inertia at the joint, only with torque_measured_at: motor [kg m^2]"
+    )
+    low_pass: Annotated[float, Field(gt=0.0, description="cut-off of the zero-phase low-pass [Hz]")] = 3.0
+    time: TimeSource = Field(default_factory=TimeSource, description="time stamps")
+    definitions: tuple[str, ...] = Field((), description="message packages whose definitions are in mappings/messages")
+    signals: dict[SignalName, SignalSource] = Field(description="where each signal is")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for name in REQUIRED:
+            if name not in self.signals:
+                raise ValueError(f"signals.{name} is missing; position, velocity and torque are needed")
+        for name, source in self.signals.items():
+            units = UNITS[QUANTITY[name]]
+            if source.unit not in units:
+                raise ValueError(f"signals.{name}.unit is {source.unit!r}, expected one of: {', '.join(units)}")
+        if self.motor_inertia is not None and len(self.motor_inertia) != len(self.joints):
+            raise ValueError(f"motor_inertia has {len(self.motor_inertia)} entries, expected {len(self.joints)}")
+        return self
+
+    @property
+    def facts(self) -> RobotFacts:
+        """Facts of the robot.
+
+        Raises:
+            InputError: There is no such robot, or it has another number of joints.
+        """
+        facts = load_facts(self.robot)
+        if facts.joint_count != len(self.joints):
+            raise InputError(f"{self.robot} has {facts.joint_count} joints, the mapping names {len(self.joints)}")
+        return facts
+
+    def factor(self, signal: SignalName) -> float:
+        """From the numbers in the file to SI."""
+        source = self.signals[signal]
+        return UNITS[QUANTITY[signal]][source.unit] * source.factor
+
+
+def mapping_names() -> list[str]:
+    """Names of the shipped mappings."""
+    return sorted(path.stem for path in (config_directory() / "mappings").glob("*.yaml"))
+
+
+def load_mapping(name: str | Path) -> Mapping:
+    """A mapping by name (``config/mappings/NAME.yaml``) or by path.
+
+    Raises:
+        InputError: There is no such mapping, or it breaks the schema.
+    """
+    path = Path(name)
+    if path.suffix not in (".yaml", ".yml"):
+        path = config_directory() / "mappings" / f"{name}.yaml"
+        if not path.is_file():
+            known = mapping_names()
+            raise InputError(f"no mapping {str(name)!r}{did_you_mean(str(name), known)}; known: {', '.join(known)}")
+    return load(Mapping, path)
