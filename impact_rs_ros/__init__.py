@@ -1,7 +1,9 @@
 """The rclpy nodes, one per file, and the runner that ties them."""
 
 import os
+import signal
 import sys
+import threading
 from pathlib import Path
 
 _INDEX_ENTRY = Path("share/ament_index/resource_index/packages/impact_rs")
@@ -17,4 +19,14 @@ def _announce_environment() -> None:
         os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join([*prefixes, sys.prefix])
 
 
+def _end_on_interrupt() -> None:
+    """Let Ctrl-C end a node that still imports without a word; later it handles the signal itself."""
+    started = Path(sys.argv[0])
+    wrapper = started.parts[-3:-1] == ("lib", "impact_rs")  # as `ros2 run` does
+    module = any(word.startswith("impact_rs_ros.") and word.endswith("_node") for word in sys.orig_argv[:4])
+    if (wrapper or module) and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 _announce_environment()
+_end_on_interrupt()

@@ -6,19 +6,37 @@ import os
 import sys
 from collections.abc import Sequence
 
-from impact_rs_ros.commands import analyze, campaign, demo, map, trial, up
+from impact_rs_ros.commands import (
+    add_effect,
+    analyze,
+    blind,
+    campaign,
+    compare,
+    demo,
+    diagnose,
+    effects,
+    history,
+    map,
+    trial,
+    up,
+)
 from impact_rs_ros.commands.terminal import Parser, Terminal
 from impact_rs_sim.errors import InputError
 
-COMMANDS = (demo, map, trial, campaign, analyze, up)
+COMMANDS = (demo, map, trial, campaign, analyze, compare, diagnose, add_effect, history, effects, blind, up)
 
 TEXT = """\
 Predict, measure and explain simultaneous robot impacts.
 
-  impact-rs demo                              everything once, in a minute
+  impact-rs demo                              everything once, in some minutes
   impact-rs map push cat_food case_2          one prediction
   impact-rs campaign push -o campaigns/push   the experiment that tests it
-  impact-rs analyze campaigns/push            the comparison, as a table and a report"""
+  impact-rs analyze campaigns/push            the comparison, as a table and a report
+
+  impact-rs compare RUNS --model MODEL        where the model fails
+  impact-rs diagnose RUNS -o diagnosis.json   which physical effect it lacks
+  impact-rs add EFFECT --from diagnosis.json -o model_2.yaml
+  impact-rs history model_2.yaml --runs RUNS  how the error fell"""
 
 
 def parser() -> Parser:

@@ -16,6 +16,7 @@ from typing import Any, Self
 import rclpy
 from impact_rs.action import RunCampaign, RunTrial
 from impact_rs.srv import ComputeImpactMap, ConfigureTrial
+from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -141,6 +142,24 @@ class Graph:
             if time.monotonic() > deadline:
                 raise GraphError(f"the nodes did not all come up within {START_TIMEOUT:g} s")
             self.spin(0.02)
+        if self.restarts["experiment"]:  # the middleware still knows the dead one and takes its action for ready
+            self._wait_for_answer(deadline)
+
+    def _wait_for_answer(self, deadline: float) -> None:
+        """Ask the experiment node something harmless until it answers."""
+        client = self.node.create_client(GetParameters, "experiment/get_parameters")
+        try:
+            while time.monotonic() < deadline:
+                future = client.call_async(GetParameters.Request(names=["scenario"]))
+                attempt = time.monotonic() + 1.0
+                while not future.done() and time.monotonic() < attempt:
+                    self.spin(0.02)
+                if future.done():
+                    return
+                client.remove_pending_request(future)
+            raise GraphError("the experiment node does not answer")
+        finally:
+            self.node.destroy_client(client)
 
     def revive(self) -> list[str]:
         """Start the nodes again that have died; returns a line about each."""
@@ -165,16 +184,18 @@ class Graph:
         """Run one trial.
 
         Raises:
-            GraphError: The experiment node rejected the goal or is gone.
+            GraphError: The experiment node rejected the goal, or it or the recorder is gone.
         """
         handle = self._wait(self.run_trial.send_goal_async(goal, feedback_callback=feedback), RESULT_TIMEOUT)
         if not handle.accepted:
             raise GraphError("the experiment node rejected the trial: another one is running")
+        ended = handle.get_result_async()
         try:
-            answer: RunTrial.Result = self._wait(handle.get_result_async(), None).result
+            answer: RunTrial.Result = self._wait(ended, None, ("experiment", "recorder")).result
         except BaseException:
             if self.processes["experiment"].poll() is None:
                 self._wait(handle.cancel_goal_async(), STOP_TIMEOUT)
+                self._wait(ended, RESULT_TIMEOUT)  # else the next goal would be rejected
             raise
         return answer
 
@@ -195,12 +216,13 @@ class Graph:
         finally:
             self.node.destroy_client(client)
 
-    def _wait(self, future: Any, timeout: float | None) -> Any:
+    def _wait(self, future: Any, timeout: float | None, watched: tuple[str, ...] = ("experiment",)) -> Any:
         deadline = None if timeout is None else time.monotonic() + timeout
         while not future.done():
             self.spin(0.1)
-            if self.processes["experiment"].poll() is not None:
-                raise GraphError(f"node experiment died: {self.last_words('experiment')}")
+            for name in watched:
+                if self.processes[name].poll() is not None:
+                    raise GraphError(f"node {name} died: {self.last_words(name)}")
             if deadline is not None and time.monotonic() > deadline:
                 raise GraphError(f"no answer within {timeout:g} s")
         return future.result()

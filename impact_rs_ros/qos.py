@@ -15,12 +15,13 @@ by some seconds still gets every sample; yet bounded, because a publisher that k
 subscribers has died, until the middleware notices that (20 s)."""
 
 AWAITED = QoSProfile(
-    reliability=QoSReliabilityPolicy.RELIABLE,
+    reliability=QoSReliabilityPolicy.BEST_EFFORT,
     durability=QoSDurabilityPolicy.VOLATILE,
     history=QoSHistoryPolicy.KEEP_LAST,
     depth=10,
 )
-"""Subscribers of the lockstep. One sample is on its way at a time, more only in real time."""
+"""Subscribers of the lockstep. One sample is on its way at a time, more only in real time. Best effort, because an
+acknowledgement per message costs a third of a round trip, and a sample that got lost is asked for again anyway."""
 
 RECORD = QoSProfile(
     reliability=QoSReliabilityPolicy.RELIABLE,

@@ -121,6 +121,7 @@ class TrialNode(NodeProgram):
             response.message = f"{self.kind}: {type(error).__name__}: {error}"
             return response
         gc.collect()
+        gc.freeze()  # the next trial's collection looks at what is new, and no more
         gc.disable()  # a collection takes longer than a tick
         response.success = True
         return response

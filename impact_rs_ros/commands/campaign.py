@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from impact_rs_ros.commands.terminal import Terminal, add_command, add_json, output_folder
+from impact_rs_ros.commands.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
 
 if TYPE_CHECKING:
     from impact_rs_analysis.campaign import Manifest, TrialReport
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     )
     counted = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()) or "nothing was left to run"
     terminal.say(
-        f"{done} of {len(manifest.keys)} trials are there ({counted})", f"next: impact-rs analyze {args.output}"
+        f"{done} of {len(manifest.keys)} trials are there ({counted})", f"next: {PROGRAM} analyze {args.output}"
     )
     return 0 if done == len(manifest.keys) and not failures else 1
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from impact_rs_ros.commands.terminal import Terminal, add_command, add_json, output_folder
+from impact_rs_ros.commands.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
 
 SCENARIO, OBJECT, CASE = "push", "cat_food", "case_2"
 
@@ -46,8 +46,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         "Where the line through the net feedback crosses zero, the robot follows its natural post-impact velocity:",
         "that is the experimental estimate, and the impact map's predictions are measured against it.",
         f"Open {report.resolve()} in a browser, then try:",
-        f"  impact-rs map {SCENARIO} {OBJECT} {CASE} --motor-inertia rotor",
-        f"  impact-rs campaign {SCENARIO} -o campaigns/{SCENARIO} --jobs 2",
-        f"  impact-rs analyze campaigns/{SCENARIO}",
+        f"  {PROGRAM} map {SCENARIO} {OBJECT} {CASE} --motor-inertia rotor",
+        f"  {PROGRAM} campaign {SCENARIO} -o campaigns/{SCENARIO} --jobs 2",
+        f"  {PROGRAM} analyze campaigns/{SCENARIO}",
     )
     return 1 if failures else code

@@ -20,6 +20,8 @@ from impact_rs_sim.errors import did_you_mean
 
 Report = Callable[[int, int], None]
 
+PROGRAM = os.environ.get("IMPACT_RS_PROGRAM", "impact-rs")  # how hints spell it: ./run sets "./run impact-rs"
+
 
 class Parser(argparse.ArgumentParser):
     """Argument parser whose errors are one line and name what was probably meant."""
@@ -75,10 +77,8 @@ class Terminal:
         """One line on standard error."""
         self._errors.print(text, soft_wrap=True, markup=False)
 
-    @contextmanager
-    def progress(self, what: str) -> Iterator[Report]:
-        """A bar with the time left, on standard error; none where that is no terminal."""
-        bar = Progress(
+    def _bar(self) -> Progress:
+        return Progress(
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
@@ -88,9 +88,20 @@ class Terminal:
             redirect_stdout=False,
             redirect_stderr=False,
         )
-        with bar:
+
+    @contextmanager
+    def progress(self, what: str) -> Iterator[Report]:
+        """A bar with the time left, on standard error; none where that is no terminal."""
+        with self._bar() as bar:
             task = bar.add_task(what, total=None)
             yield lambda done, total: bar.update(task, completed=done, total=total)
+
+    @contextmanager
+    def stages(self) -> Iterator[Callable[[str, int, int], None]]:
+        """A bar for work in several stages, told as (what, done, total)."""
+        with self._bar() as bar:
+            task = bar.add_task("", total=None)
+            yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
 
     @contextmanager
     def owned_output(self) -> Iterator[None]:

@@ -10,15 +10,24 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from impact_rs.action import RunCampaign, RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
 
 from impact_rs_analysis.bags import topics
 from impact_rs_analysis.bags.reader import TrialBag
+from impact_rs_analysis.bags.record import record_trial
 from impact_rs_analysis.campaign import make_manifest
-from impact_rs_ros.graph import NODES, Graph, run_trial, run_trials_through_nodes
+from impact_rs_ros.graph import NODES, Graph, GraphError, run_trial, run_trials_through_nodes
+from impact_rs_ros.trials import plan_of
+from impact_rs_sim.effects import library
+from impact_rs_sim.model import JOINT_COUNT, Model, ModelEffect
+from impact_rs_sim.model import ParameterValue as ParameterBelief
+from impact_rs_sim.scenario import load_scenario
 
 PATIENCE = 60.0  # s, of the tests; never reached on a machine that works
 
@@ -61,6 +70,113 @@ def test_a_node_killed_in_mid_trial_ends_the_trial_and_not_the_campaign(
     manifest = make_manifest("push", ["parcel"], ["1"], [1.0], trials=1)
     report = run_trial(graph, tmp_path, manifest, manifest.keys[0])
     assert (report.outcome, report.message) == ("OK", "")
+
+
+@pytest.mark.parametrize("victim", ["recorder", "experiment"])
+def test_without_recorder_or_experiment_a_trial_fails_and_the_next_one_runs(
+    graph: Graph, tmp_path: Path, victim: str
+) -> None:
+    killed = []
+
+    def kill(message: RunTrial.Impl.FeedbackMessage) -> None:
+        if message.feedback.time > 0.2 and not killed:
+            graph.processes[victim].kill()
+            killed.append(time.monotonic())
+
+    with pytest.raises(GraphError, match=f"node {victim} died"):
+        graph.call_trial(goal(tmp_path), kill)
+    (line,) = graph.revive()
+    assert victim in line and "SIGKILL" in line
+    graph.wait_until_ready()
+    manifest = make_manifest("push", ["parcel"], ["1"], [1.0], trials=1)
+    report = run_trial(graph, tmp_path, manifest, manifest.keys[0])
+    assert (report.outcome, report.message) == ("OK", "")
+
+
+def test_in_real_time_the_plant_does_not_wait_and_every_sample_is_recorded(graph: Graph, tmp_path: Path) -> None:
+    def realtime(on: bool) -> None:
+        value = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=on)
+        request = SetParameters.Request(parameters=[Parameter(name="realtime", value=value)])
+        (result,) = graph.call(SetParameters, "plant/set_parameters", request).results
+        assert result.successful, result.reason
+
+    realtime(True)
+    try:
+        started = time.monotonic()
+        result = graph.call_trial(goal(tmp_path))
+        assert time.monotonic() - started > 1.8
+    finally:
+        realtime(False)
+    assert result.success, result.message
+    bag = TrialBag(Path(result.bag_path))
+    assert bag.counts[topics.joint_states("arm")] == bag.counts[topics.truth_joint_states("arm")] == 1801
+    assert 1 <= bag.counts[topics.joint_command("arm")] <= 1801  # a busy machine misses ticks
+
+
+def test_an_excursion_ends_well_without_impact(graph: Graph, tmp_path: Path) -> None:
+    scenario = load_scenario("excite")
+    manifest = make_manifest("excite", [next(iter(scenario.objects))], [next(iter(scenario.cases))], [1.0], trials=1)
+    report = run_trial(graph, tmp_path, manifest, manifest.keys[0])
+    assert (report.outcome, report.message) == ("OK", "")
+    bag = TrialBag(tmp_path / manifest.keys[0].name)
+    assert bag.counts[topics.impact_event("arm")] == 0
+    assert bag.counts[topics.joint_states("arm")] == scenario.timing.ticks + 1
+
+
+def test_effects_hidden_in_the_plant_change_the_trial_and_stay_hidden(graph: Graph, tmp_path: Path) -> None:
+    model = hidden_model()
+    manifest = make_manifest("push", ["parcel"], ["1"], [1.0], trials=1, seed=5)
+    key = manifest.keys[0]
+    report = run_trial(graph, tmp_path / "nodes", manifest, key, plant_model=model)
+    assert (report.outcome, report.message) == ("OK", "")
+    bag = TrialBag(tmp_path / "nodes" / key.name)
+    assert bag.info.model_yaml == ""
+    assert bag.counts[topics.TRUTH_MODEL] == 1
+    for file in bag.path.glob("*.yaml"):
+        assert model.effects[0].name not in file.read_text()
+
+    plan = plan_of(bag.info)
+    record_trial(plan, bag.info, tmp_path / "inprocess", model.apply(plan.scene.physics))
+    expected = TrialBag(tmp_path / "inprocess").joints(topics.joint_states("arm"))
+    np.testing.assert_allclose(bag.joints(topics.joint_states("arm")).position, expected.position, rtol=0.0, atol=1e-9)
+    record_trial(plan, bag.info, tmp_path / "nominal")
+    nominal = TrialBag(tmp_path / "nominal").joints(topics.joint_states("arm"))
+    assert np.abs(nominal.position - expected.position).max() > 1e-6
+
+
+def hidden_model() -> Model:
+    """One effect of the library, away from its nominal value."""
+    name, effect = next((name, effect) for name, effect in library().items() if "friction" in name)
+    parameters = {
+        scalar.name: ParameterBelief(estimate=0.9 * scalar.nominal + 0.1 * scalar.upper, unit=scalar.unit)
+        for scalar in effect.scalars(JOINT_COUNT)
+    }
+    return Model(name="hidden", effects=(ModelEffect(name=name, parameters=parameters),))
+
+
+@pytest.mark.parametrize("text", ["effects: [", "name: x\neffects: [{name: gremlins, parameters: {}}]"])
+def test_a_model_that_is_none_is_refused(graph: Graph, tmp_path: Path, text: str) -> None:
+    result = graph.call_trial(goal(tmp_path, plant_model=text))
+    assert not result.success
+    assert "model_yaml" in result.message
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_interrupting_a_node_that_still_imports_prints_no_traceback(node: str) -> None:
+    command = [sys.executable, "-m", f"impact_rs_ros.{node}_node"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        spin_until_loading(process.pid)
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=PATIENCE)
+    assert output == ""
+
+
+def spin_until_loading(pid: int) -> None:
+    """Wait until a process begins to import NumPy, which comes before everything that takes long."""
+    deadline = time.monotonic() + PATIENCE
+    while "_multiarray_umath" not in Path(f"/proc/{pid}/maps").read_text():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
 
 
 def test_a_cancelled_trial_leaves_a_readable_bag(graph: Graph, tmp_path: Path) -> None:

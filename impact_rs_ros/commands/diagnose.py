@@ -1,0 +1,182 @@
+"""``impact-rs diagnose``: which physical effect is missing."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from impact_rs_ros.commands.loop import add_jobs, add_runs, number, read, started
+from impact_rs_ros.commands.terminal import Terminal, add_command, add_json, output_folder
+
+if TYPE_CHECKING:
+    from impact_rs_analysis.comparison.runs import Runs
+    from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+    from impact_rs_analysis.workers import Map
+    from impact_rs_sim.model import Model
+
+TEXT = """\
+Find out which physical effect is missing in a model.
+
+Every effect of the library (impact-rs effects lists them) and of your own formulas is fitted to the trials through the
+model's twin, and judged by how well it predicts conditions that the fit has not seen. Says CONFIRMED,
+CONFUSABLE-WITH{...}, NOT-IDENTIFIABLE, NO-IMPROVEMENT or AT-BOUND of each, and NOTHING-MISSING or NONE-EXPLAINS of all
+where that is the answer.
+
+Needs at least three conditions (object x case), some of them repeated; a free motion there and back (scenario excite)
+tells friction, offset and gain of the torque apart.
+
+example:
+  impact-rs diagnose campaigns/blind/runs --model config/models/nominal.yaml -o diagnosis.json --jobs 2
+  impact-rs diagnose campaigns/blind/runs -o diagnosis.json --effects torque_offset joint_coulomb_friction
+  impact-rs add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
+
+Units: each estimate says its own; errors are multiples of what repetition explains."""
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "diagnose", run, "name the physical effect that a model lacks", TEXT)
+    add_runs(parser)
+    parser.add_argument("-o", dest="output", type=Path, metavar="FILE.json", help="file for the diagnosis")
+    parser.add_argument("--effects", nargs="+", metavar="NAME", help="consider only these; default: all")
+    parser.add_argument("--formulas", type=Path, metavar="FILE.yaml", help="consider your own effects as well")
+    parser.add_argument("--report", type=Path, metavar="DIR", help="folder for an HTML report")
+    add_jobs(parser)
+    add_json(parser)
+
+
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Run the command."""
+    from impact_rs_analysis.diagnosis.document import write_document
+    from impact_rs_analysis.history import history
+    from impact_rs_sim.errors import InputError
+    from impact_rs_sim.model import load_model
+
+    model = load_model(args.model)
+    if args.output is not None and args.output.is_dir():
+        raise InputError("this is a folder; name a file, for example diagnosis.json", file=args.output)
+    extended = with_formulas(model, args.formulas)
+    check_effects(extended, args.effects)
+    with started(args.jobs) as map_tasks:
+        runs = read(args.runs, map_tasks, terminal)
+        document = document_of_runs(runs, model, extended, args.effects, map_tasks, terminal)
+        if args.output is not None:
+            with output_folder(args.output.parent):
+                write_document(document, args.output)
+        if args.report is not None:
+            from impact_rs_analysis.comparison.aligned import aligned_trials
+            from impact_rs_analysis.comparison.compare import compare
+            from impact_rs_analysis.report.loop import write_diagnosis
+
+            with terminal.stages() as tell:
+                comparison = compare(runs, model, map_tasks, tell)
+                versions = history(args.model, runs, map_tasks, tell) if model.parent is not None else None
+                aligned = aligned_trials(runs, model, map_tasks)
+            with output_folder(args.report):
+                path = write_diagnosis(document, comparison, aligned, versions, args.report)
+            terminal.say(f"report: {path.resolve()}")
+    terminal.result(document.model_dump(mode="json"))
+    if args.output is not None:
+        terminal.say(f"diagnosis: {args.output}")
+        if document.named:
+            terminal.say(
+                f"next: impact-rs add {document.named[0]} --model {args.model} --from {args.output} -o model_2.yaml"
+            )
+    return 0
+
+
+def with_formulas(model: Model, path: Path | None) -> Model:
+    """The model, knowing the formulas of a file as well.
+
+    Raises:
+        InputError: The file is no formula file, or a name is taken.
+    """
+    if path is None:
+        return model
+    from impact_rs_sim.effects.formula import load_formulas
+    from impact_rs_sim.errors import InputError
+
+    own = load_formulas(path)
+    for name in own:
+        if name in model.known_effects:
+            raise InputError(f"there is already an effect called {name!r}; give yours another name", file=path)
+    return model.model_copy(update={"formulas": (*model.formulas, *(effect.spec for effect in own.values()))})
+
+
+def check_effects(model: Model, names: list[str] | None) -> None:
+    """Check the names of ``--effects``.
+
+    Raises:
+        InputError: An unknown effect, or one that the model has already.
+    """
+    from impact_rs_sim.errors import InputError, did_you_mean
+
+    known = model.known_effects
+    present = {item.name for item in model.effects}
+    for name in names or []:
+        if name not in known:
+            raise InputError(
+                f"no effect {name!r}{did_you_mean(name, known)}; known effects: {', '.join(sorted(known))}"
+            )
+        if name in present:
+            raise InputError(f"model {model.name!r} has effect {name!r} already; diagnose looks for what is missing")
+
+
+def document_of_runs(
+    runs: Runs, model: Model, extended: Model, only: list[str] | None, map_tasks: Map, terminal: Terminal
+) -> DiagnosisDocument:
+    """Diagnose, and show the result.
+
+    Args:
+        runs: Measurements.
+        model: The model as its file says it.
+        extended: The same, knowing further formulas.
+        only: Names of the effects to consider; None: all.
+        map_tasks: Parallel map.
+        terminal: Where to show it.
+    """
+    from impact_rs_analysis.diagnosis.diagnose import diagnose
+    from impact_rs_analysis.diagnosis.document import document_of
+
+    with terminal.stages() as tell:
+        found = diagnose(runs, extended, map_tasks, tell, only)
+    new = tuple(spec for spec in extended.formulas if spec not in model.formulas)
+    document = document_of(found, runs, model, new)
+    _show(document, terminal)
+    return document
+
+
+def _show(document: DiagnosisDocument, terminal: Terminal) -> None:
+    from rich.table import Table
+
+    from impact_rs_analysis.report.words import verdict_in_words
+
+    terminal.say(f"{document.verdict}", verdict_in_words(document))
+    table = Table(title="Effects, best first (error on unseen conditions, multiples of what repetition explains)")
+    table.add_column("effect")
+    table.add_column("verdict", overflow="fold")
+    table.add_column("error", justify="right", no_wrap=True)
+    table.add_column("p", justify="right")
+    table.add_column("estimate and 95 % interval", overflow="fold")
+    for effect in document.effects[:8]:
+        values = []
+        if effect.verdict not in ("NO-IMPROVEMENT", "NOT-IDENTIFIABLE"):
+            values = [
+                f"{name} {number(p.estimate)} [{number(p.ci95[0])}, {number(p.ci95[1])}] {p.unit}"
+                for name, p in effect.parameters.items()
+            ]
+        table.add_row(
+            effect.name,
+            effect.verdict,
+            f"{number(effect.held_out_error_before)} → {number(effect.held_out_error_after)}",
+            f"{effect.p_value:.1g}",
+            "\n".join(values),
+        )
+    terminal.say(table)
+    if len(document.effects) > 8:
+        terminal.say(f"and {len(document.effects) - 8} more effects, none of them better")
+    for remark in document.remarks:
+        terminal.say(f"note: {remark}")
+    if document.next_experiment:
+        terminal.say(f"next experiment: {document.next_experiment['advice']}")

@@ -1,0 +1,75 @@
+"""What the commands of the loop share: reading RUNS and MODEL, and telling what could not be used."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from impact_rs_ros.commands.terminal import Terminal
+
+if TYPE_CHECKING:
+    from impact_rs_analysis.comparison.runs import Runs
+    from impact_rs_analysis.workers import Map
+
+MOST_SHOWN = 5
+
+
+def add_runs(parser: argparse.ArgumentParser) -> None:
+    """The argument RUNS and the option ``--model``."""
+    parser.add_argument("runs", type=Path, metavar="RUNS", help="folder with bags of trials, however deep")
+    add_model(parser)
+
+
+def add_model(parser: argparse.ArgumentParser) -> None:
+    """The option ``--model``."""
+    parser.add_argument(
+        "--model", type=Path, default=Path("nominal"), metavar="FILE", help="model file; default: the nominal model"
+    )
+
+
+def add_jobs(parser: argparse.ArgumentParser) -> None:
+    """The option ``--jobs``."""
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="worker processes; default: 1")
+
+
+@contextmanager
+def started(jobs: int) -> Iterator[Map]:
+    """Worker processes.
+
+    Raises:
+        InputError: Fewer than one.
+    """
+    from impact_rs_analysis.workers import workers
+    from impact_rs_sim.errors import InputError
+
+    if jobs < 1:
+        raise InputError(f"jobs = {jobs}: expected at least 1 worker process")
+    with workers(jobs) as map_tasks:
+        yield map_tasks
+
+
+def read(directory: Path, map_tasks: Map, terminal: Terminal) -> Runs:
+    """Read RUNS and tell what was left out."""
+    from impact_rs_analysis.comparison.runs import read_runs
+
+    with terminal.progress("reading bags") as tell:
+
+        def counted(function: Any, items: Any) -> Iterator[Any]:
+            for number, result in enumerate(map_tasks(function, items), start=1):
+                tell(number, len(items))
+                yield result
+
+        runs = read_runs(directory, counted)
+    for path, reason in runs.skipped[:MOST_SHOWN]:
+        terminal.warn(f"left out {Path(path).name}: {reason.removeprefix(f'{path}: ')}")
+    if len(runs.skipped) > MOST_SHOWN:
+        terminal.warn(f"left out {len(runs.skipped) - MOST_SHOWN} more bags; --json names all")
+    return runs
+
+
+def number(value: float) -> str:
+    """Three significant digits."""
+    return f"{value:.3g}"
