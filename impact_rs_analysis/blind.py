@@ -17,6 +17,7 @@ import numpy as np
 from impact_rs_analysis.bags.record import record_trial
 from impact_rs_analysis.bags.trial_info import TrialInfo, TrialKey
 from impact_rs_analysis.bags.writer import partial_path
+from impact_rs_analysis.outside import OUTSIDE
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, runs_digest
 from impact_rs_analysis.diagnosis.search import SIGNIFICANT
 from impact_rs_analysis.workers import Map
@@ -106,6 +107,19 @@ def draw_truth(seed: int, kind: str, effect: str | None, magnitude: float | None
     ]
 
 
+def draw_outside(seed: int, name: str | None, magnitude: float | None) -> tuple[str, float]:
+    """An effect that is not in the library, and its size (1: noticeable).
+
+    Raises:
+        InputError: There is no such outside effect.
+    """
+    if name is not None and name not in OUTSIDE:
+        raise InputError(f"no outside effect {name!r}; known: {', '.join(OUTSIDE)}")
+    rng = np.random.default_rng([seed, KINDS.index("outside")])
+    chosen = name or str(rng.choice(list(OUTSIDE)))
+    return chosen, magnitude if magnitude is not None else float(np.exp(rng.uniform(0.0, np.log(4.0))))
+
+
 def hide(physics: Physics, hidden: list[Hidden]) -> Physics:
     """Physics with the hidden effects."""
     for item in hidden:
@@ -123,6 +137,7 @@ class BlindTask:
     seed: int
     hidden: tuple[Hidden, ...]
     outside: str | None
+    magnitude: float
 
 
 def run_task(task: BlindTask) -> str:
@@ -137,15 +152,14 @@ def run_task(task: BlindTask) -> str:
     plan = plan_trial(scene, task.key.scale)
     info = TrialInfo.of(plan, task.key, task.key.seed(task.seed), "inprocess")
     physics = hide(scene.physics, list(task.hidden))
-    if task.outside is not None:
-        from impact_rs_analysis.outside import outside_physics
-
-        physics = outside_physics(task.outside, physics, task.key, task.seed)
-    outcome, _ = record_trial(plan, info, path, physics)
+    extension = None if task.outside is None else OUTSIDE[task.outside](task.magnitude, task.key.repeat)
+    outcome, _ = record_trial(plan, info, path, physics, extension)
     return outcome
 
 
-def tasks(directory: Path, seed: int, size: str, hidden: list[Hidden], outside: str | None) -> list[BlindTask]:
+def tasks(
+    directory: Path, seed: int, size: str, hidden: list[Hidden], outside: str | None, magnitude: float
+) -> list[BlindTask]:
     """Every trial of a blind campaign.
 
     Raises:
@@ -166,7 +180,7 @@ def tasks(directory: Path, seed: int, size: str, hidden: list[Hidden], outside: 
         for repeat in range(plan.excite_repeats)
     ]
     runs = str(directory / RUNS)
-    return [BlindTask(runs, scenario, key, seed, tuple(hidden), outside) for scenario, key in keys]
+    return [BlindTask(runs, scenario, key, seed, tuple(hidden), outside, magnitude) for scenario, key in keys]
 
 
 def make(
@@ -183,18 +197,15 @@ def make(
     Raises:
         InputError: Unknown kind, effect or size, or a folder that holds another blind campaign.
     """
-    outside = None
-    if kind == "outside":
-        from impact_rs_analysis.outside import draw_outside
-
-        outside = draw_outside(seed, effect)
     hidden = draw_truth(seed, kind, effect, magnitude)
-    todo = tasks(directory, seed, size, hidden, outside)
+    outside, strength = (None, 0.0) if kind != "outside" else draw_outside(seed, effect, magnitude)
+    todo = tasks(directory, seed, size, hidden, outside, strength)
     truth = {
         "kind": kind,
         "seed": seed,
         "size": size,
         "outside": outside,
+        "outside_magnitude": strength,
         "effects": [{"name": item.name, "magnitude": item.magnitude, "parameters": _named(item)} for item in hidden],
     }
     path = directory / TRUTH

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from impact_rs_control.controller import ArmCommand, Controller
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.plant import Measurement, Plant, Truth
+from impact_rs_sim.plant import Measurement, Plant, PlantExtension, Truth
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,16 @@ class Tick:
         return self.plant.truth()
 
 
-def make_plant(plan: TrialPlan, seed: int, physics: Physics | None = None) -> Plant:
+def make_plant(
+    plan: TrialPlan, seed: int, physics: Physics | None = None, extension: PlantExtension | None = None
+) -> Plant:
     """The plant of a planned trial.
 
     Args:
         plan: What the controller will do; it decides where the arms start.
         seed: Seed of scatter and noise.
         physics: True physics; None: the scenario's.
+        extension: What the physics cannot say.
     """
     scene = plan.scene
     return Plant(
@@ -44,6 +47,7 @@ def make_plant(plan: TrialPlan, seed: int, physics: Physics | None = None) -> Pl
         {name: arm.initial for name, arm in plan.arms.items()},
         scene.object,
         seed,
+        extension=extension,
     )
 
 

@@ -237,6 +237,11 @@ class BulletWorld:
         """Joint torque of an arm over the next step, ``(n,)`` [N m]."""
         self._set_torques(self.arms[name], self.joints[name], pybullet.TORQUE_CONTROL, forces=torque.tolist())
 
+    def set_time_step(self, time_step: float) -> None:
+        """Change the step [s]."""
+        self.time_step = time_step
+        self.client.setPhysicsEngineParameter(fixedTimeStep=time_step)
+
     def step(self) -> None:
         """Advance by one step."""
         self._step()

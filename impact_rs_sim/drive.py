@@ -26,6 +26,7 @@ class Drive:
         period: Period of the torque loop [s].
 
     Attributes:
+        period: Period of the torque loop [s].
         position: Motor position theta, ``(n,)`` [rad].
         velocity: Motor velocity, ``(n,)`` [rad/s].
         transmission_torque: tau_J + D K^-1 dtau_J, what the link receives, ``(n,)`` [N m].
@@ -35,7 +36,7 @@ class Drive:
     """
 
     def __init__(self, physics: ArmPhysics, period: float) -> None:
-        self._period = period
+        self.period = period
         self._stiffness = physics.stiffness
         self._damping = physics.damping
         self._rotor_inverse = 1.0 / physics.motor_inertia_rotor
@@ -44,8 +45,9 @@ class Drive:
         self._friction = None if physics.friction.is_zero else physics.friction
         self._gain = physics.torque_gain
         self._offset = physics.torque_offset
-        delay = round(physics.actuation_delay / period)
-        self._pending: deque[Array] | None = deque(maxlen=delay + 1) if delay else None
+        self._delay = physics.actuation_delay
+        self._clock = 0.0
+        self._commands: deque[tuple[float, Array]] = deque()
         count = physics.stiffness.size
         self.position = np.zeros(count)
         self.velocity = np.zeros(count)
@@ -60,9 +62,9 @@ class Drive:
         self.velocity = np.zeros_like(load)
         self.elastic_torque = load.copy()
         self.transmission_torque = load.copy()
-        if self._pending is not None:
-            self._pending.clear()
-            self._pending.extend([load] * (self._pending.maxlen or 1))
+        self._clock = 0.0
+        self._commands.clear()
+        self._commands.append((-np.inf, load))
 
     def sense(self, link_position: Array, link_velocity: Array) -> None:
         """Update the transmission torque from the present motor and link state."""
@@ -71,14 +73,33 @@ class Drive:
 
     def step(self, desired: Array) -> None:
         """One period of the torque loop with desired torque ``(n,)`` [N m]; call :meth:`sense` first."""
-        if self._pending is not None:
-            self._pending.append(desired)
-            desired = self._pending[0]
+        if self._delay > 0.0:
+            desired = self._delayed(desired)
         applied = self._gain * desired + self._offset
         self.actuation_torque = self._shaping * applied + self._feedback * self.transmission_torque
         net = self.actuation_torque - self.transmission_torque
         if self._friction is not None:
             self.friction_torque = self._shaping * self._friction.torque(self.velocity)
             net = net + self.friction_torque
-        self.velocity = self.velocity + self._period * self._rotor_inverse * net
-        self.position = self.position + self._period * self.velocity
+        self.velocity = self.velocity + self.period * self._rotor_inverse * net
+        self.position = self.position + self.period * self.velocity
+
+    def _delayed(self, desired: Array) -> Array:
+        """Mean of the held commands over the period that began ``delay`` ago: continuous in the delay, ``(n,)`` [N m]."""
+        commands = self._commands
+        if not commands:
+            commands.append((-np.inf, desired))
+        if commands[-1][1] is not desired:
+            commands.append((self._clock, desired))
+        start = self._clock - self._delay
+        end = start + self.period
+        self._clock += self.period
+        while len(commands) > 1 and commands[1][0] <= start:
+            commands.popleft()
+        total = np.zeros_like(desired)
+        for number, (since, torque) in enumerate(commands):
+            until = commands[number + 1][0] if number + 1 < len(commands) else np.inf
+            overlap = min(until, end) - max(since, start)
+            if overlap > 0.0:
+                total += overlap / self.period * torque
+        return total

@@ -61,6 +61,23 @@ class Truth:
     object: BodyState
 
 
+class PlantExtension:
+    """Something that a plant does and no :class:`Physics` can say; subclasses override what they need.
+
+    For tests of the diagnosis: what it must not find in its library has to live somewhere.
+    """
+
+    def begin(self, plant: Plant) -> None:
+        """Called once, when the plant is ready."""
+
+    def joint_torque(self, plant: Plant, arm: str) -> Array | None:
+        """Further torque on the links over the next control period, ``(n,)`` [N m], or None."""
+        return None
+
+    def after_sense(self, plant: Plant, arm: str, drive: Drive) -> None:
+        """Called in every period of the torque loop, after the drive has sensed the link."""
+
+
 class Plant:
     """Flexible-joint arms, object and support, for one trial.
 
@@ -70,6 +87,8 @@ class Plant:
         initial: Initial joint positions by arm, ``(n,)`` [rad].
         object_state: Nominal pose of the object; the scatter comes on top.
         seed: Seed of scatter and noise. Same seed, same trial, bit by bit.
+        extension: Something that the physics cannot say.
+        coarse_until: Until then the torque loop runs at half its rate [s]; for a twin whose contacts come later.
     """
 
     def __init__(
@@ -79,6 +98,8 @@ class Plant:
         initial: dict[str, Array],
         object_state: BodyState,
         seed: int,
+        coarse_until: float = 0.0,
+        extension: PlantExtension | None = None,
     ) -> None:
         timing = scenario.timing
         self._timing = timing
@@ -114,12 +135,26 @@ class Plant:
             self._arm_sensors[name] = ArmSensors(
                 scenario.sensors, q.size, self._samples, np.random.default_rng(sensor_seed)
             )
+        self._extension = extension
+        if extension is not None:
+            extension.begin(self)
+        self._coarse_until = coarse_until
+        self._substeps = timing.substeps
         self._tracker_ticks = max(1, round(scenario.sensors.object_period / timing.control_period))
         self._tracker = ObjectTracker(
             scenario.sensors,
             self._samples // self._tracker_ticks + 1,
             np.random.default_rng(sensor_seeds[0]),
         )
+
+    @property
+    def world(self) -> BulletWorld:
+        """The Bullet world, for extensions."""
+        return self._world
+
+    def link_state(self, arm: str) -> ArmState:
+        """True joint state of an arm, for extensions."""
+        return self._links[arm]
 
     @property
     def time(self) -> float:
@@ -176,9 +211,17 @@ class Plant:
                 )
         if self._tick + 1 >= self._samples:
             raise InputError(f"the trial is over after {self._timing.duration} s")
+        substeps = self._timing.substeps
+        self._set_substeps(max(1, substeps // 2) if self.time < self._coarse_until else substeps)
         world = self._world
         loads = {name: self._load_torque(name) for name in self._loaded}
-        for _ in range(self._timing.substeps):
+        extension = self._extension
+        if extension is not None:
+            for name in self._drives:
+                more = extension.joint_torque(self, name)
+                if more is not None:
+                    loads[name] = loads.get(name, 0.0) + more
+        for _ in range(self._substeps):
             for name, drive in self._drives.items():
                 torque = drive.transmission_torque
                 world.apply_torque(name, torque + loads[name] if name in loads else torque)
@@ -187,8 +230,20 @@ class Plant:
             for name, drive in self._drives.items():
                 link = world.arm_state(name)
                 drive.sense(link.position, link.velocity)
+                if extension is not None:
+                    extension.after_sense(self, name, drive)
                 self._links[name] = link
         self._tick += 1
+
+    def _set_substeps(self, substeps: int) -> None:
+        """Divide the control period into so many periods of the torque loop."""
+        if self._substeps == substeps:
+            return
+        self._substeps = substeps
+        period = self._timing.control_period / substeps
+        self._world.set_time_step(period)
+        for drive in self._drives.values():
+            drive.period = period
 
     def _load_torque(self, name: str) -> Array:
         """Joint torque of everything outside the model, held over one control period, ``(n,)`` [N m]."""

@@ -115,7 +115,8 @@ def validate(schema: type[SchemaType], data: dict[str, Any], file: str | Path) -
 
 def _input_error(schema: type[Schema], error: ValidationError, file: str | Path) -> InputError:
     mistakes = error.errors(include_url=False)
-    first = mistakes[0]
+    # A misspelt key is unknown and also missing; the unknown one tells what was meant.
+    first = next((mistake for mistake in mistakes if mistake["type"] == "extra_forbidden"), mistakes[0])
     location = [part for part in first["loc"] if part != "[key]"]
     key = ".".join(str(part) for part in location)
     meaning = _description(schema, location)

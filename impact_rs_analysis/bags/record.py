@@ -17,7 +17,7 @@ from impact_rs_analysis.bags.writer import BagWriter
 from impact_rs_control.closed_loop import Tick, make_plant, run_closed_loop
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.plant import Measurement, Truth
+from impact_rs_sim.plant import Measurement, PlantExtension, Truth
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.urdf import write_scene_urdf
@@ -114,7 +114,11 @@ def _no_garbage_collection() -> Iterator[None]:
 
 
 def record_trial(
-    plan: TrialPlan, info: TrialInfo, path: Path, physics: Physics | None = None
+    plan: TrialPlan,
+    info: TrialInfo,
+    path: Path,
+    physics: Physics | None = None,
+    extension: PlantExtension | None = None,
 ) -> tuple[Outcome, dict[str, Array]]:
     """Run one trial in lockstep and write its bag.
 
@@ -123,6 +127,7 @@ def record_trial(
         info: Identity; its seed makes the scatter and the noise.
         path: Folder of the bag.
         physics: True physics of the plant; None: the scenario's.
+        extension: What the plant does beyond its physics.
 
     Returns:
         Outcome, and net feedback ``(3,)`` [m/s] by arm.
@@ -132,7 +137,7 @@ def record_trial(
     """
     maker = MessageMaker(RosbagsTypes(), plan)
     frames = FrameSource(plan.scene)
-    plant = make_plant(plan, info.seed, physics)
+    plant = make_plant(plan, info.seed, physics, extension)
     try:
         with _no_garbage_collection(), BagWriter(path, list(plan.arms)) as bag:
             bag.describe(info)

@@ -135,6 +135,17 @@ def aligned_name(condition: Condition) -> str:
     return condition.label.replace("/", "__")
 
 
+def check_free(runs: Runs, directory: Path) -> None:
+    """Check that no aligned bag is in the way before any is made.
+
+    Raises:
+        InputError: One exists already.
+    """
+    for condition in runs.conditions:
+        if (directory / aligned_name(condition)).exists():
+            raise InputError("this aligned bag exists already", file=directory / aligned_name(condition))
+
+
 def write_aligned(aligned: AlignedTrial, directory: Path) -> Path:
     """Write one aligned mcap: ``/measured/...``, ``/predicted/...`` and ``/residual/...`` in standard messages.
 

@@ -34,10 +34,7 @@ def next_experiment(
     best: tuple[float, Condition] | None = None
     for condition in _possible(runs):
         pair = search.store(
-            [
-                Rollout(condition, search.model, tuple(fit.candidate.split(fit.estimate)))
-                for fit in (chosen, rival)
-            ],
+            [Rollout(condition, search.model, tuple(fit.candidate.split(fit.estimate))) for fit in (chosen, rival)],
             "next experiment",
         )
         if pair[0] is None or pair[1] is None:

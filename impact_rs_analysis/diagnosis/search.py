@@ -190,7 +190,9 @@ class Search:
         """The candidate with its features evaluated at another point, sensitivities kept."""
         added = tuple(candidate.split(point))
         base = self.store([Rollout(item.condition, self.model) for item in self.evidence])
-        here = self.store([Rollout(item.condition, self.model, added) for item in self.evidence], "fit of the shortlist")
+        here = self.store(
+            [Rollout(item.condition, self.model, added) for item in self.evidence], "fit of the shortlist"
+        )
         if any(value is None for value in (*base, *here)):
             return None
         offsets = tuple(

@@ -81,6 +81,18 @@ def test_actuation_delay_shifts_the_torque_by_that_time(arm):
     assert moved == [False] * 4 + [True] * 2
 
 
+def test_delay_between_two_periods_is_the_mean_of_both(arm):
+    """Half a period more of delay: half of the first torque arrives."""
+    drive = Drive(replace(arm, actuation_delay=1.5 * PERIOD), PERIOD)
+    drive.reset(np.zeros(7), np.zeros(7))
+    velocity, torque = [], np.ones(7)
+    for _ in range(4):
+        drive.sense(drive.position, drive.velocity)
+        drive.step(torque)
+        velocity.append(drive.velocity[0] * arm.motor_inertia_reduced[0] / PERIOD)
+    np.testing.assert_allclose(velocity, [0.0, 0.5, 1.5, 2.5], atol=1e-12)
+
+
 def energy_defect(physics: Physics, period: float, duration: float) -> float:
     """Largest |energy - work put in| over a free motion, relative to the largest kinetic energy."""
     arm, model = physics.arms["arm"], physics.robot_model("arm")

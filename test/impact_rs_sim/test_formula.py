@@ -1,0 +1,97 @@
+"""Formulas in YAML: arithmetic and nothing else."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec, load_formulas, parse
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import LoadState, Physics
+from impact_rs_sim.scenario import load_scenario
+
+PARAMETER = {"unit": "N s/m", "nominal": 0.0, "lower": 0.0, "upper": 50.0, "scale": 1.0}
+
+
+def spec(**changes):
+    content = {
+        "name": "cable_drag",
+        "sentence": "A cable drags.",
+        "end_effector_force": {"y": "-drag * vy"},
+        "parameters": {"drag": PARAMETER},
+    }
+    return FormulaSpec.model_validate({**content, **changes})
+
+
+@given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
+def test_formula_means_what_it_says(a, b):
+    value = parse("-a**2 + 2*sin(b) / (1 + abs(a)) - min(a, b) * tanh(b)", {"a", "b"})({"a": a, "b": b})
+    assert value == pytest.approx(-(a**2) + 2 * math.sin(b) / (1 + abs(a)) - min(a, b) * math.tanh(b))
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("2 +", "does not parse"),
+        ("speed * 2", "unknown symbol 'speed'"),
+        ("__import__('os').system('ls')", "arithmetic|unknown function"),
+        ("(1).__class__", "only arithmetic"),
+        ("[x for x in (1,)]", "only arithmetic"),
+        ("lambda: 1", "only arithmetic"),
+        ("open('f')", "unknown function 'open'"),
+        ("sin(1, 2)", "takes 1 argument"),
+        ("a if a else 1", "only arithmetic"),
+        ("'text'", "only arithmetic"),
+        ("True", "only arithmetic"),
+        ("a = 1", "does not parse"),
+        ("1" * 401, "longer than"),
+        ("(" * 199 + "a" + ")" * 198, "does not parse"),
+    ],
+)
+def test_what_is_no_arithmetic_is_refused(text, complaint):
+    with pytest.raises(InputError, match=complaint):
+        parse(text, {"a"})
+
+
+def test_formula_effect_acts_on_the_plant_as_a_force_and_as_a_torque():
+    effect = FormulaEffect(spec(joint_torque={"joint2": "drag * cos(q2)"}))
+    physics = Physics.nominal(load_scenario("push"), "juice")
+    load = effect.apply_vector(physics, np.array([4.0])).arms["arm"].loads[0]
+    velocity = np.array([0.1, -0.5, 0.0])
+    state = LoadState(0.2, np.full(7, 0.3), np.zeros(7), np.zeros(3), velocity, np.zeros(3))
+    np.testing.assert_allclose(load.end_effector_force(state), [0.0, 2.0, 0.0])
+    np.testing.assert_allclose(load.joint_torque(state)[1], 4.0 * np.cos(0.3))
+
+
+def test_formula_that_blows_up_says_when():
+    effect = FormulaEffect(spec(end_effector_force={"y": "drag / (t - 0.2)"}))
+    physics = Physics.nominal(load_scenario("push"), "juice")
+    load = effect.apply_vector(physics, np.array([4.0])).arms["arm"].loads[0]
+    state = LoadState(0.2, np.zeros(7), np.zeros(7), np.zeros(3), np.zeros(3), np.zeros(3))
+    with pytest.raises(InputError, match=r"cable_drag.*t = 0\.200 s"):
+        load.end_effector_force(state)
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"end_effector_force": {"w": "drag"}}, "unknown 'w'"),
+        ({"joint_torque": {"joint9": "drag"}}, "unknown 'joint9'"),
+        ({"end_effector_force": {}}, "needs joint_torque or end_effector_force"),
+        ({"end_effector_force": {"y": "t"}, "parameters": {"t": PARAMETER}}, "cannot be parameter names"),
+    ],
+)
+def test_formula_effect_that_makes_no_sense_is_refused(changes, complaint):
+    with pytest.raises(InputError, match=complaint):
+        FormulaEffect(spec(**changes))
+
+
+def test_file_and_place_are_named(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(
+        "effects:\n  - {name: drag, sentence: s, end_effector_force: {y: 'k * vv'}, parameters: {k: {unit: N, lower: 0, upper: 1, scale: 1}}}\n"
+    )
+    with pytest.raises(InputError, match=r"mine\.yaml.*unknown symbol 'vv'"):
+        load_formulas(path)
