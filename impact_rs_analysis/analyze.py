@@ -206,6 +206,8 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
     """
     if not directory.is_dir():
         raise InputError("no such folder", file=directory)
+    if (directory / "metadata.yaml").is_file():
+        raise InputError("this is a single trial; give the folder it lies in", file=directory)
     bags = find_bags(directory)
     if not bags:
         raise InputError("this folder holds no trials (a trial is a subfolder that is a rosbag2 bag)", file=directory)

@@ -1,6 +1,7 @@
 """The command line: exit codes, one-line errors, and a standard output that is JSON and nothing else."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -8,13 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from impact_rs_ros.cli import COMMANDS, main, parser
+from impact_rs_ros.cli import main, parser
 from impact_rs_ros.commands import campaign
 from impact_rs_ros.commands.terminal import output_folder
+from impact_rs_sim.paths import config_directory
 
 
 def names() -> list[str]:
-    return [command.__name__.rsplit(".", 1)[1] for command in COMMANDS]
+    return list(next(action for action in parser()._actions if action.choices).choices)
 
 
 def test_map_prints_the_prediction(capfd: pytest.CaptureFixture) -> None:
@@ -172,6 +174,31 @@ def test_a_campaign_with_failures_is_no_success(
     scope = ["--objects", "cat_food", "--cases", "2", "--trials", "1", "--scales", "1.0"]
     assert main(["campaign", "push", "-o", str(tmp_path / "out"), *scope]) == 1
     assert "by nothing" in capfd.readouterr().err
+
+
+def test_a_single_trial_is_no_campaign(push_campaign: Path, capfd: pytest.CaptureFixture) -> None:
+    assert main(["analyze", str(push_campaign / "cat_food__case_2__s1.000__r0")]) == 2
+    assert "give the folder it lies in" in capfd.readouterr().err
+
+
+def test_a_misspelt_key_is_told_by_the_name_that_was_meant(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+    text = (config_directory() / "scenarios" / "push.yaml").read_text()
+    (tmp_path / "mine.yaml").write_text(text.replace("mass: 1.30", "mas: 1.30"))
+    assert main(["map", str(tmp_path / "mine.yaml"), "cat_food", "1"]) == 2
+    assert "objects.cat_food.mas: unknown key; did you mean 'mass'?" in capfd.readouterr().err
+
+
+def test_hints_are_spelled_as_the_user_called_the_command(push_campaign: Path, tmp_path: Path) -> None:
+    directory = shutil.copytree(push_campaign, tmp_path / "push")
+    scope = ["--objects", "cat_food", "--cases", "case_2", "--scales", "0.8", "1", "1.2", "--trials", "1"]
+    done = subprocess.run(
+        [sys.executable, "-m", "impact_rs_ros.cli", "campaign", "push", "-o", str(directory), *scope],
+        env={**os.environ, "IMPACT_RS_PROGRAM": "./run impact-rs"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert f"next: ./run impact-rs analyze {directory}" in done.stdout
 
 
 def test_an_output_folder_left_empty_goes_away_with_its_parents(tmp_path: Path) -> None:
