@@ -1,0 +1,36 @@
+"""The manual leads somewhere: links exist, commands are those of the command line, pictures stay small."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from impact_rs_ros.cli import parser
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_leads_to_a_file(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8")):
+        if "://" not in target:
+            assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_command_that_a_page_tells_can_be_parsed_that_far(page: Path) -> None:
+    known = next(action for action in parser()._actions if action.choices).choices
+    for command in re.findall(r"^ +\./run impact-rs ([a-z]+)", page.read_text(encoding="utf-8"), re.MULTILINE):
+        assert command in known, command
+
+
+def test_every_page_is_in_the_index() -> None:
+    index = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
+    missing = [page.name for page in PAGES[1:] if page.name != "README.md" and f"({page.name})" not in index]
+    assert not missing
+
+
+def test_pictures_are_small() -> None:
+    for picture in (ROOT / "docs" / "images").iterdir():
+        assert picture.stat().st_size < 300_000, picture.name
