@@ -7,18 +7,18 @@ from pathlib import Path
 from typing import Any
 
 from impact_rs_ros.commands.loop import add_model, number
-from impact_rs_ros.commands.terminal import Terminal, add_command, add_json, output_folder
+from impact_rs_ros.commands.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
 
-TEXT = """\
+TEXT = f"""\
 Write a new model file: the old model and one effect with the parameters of a diagnosis.
 
-The new file names its parent, so impact-rs history can follow the way back. Model files are never overwritten. A
+The new file names its parent, so {PROGRAM} history can follow the way back. Model files are never overwritten. A
 diagnosis of another model is refused, and so is an effect that these trials do not determine; --force adds one that
 was found to improve nothing.
 
 example:
-  impact-rs add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
-  impact-rs compare campaigns/blind/runs --model model_2.yaml
+  {PROGRAM} add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
+  {PROGRAM} compare campaigns/blind/runs --model model_2.yaml
 
 Units: as the diagnosis and the model file say."""
 

@@ -7,18 +7,18 @@ from pathlib import Path
 from typing import Any
 
 from impact_rs_ros.commands.loop import add_jobs, started
-from impact_rs_ros.commands.terminal import Parser, Terminal, add_command, add_json, output_folder
+from impact_rs_ros.commands.terminal import PROGRAM, Parser, Terminal, add_command, add_json, output_folder
 
-TEXT = """\
+TEXT = f"""\
 Make a campaign whose plant hides an effect, or hold a diagnosis against the truth.
 
 make draws effect and size from SEED, records pushes and free motions into DIR/runs, and writes DIR/truth.json, which
 only score reads. Kinds: single, pair, null (nothing hidden), outside (something the library does not have).
 
 example:
-  impact-rs blind make 7 -o blind_7 --size small --jobs 2
-  impact-rs diagnose blind_7/runs -o diagnosis.json --jobs 2
-  impact-rs blind score blind_7 --diagnosis diagnosis.json
+  {PROGRAM} blind make 7 -o blind_7 --size small --jobs 2
+  {PROGRAM} diagnose blind_7/runs -o diagnosis.json --jobs 2
+  {PROGRAM} blind score blind_7 --diagnosis diagnosis.json
 
 Units: those of the hidden parameters are in truth.json."""
 
@@ -56,7 +56,7 @@ def make(args: argparse.Namespace, terminal: Terminal) -> int:
             tell(done, total)
     runs = args.output / blind.RUNS
     terminal.result({"directory": str(args.output), "runs": str(runs), "trials": done, "kind": args.kind})
-    terminal.say(f"{done} trials in {runs}", f"next: impact-rs diagnose {runs} -o diagnosis.json --jobs {args.jobs}")
+    terminal.say(f"{done} trials in {runs}", f"next: {PROGRAM} diagnose {runs} -o diagnosis.json --jobs {args.jobs}")
     return 0
 
 

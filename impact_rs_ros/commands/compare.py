@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from impact_rs_ros.commands.loop import add_jobs, add_runs, number, read, started
-from impact_rs_ros.commands.terminal import Terminal, add_command, add_json, output_folder
+from impact_rs_ros.commands.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
 
 if TYPE_CHECKING:
     from impact_rs_analysis.comparison.compare import Comparison
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from impact_rs_analysis.workers import Map
     from impact_rs_sim.model import Model
 
-TEXT = """\
+TEXT = f"""\
 Compare a model with measurements, and show where it fails.
 
 On three levels: the velocity jump of the impact map, free motion, and the whole trial with the model's twin in closed
@@ -23,8 +23,8 @@ loop. Differences are given in their units and in multiples of what repeating a 
 all. Only measured signals are read.
 
 example:
-  impact-rs compare campaigns/blind/runs --model config/models/nominal.yaml -o report
-  impact-rs compare campaigns/blind/runs --model model_2.yaml --mcap aligned --json
+  {PROGRAM} compare campaigns/blind/runs --model config/models/nominal.yaml -o report
+  {PROGRAM} compare campaigns/blind/runs --model model_2.yaml --mcap aligned --json
 
 Units: each difference says its own; scores are multiples of what repetition explains."""
 

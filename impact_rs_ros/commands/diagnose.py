@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from impact_rs_ros.commands.loop import add_jobs, add_runs, number, read, started
-from impact_rs_ros.commands.terminal import Terminal, add_command, add_json, output_folder
+from impact_rs_ros.commands.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
 
 if TYPE_CHECKING:
     from impact_rs_analysis.comparison.runs import Runs
@@ -15,21 +15,21 @@ if TYPE_CHECKING:
     from impact_rs_analysis.workers import Map
     from impact_rs_sim.model import Model
 
-TEXT = """\
+TEXT = f"""\
 Find out which physical effect is missing in a model.
 
-Every effect of the library (impact-rs effects lists them) and of your own formulas is fitted to the trials through the
+Every effect of the library ({PROGRAM} effects lists them) and of your own formulas is fitted to the trials through the
 model's twin, and judged by how well it predicts conditions that the fit has not seen. Says CONFIRMED,
-CONFUSABLE-WITH{...}, NOT-IDENTIFIABLE, NO-IMPROVEMENT or AT-BOUND of each, and NOTHING-MISSING or NONE-EXPLAINS of all
-where that is the answer.
+CONFUSABLE-WITH{{...}}, NOT-IDENTIFIABLE, NO-IMPROVEMENT or AT-BOUND of each, and NOTHING-MISSING or NONE-EXPLAINS of
+all where that is the answer.
 
 Needs at least three conditions (object x case), some of them repeated; a free motion there and back (scenario excite)
 tells friction, offset and gain of the torque apart.
 
 example:
-  impact-rs diagnose campaigns/blind/runs --model config/models/nominal.yaml -o diagnosis.json --jobs 2
-  impact-rs diagnose campaigns/blind/runs -o diagnosis.json --effects torque_offset joint_coulomb_friction
-  impact-rs add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
+  {PROGRAM} diagnose campaigns/blind/runs --model config/models/nominal.yaml -o diagnosis.json --jobs 2
+  {PROGRAM} diagnose campaigns/blind/runs -o diagnosis.json --effects torque_offset joint_coulomb_friction
+  {PROGRAM} add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
 
 Units: each estimate says its own; errors are multiples of what repetition explains."""
 
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         terminal.say(f"diagnosis: {args.output}")
         if document.named:
             terminal.say(
-                f"next: impact-rs add {document.named[0]} --model {args.model} --from {args.output} -o model_2.yaml"
+                f"next: {PROGRAM} add {document.named[0]} --model {args.model} --from {args.output} -o model_2.yaml"
             )
     return 0
 

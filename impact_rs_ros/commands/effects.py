@@ -6,20 +6,20 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from impact_rs_ros.commands.terminal import Terminal, add_command, add_json
+from impact_rs_ros.commands.terminal import PROGRAM, Terminal, add_command, add_json
 
 if TYPE_CHECKING:
     from impact_rs_sim.effects import Effect
 
-TEXT = """\
+TEXT = f"""\
 List the physical effects that a model may have and that diagnose considers, or explain one of them.
 
 Your own come by a Python entry point (group impact_rs.effects) or by a YAML file of formulas (--formulas checks it).
 
 example:
-  impact-rs effects
-  impact-rs effects torque_offset
-  impact-rs effects --formulas cable.yaml
+  {PROGRAM} effects
+  {PROGRAM} effects torque_offset
+  {PROGRAM} effects --formulas cable.yaml
 
 Units: with every parameter."""
 
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     chosen = known if args.name is None else {args.name: known[args.name]}
     terminal.result({"effects": [_describe(effect) for effect in chosen.values()]})
     if args.name is None:
-        table = Table(title="Library of physical effects; impact-rs effects NAME tells more")
+        table = Table(title=f"Library of physical effects; {PROGRAM} effects NAME tells more")
         table.add_column("effect", no_wrap=True)
         table.add_column("acts on", no_wrap=True)
         table.add_column("what it is")

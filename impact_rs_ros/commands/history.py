@@ -7,20 +7,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from impact_rs_ros.commands.loop import add_jobs, number, read, started
-from impact_rs_ros.commands.terminal import Terminal, add_command, add_json, output_folder
+from impact_rs_ros.commands.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
 
 if TYPE_CHECKING:
     from impact_rs_analysis.history import VersionError
 
-TEXT = """\
+TEXT = f"""\
 Show the error of every version of a model, from the first parent to the file that is named.
 
 Two errors: with the parameters as they stand in the file, and held out: in every condition with the parameters of the
 added effect fitted to all other conditions. The second cannot be bettered by fitting noise.
 
 example:
-  impact-rs history model_3.yaml --runs campaigns/blind/runs
-  impact-rs history model_3.yaml --runs campaigns/blind/runs -o report --json
+  {PROGRAM} history model_3.yaml --runs campaigns/blind/runs
+  {PROGRAM} history model_3.yaml --runs campaigns/blind/runs -o report --json
 
 Units: errors are multiples of what repetition explains."""
 
