@@ -1,1 +1,69 @@
 """Recordings of robots that nobody here made: reading them, and what a free motion says about the model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from impact_rs_analysis.imports.mapping import Mapping, load_mapping, mapping_names
+from impact_rs_analysis.imports.recording import Recording, is_foreign, read_recordings
+from impact_rs_sim.model import Model
+
+__all__ = [
+    "Mapping",
+    "Recording",
+    "compare_recording",
+    "diagnose_recording",
+    "is_foreign",
+    "load_mapping",
+    "mapping_names",
+    "read_recordings",
+]
+
+
+def compare_recording(
+    path: str | Path, mapping: str | Path | Mapping = "joint_state", model: Model | None = None
+) -> dict[str, Any]:
+    """Compare the model with recordings of a free motion.
+
+    Args:
+        path: A bag, a CSV or NPZ file, or a folder of them.
+        mapping: Mapping, its name, or path of its file.
+        model: What is believed beyond the rigid model; None: nothing.
+
+    Returns:
+        ``score``, ``score_is``, ``noise_floor``, ``levels``, ``where`` as for a campaign; ``recording`` says what was read.
+
+    Raises:
+        InputError: The recording cannot be used.
+    """
+    from impact_rs_analysis.imports.diagnose import Setup, compare
+
+    spec = mapping if isinstance(mapping, Mapping) else load_mapping(mapping)
+    return compare(Setup.make(read_recordings(Path(path), spec), spec, model))
+
+
+def diagnose_recording(
+    path: str | Path,
+    mapping: str | Path | Mapping = "joint_state",
+    model: Model | None = None,
+    only: list[str] | None = None,
+) -> dict[str, Any]:
+    """Find out which effects a model lacks in recordings of a free motion.
+
+    Args:
+        path: A bag, a CSV or NPZ file, or a folder of them.
+        mapping: Mapping, its name, or path of its file.
+        model: What is believed beyond the rigid model; None: nothing.
+        only: Names of the effects to consider; None: all.
+
+    Returns:
+        ``verdict``, ``effects``, ``confusable``, ``unexplained``, ``next_experiment`` as for a campaign; errors in N m.
+
+    Raises:
+        InputError: The recording cannot be used.
+    """
+    from impact_rs_analysis.imports.diagnose import Setup, diagnose
+
+    spec = mapping if isinstance(mapping, Mapping) else load_mapping(mapping)
+    return diagnose(Setup.make(read_recordings(Path(path), spec), spec, model), model, only)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, sosfiltfilt, welch
 
 from impact_rs_analysis.imports.mapping import Mapping
 from impact_rs_analysis.imports.recording import Recording
@@ -89,10 +89,7 @@ def prepare(recording: Recording, cut_off: float) -> Motion:
 
     raw = resampled(recording.torque)
     once = _low_pass(raw, cut_off, sampled)
-    # White noise: what the low-pass takes away above the cut-off says how much of it stays below. Second differences
-    # suppress what little of the motion is left up there.
-    white = np.diff(raw, n=2, axis=0).std(axis=0) / np.sqrt(6.0)
-    noise = white * np.sqrt(cut_off / (0.5 * sampled))
+    noise = _noise(raw, cut_off, sampled)
     stride = max(1, int(sampled / (GRID * cut_off)))
     rate = sampled / stride
     q, dq = (_low_pass(resampled(values), cut_off, sampled)[::stride] for values in (recording.position, recording.velocity))
@@ -113,6 +110,15 @@ def prepare(recording: Recording, cut_off: float) -> Motion:
         cut_off=cut_off,
         rate=rate,
     )
+
+
+def _noise(raw: Array, cut_off: float, rate: float) -> Array:
+    """Noise below the cut-off if it is as dense there as just above, where no motion is meant to be, ``(n,)`` [N m]."""
+    frequency, density = welch(raw, rate, nperseg=min(raw.shape[0], 256), axis=0)
+    above = (frequency >= 1.5 * cut_off) & (frequency <= min(3.0 * cut_off, 0.45 * rate))
+    if not np.any(above):
+        above = frequency >= 1.2 * cut_off
+    return np.asarray(np.sqrt(np.median(density[above], axis=0) * cut_off))
 
 
 def physics_of(mapping: Mapping, motions: list[Motion]) -> Physics:
