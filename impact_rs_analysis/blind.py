@@ -17,9 +17,9 @@ import numpy as np
 from impact_rs_analysis.bags.record import record_trial
 from impact_rs_analysis.bags.trial_info import TrialInfo, TrialKey
 from impact_rs_analysis.bags.writer import partial_path
-from impact_rs_analysis.outside import OUTSIDE
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, runs_digest
 from impact_rs_analysis.diagnosis.search import SIGNIFICANT
+from impact_rs_analysis.outside import OUTSIDE
 from impact_rs_analysis.workers import Map
 from impact_rs_control.plan import plan_trial
 from impact_rs_sim.effects import library

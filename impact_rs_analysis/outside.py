@@ -1,4 +1,4 @@
-"""Effects that are *not* in the library, for tests of the diagnosis: it has to say that none of its effects explains them.
+"""Effects that are *not* in the library: the diagnosis has to say that none of its own explains them.
 
 Each acts inside the plant and is parametrised by a magnitude (1: noticeable) and the number of the repeat.
 """
@@ -49,6 +49,7 @@ class FlexibleBase(PlantExtension):
         self._mass, self._frequency, self._ratio = 60.0, 2.0 * np.pi * 9.0, 0.03
         self._gain = magnitude
         self._position = self._velocity = 0.0
+        self._momentum: float | None = None
         self._model: RobotModel | None = None
 
     def joint_torque(self, plant: Plant, arm: str) -> Array | None:
@@ -63,7 +64,8 @@ class FlexibleBase(PlantExtension):
         # The arm's own acceleration drives the base as well: its momentum along y, by the centre-of-mass Jacobian.
         pin.centerOfMass(model.pinocchio, model.data, q, plant.link_state(arm).velocity)
         momentum = float(model.data.mass[0] * model.data.vcom[0][1])
-        force = self._gain * (push - (momentum - getattr(self, "_momentum", momentum)) / period)
+        before = momentum if self._momentum is None else self._momentum
+        force = self._gain * (push - (momentum - before) / period)
         self._momentum = momentum
         acceleration = (
             force / self._mass
@@ -109,14 +111,16 @@ class VelocityDependentPadFriction(PlantExtension):
 
     def __init__(self, magnitude: float, repeat: int) -> None:
         self._magnitude = magnitude
+        self._model: RobotModel | None = None
 
     def joint_torque(self, plant: Plant, arm: str) -> Array | None:
         """Set the pad's friction for the next period; and drag of the silicone along the direction of sliding."""
         world = plant.world
         if not np.any(world.pad_force(arm)):
             return None
-        model = plant.physics.robot_model(arm) if not hasattr(self, "_model") else self._model
-        self._model = model
+        if self._model is None:
+            self._model = plant.physics.robot_model(arm)
+        model = self._model
         link = plant.link_state(arm)
         jacobian = model.jacobian(link.position)[:3]
         relative = jacobian @ link.velocity - world.object_state().twist[:3]

@@ -3,8 +3,8 @@
     p = M(q) dq,   dp/dt = tau_J + C^T dq - g + tau_ext
     r = K_o (p - integral(tau_J + C^T dq - g + r) dt),     r -> tau_ext with time constant 1 / K_o
 
-(De Luca and Mattone; see Haddadin et al. 2017, the survey the paper cites.) The measured joint torque stands on the link
-side of the motor, so motor friction and the torque loop do not enter. The residual is turned into the force at
+(De Luca and Mattone; see Haddadin et al. 2017, the survey the paper cites.) The measured joint torque stands on the
+link side of the motor, so motor friction and the torque loop do not enter. The residual is turned into the force at
 the end effector with the dynamically consistent inverse of J^T. What counts is its sudden part: a slow baseline,
 which a wrong payload would leave, is subtracted.
 """

@@ -85,7 +85,7 @@ class Drive:
         self.position = self.position + self.period * self.velocity
 
     def _delayed(self, desired: Array) -> Array:
-        """Mean of the held commands over the period that began ``delay`` ago: continuous in the delay, ``(n,)`` [N m]."""
+        """Mean of the held commands over the period that began ``delay`` ago, ``(n,)`` [N m]."""
         commands = self._commands
         if not commands:
             commands.append((-np.inf, desired))

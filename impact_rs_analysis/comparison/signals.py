@@ -167,7 +167,7 @@ class SignalCollector:
             for name, columns in self._arms.items()
         }
         return Signals(
-            time=np.arange(count) * self._period,
+            time=np.arange(count, dtype=np.float64) * self._period,
             arms=arms,
             object_time=np.array([time for time, _, _ in self._object]),
             object_position=np.array([position for _, position, _ in self._object]),

@@ -1,7 +1,7 @@
 """The model twin: the same trial in closed loop, with the physics we believe in, without noise and scatter.
 
-It starts where the measurement started (measured joint positions, measured pose of the object), because that is known and
-need not be explained; what differs afterwards is the model's fault or the measurement's noise.
+It starts where the measurement started (measured joint positions, measured pose of the object), because that is known
+and need not be explained; what differs afterwards is the model's fault or the measurement's noise.
 """
 
 from __future__ import annotations

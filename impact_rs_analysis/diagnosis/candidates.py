@@ -88,7 +88,7 @@ def linearise(
     point: Array | None = None,
     what: str = "sensitivities",
 ) -> Candidate | None:
-    """Sensitivities of effects about ``point`` (None: where they do nothing); None where the twin misses the object."""
+    """Sensitivities about ``point`` (None: where the effects do nothing); None where the twin misses the object."""
     if point is None:
         point = np.concatenate([nominal_vector(effect) for effect in effects])
     empty = Candidate(effects, point, (), ())
@@ -250,7 +250,7 @@ def random_signs(evidence: list[ConditionEvidence], count: int = 2000, seed: int
 
 
 def tail_probability(observed: float, null: Array) -> float:
-    """p of ``observed`` under ``null``: counted, and by a scaled chi-square (Satterthwaite) beyond what can be counted."""
+    """p of ``observed`` under ``null``: counted, and beyond that by a scaled chi-square (Satterthwaite)."""
     from scipy.stats import chi2
 
     counted = (1.0 + np.count_nonzero(null >= observed)) / (1.0 + null.size)

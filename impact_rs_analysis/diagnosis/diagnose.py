@@ -116,8 +116,8 @@ def diagnose(
     """
     if len(runs.conditions) < 3:
         raise InputError(
-            f"{len(runs.conditions)} condition(s) measured ({', '.join(c.label for c in runs.conditions)}): at least 3 are "
-            "needed to hold one out; `impact-rs compare` still shows where the model fails",
+            f"{len(runs.conditions)} condition(s) measured ({', '.join(c.label for c in runs.conditions)}): "
+            "at least 3 are needed to hold one out; `impact-rs compare` still shows where the model fails",
             file=runs.directory,
         )
     evidence = gather(runs, residuals(runs, model, map_tasks))
@@ -186,12 +186,15 @@ def _report(
     names = chosen.candidate.names if chosen is not None else ()
     confusable: list[tuple[str, ...]] = []
     for name in names:
+        assert chosen is not None
         tied = [
             rival.candidate.effects[-1].name
             for rival in rivals.get(name, [])
-            if chosen is not None and rival.candidate.effects[-1].name not in names and _tied(search, chosen, rival)
+            if rival.candidate.effects[-1].name not in names
+            and len(rival.candidate.effects) == len(names)
+            and _tied(search, chosen, rival)
         ]
-        if tied and len(names) == len(rivals.get(name, [Fit])[0].candidate.effects if rivals.get(name) else names):
+        if tied:
             confusable.append((name, *tied))
     reports = []
     for name in names:

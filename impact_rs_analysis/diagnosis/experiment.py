@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -63,14 +64,12 @@ def next_experiment(
 
 def _possible(runs: Runs) -> list[Condition]:
     """Every condition of the measured scenarios, and of the free-motion companion."""
-    found = {}
+    found: dict[Condition, None] = {}
     template = runs.conditions[0]
     texts = {condition.scenario: condition.scenario_json for condition in runs.conditions}
     if COMPANION not in texts:
-        try:
+        with suppress(InputError):
             texts[COMPANION] = load_scenario(COMPANION).model_dump_json()
-        except InputError:
-            pass
     for name, text in texts.items():
         scenario = Scenario.model_validate_json(text)
         for thing in scenario.objects:

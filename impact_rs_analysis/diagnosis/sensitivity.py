@@ -80,7 +80,7 @@ class RolloutStore:
     def __call__(self, rollouts: list[Rollout], what: str = "twin rollouts") -> list[Array | None]:
         """Features of each rollout, in order."""
         digests = [rollout.digest for rollout in rollouts]
-        missing = {}
+        missing: dict[str, Rollout] = {}
         for rollout, digest in zip(rollouts, digests, strict=True):
             if digest not in self._known and not self._load(digest):
                 missing.setdefault(digest, rollout)

@@ -10,7 +10,6 @@ from impact_rs_sim.effects.base import Effect, Parameter, change_arms
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array
 
-
 REDUCED_MASS = 1.0  # kg, of arm and object together; turns a coefficient into a damping
 
 

@@ -91,7 +91,8 @@ def test_formula_effect_that_makes_no_sense_is_refused(changes, complaint):
 def test_file_and_place_are_named(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(
-        "effects:\n  - {name: drag, sentence: s, end_effector_force: {y: 'k * vv'}, parameters: {k: {unit: N, lower: 0, upper: 1, scale: 1}}}\n"
+        "effects:\n  - {name: drag, sentence: s, end_effector_force: {y: 'k * vv'},"
+        " parameters: {k: {unit: N, lower: 0, upper: 1, scale: 1}}}\n"
     )
     with pytest.raises(InputError, match=r"mine\.yaml.*unknown symbol 'vv'"):
         load_formulas(path)
