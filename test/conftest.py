@@ -86,3 +86,35 @@ def graph(domain_ids: Callable[[], int]) -> Iterator[Graph]:
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     with Graph("push", domain_ids()) as running:
         yield running
+
+
+HIDDEN_FRICTION = 1.6  # times the friction of the support that the scenario says
+CONSIDERED = ["support_friction", "restitution"]
+
+
+@pytest.fixture(scope="session")
+def hidden_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six trials of a plant whose support is rougher than anybody knows: two objects and a free motion, twice each."""
+    from impact_rs_analysis.bags.trial_info import TrialKey
+    from impact_rs_analysis.blind import BlindTask, Hidden, run_task
+
+    directory = tmp_path_factory.mktemp("hidden") / "runs"
+    hidden = (Hidden("support_friction", (HIDDEN_FRICTION,), 6.0),)
+    conditions = [("push", "parcel", "case_1"), ("push", "juice", "case_1"), ("excite", "none", "fast")]
+    for scenario, thing, case in conditions:
+        for repeat in range(2):
+            task = BlindTask(str(directory), scenario, TrialKey(thing, case, 1.0, repeat), 3, hidden, None)
+            assert run_task(task) == "OK"
+    return directory
+
+
+@pytest.fixture(scope="session")
+def diagnosed(hidden_campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Diagnosis of ``hidden_campaign`` by the command line, two effects considered."""
+    from impact_rs_ros.cli import main
+
+    path = tmp_path_factory.mktemp("diagnosis") / "diagnosis.json"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(path.parent / "cache"))  # nothing from earlier runs
+        assert main(["diagnose", str(hidden_campaign), "-o", str(path), "--effects", *CONSIDERED]) == 0
+    return path

@@ -130,7 +130,7 @@ def linearise(
 def _moved(
     candidate: Candidate, moved: Array, at_nominal: bool, effect: Effect
 ) -> tuple[tuple[str, tuple[float, ...]], ...]:
-    """What is switched on: at the nominal point the other effects do nothing and are left out, so results are shared."""
+    """What is switched on: at the nominal point the other effects do nothing and are left out: results are shared."""
     parts = candidate.split(moved)
     return tuple(part for part in parts if not at_nominal or part[0] == effect.name)
 
