@@ -48,7 +48,10 @@ class Drive:
         self._delay = physics.actuation_delay
         self._clock = 0.0
         self._commands: deque[tuple[float, Array]] = deque()
+        self._desired: Array | None = None
         count = physics.stiffness.size
+        self._shaped = np.zeros(count)
+        self._net = np.zeros(count)
         self.position = np.zeros(count)
         self.velocity = np.zeros(count)
         self.transmission_torque = np.zeros(count)
@@ -62,27 +65,39 @@ class Drive:
         self.velocity = np.zeros_like(load)
         self.elastic_torque = load.copy()
         self.transmission_torque = load.copy()
+        self._desired = None
         self._clock = 0.0
         self._commands.clear()
         self._commands.append((-np.inf, load))
 
     def sense(self, link_position: Array, link_velocity: Array) -> None:
-        """Update the transmission torque from the present motor and link state."""
-        self.elastic_torque = self._stiffness * (self.position - link_position)
-        self.transmission_torque = self.elastic_torque + self._damping * (self.velocity - link_velocity)
+        """Update the transmission torque from the present motor and link state; arrays are updated in place."""
+        elastic, transmission = self.elastic_torque, self.transmission_torque
+        np.subtract(self.position, link_position, out=elastic)
+        elastic *= self._stiffness
+        np.subtract(self.velocity, link_velocity, out=transmission)
+        transmission *= self._damping
+        transmission += elastic
 
     def step(self, desired: Array) -> None:
         """One period of the torque loop with desired torque ``(n,)`` [N m]; call :meth:`sense` first."""
         if self._delay > 0.0:
             desired = self._delayed(desired)
-        applied = self._gain * desired + self._offset
-        self.actuation_torque = self._shaping * applied + self._feedback * self.transmission_torque
-        net = self.actuation_torque - self.transmission_torque
+        if desired is not self._desired:  # the command is held over several periods of the loop
+            self._desired = desired
+            self._shaped = self._shaping * (self._gain * desired + self._offset)
+        actuation, net = self.actuation_torque, self._net
+        np.multiply(self._feedback, self.transmission_torque, out=actuation)
+        actuation += self._shaped
+        np.subtract(actuation, self.transmission_torque, out=net)
         if self._friction is not None:
             self.friction_torque = self._shaping * self._friction.torque(self.velocity)
-            net = net + self.friction_torque
-        self.velocity = self.velocity + self.period * self._rotor_inverse * net
-        self.position = self.position + self.period * self.velocity
+            net += self.friction_torque
+        net *= self._rotor_inverse
+        net *= self.period
+        self.velocity += net
+        np.multiply(self.velocity, self.period, out=net)
+        self.position += net
 
     def _delayed(self, desired: Array) -> Array:
         """Mean of the held commands over the period that began ``delay`` ago, ``(n,)`` [N m]."""

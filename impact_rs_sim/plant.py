@@ -189,9 +189,9 @@ class Plant:
             arms[name] = ArmTruth(
                 link.position,
                 link.velocity,
-                drive.elastic_torque,
-                drive.position,
-                drive.velocity,
+                drive.elastic_torque.copy(),
+                drive.position.copy(),
+                drive.velocity.copy(),
                 self._world.pad_force(name),
             )
         return Truth(self.time, arms, self._world.object_state())

@@ -68,7 +68,7 @@ class ArmSensors:
 
     def _quantise(self, angle: Array) -> Array:
         if self._resolution == 0.0:
-            return angle
+            return angle.copy()
         return np.asarray(np.rint(angle * self._lines) * self._resolution)
 
 

@@ -1,6 +1,7 @@
 """Reference spreading in closed loop: what the paper's argument rests on."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,10 @@ def run(plan, seed=0, physics=None, object_shift=None):
         moved = replace(plan.scene.object, position=plan.scene.object.position + object_shift)
         plan = replace(plan, scene=replace(plan.scene, object=moved))
     plant = make_plant(plan, seed, physics)
-    ticks = list(run_closed_loop(plan, plant))
+    ticks = [
+        SimpleNamespace(measurement=tick.measurement, commands=tick.commands, truth=tick.truth)
+        for tick in run_closed_loop(plan, plant)
+    ]
     plant.close()
     return ticks
 

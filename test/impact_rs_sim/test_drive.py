@@ -31,13 +31,13 @@ def test_locked_link_leaves_the_motor_with_the_reduced_inertia_and_the_spring(ar
     drive = Drive(arm, period)
     drive.reset(np.zeros(7), 10.0 * np.ones(7))
     crossings = [[] for _ in range(7)]
-    previous = drive.position
+    previous = drive.position.copy()
     for step in range(40000):
         drive.sense(np.zeros(7), np.zeros(7))
         drive.step(np.zeros(7))
         for joint in np.flatnonzero(previous * drive.position < 0.0):
             crossings[joint].append(step * period)
-        previous = drive.position
+        previous = drive.position.copy()
     frequency = np.array([np.pi * (len(c) - 1) / (c[-1] - c[0]) for c in crossings])
     np.testing.assert_allclose(frequency, np.sqrt(arm.stiffness / arm.motor_inertia_reduced), rtol=2e-3)
 
@@ -122,8 +122,8 @@ def energy_defect(physics: Physics, period: float, duration: float) -> float:
         time = step * period
         torque = load + 4.0 * np.sin(2.0 * np.pi * 2.0 * time) * np.array([1, -1, 1, -1, 0.5, 0.5, 0.3])
         world.apply_torque("arm", drive.transmission_torque)
-        old_motor, old_link = drive.velocity, state.velocity
-        damping_torque = drive.transmission_torque - drive.elastic_torque
+        old_motor, old_link = drive.velocity.copy(), state.velocity
+        damping_torque = drive.transmission_torque - drive.elastic_torque  # a new array: the drive updates in place
         drive.step(torque)
         world.step()
         state = world.arm_state("arm")
