@@ -95,6 +95,7 @@ def _rms(values: Array, axis: int | None = None) -> Any:
 def compare(setup: Setup) -> dict[str, Any]:
     """How far the model is from the recordings, and where."""
     rest, velocity = setup.rest, setup.balance.velocity
+    noise = np.maximum(setup.balance.noise, 1e-12)
     total = float(np.sum(np.square(rest)))
     cells = []
     for joint in range(rest.shape[1]):
@@ -113,12 +114,13 @@ def compare(setup: Setup) -> dict[str, Any]:
                     "signal": "torque",
                     "index": f"joint{joint + 1}",
                     "share": float(np.sum(np.square(part)) / max(total, 1e-300)),
-                    "mean_Nm": float(part.mean()),
-                    "rms_Nm": float(_rms(part)),
+                    "error": float(part.mean()),
+                    "rms": float(_rms(part)),
+                    "unit": "N m",
+                    "times_noise": float(_rms(part) / noise[joint]),
                 }
             )
     cells.sort(key=lambda cell: -float(cell["share"]))  # type: ignore[arg-type]
-    noise = setup.balance.noise
     score = float(_rms(rest))
     return {
         "kind": "recording",
@@ -126,23 +128,24 @@ def compare(setup: Setup) -> dict[str, Any]:
         "score_is": BALANCE_TEXT,
         "noise_floor": float(_rms(noise)),
         "noise_floor_is": "torque noise below the cut-off, if it is as dense there as just above, where no motion is [N m]",
-        "levels": [
-            {
-                "level": "free motion",
-                "score": score,
-                "unit": "N m",
-                "noise_floor": float(_rms(noise)),
-                "joints": [
+        "levels": {
+            "free_motion": {
+                "what": "torque balance of the arm while it touches nothing",
+                "times_noise": float(_rms(_rms(rest, 0) / noise)),
+                "signals": [
                     {
-                        "joint": f"joint{joint + 1}",
-                        "rms_Nm": float(_rms(rest[:, joint])),
-                        "mean_Nm": float(rest[:, joint].mean()),
-                        "noise_Nm": float(noise[joint]),
+                        "signal": "torque",
+                        "index": f"joint{joint + 1}",
+                        "error": float(_rms(rest[:, joint])),
+                        "mean": float(rest[:, joint].mean()),
+                        "unit": "N m",
+                        "noise": float(noise[joint]),
+                        "times_noise": float(_rms(rest[:, joint]) / noise[joint]),
                     }
                     for joint in range(rest.shape[1])
                 ],
             }
-        ],
+        },
         "where": cells,
         "recording": setup.facts,
         "not_measured": ["velocity jump", "contact and impulses", "object", "controller and its references"],
@@ -199,6 +202,19 @@ class Diagnosis:
         """Held-out error over all joints [N m]."""
         return math.sqrt(float(np.mean(self.regression.held_out(model))))
 
+    def noticeable(self, base: tuple[int, ...], group: tuple[int, ...]) -> bool:
+        """Whether the interval of some parameter lies wholly beyond the change that its effect calls noticeable.
+
+        Columns that stop at a bound do not count: there the interval means nothing.
+        """
+        model = base + group
+        estimates = self.regression.estimate(model)[len(base) :]
+        halves = self.regression.half_width(model)[len(base) :]
+        return any(
+            abs(value - column.nominal) - half > column.scale and not _at_bound(column, value)
+            for column, value, half in zip((self.columns[i] for i in group), estimates, halves, strict=True)
+        )
+
     def best_variant(self, name: str, base: tuple[int, ...]) -> tuple[int, ...]:
         """Columns of an effect; of alternatives the one that fits best (not held out: a profile)."""
 
@@ -224,7 +240,8 @@ class Diagnosis:
                 folds = self.regression.held_out(base) / np.square(self.regression.sigma)
                 gain = before - float(after.mean())
                 enough = gain > max(LEAST_GAIN * max(before - floor, 0.0), LEAST_SHARE * start)
-                if p_values[name] < SIGNIFICANT and enough and np.mean(after.mean(axis=1) < folds.mean(axis=1)) > 0.5:
+                noticed = self.noticeable(base, groups[name])
+                if p_values[name] < SIGNIFICANT and enough and noticed and np.mean(after.mean(axis=1) < folds.mean(axis=1)) > 0.5:
                     accepted = name
                     break
             if accepted is None:
@@ -252,8 +269,9 @@ class Diagnosis:
             for rival in self.variants:
                 if rival in self.chosen:
                     continue
-                swapped = base + self.best_variant(rival, base)
-                if self._tied(full, swapped):
+                group = self.best_variant(rival, base)
+                swapped = base + group
+                if self.noticeable(base, group) and self._tied(full, swapped):
                     result.setdefault(name, []).append(rival)
         return result
 
@@ -289,7 +307,7 @@ def diagnose(setup: Setup, model: Model | None = None, only: list[str] | None = 
     p_values = adjusted(raw)
     reports = [_report(search, name, *tests[name], p_values, swaps.get(name) or partners.get(name, [])) for name in tests]
     order = {name: number for number, name in enumerate(search.chosen)}
-    reports.sort(key=lambda report: (order.get(report["name"], len(order)), report["after"]))
+    reports.sort(key=lambda report: (order.get(report["name"], len(order)), report["held_out_error_after"]))
     for name in search.not_measured:
         effect = search.effects[name]
         why = NOT_MEASURED.get(effect.acts_on, "nothing of it is in the recorded torque")
@@ -299,10 +317,10 @@ def diagnose(setup: Setup, model: Model | None = None, only: list[str] | None = 
                 "sentence": effect.sentence,
                 "verdict": "NOT-IDENTIFIABLE",
                 "reason": f"not measured: {why}",
-                "parameters": [],
+                "parameters": {},
                 "joints": [],
-                "before": None,
-                "after": None,
+                "held_out_error_before": None,
+                "held_out_error_after": None,
                 "p_value": None,
             }
         )
@@ -317,9 +335,10 @@ def diagnose(setup: Setup, model: Model | None = None, only: list[str] | None = 
         "verdict": verdict,
         "effects": reports,
         "confusable": [[name, *rivals] for name, rivals in swaps.items()],
-        "before": before,
-        "after": after,
-        "noise": noise,
+        "named": list(search.chosen),
+        "noise_floor": noise,
+        "held_out_error_before": before,
+        "held_out_error_after": after,
         "error_is": "rms torque on stretches of time that the fit has not seen, all joints [N m]",
         "joints": _joints(search, full),
         "unexplained": _unexplained(search, full, left),
@@ -357,31 +376,23 @@ def _report(
     estimate = regression.estimate(fitted)[len(base) :]
     half = regression.half_width(fitted)[len(base) :]
     columns = [search.columns[index] for index in group]
-    parameters = [
-        {
-            "name": column.name,
+    parameters: dict[str, Any] = {
+        column.name: {
             "estimate": float(value),
-            "low": float(value - width),
-            "high": float(value + width),
+            "ci95": [float(value - width), float(value + width)],
             "unit": column.unit,
-            "nominal": column.nominal,
             "meaning": column.meaning,
         }
         for column, value, width in zip(columns, estimate, half, strict=True)
-    ]
+    }
     if columns[0].variant is not None:
         effect = search.effects[name].parameters[-1]
-        parameters.append(
-            {
-                "name": effect.name,
-                "estimate": columns[0].variant,
-                "low": None,
-                "high": None,
-                "unit": effect.unit,
-                "nominal": effect.nominal,
-                "meaning": f"{effect.meaning}; the best of a grid, without interval",
-            }
-        )
+        parameters[effect.name] = {
+            "estimate": columns[0].variant,
+            "ci95": None,
+            "unit": effect.unit,
+            "meaning": f"{effect.meaning}; the best of a grid, without interval",
+        }
     unseen = [width > UNSEEN * column.scale for column, width in zip(columns, half, strict=True)]
     bound = [_at_bound(column, value) for column, value in zip(columns, estimate, strict=True)]
     chosen = name in search.chosen
@@ -395,13 +406,17 @@ def _report(
         verdict = f"CONFUSABLE-WITH{{{', '.join(sorted(rivals))}}}"
     else:
         verdict = "CONFIRMED"
+    reason = ""
+    if not chosen and p_values[name] < SIGNIFICANT and not search.noticeable(base, group):
+        verdict, reason = "NO-IMPROVEMENT", "significant, but no estimate is surely beyond what is called noticeable"
     report: dict[str, Any] = {
         "name": name,
         "sentence": search.effects[name].sentence,
         "verdict": verdict,
         "parameters": parameters,
-        "before": search.rms(base),
-        "after": search.rms(fitted),
+        "reason": reason,
+        "held_out_error_before": search.rms(base),
+        "held_out_error_after": search.rms(fitted),
         "p_value": p_values[name],
         "joints": [],
     }
@@ -513,7 +528,7 @@ def _next(search: Diagnosis, swaps: dict[str, list[str]]) -> dict[str, Any] | No
     else:
         what = "an impact campaign, because motor inertia, contact and object act on nothing in a free motion"
         splits = sorted(search.not_measured)
-    return {"experiment": what, "splits": splits}
+    return {"advice": what, "splits": splits}
 
 
 def _remarks(search: Diagnosis, left: float) -> list[str]:
