@@ -11,22 +11,16 @@ from dataclasses import dataclass
 from impact_rs_control.controller import ArmCommand, Controller
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.plant import Measurement, Plant, PlantExtension, Truth
+from impact_rs_sim.plant import Measurement, Plant, PlantExtension
 
 
 @dataclass(frozen=True)
 class Tick:
-    """What happened in one control tick; the truth is only worked out when somebody asks for it in time."""
+    """What happened in one control tick; while it is the present one, ``plant.truth()`` belongs to it."""
 
     number: int
     measurement: Measurement
     commands: dict[str, ArmCommand]
-    plant: Plant
-
-    @property
-    def truth(self) -> Truth:
-        """The plant's truth, while it still stands at this tick."""
-        return self.plant.truth()
 
 
 def make_plant(
@@ -58,6 +52,6 @@ def run_closed_loop(plan: TrialPlan, plant: Plant) -> Iterator[Tick]:
     for number in range(last + 1):
         measurement = plant.measure()
         commands = controller.update(number, measurement.arms)
-        yield Tick(number, measurement, commands, plant)
+        yield Tick(number, measurement, commands)
         if number < last:
             plant.step({name: command.torque for name, command in commands.items()})

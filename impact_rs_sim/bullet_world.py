@@ -6,6 +6,7 @@ multiplies the friction coefficients of two bodies, so the object carries 1 and 
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 import tempfile
@@ -33,6 +34,7 @@ def _quiet() -> Iterator[None]:
         os.dup2(null, 2)
         yield
     finally:
+        ctypes.CDLL(None).fflush(None)  # the banner lies in the C library's buffer where output is no terminal
         for stream, original in enumerate(kept, start=1):
             os.dup2(original, stream)
             os.close(original)

@@ -147,7 +147,7 @@ def record_trial(
             tick: Tick
             for tick in run_closed_loop(plan, plant):
                 now = maker.nanoseconds(tick.number)
-                for topic, message in plant_messages(maker, tick.number, tick.measurement, tick.truth, frames):
+                for topic, message in plant_messages(maker, tick.number, tick.measurement, plant.truth(), frames):
                     bag.write(topic, now, message)
                 for topic, message in controller_messages(maker, tick.number, tick.commands):
                     bag.write(topic, now, message)

@@ -21,7 +21,7 @@ def run(plan, seed=0, physics=None, object_shift=None):
         plan = replace(plan, scene=replace(plan.scene, object=moved))
     plant = make_plant(plan, seed, physics)
     ticks = [
-        SimpleNamespace(measurement=tick.measurement, commands=tick.commands, truth=tick.truth)
+        SimpleNamespace(measurement=tick.measurement, commands=tick.commands, truth=plant.truth())
         for tick in run_closed_loop(plan, plant)
     ]
     plant.close()
