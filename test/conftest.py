@@ -89,28 +89,38 @@ def graph(domain_ids: Callable[[], int]) -> Iterator[Graph]:
 
 
 HIDDEN_FRICTION = 1.6  # times the friction of the support that the scenario says
-CONSIDERED = ["support_friction", "restitution"]
+CONSIDERED = ["support_friction"]  # few, because every effect costs twin rollouts
 
 
 @pytest.fixture(scope="session")
 def hidden_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six trials of a plant whose support is rougher than anybody knows: two objects and a free motion, twice each."""
-    from impact_rs_analysis.bags.trial_info import TrialKey
-    from impact_rs_analysis.blind import BlindTask, Hidden, run_task
+    from impact_rs_analysis.bags.record import record_trial
+    from impact_rs_analysis.bags.trial_info import TrialInfo, TrialKey
+    from impact_rs_analysis.blind import Hidden, hide
+    from impact_rs_control.plan import plan_trial
+    from impact_rs_sim.scenario import load_scenario
+    from impact_rs_sim.scene import Scene
 
     directory = tmp_path_factory.mktemp("hidden") / "runs"
-    hidden = (Hidden("support_friction", (HIDDEN_FRICTION,), 6.0),)
-    conditions = [("push", "parcel", "case_1"), ("push", "juice", "case_1"), ("excite", "none", "fast")]
-    for scenario, thing, case in conditions:
+    hidden = [Hidden("support_friction", (HIDDEN_FRICTION,), 6.0)]
+    for scenario, thing, case in (
+        ("push", "parcel", "case_1"),
+        ("push", "juice", "case_1"),
+        ("excite", "none", "fast"),
+    ):
+        plan = plan_trial(Scene.resolve(load_scenario(scenario), thing, case))
         for repeat in range(2):
-            task = BlindTask(str(directory), scenario, TrialKey(thing, case, 1.0, repeat), 3, hidden, None)
-            assert run_task(task) == "OK"
+            key = TrialKey(thing, case, 1.0, repeat)
+            info = TrialInfo.of(plan, key, key.seed(3), "inprocess")
+            outcome, _ = record_trial(plan, info, directory / scenario / key.name, hide(plan.scene.physics, hidden))
+            assert outcome == "OK"
     return directory
 
 
 @pytest.fixture(scope="session")
 def diagnosed(hidden_campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Diagnosis of ``hidden_campaign`` by the command line, two effects considered."""
+    """Diagnosis of ``hidden_campaign`` by the command line, for the effect that is hidden alone."""
     from impact_rs_ros.cli import main
 
     path = tmp_path_factory.mktemp("diagnosis") / "diagnosis.json"

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from impact_rs_ros.commands.loop import add_jobs, add_runs, number, read, started
+from impact_rs_ros.commands.recordings import add_mapping, mapping_of, run_diagnose
 from impact_rs_ros.commands.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
 
 if TYPE_CHECKING:
@@ -31,6 +32,9 @@ example:
   {PROGRAM} diagnose campaigns/blind/runs -o diagnosis.json --effects torque_offset joint_coulomb_friction
   {PROGRAM} add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
 
+A recording of a real robot in free motion (a bag with sensor_msgs/JointState, CSV or NPZ) is compared on joint torque:
+  {PROGRAM} diagnose recording.db3 --mapping joint_state
+
 Units: each estimate says its own; errors are multiples of what repetition explains."""
 
 
@@ -38,6 +42,7 @@ def add(subparsers: Any) -> None:
     """Declare the command."""
     parser = add_command(subparsers, "diagnose", run, "name the physical effect that a model lacks", TEXT)
     add_runs(parser)
+    add_mapping(parser)
     parser.add_argument("-o", dest="output", type=Path, metavar="FILE.json", help="file for the diagnosis")
     parser.add_argument("--effects", nargs="+", metavar="NAME", help="consider only these; default: all")
     parser.add_argument("--formulas", type=Path, metavar="FILE.yaml", help="consider your own effects as well")
@@ -48,6 +53,8 @@ def add(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
+    if (mapping := mapping_of(args)) is not None:
+        return run_diagnose(args, mapping, terminal)
     from impact_rs_analysis.diagnosis.document import write_document
     from impact_rs_analysis.history import history
     from impact_rs_sim.errors import InputError
@@ -154,7 +161,7 @@ def _show(document: DiagnosisDocument, terminal: Terminal) -> None:
 
     terminal.say(f"{document.verdict}", verdict_in_words(document))
     table = Table(title="Effects, best first (error on unseen conditions, multiples of what repetition explains)")
-    table.add_column("effect")
+    table.add_column("effect", no_wrap=True)
     table.add_column("verdict", overflow="fold")
     table.add_column("error", justify="right", no_wrap=True)
     table.add_column("p", justify="right")
