@@ -194,9 +194,7 @@ def fit_scale(results: list[PaperResult], curve: str = "parabola") -> ScaleFit:
         others = np.delete(errors, index, axis=0).mean(axis=0).argmin()
         held_out.append(errors[index, others])
     rng = np.random.default_rng(0)
-    drawn = [
-        GRID[errors[rng.integers(0, len(results), len(results))].mean(axis=0).argmin()] for _ in range(RESAMPLES)
-    ]
+    drawn = [GRID[errors[rng.integers(0, len(results), len(results))].mean(axis=0).argmin()] for _ in range(RESAMPLES)]
     low, high = np.percentile(drawn, [2.5, 97.5])
     nominal = np.abs([result.row.reduced for result in results]).mean()
     return ScaleFit(
@@ -216,9 +214,7 @@ def study_paper() -> PaperStudy:
     return PaperStudy(
         results=tuple(results),
         all_rows=fit,
-        by_scenario={
-            name: fit_scale([result for result in results if result.scenario == name]) for name in scenarios
-        },
+        by_scenario={name: fit_scale([result for result in results if result.scenario == name]) for name in scenarios},
         other_curve=fit_scale(results, "hyperbola"),
         nominal=np.array([result.row.reduced for result in results]),
         fitted=np.array([float(result.mismatch(np.array(fit.scale))) for result in results]),

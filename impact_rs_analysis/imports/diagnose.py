@@ -166,9 +166,7 @@ class Diagnosis:
         known = (model or Model(name="nominal")).known_effects
         present = set() if model is None else {item.name for item in model.effects}
         self.effects = {
-            name: effect
-            for name, effect in known.items()
-            if name not in present and (only is None or name in only)
+            name: effect for name, effect in known.items() if name not in present and (only is None or name in only)
         }
         columns: list[Column] = []
         self.variants: dict[str, list[tuple[int, ...]]] = {}
@@ -241,7 +239,12 @@ class Diagnosis:
                 gain = before - float(after.mean())
                 enough = gain > max(LEAST_GAIN * max(before - floor, 0.0), LEAST_SHARE * start)
                 noticed = self.noticeable(base, groups[name])
-                if p_values[name] < SIGNIFICANT and enough and noticed and np.mean(after.mean(axis=1) < folds.mean(axis=1)) > 0.5:
+                if (
+                    p_values[name] < SIGNIFICANT
+                    and enough
+                    and noticed
+                    and np.mean(after.mean(axis=1) < folds.mean(axis=1)) > 0.5
+                ):
                     accepted = name
                     break
             if accepted is None:
@@ -305,7 +308,9 @@ def diagnose(setup: Setup, model: Model | None = None, only: list[str] | None = 
                 if search.columns[index].joint is not None:
                     raw[f"{name}/{index}"] = regression.p_value(tuple(i for i in full if i != index), (index,))
     p_values = adjusted(raw)
-    reports = [_report(search, name, *tests[name], p_values, swaps.get(name) or partners.get(name, [])) for name in tests]
+    reports = [
+        _report(search, name, *tests[name], p_values, swaps.get(name) or partners.get(name, [])) for name in tests
+    ]
     order = {name: number for number, name in enumerate(search.chosen)}
     reports.sort(key=lambda report: (order.get(report["name"], len(order)), report["held_out_error_after"]))
     for name in search.not_measured:
@@ -422,7 +427,9 @@ def _report(
     }
     if chosen and columns[0].joint is not None:
         report["joints"] = [
-            _joint_report(search, fitted, index, float(value), float(width), at_bound, blind, p_values[f"{name}/{index}"])
+            _joint_report(
+                search, fitted, index, float(value), float(width), at_bound, blind, p_values[f"{name}/{index}"]
+            )
             for index, value, width, at_bound, blind in zip(group, estimate, half, bound, unseen, strict=True)
         ]
         confirmed = [entry["joint"] for entry in report["joints"] if entry["verdict"] == "CONFIRMED"]

@@ -92,7 +92,9 @@ def prepare(recording: Recording, cut_off: float) -> Motion:
     noise = _noise(raw, cut_off, sampled)
     stride = max(1, int(sampled / (GRID * cut_off)))
     rate = sampled / stride
-    q, dq = (_low_pass(resampled(values), cut_off, sampled)[::stride] for values in (recording.position, recording.velocity))
+    q, dq = (
+        _low_pass(resampled(values), cut_off, sampled)[::stride] for values in (recording.position, recording.velocity)
+    )
     edge = int(np.ceil(EDGE * rate / cut_off))
     if q.shape[0] < 2 * edge + 60:
         raise InputError(
@@ -328,4 +330,3 @@ def _payload_columns(effect: Effect, physics: Physics, balance: TorqueBalance) -
             )
         )  # fmt: skip
     return columns
-

@@ -193,9 +193,7 @@ def _read_bag(path: Path, mapping: Mapping) -> Columns:
     return time, signals
 
 
-def _connection(
-    path: Path, connections: list[Connection], name: SignalName, source: SignalSource
-) -> Connection | None:
+def _connection(path: Path, connections: list[Connection], name: SignalName, source: SignalSource) -> Connection | None:
     """The topic of a signal; None for an optional signal that is not there."""
     if source.topic is None or source.field is None:
         if name in REQUIRED:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from impact_rs_ros.commands.loop import add_jobs, add_runs, number, read, started
+from impact_rs_ros.commands.recordings import add_mapping, mapping_of, run_compare
 from impact_rs_ros.commands.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
 
 if TYPE_CHECKING:
@@ -26,6 +27,9 @@ example:
   {PROGRAM} compare campaigns/blind/runs --model config/models/nominal.yaml -o report
   {PROGRAM} compare campaigns/blind/runs --model model_2.yaml --mcap aligned --json
 
+A recording of a real robot in free motion (a bag with sensor_msgs/JointState, CSV or NPZ) is compared on joint torque:
+  {PROGRAM} compare recording.db3 --mapping joint_state
+
 Units: each difference says its own; scores are multiples of what repetition explains."""
 
 
@@ -33,6 +37,7 @@ def add(subparsers: Any) -> None:
     """Declare the command."""
     parser = add_command(subparsers, "compare", run, "show where a model fails against trials", TEXT)
     add_runs(parser)
+    add_mapping(parser)
     parser.add_argument("-o", dest="output", type=Path, metavar="REPORT_DIR", help="folder for an HTML report")
     parser.add_argument(
         "--mcap", type=Path, metavar="DIR", help="folder for aligned bags: measured, predicted and residual signals"
@@ -43,6 +48,8 @@ def add(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
+    if (mapping := mapping_of(args)) is not None:
+        return run_compare(args, mapping, terminal)
     from impact_rs_sim.model import load_model
 
     model = load_model(args.model)

@@ -1,0 +1,147 @@
+"""What ``compare`` and ``diagnose`` do with recordings that were not made here: ``--mapping``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from impact_rs_ros.commands.loop import number
+from impact_rs_ros.commands.terminal import Terminal, output_folder
+
+DEFAULT_MAPPING = "joint_state"
+
+
+def add_mapping(parser: argparse.ArgumentParser) -> None:
+    """The option ``--mapping``."""
+    parser.add_argument(
+        "--mapping",
+        metavar="NAME",
+        help="RUNS is a recording of a real robot in free motion (.db3, .mcap, .csv, .npz, or a folder of them): name "
+        "of a mapping (joint_state, franka_robot_state), or path of a mapping file; default for such files: joint_state",
+    )
+
+
+def mapping_of(args: argparse.Namespace) -> str | None:
+    """The mapping to read RUNS with; None: RUNS holds trials of ours."""
+    from impact_rs_analysis.imports import is_foreign
+
+    if args.mapping is not None:
+        return str(args.mapping)
+    return DEFAULT_MAPPING if is_foreign(args.runs) else None
+
+
+def run_compare(args: argparse.Namespace, mapping: str, terminal: Terminal) -> int:
+    """Compare a model with recordings."""
+    from impact_rs_analysis.imports import compare_recording
+    from impact_rs_sim.model import load_model
+
+    _refuse(args, ("output", "-o"), ("mcap", "--mcap"))
+    found = compare_recording(args.runs, mapping, load_model(args.model))
+    terminal.result(found)
+    _header(found["recording"], terminal)
+    terminal.say(f"score {number(found['score'])}: {found['score_is']}; noise floor {number(found['noise_floor'])} N m")
+    from rich.table import Table
+
+    table = Table(title="Torque that the model does not explain")
+    for heading in ("joint", "rms [N m]", "mean [N m]", "noise [N m]"):
+        table.add_column(heading, justify="left" if heading == "joint" else "right")
+    for row in found["levels"]["free_motion"]["signals"]:
+        table.add_row(row["index"], f"{row['error']:.3f}", f"{row['mean']:+.3f}", f"{row['noise']:.3f}")
+    terminal.say(table)
+    for cell in found["where"][:4]:
+        terminal.say(f"  {100 * cell['share']:.0f} %: {cell['index']} {cell['phase']}, mean {cell['error']:+.2f} N m")
+    terminal.say(f"not measured: {', '.join(found['not_measured'])}")
+    return 0
+
+
+def run_diagnose(args: argparse.Namespace, mapping: str, terminal: Terminal) -> int:
+    """Diagnose recordings."""
+    from impact_rs_analysis.imports import diagnose_recording
+    from impact_rs_ros.commands.diagnose import check_effects, with_formulas
+    from impact_rs_sim.errors import InputError
+    from impact_rs_sim.model import load_model
+
+    _refuse(args, ("report", "--report"))
+    if args.output is not None and args.output.is_dir():
+        raise InputError("this is a folder; name a file, for example diagnosis.json", file=args.output)
+    model = with_formulas(load_model(args.model), args.formulas)
+    check_effects(model, args.effects)
+    found = diagnose_recording(args.runs, mapping, model, args.effects)
+    terminal.result(found)
+    if args.output is not None:
+        with output_folder(args.output.parent):
+            args.output.parent.mkdir(parents=True, exist_ok=True)
+            args.output.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    _header(found["recording"], terminal)
+    terminal.say(
+        f"{found['verdict']}: held-out torque error {found['held_out_error_before']:.3f} → "
+        f"{found['held_out_error_after']:.3f} N m rms, noise {found['noise_floor']:.3f} N m"
+    )
+    terminal.say(f"held out: {found['held_out']}")
+    _show_joints(found, terminal)
+    _show_effects(found, terminal)
+    for remark in found["remarks"]:
+        terminal.say(f"note: {remark}")
+    terminal.say(f"next experiment: {found['next_experiment']['advice']}")
+    return 0
+
+
+def _refuse(args: argparse.Namespace, *options: tuple[str, str]) -> None:
+    from impact_rs_sim.errors import InputError
+
+    for name, option in options:
+        if getattr(args, name) is not None:
+            raise InputError(f"{option} is for trials; a recording without scenario has --json only", file=args.runs)
+
+
+def _header(recording: dict[str, Any], terminal: Terminal) -> None:
+    files = ", ".join(Path(name).name for name in recording["files"])
+    terminal.say(
+        f"{files}: {recording['samples']} samples at {recording['sampled_Hz']:.3g} Hz, {recording['used_s']:.3g} s used; "
+        f"{recording['robot']}, {recording['end_effector_mass_kg']:g} kg on the flange; low-pass "
+        f"{recording['low_pass_Hz']:g} Hz"
+    )
+
+
+def _show_joints(found: dict[str, Any], terminal: Terminal) -> None:
+    from rich.table import Table
+
+    table = Table(title="Held-out torque error by joint [N m rms]")
+    for heading in ("", *(row["joint"] for row in found["joints"])):
+        table.add_column(heading, justify="right")
+    for name in ("before", "after", "noise"):
+        table.add_row(name, *(f"{row[name]:.3f}" for row in found["joints"]))
+    terminal.say(table)
+
+
+def _show_effects(found: dict[str, Any], terminal: Terminal) -> None:
+    from rich.table import Table
+
+    table = Table(title="Effects (held-out error without and with it, beside the chosen ones)")
+    table.add_column("effect")
+    table.add_column("verdict", overflow="fold")
+    table.add_column("error [N m]", justify="right", no_wrap=True)
+    table.add_column("p", justify="right")
+    table.add_column("estimate and 95 % interval", overflow="fold")
+    unmeasured = []
+    for effect in found["effects"]:
+        if effect["p_value"] is None:
+            unmeasured.append(effect["name"])
+            continue
+        verdicts = {entry["joint"]: entry["verdict"] for entry in effect["joints"]}
+        lines = []
+        for name, value in effect["parameters"].items():
+            interval = "" if value["ci95"] is None else f" [{number(value['ci95'][0])}, {number(value['ci95'][1])}]"
+            verdict = next((f" {text}" for joint, text in verdicts.items() if name.endswith(joint)), "")
+            lines.append(f"{name} {number(value['estimate'])}{interval} {value['unit']}{verdict}")
+        table.add_row(
+            effect["name"],
+            effect["verdict"] + (f" ({effect['reason']})" if effect["reason"] else ""),
+            f"{effect['held_out_error_before']:.3f} → {effect['held_out_error_after']:.3f}",
+            f"{effect['p_value']:.1g}",
+            "\n".join(lines if effect["verdict"] != "NO-IMPROVEMENT" or len(lines) <= 4 else ()),
+        )
+    terminal.say(table)
+    terminal.say(f"not measured in a free motion: {', '.join(unmeasured)}")
