@@ -1,0 +1,146 @@
+"""Scoreboard of the diagnosis on hidden effects: ``./run python benchmarks/blind.py -o DIR [--seeds N] [--size small]``.
+
+The matrix: every effect of the library at three magnitudes, pairs, nulls and effects outside the library, several seeds
+each. It resumes where it stopped: campaigns, diagnoses and scores that exist are kept. ``--only single:object_mass`` runs
+a part of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import statistics
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from impact_rs_analysis.blind import RUNS, make, score
+from impact_rs_analysis.comparison.runs import read_runs
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.document import document_of, read_document, write_document
+from impact_rs_analysis.outside import OUTSIDE
+from impact_rs_analysis.workers import Map, workers
+from impact_rs_sim.effects import library
+from impact_rs_sim.model import load_model
+
+MAGNITUDES = (1.0, 3.0, 8.0)  # parameter scales: barely noticeable, clear, gross
+PAIRS, NULLS = 10, 10
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One campaign of the matrix."""
+
+    kind: str
+    effect: str | None
+    magnitude: float | None
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Folder name."""
+        parts = [self.kind, self.effect or "any", "m" + ("any" if self.magnitude is None else f"{self.magnitude:g}")]
+        return "__".join([*parts, f"seed{self.seed}"])
+
+
+def matrix(seeds: int) -> list[Entry]:
+    """Every campaign of the benchmark."""
+    entries = [
+        Entry("single", name, magnitude, seed)
+        for seed in range(seeds)
+        for name in library()
+        for magnitude in MAGNITUDES
+    ]
+    entries += [Entry("null", None, None, seed) for seed in range(NULLS)]
+    entries += [Entry("pair", None, 4.0, seed) for seed in range(PAIRS)]
+    entries += [Entry("outside", name, 2.0, seed) for seed in range(seeds) for name in OUTSIDE]
+    return entries
+
+
+def run(entry: Entry, directory: Path, size: str, map_tasks: Map) -> dict[str, Any]:
+    """Make, diagnose and score one campaign; what exists is kept."""
+    result = directory / "score.json"
+    if result.exists():
+        return dict(json.loads(result.read_text()))
+    for _ in make(directory, entry.seed, map_tasks, entry.kind, entry.effect, size, entry.magnitude):
+        pass
+    document = directory / "diagnosis.json"
+    started = time.perf_counter()
+    if not document.exists():
+        runs, model = read_runs(directory / RUNS, map_tasks), load_model("nominal")
+        write_document(document_of(diagnose(runs, model, map_tasks), runs, model, ()), document)
+    elapsed = time.perf_counter() - started
+    read = read_document(document)
+    scored = score(directory, read, document)
+    excess = read.held_out_error_before**2 - read.noise_floor**2
+    content = asdict(scored) | {
+        "name": entry.name,
+        "seconds": elapsed,
+        "before": read.held_out_error_before,
+        "noise": read.noise_floor,
+        "removed": (read.held_out_error_before**2 - read.held_out_error_after**2) / max(excess, 1e-9),
+    }
+    result.write_text(json.dumps(content, default=list) + "\n")
+    return content
+
+
+def share(rows: list[dict[str, Any]], key: str) -> str:
+    """Mean of ``key`` over the rows that have it, in percent."""
+    known = [float(row[key]) for row in rows if row.get(key) is not None]
+    return f"{100.0 * sum(known) / len(known):5.1f} % of {len(known)}" if known else "-"
+
+
+def scoreboard(rows: list[dict[str, Any]]) -> str:
+    """The table."""
+    of = {kind: [row for row in rows if row["kind"] == kind] for kind in ("single", "pair", "null", "outside")}
+    seen = [row for row in of["single"] if row["before"] > 2.0 * row["noise"]]
+    lines = [
+        f"single above twice the noise, right or confusable {share(seen, 'correct')}",
+        f"single above twice the noise, by its own name {share(seen, 'by_own_name')}",
+        f"single, all, right or confusable             {share(of['single'], 'correct')}",
+        f"pairs, both named                            {share(of['pair'], 'correct')}",
+        f"null, NOTHING-MISSING                        {share(of['null'], 'correct')}",
+        f"outside, NONE-EXPLAINS or honestly marked    {share(of['outside'], 'correct')}",
+        f"95 % intervals that cover the truth          {share(of['single'] + of['pair'], 'intervals_cover')}",
+    ]
+    seconds = [row["seconds"] for row in rows if row.get("seconds", 0.0) > 1.0]
+    if seconds:
+        lines.append(f"time of a diagnosis, median                  {statistics.median(seconds):.0f} s")
+    removed = [row["removed"] for row in seen if row["by_own_name"]]
+    if removed:
+        lines.append(f"excess held-out error removed, median        {100.0 * statistics.median(removed):.1f} %")
+    wrong = [row for row in rows if not row["correct"]]
+    lines += [f"  wrong: {row['name']}: truth {row['truth']}, named {row['named']}" for row in wrong]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run what is missing, then print the scoreboard."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the campaigns")
+    parser.add_argument("--seeds", type=int, default=2, help="seeds per effect and magnitude")
+    parser.add_argument("--size", default="small", choices=("small", "full"), help="size of each campaign")
+    parser.add_argument("--jobs", type=int, default=2, help="worker processes")
+    parser.add_argument("--only", default="", help="run entries whose name starts with this (':' for '__')")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="start no further campaign after this time [s]")
+    arguments = parser.parse_args()
+    wanted = [e for e in matrix(arguments.seeds) if e.name.startswith(arguments.only.replace(":", "__"))]
+    rows, began = [], time.monotonic()
+    with workers(arguments.jobs) as map_tasks:
+        for number, entry in enumerate(wanted, start=1):
+            directory = arguments.output / entry.name
+            if not (directory / "score.json").exists() and time.monotonic() - began > arguments.seconds:
+                continue
+            row = run(entry, directory, arguments.size, map_tasks)
+            rows.append(row)
+            print(
+                f"[{number}/{len(wanted)}] {entry.name}: {'right' if row['correct'] else 'WRONG'} {row['named']}",
+                flush=True,
+            )
+    print(f"\n{len(rows)} of {len(wanted)} campaigns\n{scoreboard(rows)}")
+
+
+if __name__ == "__main__":
+    main()
