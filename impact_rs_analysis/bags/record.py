@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,7 @@ from impact_rs_analysis.bags import topics
 from impact_rs_analysis.bags.messages import TF_PERIOD, MessageMaker, RosbagsTypes
 from impact_rs_analysis.bags.trial_info import Outcome, TrialInfo
 from impact_rs_analysis.bags.writer import BagWriter
-from impact_rs_control.closed_loop import Tick, make_plant, run_closed_loop
+from impact_rs_control.closed_loop import Tick, make_plant, run_closed_loop, without_garbage_collection
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant import Measurement, PlantExtension, Truth
@@ -101,18 +99,6 @@ def controller_messages(maker: MessageMaker, tick: int, commands: dict[str, Any]
             yield topics.impact_event(arm), maker.impact_event(tick, arm, command.detection)
 
 
-@contextmanager
-def _no_garbage_collection() -> Iterator[None]:
-    """Messages hold no cycles; looking for some, again and again while they pile up, costs a tenth of a trial."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()
-
-
 def record_trial(
     plan: TrialPlan,
     info: TrialInfo,
@@ -139,7 +125,7 @@ def record_trial(
     frames = FrameSource(plan.scene)
     plant = make_plant(plan, info.seed, physics, extension)
     try:
-        with _no_garbage_collection(), BagWriter(path, list(plan.arms)) as bag:
+        with without_garbage_collection(), BagWriter(path, list(plan.arms)) as bag:
             bag.describe(info)
             bag.write(topics.TRIAL_INFO, 0, maker.trial_info(info))
             bag.write(topics.ROBOT_DESCRIPTION, 0, maker.robot_description(scene_urdf(plan)))

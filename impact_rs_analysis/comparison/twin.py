@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_analysis.comparison.signals import SignalCollector, Signals
-from impact_rs_control.closed_loop import run_closed_loop
+from impact_rs_control.closed_loop import run_closed_loop, without_garbage_collection
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant import Plant
@@ -93,10 +93,11 @@ def run_twin(plan: TrialPlan, physics: Physics, start: Start, until: float | Non
     plant = Plant(scene.scenario, physics, start.joints, state, seed=0, coarse_until=coarse_until)
     collector = SignalCollector(plan)
     try:
-        for tick in run_closed_loop(plan, plant):
-            collector.add(tick.number, tick.measurement, tick.commands)
-            if until is not None and tick.measurement.time >= until + MARGIN:
-                break
+        with without_garbage_collection():
+            for tick in run_closed_loop(plan, plant):
+                collector.add(tick.number, tick.measurement, tick.commands)
+                if until is not None and tick.measurement.time >= until + MARGIN:
+                    break
     finally:
         plant.close()
     return collector.signals()
