@@ -144,8 +144,8 @@ class PaperStudy:
         scales = ", ".join(f"{name} alone wants {one.scale:.2f}" for name, one in self.by_scenario.items())
         return (
             f"one motor-inertia scale does not explain the published rows: the best, {fit.scale:.2f}, lowers the mean "
-            f"absolute mismatch from {fit.error_nominal:.2f} to {fit.error_fitted:.2f} % ({fit.error_held_out:.2f} % on "
-            f"rows it has not seen), {scales}, and {len(self.unexplained)} of {len(self.results)} rows fit no motor "
+            f"absolute mismatch from {fit.error_nominal:.2f} to {fit.error_fitted:.2f} % ({fit.error_held_out:.2f} % "
+            f"on rows it has not seen), {scales}, and {len(self.unexplained)} of {len(self.results)} rows fit no motor "
             "inertia between 0 and B_rho; another effect is missing"
         )
 
@@ -239,7 +239,8 @@ def paper_figure(study: PaperStudy) -> Any:
         curves.append(Curve("", GRID[::10], error, colour))
         curves.append(
             Curve(
-                f"{name}: {fit.scale:.2f} [{low:.2f}, {high:.2f}], {fit.error_nominal:.2f} % → {fit.error_fitted:.2f} %",
+                f"{name}: {fit.scale:.2f} [{low:.2f}, {high:.2f}], "
+                f"{fit.error_nominal:.2f} % → {fit.error_fitted:.2f} %",
                 np.array([fit.scale]), np.array([fit.error_fitted]), colour, line="none", marker="circle",
                 error=(max(fit.scale - low, 0.0), max(high - fit.scale, 0.0)),
             )
@@ -280,8 +281,8 @@ def write_paper(study: PaperStudy, directory: Path) -> list[Path]:
 <h1>The published experiment as a measurement</h1><p>{html.escape(figure.caption)}</p>
 {plotly_figure(figure).to_html(full_html=False, include_plotlyjs=True)}
 <div class="wide"><table><thead><tr><th>row</th><th>estimate [m/s]</th><th>B = 0 [%]</th><th>B<sub>θ</sub> [%]</th>
-<th>B<sub>ρ</sub> [%]</th><th>s = {study.all_rows.scale:.2f} [%]</th><th>some B between 0 and B<sub>ρ</sub> fits</th></tr>
-</thead><tbody>{rows}</tbody></table></div></body></html>
+<th>B<sub>ρ</sub> [%]</th><th>s = {study.all_rows.scale:.2f} [%]</th>
+<th>some B between 0 and B<sub>ρ</sub> fits</th></tr></thead><tbody>{rows}</tbody></table></div></body></html>
 """
     try:
         directory.mkdir(parents=True, exist_ok=True)

@@ -32,7 +32,7 @@ def compare_recording(
         model: What is believed beyond the rigid model; None: nothing.
 
     Returns:
-        ``score``, ``score_is``, ``noise_floor``, ``levels``, ``where`` as for a campaign; ``recording`` says what was read.
+        ``score``, ``score_is``, ``noise_floor``, ``levels``, ``where`` as for a campaign; ``recording``: what was read.
 
     Raises:
         InputError: The recording cannot be used.

@@ -43,8 +43,8 @@ NOT_MEASURED = {
     "scene": "nothing of it is in the recorded torque",
 }
 BALANCE_TEXT = (
-    "rms of recorded minus predicted joint torque, all joints and samples, in N m; rigid model in free motion, both sides "
-    "low-passed"
+    "rms of recorded minus predicted joint torque, all joints and samples, in N m; rigid model in free motion, both "
+    "sides low-passed"
 )
 
 
@@ -127,7 +127,7 @@ def compare(setup: Setup) -> dict[str, Any]:
         "score": score,
         "score_is": BALANCE_TEXT,
         "noise_floor": float(_rms(noise)),
-        "noise_floor_is": "torque noise below the cut-off, if it is as dense there as just above, where no motion is [N m]",
+        "noise_floor_is": "torque noise below the cut-off, if it is as dense there as just above [N m]",
         "levels": {
             "free_motion": {
                 "what": "torque balance of the arm while it touches nothing",
@@ -274,7 +274,7 @@ class Diagnosis:
                     continue
                 group = self.best_variant(rival, base)
                 swapped = base + group
-                if self.noticeable(base, group) and self._tied(full, swapped):
+                if self._tied(full, swapped):
                     result.setdefault(name, []).append(rival)
         return result
 
@@ -405,7 +405,7 @@ def _report(
         verdict = "NOT-IDENTIFIABLE"
     elif not chosen:
         verdict = f"CONFUSABLE-WITH{{{', '.join(sorted(rivals))}}}" if rivals else "NO-IMPROVEMENT"
-    elif any(bound):
+    elif all(bound) or (any(bound) and columns[0].joint is None):
         verdict = "AT-BOUND"
     elif rivals:
         verdict = f"CONFUSABLE-WITH{{{', '.join(sorted(rivals))}}}"
@@ -413,7 +413,7 @@ def _report(
         verdict = "CONFIRMED"
     reason = ""
     if not chosen and p_values[name] < SIGNIFICANT and not search.noticeable(base, group):
-        verdict, reason = "NO-IMPROVEMENT", "significant, but no estimate is surely beyond what is called noticeable"
+        reason = "significant, but no estimate is surely beyond what the library calls noticeable"
     report: dict[str, Any] = {
         "name": name,
         "sentence": search.effects[name].sentence,
@@ -430,11 +430,13 @@ def _report(
             _joint_report(
                 search, fitted, index, float(value), float(width), at_bound, blind, p_values[f"{name}/{index}"]
             )
-            for index, value, width, at_bound, blind in zip(group, estimate, half, bound, unseen, strict=True)
+            for index, value, width, at_bound, blind in zip(
+                group, estimate.tolist(), half.tolist(), bound, unseen, strict=True
+            )
         ]
-        confirmed = [entry["joint"] for entry in report["joints"] if entry["verdict"] == "CONFIRMED"]
-        if verdict == "AT-BOUND" and confirmed:
-            report["verdict"] = "CONFIRMED"
+        confirmed = any(entry["verdict"] == "CONFIRMED" for entry in report["joints"])
+        if verdict == "CONFIRMED" and any(bound) and not confirmed:
+            report["verdict"] = "AT-BOUND"
     return report
 
 
@@ -540,8 +542,8 @@ def _next(search: Diagnosis, swaps: dict[str, list[str]]) -> dict[str, Any] | No
 
 def _remarks(search: Diagnosis, left: float) -> list[str]:
     remarks = [
-        "one recording is one condition: stretches of time are held out in its place, and whether the estimates hold at "
-        "other speeds, poses or temperatures is not tested",
+        "one recording is one condition: stretches of time are held out in its place, and whether the estimates hold "
+        "at other speeds, poses or temperatures is not tested",
         "nothing was repeated, so there is no pure error: the noise floor is that of the torque signal, and a model "
         "error larger than it does not have to come from an effect of the library",
     ]

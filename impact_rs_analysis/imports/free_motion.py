@@ -7,7 +7,7 @@ same zero-phase low-pass (Butterworth, order 4, forwards and backwards), acceler
 filtered velocity, the prediction passes the low-pass once more and so does the recorded torque; both ends are cut off.
 
 Columns of the regression are differences of the predicted torque with and without an effect, applied through
-:class:`~impact_rs_sim.physics.Physics` as plant and twin apply it. An effect without any such difference is not measured.
+:class:`~impact_rs_sim.physics.Physics` as plant and twin apply it. An effect without such a difference is not measured.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def prepare(recording: Recording, cut_off: float) -> Motion:
     sampled = 1.0 / float(np.median(np.diff(start)))
     if cut_off > 0.3 * sampled:
         raise InputError(
-            f"sampled at {sampled:.3g} Hz, which is too slow for low_pass = {cut_off:g} Hz; at most {0.3 * sampled:.2g} Hz",
+            f"sampled at {sampled:.3g} Hz, too slow for low_pass = {cut_off:g} Hz; at most {0.3 * sampled:.2g} Hz",
             file=recording.path,
         )
     even = np.arange(0.0, start[-1], 1.0 / sampled)
@@ -98,7 +98,7 @@ def prepare(recording: Recording, cut_off: float) -> Motion:
     edge = int(np.ceil(EDGE * rate / cut_off))
     if q.shape[0] < 2 * edge + 60:
         raise InputError(
-            f"{start[-1]:.3g} s long, at least {(2 * edge + 60) / rate:.2g} s are needed with low_pass = {cut_off:g} Hz",
+            f"{start[-1]:.3g} s long, at least {(2 * edge + 60) / rate:.2g} s needed with low_pass = {cut_off:g} Hz",
             file=recording.path,
         )
     return Motion(

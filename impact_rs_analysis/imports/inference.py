@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from scipy.stats import false_discovery_control
 from scipy.stats import t as student
@@ -24,6 +25,7 @@ from impact_rs_analysis.imports.free_motion import Column, TorqueBalance
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 
+Integers = NDArray[np.int64]
 BLOCKS = 24  # at least, of 0.5 s or more
 LONGEST_BLOCK = 2.0  # s
 SHORTEST_BLOCK = 0.5  # s
@@ -42,8 +44,8 @@ class Pieces:
         seconds: Length of a block [s].
     """
 
-    block: Array
-    fold: Array
+    block: Integers
+    fold: Integers
     guard: tuple[tuple[int, ...], ...]
     seconds: float
 
@@ -70,9 +72,9 @@ def cut(balance: TorqueBalance) -> Pieces:
         first += parts
     if first < 2 * FOLDS:
         raise InputError(
-            f"{total:.3g} s of usable motion, at least {2 * FOLDS * SHORTEST_BLOCK:g} s are needed to hold stretches out"
+            f"{total:.3g} s of usable motion, at least {2 * FOLDS * SHORTEST_BLOCK:g} s are needed to hold some out"
         )
-    fold = np.arange(first) * FOLDS // first
+    fold = np.arange(first, dtype=np.int64) * FOLDS // first
     guard = tuple(
         tuple(
             index

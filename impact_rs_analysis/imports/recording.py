@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
@@ -152,7 +153,7 @@ def _register(store: Typestore, connection: Connection) -> None:
     own = {name: value for name, value in types.items() if name.split("/")[0] == package}
     for name in own:
         for table in (store.fielddefs, store.types):
-            table.pop(name, None)  # type: ignore[attr-defined]
+            table.pop(name, None)
     store.register(own)
 
 
@@ -163,12 +164,12 @@ def _read_bag(path: Path, mapping: Mapping) -> Columns:
             connections = list(reader.connections)
             wanted = {name: _connection(path, connections, name, source) for name, source in mapping.signals.items()}
             chosen = {connection.topic: connection for connection in wanted.values() if connection is not None}
-            for connection in chosen.values():
-                _register(store, connection)
+            for used in chosen.values():
+                _register(store, used)
             messages: dict[str, list[tuple[float, Any]]] = {topic: [] for topic in chosen}
-            for connection, stamp, data in reader.messages(connections=list(chosen.values())):
-                message = store.deserialize_cdr(data, connection.msgtype)
-                messages[connection.topic].append((_stamp(message, stamp, mapping), message))
+            for source, stamp, data in reader.messages(connections=list(chosen.values())):
+                message = store.deserialize_cdr(data, source.msgtype)
+                messages[source.topic].append((_stamp(message, stamp, mapping), message))
     except InputError:
         raise
     except Exception as error:  # a damaged file can fail anywhere inside the library
@@ -351,8 +352,8 @@ def _check_time(path: Path, time: Array, what: str) -> None:
     if steps.max() > LARGEST_GAP * period:
         index = int(np.argmax(steps))
         raise InputError(
-            f"{what}: gap of {steps[index]:.3f} s at t = {time[index] - time[0]:.3f} s (period {period:.4f} s); cut the "
-            "recording there",
+            f"{what}: gap of {steps[index]:.3f} s at t = {time[index] - time[0]:.3f} s (period {period:.4f} s); cut "
+            "the recording there",
             file=path,
         )
 
@@ -395,13 +396,15 @@ def _check(recording: Recording, mapping: Mapping) -> None:
             )
 
 
-def _refuse(recording: Recording, name: SignalName, wrong: Array, unit: str, expected: Any, mapping: Mapping) -> None:
+def _refuse(
+    recording: Recording, name: SignalName, wrong: NDArray[np.bool_], unit: str, expected: Any, mapping: Mapping
+) -> None:
     if not np.any(wrong):
         return
     row, joint = np.argwhere(wrong)[0]
     value = getattr(recording, name)[row, joint]
     raise InputError(
         f"{name} of joint {joint + 1} is {value:.4g} {unit} at t = {recording.time[row] - recording.time[0]:.3f} s, "
-        f"expected {expected(joint)} for {mapping.robot}: wrong unit (now {mapping.signals[name].unit}) or other joints?",
+        f"expected {expected(joint)} for {mapping.robot}: wrong unit (now {mapping.signals[name].unit}) or joints?",
         file=recording.path,
     )

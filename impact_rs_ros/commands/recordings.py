@@ -19,7 +19,7 @@ def add_mapping(parser: argparse.ArgumentParser) -> None:
         "--mapping",
         metavar="NAME",
         help="RUNS is a recording of a real robot in free motion (.db3, .mcap, .csv, .npz, or a folder of them): name "
-        "of a mapping (joint_state, franka_robot_state), or path of a mapping file; default for such files: joint_state",
+        "of a mapping (joint_state, franka_robot_state), or path of a mapping file; default there: joint_state",
     )
 
 
@@ -99,9 +99,9 @@ def _refuse(args: argparse.Namespace, *options: tuple[str, str]) -> None:
 def _header(recording: dict[str, Any], terminal: Terminal) -> None:
     files = ", ".join(Path(name).name for name in recording["files"])
     terminal.say(
-        f"{files}: {recording['samples']} samples at {recording['sampled_Hz']:.3g} Hz, {recording['used_s']:.3g} s used; "
-        f"{recording['robot']}, {recording['end_effector_mass_kg']:g} kg on the flange; low-pass "
-        f"{recording['low_pass_Hz']:g} Hz"
+        f"{files}: {recording['samples']} samples at {recording['sampled_Hz']:.3g} Hz, "
+        f"{recording['used_s']:.3g} s used, {recording['robot']}, {recording['end_effector_mass_kg']:g} kg mounted; "
+        f"low-pass {recording['low_pass_Hz']:g} Hz"
     )
 
 

@@ -14,7 +14,7 @@ REAL_BAG = Path("unisa_panda") / "panda_exciting_trajectory.db3"
 def real_bag() -> Path:
     """A Franka Panda in free motion (UNISA Automatic Control Group, inverse-dynamics-solver, BSD-3-Clause).
 
-    Looked for in ``$IMPACT_RS_TEST_DATA`` and in the folders ``data`` beside the repository; skipped where it is absent.
+    Looked for in ``$IMPACT_RS_TEST_DATA`` and in the folders ``data`` beside the repository; skipped where absent.
     """
     override = os.environ.get("IMPACT_RS_TEST_DATA")
     around = Path(__file__).resolve().parents[3]

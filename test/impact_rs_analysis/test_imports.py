@@ -201,7 +201,7 @@ def _degrees(columns: Columns) -> None:
 
 
 def _fast(columns: Columns) -> None:
-    columns["velocity"] = 5.0 * columns["velocity"]
+    columns["velocity"] = 0.3 * columns["velocity"]
 
 
 def _missing_joint(columns: Columns) -> None:
