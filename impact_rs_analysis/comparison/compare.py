@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from impact_rs_analysis.comparison.jump import JumpEntry, jump_entries, root_mean_square
+from impact_rs_analysis.comparison.jump import JOINTS, JumpEntry, jump_entries, root_mean_square
 from impact_rs_analysis.comparison.runs import Condition, Runs, predicted_features
 from impact_rs_analysis.comparison.twin import Start
 from impact_rs_analysis.diagnosis.evidence import ConditionEvidence, gather
@@ -94,8 +94,11 @@ class Comparison:
         levels: dict[str, Any] = {
             "jump": {
                 "what": "velocity jump of the impact map against the one measured 20 to 40 ms after the impact, when "
-                "the controller has already begun to act, or against the net-feedback estimate",
-                "times_noise": _round(root_mean_square([entry.times_noise for entry in self.jump])),
+                "the controller has already begun to turn the joints (which are listed, and not in the number), or "
+                "against the net-feedback estimate",
+                "times_noise": _round(
+                    root_mean_square([entry.times_noise for entry in self.jump if entry.signal != JOINTS])
+                ),
                 "entries": [
                     {
                         "scenario": entry.scenario,

@@ -23,6 +23,7 @@ from impact_rs_sim.robot import Array
 ENGINE = "pinocchio"
 SETTLED = 3  # time window of the end effector's velocity after the impact: 20 ... 40 ms
 AXES = ("x", "y", "z")
+JOINTS = "joint velocity jump"
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,7 @@ def _predict(condition: Condition, model: Model) -> dict[tuple[str, str, int], t
             change = float(after[number] - before[number])
             numbers["end-effector velocity", f"{label}{axis}", SETTLED] = ("end-effector velocity jump", change)
         for number, value in enumerate(result.joint_velocity[arm] - state.velocity):
-            numbers["joint velocity jump", f"{label}joint{number + 1}", 0] = ("joint velocity jump", float(value))
+            numbers[JOINTS, f"{label}joint{number + 1}", 0] = (JOINTS, float(value))
     for number, axis in enumerate(AXES[:2]):
         numbers["object velocity", axis, 0] = ("object velocity", float(result.object_twist[number]))
     numbers["post-impact velocity", scene.scenario.axis, 0] = ("post-impact velocity", float(np.mean(along)))

@@ -40,7 +40,7 @@ var CONFIG = %(config)s;
 function read(id) { return JSON.parse(document.getElementById(id).textContent); }
 document.querySelectorAll('.plot[data-figure]').forEach(function (plot) {
   var figure = read(plot.dataset.figure);
-  Plotly.newPlot(plot, figure.data, figure.layout, CONFIG);
+  Plotly.newPlot(plot, figure.data, figure.layout, {responsive: true, displayModeBar: false});
 });
 (function () {
   var trial = document.getElementById('trial'), signal = document.getElementById('signal');
@@ -126,8 +126,8 @@ def write_diagnosis(
     )
     page.add(
         f'<p class="note">{document.runs.trials} trials in {len(document.runs.conditions)} conditions. Errors are in '
-        "multiples of what repeating a trial explains. Whether repetition alone explains the rest: p = "
-        f"{_p(document.lack_of_fit['before'])} before, {_p(document.lack_of_fit['after'])} after.</p>"
+        "multiples of what repeating a trial explains. Whether repetition alone explains the rest: "
+        f"p {_p(document.lack_of_fit['before'])} before, p {_p(document.lack_of_fit['after'])} after.</p>"
     )
     _remarks(page, document.remarks)
     _effects(page, document)
@@ -170,7 +170,7 @@ class _Page:
         self._data.append(f'<script type="application/json" id="{name}">{text}</script>')
 
     def figure(self, name: str, data: list[dict[str, Any]], layout: dict[str, Any]) -> None:
-        base: dict[str, Any] = {"template": "plotly_white", "margin": {"l": 10, "r": 10, "t": 20, "b": 10}}
+        base: dict[str, Any] = {"template": "plotly_white", "margin": {"l": 10, "r": 10, "t": 26, "b": 10}}
         self.data(name, {"data": data, "layout": base | layout})
         self.add(f'<div class="plot" data-figure="{name}"></div>')
 
@@ -203,7 +203,7 @@ def _number(value: float | None, digits: int = 3) -> str:
 
 
 def _p(value: float) -> str:
-    return "below 10⁻⁶" if value < 1e-6 else f"{value:.2g}"
+    return "&lt; 10⁻⁶" if value < 1e-6 else f"= {value:.2g}"
 
 
 def _comparison_in_words(comparison: Comparison) -> str:
@@ -341,6 +341,7 @@ def _tracks(page: _Page, aligned: Sequence[AlignedTrial]) -> None:
     if not aligned:
         return
     sets = []
+    aligned = sorted(aligned, key=lambda trial: not trial.condition.plan.expects_impact)
     for trial in aligned:
         step = max(1, math.ceil(trial.time.size / MOST_POINTS))
         signals = _signals(trial)
@@ -445,7 +446,7 @@ def _effects(page: _Page, document: DiagnosisDocument) -> None:
         shown = effect.verdict not in ("NO-IMPROVEMENT", "NOT-IDENTIFIABLE")
         values = "<br>".join(
             f"{html.escape(name)} {_number(p.estimate)} [{_number(p.ci95[0])}, {_number(p.ci95[1])}] "
-            f"{html.escape(p.unit)}"
+            f"{html.escape(p.unit if p.unit != '-' else '')}"
             for name, p in effect.parameters.items()
             if shown
         )
@@ -454,7 +455,7 @@ def _effects(page: _Page, document: DiagnosisDocument) -> None:
             f'<td class=text><span class="tag {_tag(effect)}" style="white-space:normal">'
             f"{html.escape(effect.verdict)}</span></td>"
             f"<td>{_number(effect.held_out_error_before)} → {_number(effect.held_out_error_after)}</td>"
-            f"<td>{effect.p_value:.1g}</td><td class=values>{values}</td></tr>"
+            f"<td>{_p(effect.p_value).removeprefix('= ')}</td><td class=values>{values}</td></tr>"
         )
     page.add("</table></div>")
 

@@ -101,6 +101,8 @@ def _write(
 def _show(comparison: Comparison, terminal: Terminal) -> None:
     from rich.table import Table
 
+    from impact_rs_analysis.comparison.jump import JOINTS
+
     document = comparison.to_json()
     floor = comparison.noise_floor
     terminal.say(
@@ -113,7 +115,7 @@ def _show(comparison: Comparison, terminal: Terminal) -> None:
     table.add_column("difference", justify="right")
     table.add_column("worst signal")
     for level, content in document["levels"].items():
-        rows = content.get("signals", content.get("entries"))
+        rows = content.get("signals") or [row for row in content["entries"] if row["signal"] != JOINTS]
         if not rows:
             continue
         worst = max(rows, key=lambda row: float(row["times_noise"]))

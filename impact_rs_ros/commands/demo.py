@@ -164,15 +164,16 @@ def _walk_the_loop(output: Path, runs_directory: Path, terminal: Terminal) -> di
     terminal.say(
         "",
         f"The plant hid {HIDDEN} = {HIDDEN_VALUE:g}. The diagnosis named {' and '.join(document.named)} = "
-        f"{number(estimate.estimate)} [{number(estimate.ci95[0])}, {number(estimate.ci95[1])}] {estimate.unit}, "
+        f"{number(estimate.estimate)} [{number(estimate.ci95[0])}, {number(estimate.ci95[1])}], "
         f"and the error of the model fell from {number(before.score)} to {number(after.score)} times what repetition "
         "explains.",
         f"Reports: {(reports / 'diagnosis.html').resolve()}",
         f"         {(reports / 'compare.html').resolve()}",
         "Type next:",
-        f"  {PROGRAM} diagnose {folder} -o diagnosis.json --jobs 2     # the whole library",
-        f"  {PROGRAM} effects                                        # what is in it",
-        f"  {PROGRAM} blind make 7 -o blind_7 --jobs 2               # an effect that nobody told you",
+        f"  {PROGRAM} diagnose {folder} -o diagnosis.json --jobs 2",
+        f"  {PROGRAM} effects",
+        f"  {PROGRAM} blind make 7 -o blind_7 --jobs 2",
+        "to search the whole library, to see what is in it, and for an effect that nobody told you.",
     )
     return story | {
         "score_before": before.score,

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from impact_rs_analysis.comparison.runs import Runs
     from impact_rs_analysis.diagnosis.document import DiagnosisDocument
     from impact_rs_analysis.workers import Map
+    from impact_rs_sim.effects.formula import FormulaEffect
     from impact_rs_sim.model import Model
 
 TEXT = f"""\
@@ -108,7 +109,40 @@ def with_formulas(model: Model, path: Path | None) -> Model:
     for name in own:
         if name in model.known_effects:
             raise InputError(f"there is already an effect called {name!r}; give yours another name", file=path)
+    _try_out(own, path)
     return model.model_copy(update={"formulas": (*model.formulas, *(effect.spec for effect in own.values()))})
+
+
+def _try_out(effects: dict[str, FormulaEffect], path: Path) -> None:
+    """Evaluate formulas once at rest, at nominal values and a step away, before hours are spent on bags.
+
+    Raises:
+        InputError: One of them blows up.
+    """
+    import numpy as np
+
+    from impact_rs_sim.errors import InputError
+    from impact_rs_sim.model import JOINT_COUNT
+    from impact_rs_sim.physics import LoadState
+    from impact_rs_sim.scenario import load_scenario
+    from impact_rs_sim.scene import Scene
+
+    scenario = load_scenario("push")
+    scene = Scene.resolve(scenario, next(iter(scenario.objects)), next(iter(scenario.cases)))
+    name, arm = next(iter(scene.arms.items()))
+    twist = scene.models[name].jacobian(arm.position) @ arm.velocity
+    place = scene.models[name].placement(arm.position).translation
+    state = LoadState(0.0, arm.position, arm.velocity, place, twist[:3], place)
+    for effect in effects.values():
+        nominal = np.array([scalar.nominal for scalar in effect.scalars(JOINT_COUNT)])
+        step = np.array([scalar.scale for scalar in effect.scalars(JOINT_COUNT)])
+        for vector in (nominal, nominal + step):
+            load = effect.apply_vector(scene.physics, vector).arms[name].loads[-1]
+            try:
+                load.joint_torque(state)
+                load.end_effector_force(state)
+            except InputError as error:
+                raise InputError(error.message, file=path) from None
 
 
 def check_effects(model: Model, names: list[str] | None) -> None:
@@ -170,7 +204,7 @@ def _show(document: DiagnosisDocument, terminal: Terminal) -> None:
         values = []
         if effect.verdict not in ("NO-IMPROVEMENT", "NOT-IDENTIFIABLE"):
             values = [
-                f"{name} {number(p.estimate)} [{number(p.ci95[0])}, {number(p.ci95[1])}] {p.unit}"
+                f"{name} {number(p.estimate)} [{number(p.ci95[0])}, {number(p.ci95[1])}] {p.unit.strip('-')}"
                 for name, p in effect.parameters.items()
             ]
         table.add_row(
