@@ -2,8 +2,11 @@
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from impact_rs_ros.cli import main
@@ -155,3 +158,62 @@ def test_bags_that_cannot_be_used_are_named_and_left_out(
     (left_out,) = document["skipped"]
     assert left_out["name"] == "push/parcel__case_1__s1.000__r0"
     assert "damaged" in left_out["reason"] or "readable" in left_out["reason"]
+
+
+def _spoil(source: Path, target: Path, spoil: Callable[[int, Any], None]) -> None:
+    """Copy a bag and change some messages of the arm's joint states."""
+    from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+
+    from impact_rs_analysis.bags.types import typestore
+
+    store = typestore()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with Reader(source) as reader:
+        writer = Writer(target, version=9, storage_plugin=StoragePlugin.MCAP)
+        for name, value in (reader.storage.metadata.custom or {}).items():
+            writer.set_custom_data(name, value)
+        with writer:
+            connections = {
+                c.topic: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections
+            }
+            number = 0
+            for connection, timestamp, data in reader.messages():
+                if connection.topic == "/arm/joint_states":
+                    message = store.deserialize_cdr(data, connection.msgtype)
+                    spoil(number, message)
+                    data = store.serialize_cdr(message, connection.msgtype)
+                    number += 1
+                writer.write(connections[connection.topic], timestamp, data)
+
+
+def _not_a_number(number: int, message: Any) -> None:
+    if number == 700:
+        message.velocity = np.where(np.arange(7) == 3, np.nan, message.velocity)
+
+
+def _backwards(number: int, message: Any) -> None:
+    if number == 700:
+        message.header.stamp.nanosec -= 5_000_000
+
+
+def _gap(number: int, message: Any) -> None:
+    if number >= 700:
+        seconds, message.header.stamp.nanosec = divmod(message.header.stamp.nanosec + 9_000_000, 1_000_000_000)
+        message.header.stamp.sec += seconds
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [(_not_a_number, "not finite at t = 0.700 s"), (_backwards, "run backwards at t = 0.6"), (_gap, "gap of 0.01")],
+)
+def test_spoilt_signals_are_told_by_place(
+    capfd: pytest.CaptureFixture,
+    hidden_campaign: Path,
+    tmp_path: Path,
+    spoil: Callable[[int, Any], None],
+    message: str,
+) -> None:
+    name = "push/juice__case_1__s1.000__r0"
+    _spoil(hidden_campaign / name, tmp_path / "runs" / name, spoil)
+    _refused(capfd, ["compare", str(tmp_path / "runs"), "-o", str(tmp_path / "report")], message)
+    assert not (tmp_path / "report").exists()
