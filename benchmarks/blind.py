@@ -1,8 +1,8 @@
-"""Scoreboard of the diagnosis on hidden effects: ``./run python benchmarks/blind.py -o DIR [--seeds N] [--size small]``.
+"""Scoreboard of the diagnosis on hidden effects: ``./run python benchmarks/blind.py -o DIR [--size small]``.
 
 The matrix: every effect of the library at three magnitudes, pairs, nulls and effects outside the library, several seeds
-each. It resumes where it stopped: campaigns, diagnoses and scores that exist are kept. ``--only single:object_mass`` runs
-a part of it.
+each. It resumes where it stopped: campaigns, diagnoses and scores that exist are kept. ``--only NAME`` runs those whose
+name starts so, for example ``single:object_mass``.
 """
 
 from __future__ import annotations
