@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from impact_rs_analysis.comparison.compare import noise_floor_of, residuals_with_progress, scaled_evidence, score_of
+from impact_rs_analysis.comparison.compare import (
+    Comparison,
+    noise_floor_of,
+    residuals_with_progress,
+    scaled_evidence,
+    score_of,
+)
 from impact_rs_analysis.comparison.runs import Runs
 from impact_rs_analysis.diagnosis.candidates import NormalEquations, linearise
 from impact_rs_analysis.diagnosis.evidence import ConditionEvidence
@@ -101,7 +107,13 @@ def versions(path: Path) -> list[Version]:
     return result
 
 
-def history(path: Path, runs: Runs, map_tasks: Map, progress: Progress | None = None) -> list[VersionError]:
+def history(
+    path: Path,
+    runs: Runs,
+    map_tasks: Map,
+    progress: Progress | None = None,
+    known: Sequence[Comparison] = (),
+) -> list[VersionError]:
     """Errors of every version of a model, from the first to the one in ``path``.
 
     Args:
@@ -109,6 +121,7 @@ def history(path: Path, runs: Runs, map_tasks: Map, progress: Progress | None = 
         runs: Measurements.
         map_tasks: Parallel map.
         progress: Called with (what, done, total).
+        known: Comparisons of some of the versions with the same runs, so that they need not be made again.
 
     Raises:
         InputError: See :func:`versions`; or with one of the models nothing is hit.
@@ -117,7 +130,11 @@ def history(path: Path, runs: Runs, map_tasks: Map, progress: Progress | None = 
     store = RolloutStore(map_tasks, progress)
     parent: tuple[Model, list[ConditionEvidence]] | None = None
     for version in versions(path):
-        evidence, _ = scaled_evidence(runs, residuals_with_progress(runs, version.model, map_tasks, progress))
+        done = next((entry for entry in known if entry.digest == version.model.digest and entry.runs is runs), None)
+        if done is not None:
+            evidence = list(done.evidence)
+        else:
+            evidence, _ = scaled_evidence(runs, residuals_with_progress(runs, version.model, map_tasks, progress))
         error = score_of(evidence)
         held_out: float | None = error
         if version.effect_added is not None and parent is not None:

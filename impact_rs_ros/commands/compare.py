@@ -92,7 +92,7 @@ def _write(
         versions = None
         if model.parent is not None:
             with terminal.stages() as stage:
-                versions = history(args.model, runs, map_tasks, stage)
+                versions = history(args.model, runs, map_tasks, stage, [comparison])
         with output_folder(args.output):
             path = write_comparison(comparison, aligned, versions, args.output)
         terminal.say(f"report: {path.resolve()}")

@@ -151,11 +151,11 @@ def _walk_the_loop(output: Path, runs_directory: Path, terminal: Terminal) -> di
         terminal.say("", f"4. Add it: {model_file}")
         model_file.unlink(missing_ok=True)  # of an earlier run of the demonstration
         save_model(add_effect(model, Path(MODEL), document, diagnosis_file, name, model_file, False), model_file)
-        with terminal.stages() as tell:
-            versions = history(model_file, runs, map_tasks, tell)
-        show_history(versions, terminal)
         child = load_model(model_file)
         after = comparison_of(runs, child, map_tasks, terminal)
+        with terminal.stages() as tell:
+            versions = history(model_file, runs, map_tasks, tell, [before, after])
+        show_history(versions, terminal)
         write_comparison(after, aligned_trials(runs, child, map_tasks), versions, reports)
     found = document.effect(name)
     assert found is not None

@@ -79,7 +79,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
             with terminal.stages() as tell:
                 comparison = compare(runs, model, map_tasks, tell)
-                versions = history(args.model, runs, map_tasks, tell) if model.parent is not None else None
+                versions = (
+                    history(args.model, runs, map_tasks, tell, [comparison]) if model.parent is not None else None
+                )
                 aligned = aligned_trials(runs, model, map_tasks)
             with output_folder(args.report):
                 path = write_diagnosis(document, comparison, aligned, versions, args.report)
