@@ -29,6 +29,8 @@ from impact_rs_ros.trials import plan_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
 
+MATCHING = 5.0  # s, for publishers to be discovered
+OPTIONAL = (topics.TF, topics.DIAGNOSTICS, topics.TRUTH_MODEL)  # nobody may publish these, and nothing is wrong
 _HEADER_FIRST = 4  # byte of the stamp behind the CDR encapsulation
 _SEQUENCE_FIRST = 8  # the same with the length of a sequence before it
 
@@ -72,6 +74,25 @@ class RecorderNode(NodeProgram):
         }
         self._arms = arms
 
+    def _await_publishers(self) -> None:
+        """Wait until every topic of the trial has its publishers; a recorder that was just started meets them late.
+
+        Raises:
+            InputError: Some topics stay without a publisher.
+        """
+        deadline = time.monotonic() + MATCHING
+        while missing := self._unmatched():
+            if time.monotonic() > deadline:
+                raise InputError(f"recorder: nobody publishes {', '.join(missing)}; are plant and controller running?")
+            time.sleep(0.005)
+
+    def _unmatched(self) -> list[str]:
+        return [
+            topic
+            for topic, count in self._inbox.publishers().items()
+            if topic not in OPTIONAL and count < max(1, self.node.count_publishers(topic))
+        ]
+
     def _drain(self) -> None:
         """Write what has been received; outside a trial, throw it away."""
         if not self._arms:
@@ -107,6 +128,7 @@ class RecorderNode(NodeProgram):
             if not request.bag_path:
                 raise InputError("ConfigureTrial.bag_path is empty; the recorder needs to know where to write")
             self._connect(list(info.robots))
+            self._await_publishers()
             self._inbox.clear()
             bag = self._open.enter_context(BagWriter(Path(request.bag_path), self._arms))
             bag.describe(info)
