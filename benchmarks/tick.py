@@ -38,9 +38,8 @@ def main() -> None:
     for name, values in (("control tick", ticks), ("  of which QP", qps), ("plant substep", steps)):
         low, middle, high = np.percentile(np.array(values) * 1e6, (10, 50, 90))
         print(f"{name:14s} median {middle:6.1f} us, 10..90 %: {low:.1f} .. {high:.1f} us")
-    print(
-        f"trial of {timing.duration} s without bag: median {np.median(whole):.3f} s, {min(whole):.3f} .. {max(whole):.3f}"
-    )
+    spread = f"{min(whole):.3f} .. {max(whole):.3f} s"
+    print(f"trial of {timing.duration} s without bag: median {np.median(whole):.3f} s, {spread}")
 
 
 if __name__ == "__main__":
