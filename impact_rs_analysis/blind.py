@@ -26,7 +26,6 @@ from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import JOINT_COUNT
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 
@@ -303,8 +302,3 @@ def score(directory: Path, document: DiagnosisDocument, source: Path) -> Score:
         intervals_cover=float(np.mean(covered)) if covered else None,
         also_named=tuple(name for name in named if not near(name) & set(hidden)),
     )
-
-
-def scales(name: str) -> Array:
-    """Parameter scales of an effect, ``(p,)``."""
-    return np.array([scalar.scale for scalar in library()[name].scalars(JOINT_COUNT)])

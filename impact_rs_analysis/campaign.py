@@ -7,9 +7,7 @@ run. ``manifest.yaml`` says what the folder holds; a finished bag is never run a
 from __future__ import annotations
 
 import functools
-import logging
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +19,7 @@ from impact_rs_analysis.bags.reader import BagError, TrialBag
 from impact_rs_analysis.bags.record import record_trial
 from impact_rs_analysis.bags.trial_info import Outcome, TrialInfo, TrialKey
 from impact_rs_analysis.bags.writer import partial_path
+from impact_rs_analysis.workers import local_client
 from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario, scenario_path
@@ -201,24 +200,9 @@ def _run_on_cluster(
     directory: Path, manifest: Manifest, jobs: int, run: TrialRunner, todo: list[TrialKey]
 ) -> Iterator[TrialReport]:
     """Run trials on a local cluster; a trial whose worker dies is run again on another one."""
-    from distributed import Client, LocalCluster, as_completed
+    from distributed import as_completed
 
-    with (
-        tempfile.TemporaryDirectory(prefix="impact_rs_") as scratch,
-        LocalCluster(
-            n_workers=jobs,
-            threads_per_worker=1,  # dask sets OMP_NUM_THREADS and its like to 1 in worker processes
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address=None,
-            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # its status port; a fixed one may be taken
-            memory_limit=0,  # a trial needs little memory and keeps none
-            local_directory=scratch,
-            preload=["impact_rs_analysis.worker"],
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):
+    with local_client(jobs) as client:
         # One key to a task, in order: repeats of a trial follow each other and share their plan.
         futures = client.map(
             _guarded, *zip(*((run, directory, manifest, key) for key in todo), strict=True), pure=False, retries=2

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
@@ -122,8 +121,3 @@ def _place_object(scenario: Scenario, object_name: str) -> BodyState:
     position = np.array(impact.position) + normal * ((np.abs(normal) @ size) / 2.0 + scenario.object_gap)
     position[2] = scenario.support.height + size[2] / 2.0
     return BodyState(position, np.eye(3), np.zeros(6))
-
-
-def placement(state: BodyState) -> pin.SE3:
-    """Pose of the body's geometric centre in A."""
-    return pin.SE3(state.rotation, state.position)

@@ -11,7 +11,6 @@ import numpy as np
 from scipy.stats import t as student
 
 from impact_rs_analysis.comparison.runs import Runs, residuals
-from impact_rs_analysis.diagnosis.candidates import combine
 from impact_rs_analysis.diagnosis.evidence import ConditionEvidence, gather
 from impact_rs_analysis.diagnosis.search import LEAST_GAIN, MOST_EFFECTS, SIGNIFICANT, Fit, Search
 from impact_rs_analysis.diagnosis.sensitivity import RolloutStore
@@ -125,7 +124,7 @@ def diagnose(
     present = {item.name for item in model.effects}
     effects = [known[name] for name in known if name not in present and (only is None or name in only)]
     store = RolloutStore(map_tasks, progress)
-    search = Search(effects, model, evidence, store, progress)
+    search = Search(effects, model, evidence, store)
     chosen, rivals = _choose(search)
     if chosen is not None:
         chosen = search.relinearise(chosen)
@@ -138,7 +137,7 @@ def _choose(search: Search) -> tuple[Fit | None, dict[str, list[Fit]]]:
     rivals: dict[str, list[Fit]] = {}
     errors = search.before
     for _ in range(MOST_EFFECTS):
-        p_values = search.p_values if chosen is None else search._p_values(chosen.candidate)
+        p_values = search.p_values if chosen is None else search.p_values_given(chosen.candidate)
         proposals = [search.refine(candidate) for candidate in search.shortlist(chosen)]
         proposals = [proposal for proposal in proposals if proposal.candidate.effects]
         if not proposals:
@@ -382,6 +381,3 @@ def _identifiability(chosen: Fit | None) -> dict[str, Any]:
         "condition_number": float(singular[0] / max(singular[-1], 1e-300)),
         "correlated": pairs,
     }
-
-
-__all__ = ["Diagnosis", "EffectReport", "ParameterEstimate", "combine", "diagnose"]

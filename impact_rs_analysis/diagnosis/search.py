@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -72,7 +71,6 @@ class Search:
         model: Model underneath.
         evidence: Scaled residuals of that model.
         store: Twin rollouts.
-        progress: Called with (what, done, total).
     """
 
     def __init__(
@@ -81,10 +79,8 @@ class Search:
         model: Model,
         evidence: list[ConditionEvidence],
         store: RolloutStore,
-        progress: Callable[[str, int, int], None] | None = None,
     ) -> None:
         self.model, self.evidence, self.store = model, evidence, store
-        self._progress = progress or (lambda *_: None)
         self.signs = random_signs(evidence)
         self.before = np.array([np.mean(np.square(item.mean)) for item in evidence])
         self.noise = np.array([np.mean(np.square(item.pure)) / item.count for item in evidence])
@@ -95,7 +91,7 @@ class Search:
             if candidate is not None:
                 self.singles[effect.name] = candidate
         self.fits = {name: fit(candidate, evidence) for name, candidate in self.singles.items()}
-        self.p_values = self._p_values(None)
+        self.p_values = self.p_values_given(None)
 
     def _prefetch(self, effects: list[Effect]) -> None:
         """Run every rollout of the screening in one parallel batch."""
@@ -131,7 +127,7 @@ class Search:
             null += np.einsum("bf,bf->b", flipped, flipped) / item.count
         return tail_probability(observed, null)
 
-    def _p_values(self, chosen: Candidate | None) -> dict[str, float]:
+    def p_values_given(self, chosen: Candidate | None) -> dict[str, float]:
         """p per effect, given effects already chosen; adjusted for looking at all of them (Benjamini-Hochberg)."""
         raw = {}
         base = None if chosen is None else NormalEquations(chosen, self.evidence)
