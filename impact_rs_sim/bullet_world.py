@@ -218,10 +218,18 @@ class BulletWorld:
         )
         client.resetBaseVelocity(self.object, velocity.tolist(), state.twist[3:].tolist())
 
+    def rest_object(self) -> None:
+        """Let the object sleep until something comes near it; a body at rest costs as much as a whole arm.
+
+        Bullet wakes it when its bounding box meets that of a moving body, which is before any contact.
+        """
+        for state in (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP):
+            self.client.changeDynamics(self.object, -1, activationState=state)
+
     def arm_state(self, name: str) -> ArmState:
         """Joint positions and velocities of an arm."""
-        states = self._get_joints(self.arms[name], self.joints[name])
-        return ArmState(np.array([s[0] for s in states]), np.array([s[1] for s in states]))
+        position, velocity, *_ = zip(*self._get_joints(self.arms[name], self.joints[name]), strict=True)
+        return ArmState(np.array(position), np.array(velocity))
 
     def object_state(self) -> BodyState:
         """State of the object, at its geometric centre."""

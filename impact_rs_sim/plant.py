@@ -117,6 +117,8 @@ class Plant:
             residual_threshold=SOLVER_RESIDUAL,
         )
         self._world.set_object(object_state)
+        if extension is None and _rests(physics, object_state):
+            self._world.rest_object()
         self._tick = 0
         self._samples = timing.ticks + 1
         self._drives: dict[str, Drive] = {}
@@ -269,6 +271,14 @@ class Plant:
     def close(self) -> None:
         """Free the Bullet world."""
         self._world.close()
+
+
+def _rests(physics: Physics, state: BodyState) -> bool:
+    """Whether the object stays where it is until it is touched: at rest on a support that does not let it slide."""
+    if physics.support_height is None or np.any(state.twist):
+        return False
+    across, down = float(np.hypot(*physics.gravity[:2])), -float(physics.gravity[2])
+    return across < physics.support_friction * down
 
 
 def _scatter(
