@@ -78,6 +78,7 @@ def run(entry: Entry, directory: Path, size: str, map_tasks: Map) -> dict[str, A
     content = asdict(scored) | {
         "name": entry.name,
         "seconds": elapsed,
+        "more": bool(scored.also_named),
         "before": read.held_out_error_before,
         "noise": read.noise_floor,
         "removed": (read.held_out_error_before**2 - read.held_out_error_after**2) / max(excess, 1e-9),
@@ -92,6 +93,12 @@ def share(rows: list[dict[str, Any]], key: str) -> str:
     return f"{100.0 * sum(known) / len(known):5.1f} % of {len(known)}" if known else "-"
 
 
+def coverage(rows: list[dict[str, Any]]) -> str:
+    """Share of all intervals of hidden effects found by name."""
+    inside, total = (sum(row["covered"][part] for row in rows) for part in (0, 1))
+    return f"{100.0 * inside / total:5.1f} % of {total}" if total else "-"
+
+
 def scoreboard(rows: list[dict[str, Any]]) -> str:
     """The table."""
     of = {kind: [row for row in rows if row["kind"] == kind] for kind in ("single", "pair", "null", "outside")}
@@ -103,7 +110,8 @@ def scoreboard(rows: list[dict[str, Any]]) -> str:
         f"pairs, both named                            {share(of['pair'], 'correct')}",
         f"null, NOTHING-MISSING                        {share(of['null'], 'correct')}",
         f"outside, NONE-EXPLAINS or honestly marked    {share(of['outside'], 'correct')}",
-        f"95 % intervals that cover the truth          {share(of['single'] + of['pair'], 'intervals_cover')}",
+        f"95 % intervals that cover the truth          {coverage(of['single'] + of['pair'])}",
+        f"something named that is not there            {share(rows, 'more')}",
     ]
     seconds = [row["seconds"] for row in rows if row.get("seconds", 0.0) > 1.0]
     if seconds:

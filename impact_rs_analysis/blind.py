@@ -234,8 +234,9 @@ class Score:
         named: Effects that the diagnosis chose.
         correct: Whether it is right, see :func:`score`.
         by_own_name: Whether every hidden effect was chosen by its own name.
-        intervals_cover: Share of the true parameters of the named effects that lie in their 95 % intervals; None where
-            no hidden effect was named.
+        intervals_cover: Whether all true parameters of the named effects lie in their 95 % intervals; None where no
+            hidden effect was named.
+        covered: Number of those that do, and of all of them.
         also_named: Effects that were chosen and are neither hidden nor confusable with one that is.
     """
 
@@ -244,7 +245,8 @@ class Score:
     named: tuple[str, ...]
     correct: bool
     by_own_name: bool
-    intervals_cover: float | None
+    intervals_cover: bool | None
+    covered: tuple[int, int]
     also_named: tuple[str, ...]
 
 
@@ -299,6 +301,7 @@ def score(directory: Path, document: DiagnosisDocument, source: Path) -> Score:
         named=named,
         correct=right,
         by_own_name=bool(hidden) and all(name in named for name in hidden),
-        intervals_cover=float(np.mean(covered)) if covered else None,
+        intervals_cover=all(covered) if covered else None,
+        covered=(sum(covered), len(covered)),
         also_named=tuple(name for name in named if not near(name) & set(hidden)),
     )

@@ -5,8 +5,8 @@
              -tau_max <= (M + B_theta) ddq + h <= tau_max                   (paper eq. const_tau)
 
 Far from every limit the minimiser without constraints is the solution; it is tried first, by Cholesky, and ProxQP is
-asked only where it would break a limit. When the limits contradict each other, for instance beyond a joint stop at full speed, the program is solved once more
-with a slack on every constraint; the caller is told. There is never a NaN.
+asked only where it would break a limit. When the limits contradict each other, for instance beyond a joint stop at full
+speed, the program is solved once more with a slack on every constraint; the caller is told. There is never a NaN.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class AccelerationQp:
         torque_lower = -self._torque_max - bias
         torque_upper = self._torque_max - bias
         free, failed = dposv(hessian, -gradient)[1:]
-        if not failed and self._within(free, lower, upper, inertia @ free, torque_lower, torque_upper):
+        if not failed and self._within(free, lower, upper) and self._within(inertia @ free, torque_lower, torque_upper):
             return QpSolution(free, QpStatus.SOLVED, 0, time.perf_counter() - started)
         consistent = bool((lower <= upper).all())
         if consistent:
@@ -135,12 +135,9 @@ class AccelerationQp:
         return self._solve_relaxed(hessian, gradient, inertia, torque_lower, torque_upper, lower, upper, started)
 
     @staticmethod
-    def _within(free: Array, lower: Array, upper: Array, torque: Array, torque_lower: Array, torque_upper: Array) -> bool:
-        """Whether an acceleration keeps all limits; a NaN does not."""
-        low = np.concatenate((lower, torque_lower))
-        high = np.concatenate((upper, torque_upper))
-        values = np.concatenate((free, torque))
-        return bool(((values >= low) & (values <= high)).all())
+    def _within(values: Array, lower: Array, upper: Array) -> bool:
+        """Whether values keep their limits; a NaN does not."""
+        return bool(((values >= lower) & (values <= upper)).all())
 
     def _acceleration_bounds(self, q: Array, dq: Array) -> tuple[Array, Array]:
         """Bounds on ddq that paper eqs. const_q and const_dq imply."""

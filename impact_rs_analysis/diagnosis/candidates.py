@@ -11,6 +11,7 @@ error on conditions it has not seen.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -21,6 +22,7 @@ from impact_rs_sim.effects import Effect, ScalarParameter
 from impact_rs_sim.model import JOINT_COUNT, Model
 from impact_rs_sim.robot import Array
 
+Added = tuple[tuple[str, tuple[float, ...]], ...]
 PRIOR = 100.0  # parameter scales; only keeps what cannot be seen from running away
 
 
@@ -31,14 +33,16 @@ class Candidate:
     Attributes:
         effects: The effects.
         point: Parameter values of the linearisation, all effects after each other, ``(p,)``.
-        offsets: Per condition, scaled features at ``point`` minus those of the model, ``(F,)`` each.
+        offsets: Per condition, scaled features at ``point`` minus those at ``origin``, ``(F,)`` each.
         jacobians: Per condition, scaled features per parameter scale, ``(F, p)`` each.
+        origin: What was switched on, on top of the model, in the twin that the evidence was held against.
     """
 
     effects: tuple[Effect, ...]
     point: Array
     offsets: tuple[Array, ...]
     jacobians: tuple[Array, ...]
+    origin: Added = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -70,14 +74,19 @@ class Candidate:
         """Values at which nothing happens, ``(p,)``."""
         return np.array([scalar.nominal for scalar in self.scalars])
 
-    def split(self, vector: Array) -> list[tuple[str, tuple[float, ...]]]:
+    @property
+    def unseen(self) -> bool:
+        """Whether some parameter moves nothing here, like the centre of a payload without mass."""
+        return bool(np.any(np.all([np.all(jacobian == 0.0, axis=0) for jacobian in self.jacobians], axis=0)))
+
+    def split(self, vector: Array) -> Added:
         """Effect names with their own parameter values."""
         result, start = [], 0
         for effect in self.effects:
             count = len(effect.scalars(JOINT_COUNT))
             result.append((effect.name, tuple(float(value) for value in vector[start : start + count])))
             start += count
-        return result
+        return tuple(result)
 
 
 def linearise(
@@ -87,18 +96,22 @@ def linearise(
     store: RolloutStore,
     point: Array | None = None,
     what: str = "sensitivities",
+    origin: Added = (),
 ) -> Candidate | None:
-    """Sensitivities about ``point`` (None: where the effects do nothing); None where the twin misses the object."""
+    """Sensitivities about ``point`` (None: where the effects do nothing); None where the twin misses the object.
+
+    ``origin`` is what was switched on in the twin that the evidence was held against.
+    """
     if point is None:
         point = np.concatenate([nominal_vector(effect) for effect in effects])
-    empty = Candidate(effects, point, (), ())
+    empty = Candidate(effects, point, (), (), origin)
     step = np.concatenate([steps(effect, point[part]) for effect, part in _parts(effects)])
-    at_nominal = bool(np.all(point == empty.nominal))
+    at_nominal = not origin and bool(np.all(point == empty.nominal))
     wanted: list[Rollout] = []
     for item in evidence:
-        wanted.append(Rollout(item.condition, model))
+        wanted.append(Rollout(item.condition, model, origin))
         if not at_nominal:
-            wanted.append(Rollout(item.condition, model, tuple(empty.split(point))))
+            wanted.append(Rollout(item.condition, model, empty.split(point)))
         for effect, part in _parts(effects):
             if not concerns(effect, item.condition):
                 continue
@@ -127,9 +140,7 @@ def linearise(
     return replace(empty, offsets=tuple(offsets), jacobians=tuple(jacobians))
 
 
-def _moved(
-    candidate: Candidate, moved: Array, at_nominal: bool, effect: Effect
-) -> tuple[tuple[str, tuple[float, ...]], ...]:
+def _moved(candidate: Candidate, moved: Array, at_nominal: bool, effect: Effect) -> Added:
     """What is switched on: at the nominal point the other effects do nothing and are left out: results are shared."""
     parts = candidate.split(moved)
     return tuple(part for part in parts if not at_nominal or part[0] == effect.name)
@@ -151,6 +162,7 @@ def combine(first: Candidate, second: Candidate) -> Candidate:
         point=np.concatenate((first.point, second.point)),
         offsets=tuple(a + b for a, b in zip(first.offsets, second.offsets, strict=True)),
         jacobians=tuple(np.hstack((a, b)) for a, b in zip(first.jacobians, second.jacobians, strict=True)),
+        origin=first.origin,
     )
 
 
@@ -200,9 +212,24 @@ class NormalEquations:
         chosen = range(len(self.evidence)) if conditions is None else conditions
         return np.array([np.mean(np.square(self.targets[c] - self.candidate.jacobians[c] @ change)) for c in chosen])
 
+    @cached_property
+    def left_out(self) -> Array:
+        """Estimates without one condition each, as changes in parameter scales, ``(c, p)``."""
+        return np.array([self.solve(without=c) for c in range(len(self.evidence))])
+
     def held_out(self) -> Array:
         """Mean square scaled error of every condition, predicted from all others, ``(c,)`` [-]."""
-        return np.array([self.errors(self.solve(without=c), [c])[0] for c in range(len(self.evidence))])
+        return np.array([self.errors(change, [c])[0] for c, change in enumerate(self.left_out)])
+
+    def spread(self) -> Array:
+        """Standard error of each estimate in parameter scales, ``(p,)``.
+
+        The larger of two: what repetition explains (:meth:`covariance`), and how far the conditions disagree
+        (delete-one jackknife), which also holds what the model does not get right.
+        """
+        count = len(self.evidence)
+        jackknife = (count - 1) / count * np.square(self.left_out - self.left_out.mean(axis=0)).sum(axis=0)
+        return np.sqrt(np.maximum(jackknife, np.diag(self.covariance())))
 
     def covariance(self) -> Array:
         """Covariance of the estimate in parameter scales, trial by trial (sandwich), ``(p, p)``.

@@ -11,13 +11,14 @@ import numpy as np
 from scipy.stats import t as student
 
 from impact_rs_analysis.comparison.runs import Runs, residuals
-from impact_rs_analysis.diagnosis.evidence import ConditionEvidence, gather
-from impact_rs_analysis.diagnosis.search import LEAST_GAIN, MOST_EFFECTS, SIGNIFICANT, Fit, Search
+from impact_rs_analysis.diagnosis.candidates import Added
+from impact_rs_analysis.diagnosis.evidence import ConditionEvidence, gather, rescale
+from impact_rs_analysis.diagnosis.search import LEAST_EXCESS, LEAST_GAIN, MOST_EFFECTS, SIGNIFICANT, Fit, Search
 from impact_rs_analysis.diagnosis.sensitivity import RolloutStore
 from impact_rs_analysis.workers import Map
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.model import Model
+from impact_rs_sim.model import JOINT_COUNT, Model, ModelEffect, ParameterValue
 from impact_rs_sim.robot import Array
 
 Progress = Callable[[str, int, int], None]
@@ -124,10 +125,26 @@ def diagnose(
     present = {item.name for item in model.effects}
     effects = [known[name] for name in known if name not in present and (only is None or name in only)]
     store = RolloutStore(map_tasks, progress)
-    search = Search(effects, model, evidence, store)
+
+    def measure_again(added: Added) -> list[ConditionEvidence] | None:
+        extended = [
+            ModelEffect(
+                name=name,
+                parameters={
+                    scalar.name: ParameterValue(estimate=value, unit=scalar.unit)
+                    for scalar, value in zip(known[name].scalars(JOINT_COUNT), values, strict=True)
+                },
+            )
+            for name, values in added
+        ]
+        with_effects = model.model_copy(update={"effects": (*model.effects, *extended)})
+        try:
+            return rescale(runs, residuals(runs, with_effects, map_tasks), evidence)
+        except InputError:
+            return None
+
+    search = Search(effects, model, evidence, store, measure_again)
     chosen, rivals = _choose(search)
-    if chosen is not None:
-        chosen = search.relinearise(chosen)
     return _report(search, known, chosen, rivals, runs)
 
 
@@ -137,21 +154,25 @@ def _choose(search: Search) -> tuple[Fit | None, dict[str, list[Fit]]]:
     rivals: dict[str, list[Fit]] = {}
     errors = search.before
     for _ in range(MOST_EFFECTS):
-        p_values = search.p_values if chosen is None else search.p_values_given(chosen.candidate)
-        proposals = [search.refine(candidate) for candidate in search.shortlist(chosen)]
-        proposals = [proposal for proposal in proposals if proposal.candidate.effects]
-        if not proposals:
+        p_values = search.p_values if chosen is None else search.p_values_given(chosen)
+        excess = search.excess(errors)
+        needed = max(LEAST_GAIN * excess, LEAST_EXCESS)
+        shortlist = search.shortlist(chosen)
+        if excess <= 2.0 * LEAST_EXCESS or chosen is not None:
+            # What is small is linear: a proposal that gains nothing there will not gain by being fitted properly.
+            shortlist = [entry for entry in shortlist if excess - search.excess(entry.held_out) > 0.5 * needed]
+        if not shortlist:
             break
-        proposals.sort(key=lambda proposal: proposal.score)
+        proposals = search.proposals(shortlist)
         best = proposals[0]
         newest = best.candidate.effects[-1].name
-        excess, left = search.excess(errors), search.excess(best.held_out)
         significant = p_values.get(newest, 1.0) < SIGNIFICANT
-        gains = excess - left > max(LEAST_GAIN * excess, 0.02) and np.mean(best.held_out < errors) > 0.5
+        gains = excess - search.excess(best.held_out) > needed and np.mean(best.held_out < errors) > 0.5
         if not (significant and gains):
             break
-        rivals[newest] = [proposal for proposal in proposals[1:]]
-        chosen, errors = best, best.held_out
+        rivals[newest] = proposals
+        chosen = search.measure_again(best)
+        errors = chosen.held_out
         if search.lack_of_fit_of(chosen) > SIGNIFICANT:
             break
     if chosen is not None and len(chosen.candidate.effects) >= 2:
@@ -166,7 +187,7 @@ def _try_pairs(search: Search, chosen: Fit) -> Fit:
             continue
         pair = search.refine(candidate)
         if pair.score < 0.9 * chosen.score:
-            chosen = pair
+            chosen = search.measure_again(pair)
     return chosen
 
 
@@ -188,10 +209,8 @@ def _report(
         assert chosen is not None
         tied = [
             rival.candidate.effects[-1].name
-            for rival in rivals.get(name, [])
-            if rival.candidate.effects[-1].name not in names
-            and len(rival.candidate.effects) == len(names)
-            and _tied(search, chosen, rival)
+            for rival in rivals.get(name, [])[1:]
+            if rival.candidate.effects[-1].name not in names and _tied(search, rivals[name][0], rival)
         ]
         if tied:
             confusable.append((name, *tied))
@@ -210,8 +229,8 @@ def _report(
     remaining = search.excess(after) / max(search.excess(before), 1e-12)
     if chosen is None:
         excess = search.excess(before)
-        verdict = "NONE-EXPLAINS" if lack_before < SIGNIFICANT and excess > 0.1 else "NOTHING-MISSING"
-    elif lack_after < SIGNIFICANT and search.excess(after) > 0.1 and remaining > 0.1:
+        verdict = "NONE-EXPLAINS" if lack_before < SIGNIFICANT and excess > 2.0 * LEAST_EXCESS else "NOTHING-MISSING"
+    elif lack_after < SIGNIFICANT and search.excess(after) > 2.0 * LEAST_EXCESS and remaining > 0.1:
         verdict = "NONE-EXPLAINS"
     else:
         verdict = "+".join(names)
@@ -242,7 +261,7 @@ def _estimates(fitted: Fit, name: str) -> tuple[ParameterEstimate, ...]:
     """Estimates of one effect; intervals from the sandwich covariance and the pure error's degrees of freedom."""
     candidate = fitted.candidate
     width = student.ppf(0.975, max(fitted.equations.freedom, 1))
-    spread = np.sqrt(np.maximum(np.diag(fitted.equations.covariance()), 0.0)) * candidate.scale * width
+    spread = fitted.equations.spread() * candidate.scale * width
     estimate = fitted.estimate
     result, start = [], 0
     for effect in candidate.effects:

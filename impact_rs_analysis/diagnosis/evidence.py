@@ -10,7 +10,7 @@ sensitivity; what they average to is what a model has to explain.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -86,3 +86,18 @@ def gather(runs: Runs, residuals: list[Array]) -> list[ConditionEvidence]:
         sigma = np.sqrt(spread**2 + (floor / 2.0) ** 2)
         evidence.append(ConditionEvidence(condition, values / sigma, sigma, spread / sigma))
     return evidence
+
+
+def rescale(runs: Runs, residuals: list[Array], like: list[ConditionEvidence]) -> list[ConditionEvidence]:
+    """Residuals of another model on the scale of earlier ones, so that errors can be held against each other.
+
+    Args:
+        runs: The trials.
+        residuals: Measured minus predicted features per trial.
+        like: Evidence of the earlier model.
+    """
+    grouped: dict[Condition, list[Array]] = {item.condition: [] for item in like}
+    for trial, residual in zip(runs.trials, residuals, strict=True):
+        if trial.condition in grouped:
+            grouped[trial.condition].append(residual)
+    return [replace(item, residuals=np.array(grouped[item.condition]) / item.sigma) for item in like]

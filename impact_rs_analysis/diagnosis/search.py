@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -9,6 +10,7 @@ import numpy as np
 from scipy.stats import false_discovery_control
 
 from impact_rs_analysis.diagnosis.candidates import (
+    Added,
     Candidate,
     NormalEquations,
     combine,
@@ -25,8 +27,11 @@ from impact_rs_sim.robot import Array
 SIGNIFICANT = 0.01  # false-discovery rate at which an effect is accepted
 SHORTLIST = 5  # candidates refined through the twin in every round
 MOST_EFFECTS = 3
-CHORD_STEPS = 5
+FIT_STEPS = 6
 LEAST_GAIN = 0.10  # share of the excess error that an accepted effect must remove on unseen conditions
+HOPELESS = 3.0  # a fit whose squared error is so many times that of the best is not followed
+SETTLED = 0.1  # parameter scales; a correction below this needs no further look
+LEAST_EXCESS = 0.05  # mean square error in units of the scale of repetition; less concerns nobody
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,11 @@ class Fit:
         """Mean over conditions of the held-out error [-]."""
         return float(self.held_out.mean())
 
+    @property
+    def evidence(self) -> list[ConditionEvidence]:
+        """What it was fitted to."""
+        return self.equations.evidence
+
 
 def fit(candidate: Candidate, evidence: list[ConditionEvidence]) -> Fit:
     """Fit a candidate where it is linearised."""
@@ -71,6 +81,8 @@ class Search:
         model: Model underneath.
         evidence: Scaled residuals of that model.
         store: Twin rollouts.
+        measure_again: Scaled residuals with effects switched on, every trial's twin started where the trial started;
+            None where the twin then hits nothing.
     """
 
     def __init__(
@@ -79,8 +91,9 @@ class Search:
         model: Model,
         evidence: list[ConditionEvidence],
         store: RolloutStore,
+        measure_again: Callable[[Added], list[ConditionEvidence] | None],
     ) -> None:
-        self.model, self.evidence, self.store = model, evidence, store
+        self.model, self.evidence, self.store, self._measure_again = model, evidence, store, measure_again
         self.signs = random_signs(evidence)
         self.before = np.array([np.mean(np.square(item.mean)) for item in evidence])
         self.noise = np.array([np.mean(np.square(item.pure)) / item.count for item in evidence])
@@ -118,7 +131,8 @@ class Search:
     def lack_of_fit_of(self, chosen: Fit | None) -> float:
         """p of what a fit leaves being pure error."""
         observed, null = 0.0, np.zeros(self.signs[0].shape[0])
-        for number, (item, flips) in enumerate(zip(self.evidence, self.signs, strict=True)):
+        evidence = self.evidence if chosen is None else chosen.evidence
+        for number, (item, flips) in enumerate(zip(evidence, self.signs, strict=True)):
             rest = item.mean
             if chosen is not None:
                 rest = chosen.equations.targets[number] - chosen.candidate.jacobians[number] @ chosen.change
@@ -127,15 +141,13 @@ class Search:
             null += np.einsum("bf,bf->b", flipped, flipped) / item.count
         return tail_probability(observed, null)
 
-    def p_values_given(self, chosen: Candidate | None) -> dict[str, float]:
+    def p_values_given(self, chosen: Fit | None) -> dict[str, float]:
         """p per effect, given effects already chosen; adjusted for looking at all of them (Benjamini-Hochberg)."""
         raw = {}
-        base = None if chosen is None else NormalEquations(chosen, self.evidence)
-        for name, candidate in self.singles.items():
-            if chosen is not None and name in chosen.names:
-                continue
-            joined = candidate if chosen is None else combine(chosen, candidate)
-            equations = NormalEquations(joined, self.evidence)
+        evidence = self.evidence if chosen is None else chosen.evidence
+        base = None if chosen is None else chosen.equations
+        for name, candidate in self._joined(chosen):
+            equations = NormalEquations(candidate, evidence)
             observed, null = equations.statistic(), equations.null_statistics(self.signs)
             if base is not None:
                 observed, null = observed - base.statistic(), null - base.null_statistics(self.signs)
@@ -144,68 +156,130 @@ class Search:
             return {}
         return dict(zip(raw, false_discovery_control(list(raw.values())).tolist(), strict=True))
 
+    def _joined(self, chosen: Fit | None) -> list[tuple[str, Candidate]]:
+        """Every effect that is not chosen yet, together with those that are."""
+        if chosen is None:
+            return list(self.singles.items())
+        return [
+            (name, combine(chosen.candidate, candidate))
+            for name, candidate in self.singles.items()
+            if name not in chosen.candidate.names
+        ]
+
     def excess(self, held_out: Array) -> float:
         """Mean held-out error above what pure error explains [-]."""
         return float(np.mean(np.maximum(held_out - self.noise, 0.0)))
 
-    def refine(self, candidate: Candidate) -> Fit:
-        """Fit through the twin: chord iterations with fixed sensitivities, halved where they make it worse."""
-        best = fit(candidate, self.evidence)
-        best_error = self._error(candidate, np.zeros_like(best.change))
+    def proposals(self, shortlist: list[Fit]) -> list[Fit]:
+        """The shortlist fitted through the twin, best first; what falls far behind is not followed to its end."""
+        found: list[Fit] = []
+        for entry in shortlist:
+            beat = min((proposal.score for proposal in found), default=np.inf)
+            found.append(self.refine(entry.candidate, entry.evidence, HOPELESS * beat))
+        best = min(proposal.score for proposal in found)
+        seen = [self._see_all(proposal) if proposal.score <= HOPELESS * best else proposal for proposal in found]
+        return sorted(seen, key=lambda proposal: proposal.score)
+
+    def _see_all(self, fitted: Fit) -> Fit:
+        """Go on with new sensitivities where a parameter could not be seen at the nominal point."""
+        candidate = fitted.candidate
+        if not candidate.unseen:
+            return fitted
+        fresh = linearise(
+            candidate.effects,
+            self.model,
+            fitted.evidence,
+            self.store,
+            fitted.estimate,
+            "sensitivities",
+            candidate.origin,
+        )
+        if fresh is None:
+            return fitted
+        again = self.refine(fresh, fitted.evidence)
+        return again if again.score < fitted.score else fitted
+
+    def refine(
+        self, candidate: Candidate, evidence: list[ConditionEvidence] | None = None, give_up: float = np.inf
+    ) -> Fit:
+        """Fit through the twin: Gauss-Newton whose sensitivities learn from every step (Broyden's good update).
+
+        Args:
+            candidate: Where to start.
+            evidence: What to explain; None: that of the model.
+            give_up: After two steps a fit whose error is larger than this ends.
+        """
+        evidence = self.evidence if evidence is None else evidence
+        best = fit(candidate, evidence)
+        nothing = np.zeros_like(best.change)
+        best_error = _error(best, nothing)
         point, fraction = best.estimate, 1.0
-        for _ in range(CHORD_STEPS):
-            moved = self._at(candidate, candidate.point + fraction * (point - candidate.point))
-            error = np.inf if moved is None else self._error(moved, np.zeros_like(best.change))
-            if moved is None or error >= best_error:
-                fraction /= 3.0
-                if fraction < 0.1:
-                    break
-                continue
-            gained = best_error - error
-            candidate, best_error, fraction = moved, error, 1.0
-            best = fit(candidate, self.evidence)
-            point = best.estimate
-            if gained < 0.01 * best_error:
+        for number in range(FIT_STEPS):
+            if number >= 2 and best_error > give_up:
                 break
+            step = fraction * (point - candidate.point)
+            if np.max(np.abs(step / candidate.scale)) < 1e-6:
+                break
+            moved = self._at(candidate, candidate.point + step, evidence)
+            if moved is None:
+                fraction /= 3.0
+                continue
+            tried = fit(_broyden(candidate, moved), evidence)
+            error = _error(tried, nothing)
+            if error < best_error:
+                gained = best_error - error
+                candidate, best, best_error, fraction = tried.candidate, tried, error, 1.0
+                point = best.estimate
+                if gained < 1e-3 * best_error:
+                    break
+            else:
+                candidate = replace(candidate, jacobians=tried.candidate.jacobians)
+                best = fit(candidate, evidence)
+                fraction, point = fraction / 2.0, best.estimate
         return best
 
-    def relinearise(self, chosen: Fit) -> Fit:
-        """New sensitivities at the estimate, and a last fit."""
-        candidate = linearise(
-            chosen.candidate.effects, self.model, self.evidence, self.store, chosen.estimate, "final sensitivities"
-        )
-        if candidate is None:
-            return chosen
-        fresh = self.refine(candidate)
-        return fresh if fresh.score <= chosen.score * 1.05 else chosen
+    def measure_again(self, chosen: Fit) -> Fit:
+        """The fit against residuals of the twin with the chosen effects, trial by trial.
 
-    def _error(self, candidate: Candidate, change: Array) -> float:
-        return float(np.mean(NormalEquations(candidate, self.evidence).errors(change)))
+        Up to here the effects were switched on where a trial should start, not where it did start; the last correction
+        of the estimate, its interval and the lack of fit come from here.
+        """
+        for _ in range(2):
+            point = chosen.estimate
+            added = chosen.candidate.split(point)
+            evidence = self._measure_again(added)
+            if evidence is None:
+                return chosen
+            nothing = tuple(np.zeros_like(item.sigma) for item in evidence)
+            chosen = fit(replace(chosen.candidate, point=point, origin=added, offsets=nothing), evidence)
+            if np.max(np.abs(chosen.change)) < SETTLED:
+                break
+        return chosen
 
-    def _at(self, candidate: Candidate, point: Array) -> Candidate | None:
+    def _at(self, candidate: Candidate, point: Array, evidence: list[ConditionEvidence]) -> Candidate | None:
         """The candidate with its features evaluated at another point, sensitivities kept."""
-        added = tuple(candidate.split(point))
-        base = self.store([Rollout(item.condition, self.model) for item in self.evidence])
-        here = self.store(
-            [Rollout(item.condition, self.model, added) for item in self.evidence], "fit of the shortlist"
+        added = candidate.split(point)
+        conditions = [item.condition for item in evidence]
+        both = self.store(
+            [
+                Rollout(condition, self.model, values)
+                for values in (candidate.origin, added)
+                for condition in conditions
+            ],
+            "fit of the shortlist",
         )
-        if any(value is None for value in (*base, *here)):
-            return None
-        offsets = tuple(
-            (there - before) / item.sigma  # type: ignore[operator]
-            for there, before, item in zip(here, base, self.evidence, strict=True)
-        )
-        return replace(candidate, point=point, offsets=offsets)
+        offsets = []
+        for before, there, item in zip(both[: len(evidence)], both[len(evidence) :], evidence, strict=True):
+            if before is None or there is None:
+                return None
+            offsets.append((there - before) / item.sigma)
+        return replace(candidate, point=point, offsets=tuple(offsets))
 
-    def shortlist(self, chosen: Fit | None, count: int = SHORTLIST) -> list[Candidate]:
+    def shortlist(self, chosen: Fit | None, count: int = SHORTLIST) -> list[Fit]:
         """Most promising candidates for one more effect, by their linear held-out error."""
-        ranked = []
-        for name, candidate in self.singles.items():
-            if chosen is not None and name in chosen.candidate.names:
-                continue
-            joined = candidate if chosen is None else combine(chosen.candidate, candidate)
-            ranked.append((fit(joined, self.evidence).score, joined))
-        return [candidate for _, candidate in sorted(ranked, key=lambda entry: entry[0])[:count]]
+        evidence = self.evidence if chosen is None else chosen.evidence
+        ranked = [fit(candidate, evidence) for _, candidate in self._joined(chosen)]
+        return sorted(ranked, key=lambda entry: entry.score)[:count]
 
     def best_pairs(self, count: int = 2) -> list[Candidate]:
         """Most promising pairs among the better half of the effects, by their linear held-out error."""
@@ -215,3 +289,17 @@ class Search:
             joined = combine(self.singles[first], self.singles[second])
             ranked.append((fit(joined, self.evidence).score, joined))
         return [candidate for _, candidate in sorted(ranked, key=lambda entry: entry[0])[:count]]
+
+
+def _error(fitted: Fit, change: Array) -> float:
+    return float(np.mean(fitted.equations.errors(change)))
+
+
+def _broyden(before: Candidate, after: Candidate) -> Candidate:
+    """Sensitivities that give the step just made exactly, and change as little as they can otherwise."""
+    step = (after.point - before.point) / before.scale
+    jacobians = tuple(
+        jacobian + np.outer(there - here - jacobian @ step, step) / (step @ step)
+        for jacobian, here, there in zip(before.jacobians, before.offsets, after.offsets, strict=True)
+    )
+    return replace(after, jacobians=jacobians)

@@ -115,11 +115,11 @@ class RolloutStore:
 
 
 def steps(effect: Effect, at: Array) -> Array:
-    """Finite-difference step per parameter: its scale, away from the nearer bound."""
+    """Finite-difference step per parameter, the other way where a bound is in its way."""
     scalars = effect.scalars(JOINT_COUNT)
     return np.array(
         [
-            scalar.scale if value + scalar.scale <= scalar.upper else -scalar.scale
+            scalar.step if scalar.lower <= value + scalar.step <= scalar.upper else -scalar.step
             for scalar, value in zip(scalars, at, strict=True)
         ]
     )

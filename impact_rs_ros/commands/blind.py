@@ -67,9 +67,7 @@ def score(args: argparse.Namespace, terminal: Terminal) -> int:
 
     found = blind.score(args.directory, read_document(args.diagnosis), args.diagnosis)
     terminal.result({**vars(found), "truth": list(found.truth), "named": list(found.named)})
-    cover = (
-        "" if found.intervals_cover is None else f"; intervals cover {100 * found.intervals_cover:.0f} % of the truth"
-    )
+    cover = "" if found.intervals_cover is None else "; {} of {} intervals hold the truth".format(*found.covered)
     terminal.say(
         f"{'right' if found.correct else 'wrong'}: {found.kind}, hidden {', '.join(found.truth) or 'nothing'}, "
         f"named {', '.join(found.named) or 'nothing'}{cover}"

@@ -28,9 +28,10 @@ class Parameter:
         nominal: Value at which the effect does nothing.
         lower: Smallest value that makes sense.
         upper: Largest value that makes sense.
-        scale: A change that an engineer would call noticeable; step of finite differences, width of the weak prior.
+        scale: A change that an engineer would call noticeable; unit of the weak prior.
         meaning: What it is, for tables.
         per_joint: Whether there is one per joint.
+        step: First change that is tried when looking for its influence; None: its scale.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Parameter:
     scale: float
     meaning: str
     per_joint: bool = False
+    step: float | None = None
 
     def names(self, joint_count: int) -> list[str]:
         """Names of the scalars: ``coulomb_joint1`` ... for a parameter per joint."""
@@ -60,6 +62,7 @@ class ScalarParameter:
     upper: float
     scale: float
     meaning: str
+    step: float
 
 
 class Effect(ABC):
@@ -99,6 +102,7 @@ class Effect(ABC):
                 parameter.upper,
                 parameter.scale,
                 parameter.meaning,
+                parameter.scale if parameter.step is None else parameter.step,
             )
             for parameter in self.parameters
             for name in parameter.names(joint_count)

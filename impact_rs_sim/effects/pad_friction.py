@@ -15,7 +15,10 @@ class PadFriction(Effect):
     name = "pad_friction"
     acts_on = "contact"
     sentence = "The pad grips the object more or less than assumed."
-    parameters = (Parameter("scale", "-", 1.0, 0.0, 4.0, 0.2, "friction coefficient over its assumed value"),)
+    # A pad that sticks does not tell how much better it might stick: only a far step towards slipping shows anything.
+    parameters = (
+        Parameter("scale", "-", 1.0, 0.0, 4.0, 0.2, "friction coefficient over its assumed value", step=-0.8),
+    )
     phases = ("contact",)
 
     def apply(self, physics: Physics, values: dict[str, Array]) -> Physics:
