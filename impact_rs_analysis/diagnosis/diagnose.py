@@ -144,11 +144,11 @@ def diagnose(
             return None
 
     search = Search(effects, model, evidence, store, measure_again)
-    chosen, rivals = _choose(search)
+    chosen, rivals = choose(search)
     return _report(search, known, chosen, rivals, runs)
 
 
-def _choose(search: Search) -> tuple[Fit | None, dict[str, list[Fit]]]:
+def choose(search: Search) -> tuple[Fit | None, dict[str, list[Fit]]]:
     """Forward selection with pairs; returns the chosen fit and, per chosen effect, its refined rivals."""
     chosen: Fit | None = None
     rivals: dict[str, list[Fit]] = {}
