@@ -73,7 +73,6 @@ class BulletWorld:
         contact_erp: float = 0.2,
     ) -> None:
         self.physics = physics
-        self.time_step = time_step
         self._com_is_offset = bool(np.any(physics.object.com_offset))
         with _quiet():
             self.client = BulletClient(connection_mode=pybullet.DIRECT)
@@ -246,11 +245,6 @@ class BulletWorld:
     def apply_torque(self, name: str, torque: Array) -> None:
         """Joint torque of an arm over the next step, ``(n,)`` [N m]."""
         self._set_torques(self.arms[name], self.joints[name], pybullet.TORQUE_CONTROL, forces=torque.tolist())
-
-    def set_time_step(self, time_step: float) -> None:
-        """Change the step [s]."""
-        self.time_step = time_step
-        self.client.setPhysicsEngineParameter(fixedTimeStep=time_step)
 
     def step(self) -> None:
         """Advance by one step."""

@@ -88,7 +88,6 @@ class Plant:
         object_state: Nominal pose of the object; the scatter comes on top.
         seed: Seed of scatter and noise. Same seed, same trial, bit by bit.
         extension: Something that the physics cannot say.
-        coarse_until: Until then the torque loop runs at half its rate [s]; for a twin whose contacts come later.
     """
 
     def __init__(
@@ -98,7 +97,6 @@ class Plant:
         initial: dict[str, Array],
         object_state: BodyState,
         seed: int,
-        coarse_until: float = 0.0,
         extension: PlantExtension | None = None,
     ) -> None:
         timing = scenario.timing
@@ -140,7 +138,6 @@ class Plant:
         self._extension = extension
         if extension is not None:
             extension.begin(self)
-        self._coarse_until = coarse_until
         self._substeps = timing.substeps
         self._tracker_ticks = max(1, round(scenario.sensors.object_period / timing.control_period))
         self._tracker = ObjectTracker(
@@ -213,8 +210,6 @@ class Plant:
                 )
         if self._tick + 1 >= self._samples:
             raise InputError(f"the trial is over after {self._timing.duration} s")
-        substeps = self._timing.substeps
-        self._set_substeps(max(1, substeps // 2) if self.time < self._coarse_until else substeps)
         world = self._world
         loads = {name: self._load_torque(name) for name in self._loaded}
         extension = self._extension
@@ -236,16 +231,6 @@ class Plant:
                     extension.after_sense(self, name, drive)
                 self._links[name] = link
         self._tick += 1
-
-    def _set_substeps(self, substeps: int) -> None:
-        """Divide the control period into so many periods of the torque loop."""
-        if self._substeps == substeps:
-            return
-        self._substeps = substeps
-        period = self._timing.control_period / substeps
-        self._world.set_time_step(period)
-        for drive in self._drives.values():
-            drive.period = period
 
     def _load_torque(self, name: str) -> Array:
         """Joint torque of everything outside the model, held over one control period, ``(n,)`` [N m]."""

@@ -20,7 +20,6 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import BodyState
 
-BEFORE_CONTACT = 0.05  # s; until so long before T_nom the twin may step coarsely: free motion does not notice
 MARGIN = 0.02  # s
 START_SAMPLES = 10  # of the object tracker, averaged for its initial pose
 
@@ -88,9 +87,7 @@ def run_twin(plan: TrialPlan, physics: Physics, start: Start, until: float | Non
     """
     state = BodyState(start.object_position, pin.rpy.rpyToMatrix(0.0, 0.0, start.object_yaw), np.zeros(6))
     scene = replace(plan.scene, scenario=quiet(plan.scene.scenario), object=state)
-    timing = scene.scenario.timing
-    coarse_until = timing.nominal_impact - BEFORE_CONTACT if plan.expects_impact else timing.duration
-    plant = Plant(scene.scenario, physics, start.joints, state, seed=0, coarse_until=coarse_until)
+    plant = Plant(scene.scenario, physics, start.joints, state, seed=0)
     collector = SignalCollector(plan)
     try:
         with without_garbage_collection():
