@@ -289,7 +289,7 @@ def score(directory: Path, document: DiagnosisDocument, source: Path) -> Score:
     elif kind == "outside":
         right = document.verdict == "NONE-EXPLAINS" or (bool(named) and document.lack_of_fit["after"] < SIGNIFICANT)
     covered = [
-        estimate.ci95[0] <= hidden[name][key]["value"] <= estimate.ci95[1]
+        estimate.interval[0] <= hidden[name][key]["value"] <= estimate.interval[1]
         for name in hidden
         if name in named and (effect := document.effect(name)) is not None
         for key, estimate in effect.parameters.items()

@@ -16,7 +16,7 @@ from impact_rs_analysis.comparison.runs import Runs, find_bags
 from impact_rs_analysis.diagnosis.diagnose import Diagnosis
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError, did_you_mean
-from impact_rs_sim.model import Model, ModelEffect, ParameterValue, check_model
+from impact_rs_sim.model import JOINT_COUNT, Model, ModelEffect, ParameterValue, check_model
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.schema import Schema, validate
 
@@ -27,9 +27,14 @@ class EstimateDocument(Schema):
     """One estimated number."""
 
     estimate: float = Field(description="estimate, in its unit")
-    ci95: tuple[float, float] = Field(description="95 % interval, in its unit")
+    ci95: tuple[float, float] | None = Field(description="95 % interval, in its unit; null: known without one")
     unit: str = Field(description="unit, '-' where it has none")
     meaning: str = Field("", description="what it is")
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval, in its unit; everything where none is known."""
+        return (-math.inf, math.inf) if self.ci95 is None else self.ci95
 
 
 class EffectDocument(Schema):
@@ -77,6 +82,21 @@ class DiagnosisDocument(Schema):
     identifiability: dict[str, Any] = Field({}, description="singular values and correlations of the fit")
     remarks: tuple[str, ...] = Field((), description="what a reader should know")
     formulas: tuple[FormulaSpec, ...] = Field((), description="user-defined effects that were considered")
+
+    @property
+    def of_recording(self) -> bool:
+        """Whether it is a diagnosis of recordings in free motion, not of trials."""
+        return not self.runs.digest
+
+    @property
+    def error_unit(self) -> str:
+        """Unit of the held-out errors, in words."""
+        return "N m" if self.of_recording else "times the noise"
+
+    @property
+    def runs_are(self) -> str:
+        """What the runs are."""
+        return "recordings" if self.of_recording else "trials"
 
     def effect(self, name: str) -> EffectDocument | None:
         """What is said of one effect."""
@@ -197,7 +217,55 @@ def read_document(path: Path) -> DiagnosisDocument:
         raise InputError(f"not valid JSON at line {error.lineno}: {error.msg}", file=path) from None
     if not isinstance(data, dict):
         raise InputError("no diagnosis", file=path)
+    if data.get("kind") == "recording":
+        data = _of_recording(data, path)
     return validate(DiagnosisDocument, data, path)
+
+
+def _centre_of_mass(parameters: dict[str, Any]) -> dict[str, Any]:
+    """First moments of a payload, which are what a regression sees, as its centre of mass; others as they are."""
+    moments = {name: value for name, value in parameters.items() if name.startswith("first_moment_")}
+    if not moments:
+        return parameters
+    mass = parameters["mass"]["estimate"]
+    centre = {
+        name.replace("first_moment_", "com_"): {
+            "estimate": value["estimate"] / mass if mass > 0.0 else 0.0,
+            "ci95": None,
+            "unit": "m",
+            "meaning": "first moment over mass",
+        }
+        for name, value in moments.items()
+    }
+    return {name: value for name, value in parameters.items() if name not in moments} | centre
+
+
+def _of_recording(data: dict[str, Any], path: Path) -> dict[str, Any]:
+    """A diagnosis of recordings in the words of one of trials; errors stay in N m, what was not measured has none.
+
+    Raises:
+        InputError: It breaks off, or was written by an earlier version.
+    """
+    fields = {"name", "sentence", "verdict", "parameters", "held_out_error_before", "held_out_error_after", "p_value"}
+    try:
+        effects = [
+            {key: value for key, value in effect.items() if key in fields}
+            for effect in data["effects"]
+            if effect["p_value"] is not None
+        ]
+        for effect in effects:
+            effect["parameters"] = _centre_of_mass(effect["parameters"])
+        files = [Path(name).name for name in data["recording"]["files"]]
+        kept = ("verdict", "named", "confusable", "unexplained", "next_experiment", "model", "noise_floor", "remarks")
+        return {
+            **{key: data[key] for key in (*kept, "held_out_error_before", "held_out_error_after")},
+            "effects": effects,
+            "runs": {"digest": "", "trials": len(files), "conditions": files},
+            "lack_of_fit": {},
+            "formulas": data["formulas"],
+        }
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"not a whole diagnosis of a recording ({type(error).__name__}: {error})", file=path) from None
 
 
 def add_effect(
@@ -238,22 +306,23 @@ def add_effect(
     if found.verdict == "NO-IMPROVEMENT" and not force:
         raise InputError(
             f"{name} is NO-IMPROVEMENT: it predicts unseen conditions no better "
-            f"({found.held_out_error_before:.3g} -> {found.held_out_error_after:.3g} times the noise); "
+            f"({found.held_out_error_before:.3g} -> {found.held_out_error_after:.3g} {document.error_unit}); "
             "--force adds it all the same",
             file=source,
         )
-    item = ModelEffect(
-        name=name,
-        parameters={
-            key: ParameterValue(estimate=value.estimate, unit=value.unit, ci95=value.ci95)
-            for key, value in found.parameters.items()
-        },
-    )
     formulas = tuple(spec for spec in document.formulas if spec.name == name)
+    effect = model.model_copy(update={"formulas": (*model.formulas, *formulas)}).known_effects.get(name)
+    scalars = [] if effect is None else effect.scalars(JOINT_COUNT)
+    nominal = {scalar.name: ParameterValue(estimate=scalar.nominal, unit=scalar.unit) for scalar in scalars}
+    estimated = {
+        key: ParameterValue(estimate=value.estimate, unit=value.unit, ci95=value.ci95)
+        for key, value in found.parameters.items()
+    }
+    item = ModelEffect(name=name, parameters={**nominal, **estimated})
     child = model.with_effect(item, output.stem, _parent_name(model_file, output), formulas)
     note = (
-        f"{name}: {found.verdict}; error on unseen conditions {found.held_out_error_before:.3g} -> "
-        f"{found.held_out_error_after:.3g} times the noise in {document.runs.trials} trials"
+        f"{name}: {found.verdict}; held-out error {found.held_out_error_before:.3g} -> "
+        f"{found.held_out_error_after:.3g} {document.error_unit} in {document.runs.trials} {document.runs_are}"
     )
     return check_model(child.model_copy(update={"note": note}), source)
 

@@ -287,6 +287,7 @@ def _log_tie(mine: Array, other: Array) -> bool:
 
 def diagnose(setup: Setup, model: Model | None = None, only: list[str] | None = None) -> dict[str, Any]:
     """Which effects are missing, joint by joint where an effect has one parameter per joint."""
+    believed = model or Model(name="nominal")
     search = Diagnosis(setup, model, only)
     regression = search.regression
     full = search.model(search.chosen)
@@ -354,6 +355,8 @@ def diagnose(setup: Setup, model: Model | None = None, only: list[str] | None = 
         ),
         "remarks": _remarks(search, left),
         "recording": setup.facts,
+        "model": {"name": believed.name, "digest": believed.digest},
+        "formulas": [spec.model_dump(mode="json") for spec in believed.formulas],
     }
 
 

@@ -445,7 +445,7 @@ def _effects(page: _Page, document: DiagnosisDocument) -> None:
     for effect in ranked:
         shown = effect.verdict not in ("NO-IMPROVEMENT", "NOT-IDENTIFIABLE")
         values = "<br>".join(
-            f"{html.escape(name)} {_number(p.estimate)} [{_number(p.ci95[0])}, {_number(p.ci95[1])}] "
+            f"{html.escape(name)} {_number(p.estimate)} [{_number(p.interval[0])}, {_number(p.interval[1])}] "
             f"{html.escape(p.unit if p.unit != '-' else '')}"
             for name, p in effect.parameters.items()
             if shown

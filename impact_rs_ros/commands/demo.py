@@ -173,7 +173,7 @@ def _walk_the_loop(output: Path, runs_directory: Path, terminal: Terminal) -> di
     terminal.say(
         "",
         f"The plant hid {HIDDEN} = {HIDDEN_VALUE:g}. The diagnosis named {' and '.join(document.named)} = "
-        f"{number(estimate.estimate)} [{number(estimate.ci95[0])}, {number(estimate.ci95[1])}], "
+        f"{number(estimate.estimate)} [{number(estimate.interval[0])}, {number(estimate.interval[1])}], "
         f"and the error of the model fell from {number(before.score)} to {number(after.score)} times what repetition "
         "explains.",
         f"Reports: {(reports / 'diagnosis.html').resolve()}",

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from impact_rs_ros.commands.loop import add_jobs, add_runs, number, read, started
+from impact_rs_ros.commands.loop import add_jobs, add_runs, estimates_table, number, read, started
 from impact_rs_ros.commands.recordings import add_mapping, mapping_of, run_diagnose
 from impact_rs_ros.commands.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
 
@@ -201,22 +201,17 @@ def _show(document: DiagnosisDocument, terminal: Terminal) -> None:
     table.add_column("verdict", overflow="fold")
     table.add_column("error", justify="right", no_wrap=True)
     table.add_column("p", justify="right")
-    table.add_column("estimate and 95 % interval", overflow="fold")
     for effect in document.effects[:8]:
-        values = []
-        if effect.verdict not in ("NO-IMPROVEMENT", "NOT-IDENTIFIABLE"):
-            values = [
-                f"{name} {number(p.estimate)} [{number(p.ci95[0])}, {number(p.ci95[1])}] {p.unit.strip('-')}"
-                for name, p in effect.parameters.items()
-            ]
         table.add_row(
             effect.name,
             effect.verdict,
             f"{number(effect.held_out_error_before)} → {number(effect.held_out_error_after)}",
             f"{effect.p_value:.1g}",
-            "\n".join(values),
         )
     terminal.say(table)
+    chosen = [effect for effect in document.effects if effect.verdict not in ("NO-IMPROVEMENT", "NOT-IDENTIFIABLE")]
+    for effect in chosen:
+        terminal.say(estimates_table(effect.name, [(name, p, "") for name, p in effect.parameters.items()]))
     if len(document.effects) > 8:
         terminal.say(f"and {len(document.effects) - 8} more effects, none of them better")
     for remark in document.remarks:

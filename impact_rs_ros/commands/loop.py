@@ -11,7 +11,10 @@ from typing import TYPE_CHECKING, Any
 from impact_rs_ros.commands.terminal import Terminal
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from impact_rs_analysis.comparison.runs import Runs
+    from impact_rs_analysis.diagnosis.document import EstimateDocument
     from impact_rs_analysis.workers import Map
 
 MOST_SHOWN = 5
@@ -73,3 +76,22 @@ def read(directory: Path, map_tasks: Map, terminal: Terminal) -> Runs:
 def number(value: float) -> str:
     """Three significant digits."""
     return f"{value:.3g}"
+
+
+def estimates_table(effect: str, rows: list[tuple[str, EstimateDocument, str]]) -> Table:
+    """Estimates of one effect with their intervals: parameter, estimate, and a verdict on it or ``""``."""
+    from rich.table import Table
+
+    table = Table(title=effect, title_justify="left")
+    table.add_column("parameter", no_wrap=True)
+    table.add_column("estimate", justify="right", no_wrap=True)
+    table.add_column("95 % interval", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    told = any(verdict for *_, verdict in rows)
+    if told:
+        table.add_column("verdict", overflow="fold")
+    for name, value, verdict in rows:
+        interval = "" if value.ci95 is None else f"{number(value.ci95[0])} ... {number(value.ci95[1])}"
+        cells = [name, number(value.estimate), interval, value.unit.strip("-")]
+        table.add_row(*cells, *([verdict] if told else []))
+    return table

@@ -7,8 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from impact_rs_ros.commands.loop import number
-from impact_rs_ros.commands.terminal import Terminal, output_folder
+from impact_rs_ros.commands.loop import estimates_table, number
+from impact_rs_ros.commands.terminal import PROGRAM, Terminal, output_folder
 
 DEFAULT_MAPPING = "joint_state"
 
@@ -66,9 +66,11 @@ def run_diagnose(args: argparse.Namespace, mapping: str, terminal: Terminal) -> 
     _refuse(args, ("report", "--report"))
     if args.output is not None and args.output.is_dir():
         raise InputError("this is a folder; name a file, for example diagnosis.json", file=args.output)
-    model = with_formulas(load_model(args.model), args.formulas)
+    believed = load_model(args.model)
+    model = with_formulas(believed, args.formulas)
     check_effects(model, args.effects)
     found = diagnose_recording(args.runs, mapping, model, args.effects)
+    found["model"] = {"name": believed.name, "digest": believed.digest}
     terminal.result(found)
     if args.output is not None:
         with output_folder(args.output.parent):
@@ -85,6 +87,12 @@ def run_diagnose(args: argparse.Namespace, mapping: str, terminal: Terminal) -> 
     for remark in found["remarks"]:
         terminal.say(f"note: {remark}")
     terminal.say(f"next experiment: {found['next_experiment']['advice']}")
+    if args.output is not None:
+        terminal.say(f"diagnosis: {args.output}")
+        if found["named"]:
+            terminal.say(
+                f"next: {PROGRAM} add {found['named'][0]} --model {args.model} --from {args.output} -o model_2.yaml"
+            )
     return 0
 
 
@@ -119,29 +127,31 @@ def _show_joints(found: dict[str, Any], terminal: Terminal) -> None:
 def _show_effects(found: dict[str, Any], terminal: Terminal) -> None:
     from rich.table import Table
 
+    from impact_rs_analysis.diagnosis.document import EstimateDocument
+
     table = Table(title="Effects (held-out error without and with it, beside the chosen ones)")
     table.add_column("effect")
     table.add_column("verdict", overflow="fold")
     table.add_column("error [N m]", justify="right", no_wrap=True)
     table.add_column("p", justify="right")
-    table.add_column("estimate and 95 % interval", overflow="fold")
-    unmeasured = []
+    unmeasured, estimates = [], []
     for effect in found["effects"]:
         if effect["p_value"] is None:
             unmeasured.append(effect["name"])
             continue
-        verdicts = {entry["joint"]: entry["verdict"] for entry in effect["joints"]}
-        lines = []
-        for name, value in effect["parameters"].items():
-            interval = "" if value["ci95"] is None else f" [{number(value['ci95'][0])}, {number(value['ci95'][1])}]"
-            verdict = next((f" {text}" for joint, text in verdicts.items() if name.endswith(joint)), "")
-            lines.append(f"{name} {number(value['estimate'])}{interval} {value['unit']}{verdict}")
         table.add_row(
             effect["name"],
             effect["verdict"] + (f" ({effect['reason']})" if effect["reason"] else ""),
             f"{effect['held_out_error_before']:.3f} → {effect['held_out_error_after']:.3f}",
             f"{effect['p_value']:.1g}",
-            "\n".join(lines if effect["verdict"] != "NO-IMPROVEMENT" or len(lines) <= 4 else ()),
         )
-    terminal.say(table)
+        if effect["name"] not in found["named"]:
+            continue
+        verdicts = {entry["joint"]: entry["verdict"] for entry in effect["joints"]}
+        rows = []
+        for name, value in effect["parameters"].items():
+            verdict = next((text for joint, text in verdicts.items() if name.endswith(joint)), "")
+            rows.append((name, EstimateDocument(**value), verdict))
+        estimates.append(estimates_table(effect["name"], rows))
+    terminal.say(table, *estimates)
     terminal.say(f"not measured in a free motion: {', '.join(unmeasured)}")
