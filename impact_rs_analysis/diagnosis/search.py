@@ -207,7 +207,7 @@ class Search:
         Args:
             candidate: Where to start.
             evidence: What to explain; None: that of the model.
-            give_up: After two steps a fit whose error is larger than this ends.
+            give_up: After its first step a fit whose error is larger than this ends.
         """
         evidence = self.evidence if evidence is None else evidence
         best = fit(candidate, evidence)
@@ -215,7 +215,7 @@ class Search:
         best_error = _error(best, nothing)
         point, fraction = best.estimate, 1.0
         for number in range(FIT_STEPS):
-            if number >= 2 and best_error > give_up:
+            if number >= 1 and best_error > give_up:
                 break
             step = fraction * (point - candidate.point)
             if np.max(np.abs(step / candidate.scale)) < 1e-6:

@@ -22,7 +22,10 @@ __all__ = [
 
 
 def compare_recording(
-    path: str | Path, mapping: str | Path | Mapping = "joint_state", model: Model | None = None
+    path: str | Path,
+    mapping: str | Path | Mapping = "joint_state",
+    model: Model | None = None,
+    report: Path | None = None,
 ) -> dict[str, Any]:
     """Compare the model with recordings of a free motion.
 
@@ -30,6 +33,7 @@ def compare_recording(
         path: A bag, a CSV or NPZ file, or a folder of them.
         mapping: Mapping, its name, or path of its file.
         model: What is believed beyond the rigid model; None: nothing.
+        report: Folder for an HTML report; None: none is written.
 
     Returns:
         ``score``, ``score_is``, ``noise_floor``, ``levels``, ``where`` as for a campaign; ``recording``: what was read.
@@ -40,7 +44,13 @@ def compare_recording(
     from impact_rs_analysis.imports.diagnose import Setup, compare
 
     spec = mapping if isinstance(mapping, Mapping) else load_mapping(mapping)
-    return compare(Setup.make(read_recordings(Path(path), spec), spec, model))
+    setup = Setup.make(read_recordings(Path(path), spec), spec, model)
+    found = compare(setup)
+    if report is not None:
+        from impact_rs_analysis.report.recording import write_recording_comparison
+
+        write_recording_comparison(found, setup, report)
+    return found
 
 
 def diagnose_recording(
@@ -48,6 +58,7 @@ def diagnose_recording(
     mapping: str | Path | Mapping = "joint_state",
     model: Model | None = None,
     only: list[str] | None = None,
+    report: Path | None = None,
 ) -> dict[str, Any]:
     """Find out which effects a model lacks in recordings of a free motion.
 
@@ -56,6 +67,7 @@ def diagnose_recording(
         mapping: Mapping, its name, or path of its file.
         model: What is believed beyond the rigid model; None: nothing.
         only: Names of the effects to consider; None: all.
+        report: Folder for an HTML report; None: none is written.
 
     Returns:
         ``verdict``, ``effects``, ``confusable``, ``unexplained``, ``next_experiment`` as for a campaign; errors in N m.
@@ -66,4 +78,10 @@ def diagnose_recording(
     from impact_rs_analysis.imports.diagnose import Setup, diagnose
 
     spec = mapping if isinstance(mapping, Mapping) else load_mapping(mapping)
-    return diagnose(Setup.make(read_recordings(Path(path), spec), spec, model), model, only)
+    setup = Setup.make(read_recordings(Path(path), spec), spec, model)
+    found, rest = diagnose(setup, model, only)
+    if report is not None:
+        from impact_rs_analysis.report.recording import write_recording_diagnosis
+
+        write_recording_diagnosis(found, setup, rest, report)
+    return found

@@ -285,8 +285,12 @@ def _log_tie(mine: Array, other: Array) -> bool:
     return float(ratio.mean()) < max(TIE, min(2.0 * spread, 0.25))
 
 
-def diagnose(setup: Setup, model: Model | None = None, only: list[str] | None = None) -> dict[str, Any]:
-    """Which effects are missing, joint by joint where an effect has one parameter per joint."""
+def diagnose(setup: Setup, model: Model | None = None, only: list[str] | None = None) -> tuple[dict[str, Any], Array]:
+    """Which effects are missing, joint by joint where an effect has one parameter per joint.
+
+    Returns:
+        The diagnosis, and what the named effects leave of the torque, ``(k, n)`` [N m].
+    """
     believed = model or Model(name="nominal")
     search = Diagnosis(setup, model, only)
     regression = search.regression
@@ -336,7 +340,7 @@ def diagnose(setup: Setup, model: Model | None = None, only: list[str] | None = 
     verdict = "+".join(search.chosen)
     if not verdict:
         verdict = "NONE-EXPLAINS" if before > 2.0 * noise else "NOTHING-MISSING"
-    return {
+    document = {
         "kind": "recording",
         "verdict": verdict,
         "effects": reports,
@@ -358,6 +362,7 @@ def diagnose(setup: Setup, model: Model | None = None, only: list[str] | None = 
         "model": {"name": believed.name, "digest": believed.digest},
         "formulas": [spec.model_dump(mode="json") for spec in believed.formulas],
     }
+    return document, regression.residual(full)
 
 
 def _joints(search: Diagnosis, full: tuple[int, ...]) -> list[dict[str, Any]]:

@@ -3,82 +3,23 @@
 from __future__ import annotations
 
 import html
-import json
 import math
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from plotly.offline import get_plotlyjs
 
 from impact_rs_analysis.comparison.aligned import AlignedTrial, Track
 from impact_rs_analysis.comparison.compare import SCORE_IS, Comparison
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument
 from impact_rs_analysis.history import VersionError
 from impact_rs_analysis.report.figures import BLUE, RED
-from impact_rs_analysis.report.html import STYLE
+from impact_rs_analysis.report.page import MOST_POINTS, Page, number, p_text, short
 from impact_rs_analysis.report.words import verdict_in_words
-from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 
-MORE_STYLE = """
-.answer { font-size: 1.15rem; border-left: 4px solid #0072B2; padding: .4rem .8rem; background: #f3f8fc; }
-.answer b { overflow-wrap: anywhere; }
-.tag { white-space: nowrap; border-radius: .6rem; padding: .1rem .5rem; font-size: .85em; background: #eee; }
-.tag.good { background: #d9f0e6; } .tag.maybe { background: #fdf0d0; } .tag.no { background: #eee; color: #555; }
-select { font: inherit; padding: .35rem; max-width: 100%; margin: .2rem .6rem .2rem 0; }
-td.text { white-space: normal; text-align: left; min-width: 9rem; } th.text { text-align: left; }
-td.values { text-align: left; font-size: .9em; }
-"""
-PLOTLY = {"responsive": True, "displaylogo": False, "modeBarButtonsToRemove": ["select2d", "lasso2d", "autoScale2d"]}
 PHASES = {"free": "Free motion", "impact": "Impact (first 80 ms)", "push": "Push"}
-MOST_POINTS = 500
-SCRIPT = """
-var CONFIG = %(config)s;
-function read(id) { return JSON.parse(document.getElementById(id).textContent); }
-document.querySelectorAll('.plot[data-figure]').forEach(function (plot) {
-  var figure = read(plot.dataset.figure);
-  Plotly.newPlot(plot, figure.data, figure.layout, {responsive: true, displayModeBar: false});
-});
-(function () {
-  var trial = document.getElementById('trial'), signal = document.getElementById('signal');
-  if (!trial) return;
-  var data = read('tracks'), plot = document.getElementById('tracks-plot'), last = null;
-  function fill() {
-    var names = data[trial.value].signals;
-    last = signal.value || last;
-    signal.innerHTML = '';
-    names.forEach(function (entry, number) {
-      var option = document.createElement('option');
-      option.value = number; option.textContent = entry.name; signal.appendChild(option);
-    });
-    if (last !== null && last < names.length) signal.value = last;
-  }
-  function draw() {
-    var set = data[trial.value], entry = set.signals[signal.value], t = set.time;
-    var rest = entry.measured.map(function (value, i) { return value - entry.predicted[i]; });
-    var lines = (set.impact === null ? [] : [{type: 'line', x0: set.impact, x1: set.impact, y0: 0, y1: 1, xref: 'x',
-      yref: 'paper', line: {color: '#999', width: 1, dash: 'dot'}}]);
-    Plotly.react(plot, [
-      {x: t, y: entry.measured, name: 'measured', mode: 'lines', line: {color: '#000', width: 2}},
-      {x: t, y: entry.predicted, name: 'model', mode: 'lines', line: {color: '%(blue)s', width: 2, dash: 'dash'}},
-      {x: t, y: rest, name: 'measured \\u2212 model', mode: 'lines', line: {color: '%(red)s', width: 2}, yaxis: 'y2'}
-    ], {template: 'plotly_white', height: 460, margin: {l: 10, r: 10, t: 20, b: 10}, shapes: lines,
-      xaxis: {title: {text: 'time [s]', standoff: 6}, anchor: 'y2', automargin: true, gridcolor: '#e6e6e6',
-              zeroline: false},
-      yaxis: {domain: [0.4, 1], automargin: true, gridcolor: '#e6e6e6', zerolinecolor: '#999',
-              title: {text: entry.unit, standoff: 6}},
-      yaxis2: {domain: [0, 0.34], automargin: true, gridcolor: '#e6e6e6', zerolinecolor: '#999',
-               title: {text: 'residual', standoff: 6}},
-      legend: {orientation: 'h', y: -0.2, yanchor: 'top', x: 0}}, CONFIG);
-  }
-  trial.addEventListener('change', function () { fill(); draw(); });
-  signal.addEventListener('change', draw);
-  fill(); draw();
-})();
-"""
 
 
 def write_comparison(
@@ -95,10 +36,10 @@ def write_comparison(
     Raises:
         InputError: It cannot be written.
     """
-    page = _Page(f"Model '{comparison.model}' against measurement")
+    page = Page(f"Model '{comparison.model}' against measurement")
     page.add(f'<p class="answer">{html.escape(_comparison_in_words(comparison))}</p>')
     page.add(f'<p class="note">The score is the {html.escape(SCORE_IS)}.</p>')
-    _remarks(page, comparison.remarks)
+    page.remarks(comparison.remarks)
     _levels(page, comparison)
     _where(page, comparison)
     _tracks(page, aligned)
@@ -120,16 +61,16 @@ def write_diagnosis(
     Raises:
         InputError: It cannot be written.
     """
-    page = _Page(f"What model '{document.model.name}' lacks")
+    page = Page(f"What model '{document.model.name}' lacks")
     page.add(
         f'<p class="answer"><b>{html.escape(document.verdict)}</b><br>{html.escape(verdict_in_words(document))}</p>'
     )
     page.add(
         f'<p class="note">{document.runs.trials} trials in {len(document.runs.conditions)} conditions. Errors are in '
         "multiples of what repeating a trial explains. Whether repetition alone explains the rest: "
-        f"p {_p(document.lack_of_fit['before'])} before, p {_p(document.lack_of_fit['after'])} after.</p>"
+        f"p {p_text(document.lack_of_fit['before'])} before, p {p_text(document.lack_of_fit['after'])} after.</p>"
     )
-    _remarks(page, document.remarks)
+    page.remarks(document.remarks)
     _effects(page, document)
     _confusability(page, document)
     _identifiability(page, document)
@@ -149,61 +90,9 @@ def write_history(versions: Sequence[VersionError], directory: Path) -> Path:
     Raises:
         InputError: It cannot be written.
     """
-    page = _Page("How the error fell")
+    page = Page("How the error fell")
     _history(page, versions)
     return page.write(directory, "history", {"history": [entry.to_json() for entry in versions]})
-
-
-class _Page:
-    """An HTML page in the making."""
-
-    def __init__(self, title: str) -> None:
-        self._title = title
-        self._body: list[str] = []
-        self._data: list[str] = []
-
-    def add(self, text: str) -> None:
-        self._body.append(text)
-
-    def data(self, name: str, content: Any) -> None:
-        text = json.dumps(content, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
-        self._data.append(f'<script type="application/json" id="{name}">{text}</script>')
-
-    def figure(self, name: str, data: list[dict[str, Any]], layout: dict[str, Any]) -> None:
-        base: dict[str, Any] = {"template": "plotly_white", "margin": {"l": 10, "r": 10, "t": 26, "b": 10}}
-        self.data(name, {"data": data, "layout": base | layout})
-        self.add(f'<div class="plot" data-figure="{name}"></div>')
-
-    def write(self, directory: Path, name: str, document: dict[str, Any]) -> Path:
-        script = SCRIPT % {"config": json.dumps(PLOTLY), "blue": BLUE, "red": RED}
-        text = f"""<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>impact_rs: {html.escape(self._title)}</title><style>{STYLE}{MORE_STYLE}</style></head><body>
-<h1>{html.escape(self._title)}</h1>
-{"".join(self._body)}
-{"".join(self._data)}
-<script>{get_plotlyjs()}</script><script>{script}</script>
-</body></html>
-"""
-        path = directory / f"{name}.html"
-        files = {path: text, directory / f"{name}.json": json.dumps(document, indent=2, allow_nan=False) + "\n"}
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-            for file, content in files.items():
-                temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
-                temporary.write_text(content, encoding="utf-8")
-                temporary.replace(file)
-        except OSError as error:
-            raise InputError(f"cannot be written: {error.strerror}", file=directory) from None
-        return path
-
-
-def _number(value: float | None, digits: int = 3) -> str:
-    return "–" if value is None else f"{value:.{digits}g}".replace("-", "−")
-
-
-def _p(value: float) -> str:
-    return "&lt; 10⁻⁶" if value < 1e-6 else f"= {value:.2g}"
 
 
 def _comparison_in_words(comparison: Comparison) -> str:
@@ -224,19 +113,14 @@ def _place(thing: str, case: str) -> str:
     return case if thing == "none" else f"{thing}, {case}"
 
 
-def _remarks(page: _Page, remarks: Sequence[str]) -> None:
-    if remarks:
-        page.add("<ul>" + "".join(f"<li>{html.escape(remark)}</li>" for remark in remarks) + "</ul>")
-
-
-def _skipped(page: _Page, comparison: Comparison) -> None:
+def _skipped(page: Page, comparison: Comparison) -> None:
     skipped = comparison.to_json()["skipped"]
     if skipped:
         rows = "".join(f"<li><code>{html.escape(s['name'])}</code>: {html.escape(s['reason'])}</li>" for s in skipped)
         page.add(f"<details><summary>Bags left out <span>({len(skipped)})</span></summary><ul>{rows}</ul></details>")
 
 
-def _levels(page: _Page, comparison: Comparison) -> None:
+def _levels(page: Page, comparison: Comparison) -> None:
     levels = comparison.to_json()["levels"]
     titles = {"jump": "Velocity jump", "free_motion": "Free motion", "trial": "Whole trial"}
     page.add("<h2>Three levels</h2>")
@@ -246,7 +130,7 @@ def _levels(page: _Page, comparison: Comparison) -> None:
             continue
         page.add(
             f"<details{' open' if name == 'trial' else ''}><summary>{titles[name]} <span>— "
-            f"{_number(level['times_noise'])} times what repetition explains</span></summary>"
+            f"{number(level['times_noise'])} times what repetition explains</span></summary>"
             f'<p class="note">{html.escape(level["what"]).capitalize()}.</p><div class="wide"><table>'
         )
         if name == "jump":
@@ -255,24 +139,24 @@ def _levels(page: _Page, comparison: Comparison) -> None:
             )
             for row in rows:
                 label = f"{_place(row['object'], row['case'])}: {row['signal']} {row['index']}"
-                numbers = "".join(f"<td>{_number(row[key])}</td>" for key in ("measured", "predicted", "error"))
+                numbers = "".join(f"<td>{number(row[key])}</td>" for key in ("measured", "predicted", "error"))
                 page.add(
                     f"<tr><td>{html.escape(label)}</td>{numbers}<td>{html.escape(row['unit'])}</td>"
-                    f"<td>{_number(row['times_noise'])}</td></tr>"
+                    f"<td>{number(row['times_noise'])}</td></tr>"
                 )
         else:
             page.add("<tr><th></th><th>difference (rms)</th><th>repetition alone</th><th></th><th>× noise</th></tr>")
             for row in rows:
                 label = row["signal"] if name == "free_motion" else f"{row['phase']}: {row['signal']}"
                 page.add(
-                    f"<tr><td>{html.escape(label)}</td><td>{_number(row['error'])}</td>"
-                    f"<td>{_number(row['noise_floor'])}</td><td>{html.escape(row['unit'])}</td>"
-                    f"<td>{_number(row['times_noise'])}</td></tr>"
+                    f"<tr><td>{html.escape(label)}</td><td>{number(row['error'])}</td>"
+                    f"<td>{number(row['noise_floor'])}</td><td>{html.escape(row['unit'])}</td>"
+                    f"<td>{number(row['times_noise'])}</td></tr>"
                 )
         page.add("</table></div></details>")
 
 
-def _where(page: _Page, comparison: Comparison) -> None:
+def _where(page: Page, comparison: Comparison) -> None:
     """A heat map per phase: signal and joint or axis over object and case, signed."""
     page.add(
         "<h2>Where it fails</h2><p class=note>Difference in multiples of what repetition explains; the sign is that of "
@@ -336,7 +220,7 @@ def _where(page: _Page, comparison: Comparison) -> None:
         page.add("<p>Nowhere by more than twice what repetition explains.</p>")
 
 
-def _tracks(page: _Page, aligned: Sequence[AlignedTrial]) -> None:
+def _tracks(page: Page, aligned: Sequence[AlignedTrial]) -> None:
     """Measured against predicted over time, selectable."""
     if not aligned:
         return
@@ -351,26 +235,21 @@ def _tracks(page: _Page, aligned: Sequence[AlignedTrial]) -> None:
                 "impact": impact if trial.condition.plan.expects_impact else None,
                 "time": [round(float(value), 4) for value in trial.time[::step]],
                 "signals": [
-                    {"name": name, "unit": unit, "measured": _short(a[::step]), "predicted": _short(b[::step])}
+                    {"name": name, "unit": unit, "measured": short(a[::step]), "predicted": short(b[::step])}
                     for name, unit, a, b in signals
                 ],
             }
         )
-    options = "".join(
-        f'<option value="{number}">{html.escape(_place(trial.condition.object, trial.condition.case))}'
-        f"{'' if trial.condition.scale == 1.0 else f' ({trial.condition.scale:g} v)'}</option>"
-        for number, trial in enumerate(aligned)
+    labels = [
+        _place(trial.condition.object, trial.condition.case)
+        + ("" if trial.condition.scale == 1.0 else f" ({trial.condition.scale:g} v)")
+        for trial in aligned
+    ]
+    page.tracks(
+        "The first trial of every condition; the model's twin starts where the trial started. Dotted: nominal impact.",
+        labels,
+        sets,
     )
-    page.data("tracks", sets)
-    page.add(
-        "<h2>Measured and predicted over time</h2><p class=note>The first trial of every condition; the model's twin "
-        f'starts where the trial started. Dotted: nominal impact.</p><select id="trial" aria-label="condition">'
-        f'{options}</select><select id="signal" aria-label="signal"></select><div class="plot" id="tracks-plot"></div>'
-    )
-
-
-def _short(values: Array) -> list[float]:
-    return [float(f"{value:.5g}") for value in values]
 
 
 def _signals(trial: AlignedTrial) -> list[tuple[str, str, Array, Array]]:
@@ -402,7 +281,7 @@ def _arm(track: Track, name: str) -> Any:
     return track.arms[name]
 
 
-def _effects(page: _Page, document: DiagnosisDocument) -> None:
+def _effects(page: Page, document: DiagnosisDocument) -> None:
     page.add("<h2>Effects, best first</h2>")
     ranked = list(document.effects)
     bars = ranked[:12]
@@ -445,7 +324,7 @@ def _effects(page: _Page, document: DiagnosisDocument) -> None:
     for effect in ranked:
         shown = effect.verdict not in ("NO-IMPROVEMENT", "NOT-IDENTIFIABLE")
         values = "<br>".join(
-            f"{html.escape(name)} {_number(p.estimate)} [{_number(p.interval[0])}, {_number(p.interval[1])}] "
+            f"{html.escape(name)} {number(p.estimate)} [{number(p.interval[0])}, {number(p.interval[1])}] "
             f"{html.escape(p.unit if p.unit != '-' else '')}"
             for name, p in effect.parameters.items()
             if shown
@@ -454,8 +333,8 @@ def _effects(page: _Page, document: DiagnosisDocument) -> None:
             f'<tr title="{html.escape(effect.sentence)}"><td>{html.escape(effect.name)}</td>'
             f'<td class=text><span class="tag {_tag(effect)}" style="white-space:normal">'
             f"{html.escape(effect.verdict)}</span></td>"
-            f"<td>{_number(effect.held_out_error_before)} → {_number(effect.held_out_error_after)}</td>"
-            f"<td>{_p(effect.p_value).removeprefix('= ')}</td><td class=values>{values}</td></tr>"
+            f"<td>{number(effect.held_out_error_before)} → {number(effect.held_out_error_after)}</td>"
+            f"<td>{p_text(effect.p_value).removeprefix('= ')}</td><td class=values>{values}</td></tr>"
         )
     page.add("</table></div>")
 
@@ -489,7 +368,7 @@ def _colour(effect: EffectDocument) -> str:
     return {"good": "#009E73", "maybe": "#E69F00", "no": "#BBBBBB"}[_tag(effect)]
 
 
-def _confusability(page: _Page, document: DiagnosisDocument) -> None:
+def _confusability(page: Page, document: DiagnosisDocument) -> None:
     page.add("<h2>What cannot be told apart</h2>")
     if not document.confusable:
         page.add("<p>Nothing: no other effect predicts unseen conditions as well.</p>")
@@ -498,32 +377,32 @@ def _confusability(page: _Page, document: DiagnosisDocument) -> None:
     page.add(f"<ul>{rows}</ul>")
 
 
-def _identifiability(page: _Page, document: DiagnosisDocument) -> None:
+def _identifiability(page: Page, document: DiagnosisDocument) -> None:
     facts = document.identifiability
     if not facts:
         return
     page.add(
         "<h2>How well it is determined</h2><p>Condition number of the fit: "
-        f"{_number(facts.get('condition_number'))} (largest over smallest sensitivity of the chosen parameters; below "
+        f"{number(facts.get('condition_number'))} (largest over smallest sensitivity of the chosen parameters; below "
         "about 100 each is determined on its own).</p>"
     )
     pairs = facts.get("correlated") or []
     if pairs:
         rows = "".join(
             f"<li>{html.escape(pair['first'])} and {html.escape(pair['second'])}: correlation "
-            f"{_number(pair['correlation'], 2)}</li>"
+            f"{number(pair['correlation'], 2)}</li>"
             for pair in pairs
         )
         page.add(f"<p>Estimates that move together:</p><ul>{rows}</ul>")
 
 
-def _next_experiment(page: _Page, document: DiagnosisDocument) -> None:
+def _next_experiment(page: Page, document: DiagnosisDocument) -> None:
     if document.next_experiment:
         advice = str(document.next_experiment.get("advice", ""))
         page.add(f"<h2>Next experiment</h2><p>{html.escape(advice[:1].upper() + advice[1:])}.</p>")
 
 
-def _unexplained(page: _Page, document: DiagnosisDocument) -> None:
+def _unexplained(page: Page, document: DiagnosisDocument) -> None:
     rows = document.unexplained.get("where") or []
     if not rows or document.lack_of_fit["after"] > 0.01:
         return
@@ -535,12 +414,12 @@ def _unexplained(page: _Page, document: DiagnosisDocument) -> None:
         label = f"{row['phase']}: {row['signal']} {row['index']}"
         page.add(
             f"<tr><td>{html.escape(label)}</td><td>{100.0 * row['share']:.0f}&nbsp;%</td>"
-            f"<td>{_number(row['times_noise'])}</td></tr>"
+            f"<td>{number(row['times_noise'])}</td></tr>"
         )
     page.add("</table></div>")
 
 
-def _history(page: _Page, versions: Sequence[VersionError]) -> None:
+def _history(page: Page, versions: Sequence[VersionError]) -> None:
     page.add("<h2>History of the model</h2>")
     names = [entry.version.model.name for entry in versions]
     floor = [entry.noise_floor for entry in versions]
@@ -573,8 +452,8 @@ def _history(page: _Page, versions: Sequence[VersionError]) -> None:
     for entry in versions:
         page.add(
             f"<tr><td>{html.escape(entry.version.model.name)}</td>"
-            f"<td>{html.escape(entry.version.effect_added or '–')}</td><td>{_number(entry.error_fit)}</td>"
-            f"<td>{_number(entry.error_held_out)}</td></tr>"
+            f"<td>{html.escape(entry.version.effect_added or '–')}</td><td>{number(entry.error_fit)}</td>"
+            f"<td>{number(entry.error_held_out)}</td></tr>"
         )
     page.add(
         "</table></div><p class=note>Held out: in every condition, with the parameters of the added effect fitted to "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +38,9 @@ def run_compare(args: argparse.Namespace, mapping: str, terminal: Terminal) -> i
     from impact_rs_analysis.imports import compare_recording
     from impact_rs_sim.model import load_model
 
-    _refuse(args, ("output", "-o"), ("mcap", "--mcap"))
-    found = compare_recording(args.runs, mapping, load_model(args.model))
+    _refuse(args, ("mcap", "--mcap"))
+    with _report_folder(args.output):
+        found = compare_recording(args.runs, mapping, load_model(args.model), args.output)
     terminal.result(found)
     _header(found["recording"], terminal)
     terminal.say(f"score {number(found['score'])}: {found['score_is']}; noise floor {number(found['noise_floor'])} N m")
@@ -53,6 +55,8 @@ def run_compare(args: argparse.Namespace, mapping: str, terminal: Terminal) -> i
     for cell in found["where"][:4]:
         terminal.say(f"  {100 * cell['share']:.0f} %: {cell['index']} {cell['phase']}, mean {cell['error']:+.2f} N m")
     terminal.say(f"not measured: {', '.join(found['not_measured'])}")
+    if args.output is not None:
+        terminal.say(f"report: {(args.output / 'compare.html').resolve()}")
     return 0
 
 
@@ -63,13 +67,13 @@ def run_diagnose(args: argparse.Namespace, mapping: str, terminal: Terminal) -> 
     from impact_rs_sim.errors import InputError
     from impact_rs_sim.model import load_model
 
-    _refuse(args, ("report", "--report"))
     if args.output is not None and args.output.is_dir():
         raise InputError("this is a folder; name a file, for example diagnosis.json", file=args.output)
     believed = load_model(args.model)
     model = with_formulas(believed, args.formulas)
     check_effects(model, args.effects)
-    found = diagnose_recording(args.runs, mapping, model, args.effects)
+    with _report_folder(args.report):
+        found = diagnose_recording(args.runs, mapping, model, args.effects, args.report)
     found["model"] = {"name": believed.name, "digest": believed.digest}
     terminal.result(found)
     if args.output is not None:
@@ -87,6 +91,8 @@ def run_diagnose(args: argparse.Namespace, mapping: str, terminal: Terminal) -> 
     for remark in found["remarks"]:
         terminal.say(f"note: {remark}")
     terminal.say(f"next experiment: {found['next_experiment']['advice']}")
+    if args.report is not None:
+        terminal.say(f"report: {(args.report / 'diagnosis.html').resolve()}")
     if args.output is not None:
         terminal.say(f"diagnosis: {args.output}")
         if found["named"]:
@@ -94,6 +100,10 @@ def run_diagnose(args: argparse.Namespace, mapping: str, terminal: Terminal) -> 
                 f"next: {PROGRAM} add {found['named'][0]} --model {args.model} --from {args.output} -o model_2.yaml"
             )
     return 0
+
+
+def _report_folder(path: Path | None) -> AbstractContextManager[Path | None]:
+    return nullcontext() if path is None else output_folder(path)
 
 
 def _refuse(args: argparse.Namespace, *options: tuple[str, str]) -> None:

@@ -99,6 +99,27 @@ def test_planted_friction_and_offset_are_found_joint_by_joint(planted: Columns, 
     json.dumps(found, allow_nan=False)
 
 
+def test_a_diagnosed_recording_makes_a_better_model(
+    planted: Columns, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording, diagnosis, model = (str(tmp_path / name) for name in ("planted.npz", "d.json", "model_2.yaml"))
+    write_npz(Path(recording), planted)
+    report = tmp_path / "report"
+    assert main(["diagnose", recording, "-o", diagnosis, "--report", str(report)]) == 0
+    page = (report / "diagnosis.html").read_text()
+    assert "joint_coulomb_friction" in page and "torque of joint 7" in page
+    assert main(["add", "joint_coulomb_friction", "--from", diagnosis, "-o", model]) == 0
+    capsys.readouterr()
+    scores = []
+    for arguments in ([], ["--model", model]):
+        assert main(["compare", recording, "--json", "-o", str(report), *arguments]) == 0
+        scores.append(json.loads(capsys.readouterr().out)["score"])
+    offsets = float(np.sqrt(np.mean(np.square(TRUE_OFFSET))))
+    assert scores[0] > 1.3 * offsets and scores[1] == pytest.approx(offsets, rel=0.1)
+    assert main(["add", "torque_offset", "--model", model, "--from", diagnosis, "-o", str(tmp_path / "m3.yaml")]) == 2
+    assert "not of 'model_2'" in capsys.readouterr().err
+
+
 def test_planted_payload_is_found(tmp_path: Path) -> None:
     found = diagnose_recording(write_npz(tmp_path / "loaded.npz", synthetic(TRUE_COULOMB, payload=TRUE_PAYLOAD)))
     assert "end_effector_payload" in found["named"]
