@@ -128,7 +128,6 @@ def history(
     """
     found: list[VersionError] = []
     store = RolloutStore(map_tasks, progress)
-    parent: tuple[Model, list[ConditionEvidence]] | None = None
     for version in versions(path):
         done = next((entry for entry in known if entry.digest == version.model.digest and entry.runs is runs), None)
         if done is not None:
@@ -137,33 +136,25 @@ def history(
             evidence, _ = scaled_evidence(runs, residuals_with_progress(runs, version.model, map_tasks, progress))
         error = score_of(evidence)
         held_out: float | None = error
-        if version.effect_added is not None and parent is not None:
-            held_out = _held_out(version, *parent, store)
+        if version.effect_added is not None:
+            held_out = _held_out(version, evidence, store)
         found.append(VersionError(version, error, held_out, noise_floor_of(evidence)))
-        parent = (version.model, evidence)
     return found
 
 
-def _held_out(version: Version, parent: Model, evidence: list[ConditionEvidence], store: RolloutStore) -> float | None:
+def _held_out(version: Version, evidence: list[ConditionEvidence], store: RolloutStore) -> float | None:
     """Leave one condition out: the added effects fitted to all others, about the estimate in the model file."""
     if len(evidence) < 2 or version.effect_added is None:
         return None
     names = version.effect_added.split("+")
-    # A new estimate of an effect that the parent has replaces it: the effect is taken out before it is fitted.
-    bare = parent.model_copy(
-        update={
-            "effects": tuple(item for item in parent.effects if item.name not in names),
-            "formulas": version.model.formulas,
-        }
-    )
-    known = version.model.known_effects
-    effects = tuple(known[name] for name in names)
-    values = {item.name: item.parameters for item in version.model.effects}
-    point = np.array([values[effect.name][s.name].estimate for effect in effects for s in effect.scalars(JOINT_COUNT)])
-    if bare.effects != parent.effects:
-        return None
-    candidate = linearise(effects, bare, evidence, store, point, "leaving one condition out")
+    model = version.model
+    bare = model.model_copy(update={"effects": tuple(item for item in model.effects if item.name not in names)})
+    effects = tuple(model.known_effects[name] for name in names)
+    values = {item.name: item.parameters for item in model.effects}
+    vectors = [tuple(values[effect.name][s.name].estimate for s in effect.scalars(JOINT_COUNT)) for effect in effects]
+    added = tuple(zip(names, vectors, strict=True))
+    point = np.concatenate(vectors)
+    candidate = linearise(effects, bare, evidence, store, point, "leaving one condition out", added)
     if candidate is None:
         return None
-    errors = NormalEquations(candidate, evidence).held_out()
-    return math.sqrt(float(np.mean(errors)))
+    return math.sqrt(float(np.mean(NormalEquations(candidate, evidence).held_out())))

@@ -22,6 +22,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import Scene
 
 REFERENCE_ENGINE = "pinocchio"
+LARGEST_SCALE = 3.0  # a reference far beyond the prediction is no test of it, and soon beyond the arm
 
 
 @dataclass(frozen=True)
@@ -111,8 +112,8 @@ def plan_trial(
     Raises:
         InputError: A scale or motor-inertia model that is none, or a start of the motion that cannot be reached.
     """
-    if not (np.isfinite(velocity_scale) and velocity_scale > 0.0):
-        raise InputError(f"velocity scale = {velocity_scale!r}: expected a number > 0 [-]")
+    if not 0.0 < velocity_scale <= LARGEST_SCALE:
+        raise InputError(f"velocity scale = {velocity_scale!r}: expected a number > 0 and <= {LARGEST_SCALE:g} [-]")
     if motor_inertia not in MOTOR_INERTIA_MODELS:
         raise InputError(f"no motor-inertia model {motor_inertia!r}; known: {', '.join(MOTOR_INERTIA_MODELS)}")
     if scene.scenario.excursion is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from collections.abc import Sequence
@@ -42,13 +43,22 @@ Predict, measure and explain simultaneous robot impacts.
 
 def parser() -> Parser:
     """The argument parser with all subcommands."""
-    import argparse
-
     main_parser = Parser(prog="impact-rs", description=TEXT, formatter_class=argparse.RawDescriptionHelpFormatter)
+    main_parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     subparsers = main_parser.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=Parser)
     for command in COMMANDS:
         command.add(subparsers)
     return main_parser
+
+
+class _Version(argparse.Action):
+    """``--version``, looked up only when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from impact_rs_analysis.bags.trial_info import package_version
+
+        print(f"impact-rs {package_version() or 'from a source tree'}")
+        parser.exit()
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -16,8 +16,8 @@ make draws effect and size from SEED, records pushes and free motions into DIR/r
 only score reads. Kinds: single, pair, null (nothing hidden), outside (something the library does not have).
 
 example:
-  {PROGRAM} blind make 7 -o blind_7 --size small --jobs 2
-  {PROGRAM} diagnose blind_7/runs -o diagnosis.json --jobs 2
+  {PROGRAM} blind make 7 -o blind_7 --size small
+  {PROGRAM} diagnose blind_7/runs -o diagnosis.json
   {PROGRAM} blind score blind_7 --diagnosis diagnosis.json
 
 Units: those of the hidden parameters are in truth.json."""
@@ -56,7 +56,7 @@ def make(args: argparse.Namespace, terminal: Terminal) -> int:
             tell(done, total)
     runs = args.output / blind.RUNS
     terminal.result({"directory": str(args.output), "runs": str(runs), "trials": done, "kind": args.kind})
-    terminal.say(f"{done} trials in {runs}", f"next: {PROGRAM} diagnose {runs} -o diagnosis.json --jobs {args.jobs}")
+    terminal.say(f"{done} trials in {runs}", f"next: {PROGRAM} diagnose {runs} -o diagnosis.json")
     return 0
 
 

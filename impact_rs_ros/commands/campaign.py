@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from impact_rs_ros.commands.loop import add_jobs, job_count
 from impact_rs_ros.commands.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
 
 if TYPE_CHECKING:
@@ -17,10 +18,10 @@ TEXT = """\
 Run every trial of a scenario, or the part of it that you name, and record a bag of each.
 
 A campaign that was interrupted goes on where it stopped when the same command is given again: finished bags stay, a
-half-written one is run again. --jobs runs trials in parallel worker processes; results do not depend on it.
+half-written one is run again. Trials run in parallel worker processes; results do not depend on their number (--jobs).
 
 example:
-  impact-rs campaign push -o campaigns/push --jobs 2
+  impact-rs campaign push -o campaigns/push
   impact-rs campaign push -o campaigns/quick --objects cat_food --cases 2 --scales 0.8 1.0 1.2 --trials 2
   impact-rs analyze campaigns/push
 
@@ -37,7 +38,7 @@ def add(subparsers: Any) -> None:
     parser.add_argument("--scales", nargs="+", type=float, metavar="S", help="default: the scenario's [-]")
     parser.add_argument("--trials", type=int, metavar="N", help="repeats of every scale; default: the scenario's")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the campaign; default: 0")
-    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="worker processes; default: 1")
+    add_jobs(parser)
     parser.add_argument(
         "--via",
         choices=("inprocess", "nodes"),
@@ -52,14 +53,14 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     from impact_rs_analysis.campaign import make_manifest, run_campaign
     from impact_rs_sim.errors import InputError
 
-    if args.via == "nodes" and args.jobs != 1:
+    if args.via == "nodes" and args.jobs not in (None, 1):
         raise InputError("--jobs is for --via inprocess: the nodes run one trial at a time")
     manifest = make_manifest(args.scenario, args.objects, args.cases, args.scales, args.trials, args.seed)
     with output_folder(args.output):
         if args.via == "nodes":
             reports = through_nodes(args.output, manifest)
         else:
-            reports = run_campaign(args.output, manifest, args.jobs)
+            reports = run_campaign(args.output, manifest, job_count(args.jobs))
         outcomes, failures = follow(reports, manifest, args.output, terminal)
     done = sum((args.output / key.name).exists() for key in manifest.keys)
     terminal.result(

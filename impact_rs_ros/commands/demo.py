@@ -179,9 +179,9 @@ def _walk_the_loop(output: Path, runs_directory: Path, terminal: Terminal) -> di
         f"Reports: {(reports / 'diagnosis.html').resolve()}",
         f"         {(reports / 'compare.html').resolve()}",
         "Type next:",
-        f"  {PROGRAM} diagnose {folder} -o diagnosis.json --jobs 2",
+        f"  {PROGRAM} diagnose {folder} -o diagnosis.json",
         f"  {PROGRAM} effects",
-        f"  {PROGRAM} blind make 7 -o blind_7 --jobs 2",
+        f"  {PROGRAM} blind make 7 -o blind_7",
         "to search the whole library, to see what is in it, and for an effect that nobody told you.",
     )
     return story | {

@@ -29,7 +29,7 @@ Needs at least three conditions (object x case), some of them repeated; a free m
 tells friction, offset and gain of the torque apart.
 
 example:
-  {PROGRAM} diagnose campaigns/blind/runs --model config/models/nominal.yaml -o diagnosis.json --jobs 2
+  {PROGRAM} diagnose campaigns/blind/runs --model config/models/nominal.yaml -o diagnosis.json
   {PROGRAM} diagnose campaigns/blind/runs -o diagnosis.json --effects torque_offset joint_coulomb_friction
   {PROGRAM} add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
 

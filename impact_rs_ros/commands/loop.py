@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,23 +36,33 @@ def add_model(parser: argparse.ArgumentParser) -> None:
 
 def add_jobs(parser: argparse.ArgumentParser) -> None:
     """The option ``--jobs``."""
-    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="worker processes; default: 1")
+    parser.add_argument("--jobs", type=int, metavar="N", help="worker processes; default: one per core")
 
 
 @contextmanager
-def started(jobs: int) -> Iterator[Map]:
-    """Worker processes.
+def started(jobs: int | None) -> Iterator[Map]:
+    """Worker processes; None: one per core.
 
     Raises:
         InputError: Fewer than one.
     """
     from impact_rs_analysis.workers import workers
+
+    with workers(job_count(jobs)) as map_tasks:
+        yield map_tasks
+
+
+def job_count(jobs: int | None) -> int:
+    """Number of worker processes; None: one per core that we may use.
+
+    Raises:
+        InputError: Fewer than one.
+    """
     from impact_rs_sim.errors import InputError
 
-    if jobs < 1:
+    if jobs is not None and jobs < 1:
         raise InputError(f"jobs = {jobs}: expected at least 1 worker process")
-    with workers(jobs) as map_tasks:
-        yield map_tasks
+    return len(os.sched_getaffinity(0)) if jobs is None else jobs
 
 
 def read(directory: Path, map_tasks: Map, terminal: Terminal) -> Runs:
