@@ -107,7 +107,7 @@ class ArmController:
         self._window = timing.window
         self._armed_from = timing.nominal_impact - control.detection.arm_before
         self._interim_ticks = control.interim_duration / timing.control_period
-        self._detected_tick = 0
+        self._interim_from: int | None = None
         self._position_gain = gains.position
         self._position_rate = 2.0 * math.sqrt(gains.position)
         self._orientation_gains = (gains.orientation, gains.orientation_post)
@@ -130,20 +130,28 @@ class ArmController:
         self._net = np.zeros(3)
         self.detection: ImpactDetection | None = None
 
-    def update(self, tick: int, measured: ArmMeasurement) -> ArmCommand:
-        """One control tick.
+    def watch(self, tick: int, measured: ArmMeasurement) -> ImpactDetection | None:
+        """First half of a control tick: look for the impact of this arm.
 
         Args:
             tick: Number of the tick since the start of the trial.
             measured: Measured state of the arm.
         """
+        self._terms = self._model.terms(measured.position, measured.velocity)
+        self._detected = self._detect(tick * self._period, measured, self._terms)
+        return self._detected
+
+    def begin_interim(self, tick: int) -> None:
+        """Leave the ante mode: some arm has hit; later calls change nothing."""
+        if self._interim_from is None:
+            self._interim_from = tick
+
+    def command(self, tick: int, measured: ArmMeasurement) -> ArmCommand:
+        """Second half of a control tick: decide; arguments as for :meth:`watch`, which comes first."""
         now = tick * self._period
         index = min(tick, self._last_tick)
         q, dq = measured.position, measured.velocity
-        terms = self._model.terms(q, dq)
-        detected = self._detect(now, measured, terms)
-        if detected is not None:
-            self._detected_tick = tick
+        terms, detected = self._terms, self._detected
         mode, gamma = self._mode(tick)
         after = mode is not Mode.ANTE
         plan = self._plan
@@ -208,9 +216,9 @@ class ArmController:
         return self.detection
 
     def _mode(self, tick: int) -> tuple[Mode, float]:
-        if self.detection is None:
+        if self._interim_from is None:
             return Mode.ANTE, 1.0
-        gamma = (tick - self._detected_tick) / self._interim_ticks
+        gamma = (tick - self._interim_from) / self._interim_ticks
         return (Mode.INTERIM, gamma) if gamma < 1.0 - 1e-9 else (Mode.POST, 1.0)
 
 
@@ -235,5 +243,9 @@ class Controller:
         }
 
     def update(self, tick: int, measured: dict[str, ArmMeasurement]) -> dict[str, ArmCommand]:
-        """One control tick of every arm."""
-        return {name: controller.update(tick, measured[name]) for name, controller in self.arms.items()}
+        """One control tick; the first impact of any arm ends the ante mode of all (paper sec. Interim mode)."""
+        detections = [controller.watch(tick, measured[name]) for name, controller in self.arms.items()]
+        if any(detection is not None for detection in detections):
+            for controller in self.arms.values():
+                controller.begin_interim(tick)
+        return {name: controller.command(tick, measured[name]) for name, controller in self.arms.items()}

@@ -10,8 +10,8 @@ import pinocchio as pin
 from impact_rs_control.references import (
     SampledPath,
     ante_impact_path,
+    carry_path,
     post_impact_path,
-    push_path,
     there_and_back_path,
 )
 from impact_rs_sim.errors import InputError
@@ -132,14 +132,14 @@ def _tick_times(scene: Scene) -> Array:
 def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> ArmPlan:
     scenario, model, state = scene.scenario, scene.models[name], scene.arms[name]
     timing, times = scenario.timing, _tick_times(scene)
-    pose = scenario.robots[name].impact.placement
+    pose = scenario.impact_placement(name, scene.object_name)
     normal = np.array(scenario.robots[name].impact.pad_normal)
     velocity = model.jacobian(state.position)[:3] @ state.velocity
     joint_1, joint_1_velocity = state.position[:1], state.velocity[:1]
     ante_position = ante_impact_path(timing, pose.translation, velocity, times)
     ante_posture = ante_impact_path(timing, joint_1, joint_1_velocity, times)
     after = scale * impact.end_effector_twist[name][:3]
-    post_position = push_path(timing, pose.translation, after, normal, times)
+    post_position = carry_path(timing, pose.translation, after, np.eye(3)[scenario.axis_index], times)
     post_posture = post_impact_path(timing, joint_1, scale * impact.joint_velocity[name][:1], times)
     still = np.zeros((times.size, 1))
     return ArmPlan(
@@ -150,7 +150,7 @@ def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> Ar
         orientation=np.broadcast_to(pose.rotation, (times.size, 3, 3)),
         rotation=SampledPath(still, still, still),
         pad_normal=normal,
-        wrench=_push_wrench(scene, name, post_position),
+        wrench=_wrench(scene, name, post_position),
         approach_direction=velocity / np.linalg.norm(velocity),
         initial=_initial(scene, name, pose.rotation, ante_position, ante_posture),
     )
@@ -162,7 +162,7 @@ def _plan_excursion(scene: Scene, name: str) -> ArmPlan:
     excursion, times = scenario.excursion, _tick_times(scene)
     assert excursion is not None
     robot = scenario.cases[scene.case_name].robots[name]
-    pose = scenario.robots[name].impact.placement
+    pose = scenario.impact_placement(name, scene.object_name)
     normal = np.array(scenario.robots[name].impact.pad_normal)
     leg = scenario.excursion_leg(robot)
 
@@ -196,15 +196,20 @@ def _initial(scene: Scene, name: str, rotation: Array, position: SampledPath, po
         raise InputError(f"arm {name!r}, start of the motion: {error}") from None
 
 
-def _push_wrench(scene: Scene, name: str, post: SampledPath) -> Array:
-    """Wrench that keeps the object on the reference: sliding friction plus the object's own acceleration.
+def _wrench(scene: Scene, name: str, post: SampledPath) -> Array:
+    """Wrench of one arm on the object that keeps it on the reference, ``(ticks + 1, 6)`` [N, N m].
 
-    The paper asks the desired wrench to "compensate for the external forces exerted on the end effectors through
-    interaction with the object" (sec. Post-impact mode): along the pad's normal n these are mu m g and m a_d . n.
+    The paper asks the desired wrench to apply a normal contact force and to "compensate for the external forces exerted
+    on the end effectors through interaction with the object" (sec. Post-impact mode). Pushed: along the pad's normal n
+    these are mu m g and m a_d . n. Held: the clamping force along n, and this arm's share of m (a_d - g).
     """
-    physics = scene.physics
-    normal = np.array(scene.scenario.robots[name].impact.pad_normal)
-    weight = physics.object.mass * float(np.linalg.norm(physics.gravity))
-    friction = physics.support_friction * weight if physics.support_height is not None else 0.0
-    force = np.maximum(friction + physics.object.mass * (post.acceleration @ normal), 0.0)
-    return np.hstack((np.outer(force, normal), np.zeros((force.size, 3))))
+    physics, scenario = scene.physics, scene.scenario
+    normal = np.array(scenario.robots[name].impact.pad_normal)
+    mass, gravity = physics.object.mass, np.asarray(physics.gravity)
+    if scenario.control.clamp_force > 0.0:
+        force = scenario.control.clamp_force * normal + mass / len(scene.arms) * (post.acceleration - gravity)
+    else:
+        weight = mass * float(np.linalg.norm(gravity))
+        friction = physics.support_friction * weight if physics.support_height is not None else 0.0
+        force = np.outer(np.maximum(friction + mass * (post.acceleration @ normal), 0.0), normal)
+    return np.hstack((force, np.zeros_like(force)))

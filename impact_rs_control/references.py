@@ -99,25 +99,25 @@ def post_impact_path(timing: Timing, position: Array, velocity: Array, times: Ar
     return _to_rest(timing.nominal_impact, timing.push, position, velocity, times)
 
 
-def push_path(timing: Timing, position: Array, velocity: Array, normal: Array, times: Array) -> SampledPath:
-    """Post-impact path of a pad: pushes on along ``normal``, and soon stops sliding across it.
+def carry_path(timing: Timing, position: Array, velocity: Array, axis: Array, times: Array) -> SampledPath:
+    """Post-impact path of a pad: goes on along ``axis`` with the object, and soon stops moving across it.
 
-    At T_nom the whole predicted velocity is there, as the impact map demands. Sliding along the object's face is no
-    part of the task, and as long as it lasts pad friction loads object and support: it ends after
-    ``timing.slide``.
+    At T_nom the whole predicted velocity is there, as the impact map demands. What is not along the axis of the task,
+    such as sliding along the object's face, is no part of it, and as long as it lasts pad friction loads object and
+    support: it ends after ``timing.slide``.
 
     Args:
         timing: Times of the scenario.
         position: At T_nom, ``(3,)`` [m].
         velocity: At T_nom, just after impact, ``(3,)`` [m/s].
-        normal: Direction of the push, unit vector, ``(3,)``.
+        axis: Direction in which the object is pushed or lifted, unit vector, ``(3,)``.
         times: Where to sample, ``(k,)`` [s].
     """
-    along = normal * (normal @ velocity)
-    push = post_impact_path(timing, position, along, times)
+    along = axis * (axis @ velocity)
+    carry = post_impact_path(timing, position, along, times)
     slide = _to_rest(timing.nominal_impact, timing.slide, np.zeros(3), velocity - along, times)
     return SampledPath(
-        push.position + slide.position, push.velocity + slide.velocity, push.acceleration + slide.acceleration
+        carry.position + slide.position, carry.velocity + slide.velocity, carry.acceleration + slide.acceleration
     )
 
 

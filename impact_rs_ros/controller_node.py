@@ -50,8 +50,10 @@ class ControllerNode(TrialNode):
         self._expects_impact = plan.expects_impact
         self._controller = Controller(plan)
         self._arm_of = {topics.joint_states(arm): arm for arm in plan.arms}
-        self._ticks = dict.fromkeys(plan.arms, -1)
+        self._tick = -1
         self._answers: dict[str, bytes] = {}
+        self._gathered: dict[str, ArmMeasurement] = {}
+        self._gathering = -1
         self._period_ns = round(plan.scene.scenario.timing.control_period * 1e9)
         self._qp = dict.fromkeys(QpStatus, 0)
         self._skipped = 0
@@ -77,26 +79,37 @@ class ControllerNode(TrialNode):
                 self._answer(self._arm_of[topic], joint_signals(data))
 
     def _answer(self, arm: str, signals: JointSignals) -> None:
-        started = time.monotonic()
-        assert self.maker is not None
+        """Take the measured state of one arm; decide for all when the last one of a tick is there."""
         tick = round(signals.stamp / self._period_ns)
-        last = self._ticks[arm]
-        if tick <= last:
-            if tick == last:  # the plant asks again
+        if tick <= self._tick:
+            if tick == self._tick:  # the plant asks again
                 self.outbox.repeat(topics.joint_command(arm), self._answers[arm])
             return
-        self._skipped += tick - last - 1
-        self._ticks[arm] = tick
+        if tick < self._gathering:
+            return
+        if tick > self._gathering:
+            self._gathering, self._gathered = tick, {}
         position, velocity, torque = signals.values
-        measured = ArmMeasurement(position, velocity, torque, position, velocity)  # it does not read the motor's
-        command = self._controller.arms[arm].update(tick, measured)
-        self._answers[arm] = self.outbox.now(topics.joint_command(arm), tick, command)
-        self.outbox.keep(topics.controller_state(arm), tick, command)
-        if command.detection is not None:
-            self.outbox.later(topics.impact_event(arm), self.maker.impact_event(tick, arm, command.detection))
+        # It does not read the motor's state.
+        self._gathered[arm] = ArmMeasurement(position, velocity, torque, position, velocity)
+        if len(self._gathered) == len(self._arm_of):
+            self._decide(tick)
+
+    def _decide(self, tick: int) -> None:
+        started = time.monotonic()
+        assert self.maker is not None
+        self._skipped += tick - self._tick - 1
+        self._tick = tick
+        commands = self._controller.update(tick, self._gathered)
+        for arm, command in commands.items():
+            self._answers[arm] = self.outbox.now(topics.joint_command(arm), tick, command)
+        for arm, command in commands.items():
+            self.outbox.keep(topics.controller_state(arm), tick, command)
+            if command.detection is not None:
+                self.outbox.later(topics.impact_event(arm), self.maker.impact_event(tick, arm, command.detection))
+            self._qp[command.qp_status] += 1
         if self.outbox.due or tick == self._last:
             self.outbox.flush()
-        self._qp[command.qp_status] += 1
         self.now = tick * self._period_ns
         self.tick_times.append(time.monotonic() - started)
 

@@ -214,7 +214,7 @@ class Physics:
                 actuation_delay=drive.actuation_delay,
                 pad_stiffness=pad.stiffness,
                 pad_damping=pad.damping,
-                impact_position=np.array(robot.impact.position),
+                impact_position=scenario.impact_placement(name, object_name).translation,
             )
         return Physics(
             arms=arms,

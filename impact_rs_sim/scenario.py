@@ -273,6 +273,9 @@ class Control(Schema):
 
     gains: Gains = Field(description="task gains")
     interim_duration: Positive = Field(description="Delta t_int, length of the interim mode [s]")
+    clamp_force: NonNegative = Field(
+        0.0, description="force with which every pad presses after the impact [N]; 0: the object is pushed, not held"
+    )
     detection: Detection = Field(description="impact detection")
 
 
@@ -302,6 +305,11 @@ class Scenario(Schema):
     name: str = Field(description="name of the scenario")
     description: str = Field(description="what happens, in a sentence")
     axis: Literal["x", "y", "z"] = Field(description="axis of the measure")
+    object_position: tuple[float, float] | None = Field(
+        None,
+        description="where the middle of the object stands, x and y [m]; the pads touch its faces. "
+        "Absent: the object stands where the only pad is",
+    )
     object_gap: NonNegative = Field(
         0.0, description="distance between pad and object at the nominal impact pose [m]; 0: the pad hits"
     )
@@ -330,6 +338,12 @@ class Scenario(Schema):
         return self
 
     @model_validator(mode="after")
+    def _several_arms_need_an_object_between_them(self) -> Self:
+        if len(self.robots) > 1 and self.object_position is None:
+            raise ValueError("with several arms, object_position must say where the object stands [m]")
+        return self
+
+    @model_validator(mode="after")
     def _excursion_fits(self) -> Self:
         if self.excursion is None:
             return self
@@ -343,6 +357,21 @@ class Scenario(Schema):
                         f"cases.{name}: there and back at this speed ends at {end:.2f} s, after timing.duration [s]"
                     )
         return self
+
+    def impact_placement(self, robot: str, object_name: str) -> pin.SE3:
+        """Placement of an arm's frame E in the inertial frame when its pad touches an object.
+
+        Raises:
+            InputError: The scenario has no such object.
+        """
+        impact = self.robots[robot].impact
+        placement = impact.placement
+        if self.object_position is not None:
+            normal = np.array(impact.pad_normal)
+            centre = np.append(self.object_position, placement.translation[2])
+            depth = float(np.abs(normal) @ np.array(self.object(object_name).size)) / 2.0 + self.object_gap
+            placement.translation += normal * ((centre - placement.translation) @ normal - depth)
+        return placement
 
     def excursion_leg(self, robot: CaseRobot) -> float:
         """Duration of one way of the excursion [s]; a quintic from rest to rest peaks at 15/8 of its mean speed."""

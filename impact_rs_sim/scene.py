@@ -81,7 +81,8 @@ class Scene:
         for name, robot in scenario.robots.items():
             wanted = case.robots[name]
             model = physics.robot_model(name)
-            q = model.inverse_kinematics(robot.impact.placement, wanted.joint_1, np.array(robot.impact.joint_guess))
+            placement = scenario.impact_placement(name, object_name)
+            q = model.inverse_kinematics(placement, wanted.joint_1, np.array(robot.impact.joint_guess))
             dq = _impact_velocity(model, q, np.array(wanted.ante_velocity), wanted.joint_1_velocity)
             if np.any(np.abs(dq) > model.velocity_max):
                 joint = int(np.argmax(np.abs(dq) / model.velocity_max))
@@ -114,10 +115,13 @@ def _impact_velocity(model: RobotModel, q: Array, linear: Array, joint_1: float 
 
 
 def _place_object(scenario: Scenario, object_name: str) -> BodyState:
-    """On the support, a face in the plane of the first arm's pad or ``object_gap`` off it, centred on it sideways."""
+    """On the support: where the scenario says, or with a face in the plane of the only pad or ``object_gap`` off it."""
     size = np.array(scenario.object(object_name).size)
+    height = scenario.support.height + size[2] / 2.0
+    if scenario.object_position is not None:
+        return BodyState(np.append(scenario.object_position, height), np.eye(3), np.zeros(6))
     impact = next(iter(scenario.robots.values())).impact
     normal = np.array(impact.pad_normal)
     position = np.array(impact.position) + normal * ((np.abs(normal) @ size) / 2.0 + scenario.object_gap)
-    position[2] = scenario.support.height + size[2] / 2.0
+    position[2] = height
     return BodyState(position, np.eye(3), np.zeros(6))

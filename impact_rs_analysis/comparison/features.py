@@ -29,6 +29,7 @@ from impact_rs_sim.robot_model import RobotModel
 EDGE = 6  # ticks averaged at each end of a bin for its momentum change
 FREE_BINS, EXCURSION_BINS, PUSH_BINS, ELASTIC_BINS = 6, 16, 4, 4
 BEFORE_IMPACT = 0.02  # s, free motion ends this long before the detected impact
+ONSET = 0.1  # share of the ante-impact speed that is lost when an impact is said to have begun
 JUMP_BEFORE = (-0.020, -0.002)  # s from the detected impact
 JUMP_WINDOWS = ((0.0, 0.004), (0.004, 0.010), (0.010, 0.020), (0.020, 0.040), (0.040, 0.080))  # s
 OBJECT_WINDOWS = ((0.006, 0.040), (0.040, 0.100))  # s
@@ -114,10 +115,11 @@ def extract(signals: Signals, plan: TrialPlan, models: dict[str, RobotModel] | N
     impacts = [arm.impact_time for arm in signals.arms.values()]
     if hit and not all(math.isfinite(time) for time in impacts):
         return None
+    onsets: list[float] = []
     for name, arm in signals.arms.items():
-        parts.append(_arm_features(signals.time, arm, plan, name, models[name]))
+        parts.append(_arm_features(signals.time, arm, plan, name, models[name], onsets))
     if hit:
-        first = min(impacts)
+        first = min(onsets)
         for window in OBJECT_WINDOWS:
             parts.append(_object_velocity(signals, first + window[0], first + window[1]))
         edges = _push_edges(plan, first)
@@ -130,7 +132,10 @@ def _push_edges(plan: TrialPlan, impact: float) -> Array:
     return np.linspace(impact + PUSH_AFTER, plan.scene.scenario.timing.window[1], PUSH_BINS + 1)
 
 
-def _arm_features(time: Array, arm: ArmSignals, plan: TrialPlan, name: str, model: RobotModel) -> Array:
+def _arm_features(
+    time: Array, arm: ArmSignals, plan: TrialPlan, name: str, model: RobotModel, onsets: list[float]
+) -> Array:
+    """Features of one arm; adds the begin of its impact to ``onsets``."""
     physics = plan.scene.physics.arms[name]
     timing = plan.scene.scenario.timing
     scenario = plan.scene.scenario
@@ -148,13 +153,15 @@ def _arm_features(time: Array, arm: ArmSignals, plan: TrialPlan, name: str, mode
     parts.append(_means(time, deflection, np.linspace(edges[0], edges[-1], ELASTIC_BINS + 1)).ravel())
     if not plan.expects_impact:
         return np.concatenate(parts)
-    parts += _impact_features(time, arm, dynamics)
-    edges = _push_edges(plan, arm.impact_time)
+    path = plan.arms[name].post_position
+    onset = _onset(time, dynamics.twists[:, :3] @ plan.arms[name].approach_direction, arm.impact_time)
+    onsets.append(onset)
+    parts += _impact_features(time, onset, arm, dynamics)
+    edges = _push_edges(plan, onset)
     motor, link = dynamics.balances(edges)
     wrench = np.array(
         [dynamics.wrench_at(0.5 * (a + b), row) for a, b, row in zip(edges, edges[1:], link, strict=False)]
     )
-    path = plan.arms[name].post_position
     velocity = dynamics.twists[:, :3]
     parts += [motor.ravel(), wrench[:, :3].ravel(), wrench[:, 3:].ravel()]
     parts.append(_means(time, velocity - path.velocity[: time.size], edges).ravel())
@@ -162,22 +169,68 @@ def _arm_features(time: Array, arm: ArmSignals, plan: TrialPlan, name: str, mode
     return np.concatenate(parts)
 
 
-def _impact_features(time: Array, arm: ArmSignals, dynamics: _Dynamics) -> list[Array]:
-    impact = arm.impact_time
-    before = _window(time, impact + JUMP_BEFORE[0], impact + JUMP_BEFORE[1])
-    settled = _window(time, impact + JUMP_WINDOWS[3][0], impact + JUMP_WINDOWS[3][1])
-    jump = arm.velocity[settled].mean(axis=0) - arm.velocity[before].mean(axis=0)
-    baseline = dynamics.twists[before].mean(axis=0)
-    velocity, force, rotation = [], [], []
+def _impact_features(time: Array, onset: float, arm: ArmSignals, dynamics: _Dynamics) -> list[Array]:
+    """Jump and first 80 ms; windows begin between two ticks, so that an impact a little later changes nothing much."""
+    velocity, twist = _Integral(time, arm.velocity), _Integral(time, dynamics.twists)
+    before = (onset + JUMP_BEFORE[0], onset + JUMP_BEFORE[1])
+    settled = (onset + JUMP_WINDOWS[3][0], onset + JUMP_WINDOWS[3][1])
+    jump = velocity.mean(*settled) - velocity.mean(*before)
+    baseline = twist.mean(*before)
+    linear, force, rotation = [], [], []
     for start, end in JUMP_WINDOWS:
-        rows = _window(time, impact + start, impact + end)
-        change = dynamics.twists[rows].mean(axis=0) - baseline
-        velocity.append(change[:3])
+        change = twist.mean(onset + start, onset + end) - baseline
+        linear.append(change[:3])
         rotation.append(change[3:])
-        edges = np.array([impact + start - 0.003, impact + end])
-        link = dynamics.balances(edges, edge=1)[1][0]
-        force.append(dynamics.wrench_at(0.5 * (edges[0] + edges[1]), link)[:3])
-    return [jump, np.concatenate(velocity), np.concatenate(force), np.concatenate(rotation)]
+        edges = (onset + start - 0.003, onset + end)
+        force.append(dynamics.wrench_at(0.5 * (edges[0] + edges[1]), dynamics.link_balance(*edges))[:3])
+    return [jump, np.concatenate(linear), np.concatenate(force), np.concatenate(rotation)]
+
+
+def _onset(time: Array, speed: Array, detected: float) -> float:
+    """When the end effector had lost ``ONSET`` of its ante-impact speed, between two ticks [s].
+
+    Args:
+        time: Ticks, ``(k,)`` [s].
+        speed: Velocity along the ante-impact direction, ``(k,)`` [m/s].
+        detected: Detected impact [s], taken where no such loss is near.
+    """
+    level = (1.0 - ONSET) * float(speed[_window(time, detected + JUMP_BEFORE[0], detected - 0.005)].mean())
+    rows = _window(time, detected - 0.01, detected + 0.01)
+    below = np.nonzero((speed[rows][:-1] >= level) & (speed[rows][1:] < level))[0]
+    if below.size == 0:
+        return detected
+    row = rows.start + int(below[0])
+    share = (speed[row] - level) / (speed[row] - speed[row + 1])
+    return float(time[row] + share * (time[row + 1] - time[row]))
+
+
+class _Integral:
+    """Means of sampled signals over windows that begin and end between samples.
+
+    Args:
+        time: Samples, ``(k,)`` [s].
+        values: ``(k, m)``.
+    """
+
+    def __init__(self, time: Array, values: Array) -> None:
+        self._time, self._values = time, values
+        steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)[:, None]
+        self._sums = np.vstack((np.zeros(values.shape[1]), np.cumsum(steps, axis=0)))
+
+    def at(self, moment: float) -> Array:
+        """The signal at a moment, ``(m,)``."""
+        return _between(self._time, self._values, moment)
+
+    def mean(self, start: float, end: float) -> Array:
+        """Mean over a window, ``(m,)``."""
+        total = _between(self._time, self._sums, end) - _between(self._time, self._sums, start)
+        return np.asarray(total / (end - start))
+
+
+def _between(time: Array, values: Array, moment: float) -> Array:
+    row = int(np.clip(np.searchsorted(time, moment) - 1, 0, time.size - 2))
+    share = (moment - time[row]) / (time[row + 1] - time[row])
+    return np.asarray((1.0 - share) * values[row] + share * values[row + 1])
 
 
 class _Dynamics:
@@ -217,6 +270,14 @@ class _Dynamics:
             link.append(damped[middle].mean(axis=0) + self.known[middle].mean(axis=0) - change / span)
         return np.array(motor), np.array(link)
 
+    def link_balance(self, start: float, end: float) -> Array:
+        """Link-side balance over a short window that begins and ends between ticks, ``(n,)`` [N m]."""
+        arm = self.arm
+        damped = arm.torque + self.physics.damping * (arm.motor_velocity - arm.velocity)
+        momentum = _Integral(self.time, self.momentum)
+        change = (momentum.at(end) - momentum.at(start)) / (end - start)
+        return _Integral(self.time, damped + self.known).mean(start, end) - change
+
     def wrench_at(self, moment: float, balance: Array) -> Array:
         """Wrench of the arm on what it touches that explains a link-side balance, at E in E[A], ``(6,)`` [N, N m]."""
         row = min(int(np.searchsorted(self.time, moment)), self.time.size - 1)
@@ -236,11 +297,14 @@ def _means(time: Array, values: Array, edges: Array) -> Array:
 
 
 def _object_velocity(signals: Signals, start: float, end: float) -> Array:
-    """Slope of position (x, y) and yaw over a window, ``(3,)`` [m/s, m/s, rad/s]; zero where it is not tracked."""
-    rows = _window(signals.object_time, start, end)
-    time = signals.object_time[rows]
-    if time.size < 2:
+    """Slope of position (x, y) and yaw over a window, ``(3,)`` [m/s, m/s, rad/s]; zero where it is not tracked.
+
+    Between the means over the first and the last third: nearly as sure as a least-squares line, and it does not jump
+    when a sample enters the window.
+    """
+    time = signals.object_time
+    if time.size < 2 or np.count_nonzero((time >= start) & (time <= end)) < 2:
         return np.zeros(3)
-    values = np.column_stack((signals.object_position[rows, :2], signals.object_yaw[rows]))
-    centred = time - time.mean()
-    return np.asarray(centred @ (values - values.mean(axis=0)) / (centred @ centred))
+    pose = _Integral(time, np.column_stack((signals.object_position[:, :2], signals.object_yaw)))
+    third = (end - start) / 3.0
+    return np.asarray((pose.mean(end - third, end) - pose.mean(start, start + third)) / (2.0 * third))

@@ -167,11 +167,11 @@ def choose(search: Search) -> tuple[Fit | None, dict[str, list[Fit]]]:
         best = proposals[0]
         newest = best.candidate.effects[-1].name
         significant = p_values.get(newest, 1.0) < SIGNIFICANT
-        gains = excess - search.excess(best.held_out) > needed and np.mean(best.held_out < errors) > 0.5
+        gains = excess - search.excess(best.held_out) > needed
         if not (significant and gains):
             break
-        rivals[newest] = proposals
         chosen = search.measure_again(best)
+        rivals[newest] = [chosen, *(_measured(search, best, rival, chosen) for rival in proposals[1:])]
         errors = chosen.held_out
         if search.lack_of_fit_of(chosen) > SIGNIFICANT:
             break
@@ -191,10 +191,20 @@ def _try_pairs(search: Search, chosen: Fit) -> Fit:
     return chosen
 
 
+def _measured(search: Search, best: Fit, rival: Fit, chosen: Fit) -> Fit:
+    """A rival that looks as good is checked trial by trial, too; one that is worse stays so."""
+    return search.measure_again(rival) if _tied(search, best, rival) or _tied(search, chosen, rival) else rival
+
+
 def _tied(search: Search, best: Fit, rival: Fit) -> bool:
-    """Whether a rival predicts unseen conditions as well: mean log ratio of errors within two standard errors of 0."""
+    """Whether a rival predicts unseen conditions as well: mean log ratio of errors within two standard errors of 0.
+
+    Conditions that neither of them changes say nothing about it.
+    """
     floor = search.noise / 2.0
     ratio = np.log((rival.held_out + floor) / (best.held_out + floor))
+    moved = np.abs(best.held_out - search.before) + np.abs(rival.held_out - search.before) > LEAST_EXCESS / 10.0
+    ratio = ratio[moved] if np.any(moved) else ratio
     spread = float(ratio.std(ddof=1) / math.sqrt(ratio.size)) if ratio.size > 1 else math.inf
     return float(ratio.mean()) < max(TIE, min(2.0 * spread, 0.25))
 

@@ -30,6 +30,8 @@ MOST_EFFECTS = 3
 FIT_STEPS = 6
 LEAST_GAIN = 0.10  # share of the excess error that an accepted effect must remove on unseen conditions
 HOPELESS = 3.0  # a fit whose squared error is so many times that of the best is not followed
+SHORTEST_LESSON = 0.5  # parameter scales
+MOST_LOOKS = 3
 SETTLED = 0.1  # parameter scales; a correction below this needs no further look
 LEAST_EXCESS = 0.05  # mean square error in units of the scale of repetition; less concerns nobody
 
@@ -244,14 +246,21 @@ class Search:
         Up to here the effects were switched on where a trial should start, not where it did start; the last correction
         of the estimate, its interval and the lack of fit come from here.
         """
-        for _ in range(2):
-            point = chosen.estimate
-            added = chosen.candidate.split(point)
+        for look in range(MOST_LOOKS):
+            candidate, point = chosen.candidate, chosen.estimate
+            added = candidate.split(point)
             evidence = self._measure_again(added)
             if evidence is None:
                 return chosen
-            nothing = tuple(np.zeros_like(item.sigma) for item in evidence)
-            chosen = fit(replace(chosen.candidate, point=point, origin=added, offsets=nothing), evidence)
+            fresh = None
+            if look == 0:
+                fresh = linearise(
+                    candidate.effects, self.model, evidence, self.store, point, "final sensitivities", added
+                )
+            if fresh is None:
+                nothing = tuple(np.zeros_like(item.sigma) for item in evidence)
+                fresh = replace(candidate, point=point, origin=added, offsets=nothing)
+            chosen = fit(fresh, evidence)
             if np.max(np.abs(chosen.change)) < SETTLED:
                 break
         return chosen
@@ -296,8 +305,13 @@ def _error(fitted: Fit, change: Array) -> float:
 
 
 def _broyden(before: Candidate, after: Candidate) -> Candidate:
-    """Sensitivities that give the step just made exactly, and change as little as they can otherwise."""
+    """Sensitivities that give the step just made exactly, and change as little as they can otherwise.
+
+    A short step teaches nothing: when an impact falls into another control tick, features jump a little.
+    """
     step = (after.point - before.point) / before.scale
+    if np.max(np.abs(step)) < SHORTEST_LESSON:
+        return replace(after, jacobians=before.jacobians)
     jacobians = tuple(
         jacobian + np.outer(there - here - jacobian @ step, step) / (step @ step)
         for jacobian, here, there in zip(before.jacobians, before.offsets, after.offsets, strict=True)

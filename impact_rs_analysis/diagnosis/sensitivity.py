@@ -23,7 +23,7 @@ from impact_rs_sim.effects import Effect
 from impact_rs_sim.model import JOINT_COUNT, Model
 from impact_rs_sim.robot import Array
 
-CACHE_VERSION = 4
+CACHE_VERSION = 5
 
 
 @dataclass(frozen=True)

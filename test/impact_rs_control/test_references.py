@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from impact_rs_control.references import ViaPoint, ante_impact_path, post_impact_path, push_path, sample_path
+from impact_rs_control.references import ViaPoint, ante_impact_path, carry_path, post_impact_path, sample_path
 from impact_rs_sim.scenario import load_scenario
 
 POSITION = np.array([0.4, -0.1, 0.5])
@@ -40,7 +40,7 @@ def test_velocity_and_acceleration_are_derivatives_of_position_everywhere(timing
     for path in (
         ante_impact_path(timing, POSITION, VELOCITY, times),
         post_impact_path(timing, POSITION, VELOCITY, times),
-        push_path(timing, POSITION, VELOCITY, NORMAL, times),
+        carry_path(timing, POSITION, VELOCITY, NORMAL, times),
     ):
         np.testing.assert_allclose(np.gradient(path.position, times, axis=0), path.velocity, atol=2e-3)
         change = np.gradient(path.velocity, times, axis=0)
@@ -53,7 +53,7 @@ def test_references_coincide_at_nominal_impact_and_their_velocities_jump(timing)
     at_impact = np.array([timing.nominal_impact])
     after = np.array([0.01, -0.55, 0.0])
     ante = ante_impact_path(timing, POSITION, VELOCITY, at_impact)
-    post = push_path(timing, POSITION, after, NORMAL, at_impact)
+    post = carry_path(timing, POSITION, after, NORMAL, at_impact)
     np.testing.assert_allclose(ante.position, post.position, atol=1e-12)
     np.testing.assert_allclose(ante.velocity[0], VELOCITY, atol=1e-12)
     np.testing.assert_allclose(post.velocity[0], after, atol=1e-12)
@@ -77,6 +77,6 @@ def test_arm_that_hits_nothing_comes_to_rest(timing):
 
 def test_sliding_across_the_face_ends_long_before_the_push(timing):
     after = np.array([0.08, -0.55, -0.02])
-    path = push_path(timing, POSITION, after, NORMAL, np.array([timing.nominal_impact + timing.slide]))
+    path = carry_path(timing, POSITION, after, NORMAL, np.array([timing.nominal_impact + timing.slide]))
     np.testing.assert_allclose(path.velocity[0, [0, 2]], 0.0, atol=1e-9)
     assert path.velocity[0, 1] < -0.3
