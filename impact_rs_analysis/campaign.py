@@ -58,7 +58,7 @@ class TrialReport:
 
     Attributes:
         key: Which trial.
-        outcome: OK, NO-IMPACT or ABORTED.
+        outcome: OK, NO-IMPACT, DROPPED or ABORTED.
         message: What went wrong, if anything.
     """
 
@@ -164,7 +164,7 @@ def _outcome(path: Path) -> Outcome:
         found = TrialBag(path).outcome
     except BagError:
         return "ABORTED"
-    return found if found in ("OK", "NO-IMPACT") else "ABORTED"  # type: ignore[return-value]
+    return found if found in ("OK", "NO-IMPACT", "DROPPED") else "ABORTED"  # type: ignore[return-value]
 
 
 TrialRunner = Callable[[Path, Manifest, TrialKey], TrialReport]

@@ -85,6 +85,8 @@ def net_feedback(bag: TrialBag) -> TrialFeedback:
     info = bag.info
     if bag.metadata.get("outcome") == "ABORTED":
         raise BagError(bag.path, "the trial was aborted")
+    if bag.metadata.get("outcome") == "DROPPED":
+        raise BagError(bag.path, "the object was dropped")
     axis = AXES.get(info.axis)
     if axis is None or not info.robots:
         raise BagError(bag.path, f"its trial_info names axis {info.axis!r} and {len(info.robots)} robots")

@@ -78,6 +78,15 @@ class TrialPlan:
         return self.impact is not None
 
     @property
+    def expected_lift(self) -> float:
+        """How far the arms shall lift the object they clamp [m]; 0 where it is pushed."""
+        if self.scene.scenario.control.clamp_force == 0.0:
+            return 0.0
+        at_impact = round(self.scene.scenario.timing.nominal_impact / self.scene.scenario.timing.control_period)
+        paths = [arm.post_position.position[:, 2] for arm in self.arms.values()]
+        return float(np.mean([path[-1] - path[at_impact] for path in paths]))
+
+    @property
     def ante_velocity(self) -> float:
         """Ante-impact velocity along the measured axis, mean over the arms [m/s]."""
         axis, scenario = self.scene.scenario.axis_index, self.scene.scenario

@@ -13,13 +13,16 @@ from collections import Counter
 from contextlib import ExitStack
 from pathlib import Path
 
+from geometry_msgs.msg import PoseStamped
 from impact_rs.srv import ConfigureTrial, FinishTrial
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import String
 
 from impact_rs_analysis.bags import topics
+from impact_rs_analysis.bags.outcome import outcome_of
 from impact_rs_analysis.bags.trial_info import Outcome, TrialInfo
 from impact_rs_analysis.bags.writer import LATCHED, BagWriter
+from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.message_types import available
 from impact_rs_ros.process import NodeProgram, run
@@ -47,6 +50,8 @@ class RecorderNode(NodeProgram):
         self._bag: BagWriter | None = None
         self._open = ExitStack()
         self._counts: Counter[str] = Counter()
+        self._plan: TrialPlan | None = None
+        self._poses: tuple[bytes, bytes] | None = None
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
         self.node.create_service(FinishTrial, "~/finish_trial", self._on_finish)
         try:
@@ -113,6 +118,8 @@ class RecorderNode(NodeProgram):
                 self._last[topic] = now
             bag.write_raw(topic, now, data)
             self._counts[topic] += 1
+            if topic == topics.OBJECT_POSE:
+                self._poses = (self._poses or (data, data))[0], data
             if self._transforms is not None:
                 for at, transforms in self._transforms.receive(topic, now, data):
                     bag.write_raw(topics.TF, at, transforms)
@@ -143,7 +150,8 @@ class RecorderNode(NodeProgram):
             response.message = f"recorder: {type(error).__name__}: {error}"
             return response
         self._bag = bag
-        self._expects_impact = plan is None or plan.expects_impact
+        self._plan = plan
+        self._poses = None
         self._transforms = Transforms(plan) if plan is not None and not available(topics.TF_MESSAGE) else None
         self._counts = Counter()
         self._last: dict[str, int] = {}
@@ -158,7 +166,9 @@ class RecorderNode(NodeProgram):
         expected = dict(zip(request.topics, request.counts, strict=False))
         missing = self._complete(expected)
         hit = all(self._counts[topics.impact_event(arm)] for arm in self._arms)
-        outcome: Outcome = "OK" if hit or not self._expects_impact else "NO-IMPACT"
+        outcome: Outcome = "OK" if hit else "NO-IMPACT"
+        if self._plan is not None:
+            outcome = outcome_of(self._plan, hit, self._lift())
         if request.aborted or missing:
             outcome = "ABORTED"
             response.message = request.reason or f"messages were published and not received: {missing}"
@@ -177,6 +187,13 @@ class RecorderNode(NodeProgram):
         response.topics = list(self._counts)
         response.counts = list(self._counts.values())
         return response
+
+    def _lift(self) -> float:
+        """How far the tracked object rose [m]."""
+        if self._poses is None:
+            return 0.0
+        first, last = (deserialize_message(data, PoseStamped).pose.position.z for data in self._poses)
+        return float(last - first)
 
     def _complete(self, expected: dict[str, int]) -> str:
         """Receive until everything is there; returns what is missing."""

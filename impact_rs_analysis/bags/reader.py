@@ -128,7 +128,7 @@ class TrialBag:
 
     @property
     def outcome(self) -> str:
-        """``OK``, ``NO-IMPACT`` or ``ABORTED``, as the recorder wrote it; ``ABORTED`` where it wrote nothing."""
+        """``OK``, ``NO-IMPACT``, ``DROPPED`` or ``ABORTED``; the last where the recorder wrote nothing."""
         return self.metadata.get("outcome", "ABORTED")
 
     def _raw(self, topic: str) -> tuple[str, list[bytes]]:

@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from impact_rs_analysis.bags import topics
 from impact_rs_analysis.bags.messages import TF_PERIOD, MessageMaker, RosbagsTypes
+from impact_rs_analysis.bags.outcome import outcome_of
 from impact_rs_analysis.bags.trial_info import Outcome, TrialInfo
 from impact_rs_analysis.bags.writer import BagWriter
 from impact_rs_control.closed_loop import Tick, make_plant, run_closed_loop, without_garbage_collection
@@ -129,7 +130,8 @@ def record_trial(
             bag.describe(info)
             bag.write(topics.TRIAL_INFO, 0, maker.trial_info(info))
             bag.write(topics.ROBOT_DESCRIPTION, 0, maker.robot_description(scene_urdf(plan)))
-            detected = set()
+            detected: set[str] = set()
+            heights: list[float] = []
             tick: Tick
             for tick in run_closed_loop(plan, plant):
                 now = maker.nanoseconds(tick.number)
@@ -138,8 +140,9 @@ def record_trial(
                 for topic, message in controller_messages(maker, tick.number, tick.commands):
                     bag.write(topic, now, message)
                 detected |= {arm for arm, command in tick.commands.items() if command.detection is not None}
-            hit = detected == set(plan.arms) or not plan.expects_impact
-            outcome: Outcome = "OK" if hit else "NO-IMPACT"
+                if tick.measurement.object is not None:
+                    heights.append(float(tick.measurement.object.position[2]))
+            outcome = outcome_of(plan, detected == set(plan.arms), heights[-1] - heights[0])
             bag.finish(outcome)
             return outcome, {arm: command.net_feedback for arm, command in tick.commands.items()}
     finally:

@@ -14,7 +14,7 @@ import numpy as np
 
 from impact_rs_control.plan import TrialPlan
 
-Outcome = Literal["OK", "NO-IMPACT", "ABORTED"]
+Outcome = Literal["OK", "NO-IMPACT", "DROPPED", "ABORTED"]
 
 
 @dataclass(frozen=True)

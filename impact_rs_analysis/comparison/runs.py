@@ -124,7 +124,7 @@ def read_trial(path: Path) -> MeasuredTrial | tuple[str, str]:
         bag = TrialBag(path)
         if bag.outcome == "NO-IMPACT":
             return str(path), "NO-IMPACT: nothing was hit"
-        if bag.outcome != "OK":
+        if bag.outcome not in ("OK", "DROPPED"):
             return str(path), f"{bag.outcome}: the trial did not end"
         info = bag.info
         condition = Condition(

@@ -16,13 +16,13 @@ from impact_rs_analysis.campaign import Manifest, make_manifest, run_one
 from impact_rs_ros.graph import Graph, run_trial
 
 TOLERANCE = 1e-9
-ARM = "arm"
 SKIPPED = {topics.DIAGNOSTICS}
 
 
-@pytest.fixture(scope="module")
-def manifest() -> Manifest:
-    return make_manifest("push", ["cat_food"], ["2"], [1.1], trials=1, seed=3)
+@pytest.fixture(scope="module", params=["push", "grab"])
+def manifest(request: pytest.FixtureRequest) -> Manifest:
+    """One arm, then two: the nodes meet new topics between them."""
+    return make_manifest(request.param, ["cat_food"], ["2"], [1.1], trials=1, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -57,24 +57,21 @@ def test_every_topic_has_the_same_number_of_messages(
 @pytest.mark.parametrize("which", [0, 1])
 def test_every_column_is_the_same(inprocess: TrialBag, through_nodes: list[TrialBag], which: int) -> None:
     nodes = through_nodes[which]
+    arms = inprocess.info.robots
     pairs = [
-        (inprocess.joints(topic), nodes.joints(topic))
-        for topic in (
-            topics.joint_states(ARM),
-            topics.motor_states(ARM),
-            topics.joint_command(ARM),
-            topics.truth_joint_states(ARM),
-        )
+        (inprocess.joints(topic(arm)), nodes.joints(topic(arm)))
+        for arm in arms
+        for topic in (topics.joint_states, topics.motor_states, topics.joint_command, topics.truth_joint_states)
     ]
     pairs += [(inprocess.poses(topic), nodes.poses(topic)) for topic in (topics.OBJECT_POSE, topics.TRUTH_OBJECT_POSE)]
-    pairs.append((inprocess.controller(ARM), nodes.controller(ARM)))
+    pairs += [(inprocess.controller(arm), nodes.controller(arm)) for arm in arms]
     for one, other in pairs:
         for field in fields(one):
             if field.name != "qp_solve_time":
                 np.testing.assert_allclose(
                     getattr(other, field.name), getattr(one, field.name), rtol=0.0, atol=TOLERANCE, err_msg=field.name
                 )
-    assert nodes.impact_time(ARM) == inprocess.impact_time(ARM)
+    assert [nodes.impact_time(arm) for arm in arms] == [inprocess.impact_time(arm) for arm in arms]
 
 
 @pytest.mark.parametrize("which", [0, 1])
@@ -104,13 +101,14 @@ def test_the_trial_says_how_it_was_run(inprocess: TrialBag, through_nodes: list[
 
 def test_someone_elses_reader_finds_the_same_messages(through_nodes: list[TrialBag]) -> None:
     bag = through_nodes[0]
+    command = topics.joint_command(bag.info.robots[0])
     counts: dict[str, int] = {}
     efforts = []
     for file in bag.path.glob("*.mcap"):
         for message in read_ros2_messages(file):
             topic = message.channel.topic
             counts[topic] = counts.get(topic, 0) + 1
-            if topic == topics.joint_command(ARM):
+            if topic == command:
                 efforts.append(list(message.ros_msg.effort))
     assert counts == {topic: count for topic, count in bag.counts.items() if count}
-    np.testing.assert_array_equal(np.array(efforts), bag.joints(topics.joint_command(ARM)).effort)
+    np.testing.assert_array_equal(np.array(efforts), bag.joints(command).effort)
