@@ -51,7 +51,9 @@ def matrix(seeds: int) -> list[Entry]:
     outside: list[tuple[str, str | None, float | None]] = [("outside", name, 2.0) for name in OUTSIDE]
     once: list[tuple[str, str | None, float | None]] = [*[("null", None, None)] * NULLS, *[("pair", None, 4.0)] * PAIRS]
     wanted = [*singles, *outside, *once] + [*singles, *outside] * (seeds - 1)
-    return [Entry(*entry, seed) for seed, entry in enumerate(wanted)]
+    entries = [Entry(*entry, seed) for seed, entry in enumerate(wanted)]
+    clear = [entry for entry in entries if entry.kind != "single" or entry.magnitude == MAGNITUDES[0]]
+    return clear + [entry for entry in entries if entry not in clear]
 
 
 def run(entry: Entry, directory: Path, size: str, map_tasks: Map) -> dict[str, Any]:
