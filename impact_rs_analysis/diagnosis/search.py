@@ -27,11 +27,12 @@ from impact_rs_sim.robot import Array
 SIGNIFICANT = 0.01  # false-discovery rate at which an effect is accepted
 SHORTLIST = 5  # candidates refined through the twin in every round
 MOST_EFFECTS = 3
-FIT_STEPS = 6
+FIT_STEPS = 4
+ENOUGH = 0.02  # of the error; a fit that gains less in a step is finished trial by trial
 LEAST_GAIN = 0.10  # share of the excess error that an accepted effect must remove on unseen conditions
 HOPELESS = 3.0  # a fit whose squared error is so many times that of the best is not followed
 SHORTEST_LESSON = 0.5  # parameter scales
-MOST_LOOKS = 3
+MOST_LOOKS = 2
 SETTLED = 0.1  # parameter scales; a correction below this needs no further look
 LEAST_EXCESS = 0.05  # mean square error in units of the scale of repetition; less concerns nobody
 
@@ -232,12 +233,14 @@ class Search:
                 gained = best_error - error
                 candidate, best, best_error, fraction = tried.candidate, tried, error, 1.0
                 point = best.estimate
-                if gained < 1e-3 * best_error:
+                if gained < ENOUGH * best_error:
                     break
             else:
                 candidate = replace(candidate, jacobians=tried.candidate.jacobians)
                 best = fit(candidate, evidence)
-                fraction, point = fraction / 2.0, best.estimate
+                if fraction < 1.0:
+                    break
+                fraction, point = 1.0 / 3.0, best.estimate
         return best
 
     def measure_again(self, chosen: Fit) -> Fit:
