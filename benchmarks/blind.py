@@ -26,6 +26,7 @@ from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
 
 MAGNITUDES = (3.0, 8.0, 1.0)  # parameter scales: clear, gross, barely noticeable
+OUTSIDE_MAGNITUDES = (2.0, 6.0)
 PAIRS, NULLS = 10, 10
 
 
@@ -48,9 +49,10 @@ class Entry:
 def matrix(seeds: int) -> list[Entry]:
     """Every campaign of the benchmark, each with a seed of its own; what comes first says most, should time run out."""
     singles = [("single", name, size) for size in MAGNITUDES for name in library()]
-    outside: list[tuple[str, str | None, float | None]] = [("outside", name, 2.0) for name in OUTSIDE]
+    faint, strong = ([("outside", name, size) for name in OUTSIDE] for size in OUTSIDE_MAGNITUDES)
     once: list[tuple[str, str | None, float | None]] = [*[("null", None, None)] * NULLS, *[("pair", None, 4.0)] * PAIRS]
-    wanted = [*singles, *outside, *once] + [*singles, *outside] * (seeds - 1)
+    wanted: list[tuple[str, str | None, float | None]] = [*singles, *faint, *once, *strong]
+    wanted += [*singles, *faint, *strong] * (seeds - 1)
     entries = [Entry(*entry, seed) for seed, entry in enumerate(wanted)]
     clear = [entry for entry in entries if entry.kind != "single" or entry.magnitude == MAGNITUDES[0]]
     return clear + [entry for entry in entries if entry not in clear]
@@ -100,6 +102,7 @@ def scoreboard(rows: list[dict[str, Any]]) -> str:
     """The table."""
     of = {kind: [row for row in rows if row["kind"] == kind] for kind in ("single", "pair", "null", "outside")}
     seen = [row for row in of["single"] if row["before"] > 2.0 * row["noise"]]
+    plain = [row for row in of["outside"] if row["before"] > 2.0 * row["noise"]]
     lines = [
         f"single above twice the noise, right or confusable {share(seen, 'correct')}",
         f"single above twice the noise, by its own name {share(seen, 'by_own_name')}",
@@ -107,6 +110,7 @@ def scoreboard(rows: list[dict[str, Any]]) -> str:
         f"pairs, both named                            {share(of['pair'], 'correct')}",
         f"null, NOTHING-MISSING                        {share(of['null'], 'correct')}",
         f"outside, NONE-EXPLAINS or honestly marked    {share(of['outside'], 'correct')}",
+        f"outside above twice the noise, the same      {share(plain, 'correct')}",
         f"95 % intervals that cover the truth          {coverage(of['single'] + of['pair'])}",
         f"something named that is not there            {share(rows, 'more')}",
     ]

@@ -18,4 +18,5 @@ def outcome_of(plan: TrialPlan, hit: bool, lift: float) -> Outcome:
     """
     if plan.expects_impact and not hit:
         return "NO-IMPACT"
-    return "OK" if lift >= LEAST_LIFT * plan.expected_lift else "DROPPED"
+    meant_to_lift = plan.expected_lift > 0.0
+    return "DROPPED" if meant_to_lift and lift < LEAST_LIFT * plan.expected_lift else "OK"

@@ -32,8 +32,8 @@ ENOUGH = 0.02  # of the error; a fit that gains less in a step is finished trial
 LEAST_GAIN = 0.10  # share of the excess error that an accepted effect must remove on unseen conditions
 HOPELESS = 3.0  # a fit whose squared error is so many times that of the best is not followed
 SHORTEST_LESSON = 0.5  # parameter scales
-MOST_LOOKS = 2
-SETTLED = 0.1  # parameter scales; a correction below this needs no further look
+MOST_LOOKS = 4
+SETTLED = 2.0  # standard errors; a correction below this needs no further look
 LEAST_EXCESS = 0.05  # mean square error in units of the scale of repetition; less concerns nobody
 
 
@@ -264,7 +264,7 @@ class Search:
                 nothing = tuple(np.zeros_like(item.sigma) for item in evidence)
                 fresh = replace(candidate, point=point, origin=added, offsets=nothing)
             chosen = fit(fresh, evidence)
-            if np.max(np.abs(chosen.change)) < SETTLED:
+            if np.all(np.abs(chosen.change) < SETTLED * chosen.equations.spread()):
                 break
         return chosen
 
