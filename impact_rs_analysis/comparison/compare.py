@@ -160,7 +160,9 @@ def compare(runs: Runs, model: Model, map_tasks: Map, progress: Progress | None 
         InputError: With this model nothing is hit, or the model blows up.
     """
     evidence, remarks = scaled_evidence(runs, residuals_with_progress(runs, model, map_tasks, progress))
-    jump, more = jump_entries(runs.trials, evidence, model)
+    # The map knows no trial's own start: repetition is what the measured numbers themselves scatter, for every model.
+    measured, _ = scaled_evidence(runs, [trial.features for trial in runs.trials])
+    jump, more = jump_entries(runs.trials, measured, model)
     return Comparison(
         model=model.name,
         digest=model.digest,

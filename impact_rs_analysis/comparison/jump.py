@@ -70,7 +70,7 @@ def jump_entries(
 
     Args:
         trials: All usable trials.
-        evidence: Their conditions, with the scale of each feature.
+        evidence: Their measured features by condition, with the scale that their own scatter gives.
         model: What we believe.
     """
     sets: dict[tuple[str, str, str], list[ConditionEvidence]] = {}
