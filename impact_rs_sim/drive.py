@@ -51,6 +51,7 @@ class Drive:
         self._desired: Array | None = None
         count = physics.stiffness.size
         self._shaped = np.zeros(count)
+        self._load = np.zeros(count)
         self._net = np.zeros(count)
         self.position = np.zeros(count)
         self.velocity = np.zeros(count)
@@ -79,13 +80,18 @@ class Drive:
         transmission *= self._damping
         transmission += elastic
 
+    def load(self, torque: Array) -> None:
+        """Set a further torque on the motors ``(n,)`` [N m]; like friction, the torque loop scales it by B_rho/B_theta."""
+        self._load = torque
+        self._desired = None
+
     def step(self, desired: Array) -> None:
         """One period of the torque loop with desired torque ``(n,)`` [N m]; call :meth:`sense` first."""
         if self._delay > 0.0:
             desired = self._delayed(desired)
         if desired is not self._desired:  # the command is held over several periods of the loop
             self._desired = desired
-            self._shaped = self._shaping * (self._gain * desired + self._offset)
+            self._shaped = self._shaping * (self._gain * desired + self._offset + self._load)
         actuation, net = self.actuation_torque, self._net
         np.multiply(self._feedback, self.transmission_torque, out=actuation)
         actuation += self._shaped

@@ -87,7 +87,11 @@ class LoadState:
 
 
 class Load:
-    """Something outside the model that acts on the links of one arm; subclasses override what they need."""
+    """Something outside the model that acts on one arm; subclasses override what they need."""
+
+    def motor_torque(self, state: LoadState) -> Array | None:
+        """Torque on the motors, as joint friction acts, ``(n,)`` [N m], or None."""
+        return None
 
     def joint_torque(self, state: LoadState) -> Array | None:
         """Torque on the links, ``(n,)`` [N m], or None."""
@@ -117,7 +121,7 @@ class ArmPhysics:
         pad_stiffness: Stiffness of the whole pad face [N/m]; None: rigid.
         pad_damping: Damping of the whole pad face [N s/m].
         impact_position: Where frame E is at the nominal impact, ``(3,)`` [m].
-        loads: What else acts on the links.
+        loads: What else acts on links and motors.
     """
 
     facts: RobotFacts

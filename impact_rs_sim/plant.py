@@ -233,7 +233,10 @@ class Plant:
         self._tick += 1
 
     def _load_torque(self, name: str) -> Array:
-        """Joint torque of everything outside the model, held over one control period, ``(n,)`` [N m]."""
+        """Torque on the links of everything outside the model, ``(n,)`` [N m]; what acts on the motors goes there.
+
+        Held over one control period.
+        """
         arm, model, link = self.physics.arms[name], self._loaded[name], self._links[name]
         jacobian = model.jacobian(link.position)[:3]
         state = LoadState(
@@ -244,13 +247,17 @@ class Plant:
             velocity=jacobian @ link.velocity,
             impact_position=arm.impact_position,
         )
-        total = np.zeros_like(link.position)
+        total, on_motors = np.zeros_like(link.position), None
         for load in arm.loads:
-            torque, force = load.joint_torque(state), load.end_effector_force(state)
+            torque, force, motor = load.joint_torque(state), load.end_effector_force(state), load.motor_torque(state)
             if torque is not None:
                 total += torque
             if force is not None:
                 total += jacobian.T @ force
+            if motor is not None:
+                on_motors = motor if on_motors is None else on_motors + motor
+        if on_motors is not None:
+            self._drives[name].load(on_motors)
         return total
 
     def close(self) -> None:

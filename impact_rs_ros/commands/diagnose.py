@@ -142,6 +142,7 @@ def _try_out(effects: dict[str, FormulaEffect], path: Path) -> None:
             load = effect.apply_vector(scene.physics, vector).arms[name].loads[-1]
             try:
                 load.joint_torque(state)
+                load.motor_torque(state)
                 load.end_effector_force(state)
             except InputError as error:
                 raise InputError(error.message, file=path) from None

@@ -3,10 +3,13 @@
     - name: cable_drag
       sentence: A cable drags behind the end effector.
       end_effector_force: {y: "-drag * vy"}
-      joint_torque: {joint2: "-c * tanh(dq2 / 0.02)"}
+      motor_torque: {joint2: "-c * tanh(dq2 / 0.02)"}
       parameters:
         drag: {unit: N s/m, nominal: 0, lower: 0, upper: 50, scale: 1}
         c: {unit: N m, nominal: 0, lower: 0, upper: 3, scale: 0.1}
+
+``joint_torque`` acts on a link, where the torque sensor sees it; ``motor_torque`` on the motor before the transmission,
+as friction of a gear does. Both are evaluated at every control tick, with position and velocity of the links.
 
 Symbols: ``t`` [s]; ``q1`` ... ``dq1`` ... [rad, rad/s]; ``x y z`` and ``vx vy vz`` of frame E [m, m/s]; ``pi``; and the
 named parameters. Functions: see :data:`FUNCTIONS`. The text is parsed into a syntax tree of which only arithmetic is
@@ -123,7 +126,8 @@ class FormulaSpec(Schema):
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", description="name of the effect, lower case with underscores")
     sentence: str = Field(description="what it is, in one sentence")
-    joint_torque: dict[str, str] = Field({}, description="formula per joint (joint1 ...) [N m]")
+    joint_torque: dict[str, str] = Field({}, description="torque on a link, formula per joint (joint1 ...) [N m]")
+    motor_torque: dict[str, str] = Field({}, description="torque on a motor, formula per joint (joint1 ...) [N m]")
     end_effector_force: dict[str, str] = Field({}, description="formula per axis (x, y, z) [N]")
     parameters: dict[str, FormulaParameter] = Field(min_length=1, description="named numbers")
 
@@ -161,19 +165,21 @@ class FormulaEffect(Effect):
         clash = set(spec.parameters) & (FUNCTIONS.keys() | {"t", "pi", *AXES})
         if clash:
             raise InputError(f"effect {spec.name!r}: {sorted(clash)} cannot be parameter names")
-        for table, known in ((spec.joint_torque, joints), (spec.end_effector_force, list(AXES))):
+        axes = list(AXES)
+        for table, known in ((spec.joint_torque, joints), (spec.motor_torque, joints), (spec.end_effector_force, axes)):
             for key in table:
                 if key not in known:
                     raise InputError(f"effect {spec.name!r}: unknown {key!r}; known: {', '.join(known)}")
-        if not spec.joint_torque and not spec.end_effector_force:
-            raise InputError(f"effect {spec.name!r} needs joint_torque or end_effector_force")
+        if not (spec.joint_torque or spec.motor_torque or spec.end_effector_force):
+            raise InputError(f"effect {spec.name!r} needs joint_torque, motor_torque or end_effector_force")
         self._torque = {joints.index(key): parse(text, symbols) for key, text in spec.joint_torque.items()}
+        self._motor = {joints.index(key): parse(text, symbols) for key, text in spec.motor_torque.items()}
         self._force = {AXES.index(key): parse(text, symbols) for key, text in spec.end_effector_force.items()}
 
     def apply(self, physics: Physics, values: dict[str, Array]) -> Physics:
         """See :meth:`Effect.apply`."""
         numbers = {name: float(value[0]) for name, value in values.items()}
-        formula_load = FormulaLoad(self.name, self._torque, self._force, numbers)
+        formula_load = FormulaLoad(self.name, self._torque, self._motor, self._force, numbers)
 
         def change(arm: ArmPhysics) -> ArmPhysics:
             return replace(arm, loads=(*arm.loads, formula_load))
@@ -187,6 +193,7 @@ class FormulaLoad(Load):
 
     name: str
     torque: dict[int, Expression]
+    motor: dict[int, Expression]
     force: dict[int, Expression]
     numbers: dict[str, float]
 
@@ -209,6 +216,10 @@ class FormulaLoad(Load):
     def joint_torque(self, state: LoadState) -> Array | None:
         """Torque on the links, ``(n,)`` [N m]."""
         return self._evaluate(self.torque, state.joint_position.size, state) if self.torque else None
+
+    def motor_torque(self, state: LoadState) -> Array | None:
+        """Torque on the motors, ``(n,)`` [N m]."""
+        return self._evaluate(self.motor, state.joint_position.size, state) if self.motor else None
 
     def end_effector_force(self, state: LoadState) -> Array | None:
         """Force at E, axes of A, ``(3,)`` [N]."""

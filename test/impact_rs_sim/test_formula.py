@@ -7,10 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from impact_rs_control.closed_loop import make_plant
+from impact_rs_control.plan import plan_trial
+from impact_rs_sim.effects import library
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec, load_formulas, parse
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import LoadState, Physics
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import Scene
 
 PARAMETER = {"unit": "N s/m", "nominal": 0.0, "lower": 0.0, "upper": 50.0, "scale": 1.0}
 
@@ -65,6 +69,32 @@ def test_formula_effect_acts_on_the_plant_as_a_force_and_as_a_torque():
     np.testing.assert_allclose(load.joint_torque(state)[1], 4.0 * np.cos(0.3))
 
 
+def test_a_constant_torque_on_the_motor_is_a_torque_offset_and_one_on_the_link_is_not():
+    plan = plan_trial(Scene.resolve(load_scenario("push"), "juice", "case_1"))
+    number = {"c": {**PARAMETER, "unit": "N m"}}
+    ends = {}
+    for key in ("motor_torque", "joint_torque"):
+        effect = FormulaEffect(spec(end_effector_force={}, parameters=number, **{key: {"joint2": "c"}}))
+        ends[key] = held(plan, effect.apply_vector(plan.scene.physics, np.array([0.5])))
+    offset = held(plan, library()["torque_offset"].apply_vector(plan.scene.physics, np.eye(7)[1] * 0.5))
+    np.testing.assert_allclose(ends["motor_torque"], offset, atol=1e-9)
+    # A torque on the link drives motor and link alike, and the transmission carries the other part of it.
+    assert offset[1] - ends["joint_torque"][1] == pytest.approx(0.5, abs=0.02)
+
+
+def held(plan, physics):
+    """Mean torque of the transmissions while the arm holds its weight, 30 to 130 ms after it was let go."""
+    plant = make_plant(plan, seed=0, physics=physics)
+    arm = plan.scene.models["arm"]
+    gravity = arm.inverse_dynamics(plan.arms["arm"].initial, np.zeros(7), np.zeros(7))
+    torques = []
+    for _ in range(130):
+        plant.step({"arm": gravity})
+        torques.append(plant.truth().arms["arm"].torque)
+    plant.close()
+    return np.mean(torques[30:], axis=0)
+
+
 def test_formula_that_blows_up_says_when():
     effect = FormulaEffect(spec(end_effector_force={"y": "drag / (t - 0.2)"}))
     physics = Physics.nominal(load_scenario("push"), "juice")
@@ -79,7 +109,7 @@ def test_formula_that_blows_up_says_when():
     [
         ({"end_effector_force": {"w": "drag"}}, "unknown 'w'"),
         ({"joint_torque": {"joint9": "drag"}}, "unknown 'joint9'"),
-        ({"end_effector_force": {}}, "needs joint_torque or end_effector_force"),
+        ({"end_effector_force": {}}, "needs joint_torque, motor_torque or end_effector_force"),
         ({"end_effector_force": {"y": "t"}, "parameters": {"t": PARAMETER}}, "cannot be parameter names"),
     ],
 )
