@@ -81,7 +81,7 @@ class Drive:
         transmission += elastic
 
     def load(self, torque: Array) -> None:
-        """Set a further torque on the motors ``(n,)`` [N m]; like friction, the torque loop scales it by B_rho/B_theta."""
+        """Set a further torque on the motors, ``(n,)`` [N m]; scaled by B_rho / B_theta as friction is."""
         self._load = torque
         self._desired = None
 
