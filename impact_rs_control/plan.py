@@ -148,7 +148,8 @@ def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> Ar
     ante_position = ante_impact_path(timing, pose.translation, velocity, times)
     ante_posture = ante_impact_path(timing, joint_1, joint_1_velocity, times)
     after = scale * impact.end_effector_twist[name][:3]
-    post_position = carry_path(timing, pose.translation, after, np.eye(3)[scenario.axis_index], times)
+    common = scale * np.mean([twist[:3] for twist in impact.end_effector_twist.values()], axis=0)
+    post_position = carry_path(timing, pose.translation, after, common, np.eye(3)[scenario.axis_index], normal, times)
     post_posture = post_impact_path(timing, joint_1, scale * impact.joint_velocity[name][:1], times)
     still = np.zeros((times.size, 1))
     return ArmPlan(

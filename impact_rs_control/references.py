@@ -99,25 +99,38 @@ def post_impact_path(timing: Timing, position: Array, velocity: Array, times: Ar
     return _to_rest(timing.nominal_impact, timing.push, position, velocity, times)
 
 
-def carry_path(timing: Timing, position: Array, velocity: Array, axis: Array, times: Array) -> SampledPath:
+def carry_path(
+    timing: Timing, position: Array, velocity: Array, common: Array, axis: Array, normal: Array, times: Array
+) -> SampledPath:
     """Post-impact path of a pad: goes on along ``axis`` with the object, and soon stops moving across it.
 
     At T_nom the whole predicted velocity is there, as the impact map demands. What is not along the axis of the task,
     such as sliding along the object's face, is no part of it, and as long as it lasts pad friction loads object and
-    support: it ends after ``timing.slide``.
+    support: it ends after ``timing.slide``. So does what one pad does otherwise than all pads together, and what would
+    lead it into the object or off it: these leave no displacement behind, because pads that hold one rigid object
+    cannot follow it. Contact forces would answer that are not in the desired wrench, and feedback would pay for them.
 
     Args:
         timing: Times of the scenario.
         position: At T_nom, ``(3,)`` [m].
         velocity: At T_nom, just after impact, ``(3,)`` [m/s].
+        common: Mean of that velocity over all pads, ``(3,)`` [m/s].
         axis: Direction in which the object is pushed or lifted, unit vector, ``(3,)``.
+        normal: Normal of the pad, unit vector, ``(3,)``.
         times: Where to sample, ``(k,)`` [s].
     """
-    along = axis * (axis @ velocity)
-    carry = post_impact_path(timing, position, along, times)
-    slide = _to_rest(timing.nominal_impact, timing.slide, np.zeros(3), velocity - along, times)
+    along = axis * (axis @ common)
+    slide = common - along - normal * (normal @ (common - along))
+    start, place = timing.nominal_impact, np.zeros(3)
+    parts = (
+        post_impact_path(timing, position, along, times),
+        _to_rest(start, timing.slide, place, slide, times),
+        _to_rest(start, timing.slide, place, velocity - along - slide, times, place),
+    )
     return SampledPath(
-        carry.position + slide.position, carry.velocity + slide.velocity, carry.acceleration + slide.acceleration
+        sum((part.position for part in parts), place),
+        sum((part.velocity for part in parts), place),
+        sum((part.acceleration for part in parts), place),
     )
 
 
@@ -139,12 +152,10 @@ def there_and_back_path(begin: float, leg: float, rest: float, start: Array, end
     return sample_path([ViaPoint(time, position, still, still) for time, position in knots], times)
 
 
-def _to_rest(start: float, duration: float, position: Array, velocity: Array, times: Array) -> SampledPath:
+def _to_rest(
+    start: float, duration: float, position: Array, velocity: Array, times: Array, end: Array | None = None
+) -> SampledPath:
+    """From ``position`` with ``velocity`` to rest at ``end``; None: where a smooth step in velocity ends."""
     rest = np.zeros_like(velocity)
-    return sample_path(
-        [
-            ViaPoint(start, position, velocity, rest),
-            ViaPoint(start + duration, position + velocity * duration / 2.0, rest, rest),
-        ],
-        times,
-    )
+    end = position + velocity * duration / 2.0 if end is None else end
+    return sample_path([ViaPoint(start, position, velocity, rest), ViaPoint(start + duration, end, rest, rest)], times)

@@ -40,7 +40,7 @@ def test_velocity_and_acceleration_are_derivatives_of_position_everywhere(timing
     for path in (
         ante_impact_path(timing, POSITION, VELOCITY, times),
         post_impact_path(timing, POSITION, VELOCITY, times),
-        carry_path(timing, POSITION, VELOCITY, NORMAL, times),
+        carry_path(timing, POSITION, VELOCITY, 0.9 * VELOCITY, NORMAL, NORMAL, times),
     ):
         np.testing.assert_allclose(np.gradient(path.position, times, axis=0), path.velocity, atol=2e-3)
         change = np.gradient(path.velocity, times, axis=0)
@@ -53,7 +53,7 @@ def test_references_coincide_at_nominal_impact_and_their_velocities_jump(timing)
     at_impact = np.array([timing.nominal_impact])
     after = np.array([0.01, -0.55, 0.0])
     ante = ante_impact_path(timing, POSITION, VELOCITY, at_impact)
-    post = carry_path(timing, POSITION, after, NORMAL, at_impact)
+    post = carry_path(timing, POSITION, after, 0.9 * after, NORMAL, NORMAL, at_impact)
     np.testing.assert_allclose(ante.position, post.position, atol=1e-12)
     np.testing.assert_allclose(ante.velocity[0], VELOCITY, atol=1e-12)
     np.testing.assert_allclose(post.velocity[0], after, atol=1e-12)
@@ -77,6 +77,22 @@ def test_arm_that_hits_nothing_comes_to_rest(timing):
 
 def test_sliding_across_the_face_ends_long_before_the_push(timing):
     after = np.array([0.08, -0.55, -0.02])
-    path = carry_path(timing, POSITION, after, NORMAL, np.array([timing.nominal_impact + timing.slide]))
+    path = carry_path(timing, POSITION, after, after, NORMAL, NORMAL, np.array([timing.nominal_impact + timing.slide]))
     np.testing.assert_allclose(path.velocity[0, [0, 2]], 0.0, atol=1e-9)
     assert path.velocity[0, 1] < -0.3
+
+
+def test_pads_that_hold_an_object_end_at_its_faces_and_rise_together(timing):
+    up, left, right = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0]), np.array([0.0, 1.0, 0.0])
+    velocities = {"left": np.array([0.10, 0.02, 0.36]), "right": np.array([0.06, -0.01, 0.34])}
+    common = np.mean(list(velocities.values()), axis=0)
+    times = np.array([timing.nominal_impact, timing.nominal_impact + timing.slide, timing.duration])
+    paths = {
+        name: carry_path(timing, POSITION, velocities[name], common, up, normal, times)
+        for name, normal in (("left", left), ("right", right))
+    }
+    for name, path in paths.items():
+        np.testing.assert_allclose(path.velocity[0], velocities[name], atol=1e-12)
+        np.testing.assert_allclose(path.position[1:, 1], POSITION[1], atol=1e-12)
+    np.testing.assert_allclose(paths["left"].position[1:], paths["right"].position[1:], atol=1e-12)
+    assert np.all(paths["left"].position[-1, 2] > POSITION[2] + 0.1)
