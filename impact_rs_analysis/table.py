@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field, RootModel
 
-from impact_rs_analysis.analyze import Analysis
+from impact_rs_analysis.analyze import Analysis, ExperimentSet
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.schema import Schema, parse_yaml
@@ -64,38 +64,48 @@ class Row:
 
 
 def result_table(analysis: Analysis) -> list[Row]:
-    """A row per set, then average error (bias) and absolute error (quality), over the rows shown."""
-    rows = []
+    """A row per set, then average error (bias) and absolute error (quality) of each scenario, and of all if several."""
+    groups: dict[str, list[Row]] = {}
     for entry in analysis.sets:
-        paper = paper_row(entry.scenario, entry.object, entry.case)
-        half = None if entry.interval is None else max(abs(bound - entry.estimate) for bound in entry.interval)
-        rows.append(
-            Row(
-                label=entry.label,
-                estimate=entry.estimate,
-                half_interval=half,
-                errors={model: entry.predictions[model].error for model in MOTOR_INERTIA_MODELS},
-                paper_estimate=None if paper is None else paper.estimate,
-                paper_errors=None if paper is None else paper.errors,
-            )
-        )
-    if not rows:
-        return rows
+        groups.setdefault(entry.scenario, []).append(_row(entry))
+    if len(groups) == 1:
+        (rows,) = groups.values()
+        return [*rows, *_averages(rows, "")]
+    table = []
+    for scenario, rows in groups.items():
+        table += [replace(row, label=f"{scenario}: {row.label}") for row in rows]
+        table += _averages(rows, f"{scenario}: ")
+    return [*table, *_averages([row for rows in groups.values() for row in rows], "All: ")] if table else []
+
+
+def _row(entry: ExperimentSet) -> Row:
+    paper = paper_row(entry.scenario, entry.object, entry.case)
+    return Row(
+        label=entry.label,
+        estimate=entry.estimate,
+        half_interval=None if entry.interval is None else max(abs(bound - entry.estimate) for bound in entry.interval),
+        errors={model: entry.predictions[model].error for model in MOTOR_INERTIA_MODELS},
+        paper_estimate=None if paper is None else paper.estimate,
+        paper_errors=None if paper is None else paper.errors,
+    )
+
+
+def _averages(rows: list[Row], prefix: str) -> list[Row]:
     ours = [row.errors for row in rows]
     theirs = [row.paper_errors for row in rows if row.paper_errors is not None]
-    for label, absolute in (("Average error", False), ("Absolute error", True)):
-        rows.append(
-            Row(
-                label,
-                None,
-                None,
-                _mean(ours, absolute),
-                None,
-                _mean(theirs, absolute) if theirs else None,
-                not absolute,
-            )
+    words = (("average error", False), ("absolute error", True))
+    return [
+        Row(
+            f"{prefix}{label}" if prefix else label.capitalize(),
+            None,
+            None,
+            _mean(ours, absolute),
+            None,
+            _mean(theirs, absolute) if theirs else None,
+            not absolute,
         )
-    return rows
+        for label, absolute in words
+    ]
 
 
 def _mean(errors: list[dict[str, float]], absolute: bool) -> dict[str, float]:

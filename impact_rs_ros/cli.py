@@ -19,13 +19,29 @@ from impact_rs_ros.commands import (
     history,
     map,
     paper,
+    study,
     trial,
     up,
 )
 from impact_rs_ros.commands.terminal import Parser, Terminal
 from impact_rs_sim.errors import InputError
 
-COMMANDS = (demo, map, trial, campaign, analyze, compare, diagnose, add_effect, history, effects, blind, paper, up)
+COMMANDS = (
+    demo,
+    map,
+    trial,
+    campaign,
+    analyze,
+    study,
+    compare,
+    diagnose,
+    add_effect,
+    history,
+    effects,
+    blind,
+    paper,
+    up,
+)
 
 TEXT = """\
 Predict, measure and explain simultaneous robot impacts.

@@ -53,14 +53,15 @@ def report_on(directory: Path, output: Path | None, terminal: Terminal) -> tuple
     with output_folder(output or directory / "report") as folder, terminal.progress("report") as tell:
         written = write_report(analysis, folder, tell)
     terminal.result(analysis.to_json())
-    _show(analysis, terminal)
+    show(analysis, terminal)
     terminal.say(f"report: {written[0].resolve()}")
     if not analysis.sets:
         terminal.warn("no set has enough trials for an estimate; see above what is missing")
     return (0 if analysis.sets else 1), written[0]
 
 
-def _show(analysis: Analysis, terminal: Terminal) -> None:
+def show(analysis: Analysis, terminal: Terminal) -> None:
+    """Show the table, and what did not enter it."""
     from rich.table import Table
 
     from impact_rs_analysis.table import result_table

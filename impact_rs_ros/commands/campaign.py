@@ -89,13 +89,13 @@ def through_nodes(directory: Path, manifest: Manifest) -> Iterator[TrialReport]:
 
 
 def follow(
-    reports: Iterator[TrialReport], manifest: Manifest, directory: Path, terminal: Terminal
+    reports: Iterator[TrialReport], manifest: Manifest, directory: Path, terminal: Terminal, what: str = "trials"
 ) -> tuple[Counter[str], list[TrialReport]]:
     """Show progress while trials run; outcomes by number, and the trials that failed."""
     outcomes: Counter[str] = Counter()
     failures = []
     total = sum(not (directory / key.name).exists() for key in manifest.keys)
-    with terminal.progress("trials") as tell:
+    with terminal.progress(what) as tell:
         tell(0, total)
         for number, report in enumerate(reports, start=1):
             outcomes[report.outcome] += 1
