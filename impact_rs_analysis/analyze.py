@@ -23,6 +23,8 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.schema import load
 
+LARGEST_SPREAD = 0.05  # s between the impacts of two arms; later, velocity feedback fights the second one
+
 
 @dataclass(frozen=True)
 class Skipped:
@@ -138,6 +140,8 @@ class Analysis:
         skipped: Bags that could not be used.
         missing: Trials of the manifest that are not there.
         no_impact: Trials in which nothing was hit.
+        apart: Trials in which one arm hit long before another, with the time between [s] (``LARGEST_SPREAD``); they stay
+            in the fit.
     """
 
     directory: Path
@@ -146,6 +150,7 @@ class Analysis:
     skipped: tuple[Skipped, ...]
     missing: tuple[str, ...]
     no_impact: tuple[str, ...]
+    apart: tuple[tuple[str, float], ...] = ()
 
     def errors(self, model: str) -> list[float]:
         """Percentage mismatch of a model in every set [%]."""
@@ -171,6 +176,7 @@ class Analysis:
             "skipped": [vars(entry) for entry in self.skipped],
             "missing": list(self.missing),
             "no_impact": list(self.no_impact),
+            "apart": [{"trial": name, "between_impacts_s": spread} for name, spread in self.apart],
         }
 
 
@@ -242,6 +248,7 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
         skipped=tuple(skipped),
         missing=tuple(missing),
         no_impact=tuple(trial.name for trial in measured if not trial.impact),
+        apart=tuple((trial.name, trial.spread) for trial in measured if trial.impact and trial.spread > LARGEST_SPREAD),
     )
 
 

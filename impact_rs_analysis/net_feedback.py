@@ -56,6 +56,11 @@ class TrialFeedback:
         start, end = self.info.window_start, self.info.window_end
         return all(start <= moment <= end for moment in self.impact_times)
 
+    @property
+    def spread(self) -> float:
+        """Time between the first and the last arm's impact [s]; NaN where an arm detected none."""
+        return max(self.impact_times) - min(self.impact_times)
+
 
 def held_integral(time: Array, signal: Array, start: float, end: float) -> tuple[Array, float]:
     """Integral of a signal that keeps its value until the next sample (paper eq. a_fb_net).

@@ -46,4 +46,5 @@ def analyze_study(directory: Path, progress: Callable[[int, int], None] | None =
         skipped=tuple(entry for part in parts.values() for entry in part.skipped),
         missing=tuple(f"{name}/{trial}" for name, part in parts.items() for trial in part.missing),
         no_impact=tuple(f"{name}/{trial}" for name, part in parts.items() for trial in part.no_impact),
+        apart=tuple((f"{name}/{trial}", spread) for name, part in parts.items() for trial, spread in part.apart),
     )

@@ -14,6 +14,7 @@ from impact_rs_control.references import (
     post_impact_path,
     there_and_back_path,
 )
+from impact_rs_sim.clearance import check_clearance
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import compute_impact_map
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
@@ -119,7 +120,7 @@ def plan_trial(
         engine: Engine of the impact map.
 
     Raises:
-        InputError: A scale or motor-inertia model that is none, or a start of the motion that cannot be reached.
+        InputError: A scale or motor-inertia model that is none, a start that cannot be reached, or arms that collide.
     """
     if not 0.0 < velocity_scale <= LARGEST_SCALE:
         raise InputError(f"velocity scale = {velocity_scale!r}: expected a number > 0 and <= {LARGEST_SCALE:g} [-]")
@@ -128,8 +129,10 @@ def plan_trial(
     if scene.scenario.excursion is not None:
         arms = {name: _plan_excursion(scene, name) for name in scene.arms}
         return TrialPlan(scene, velocity_scale, motor_inertia, None, arms)
+    check_clearance(scene.models, {name: state.position for name, state in scene.arms.items()}, "at the impact")
     impact = compute_impact_map(ImpactProblem.at_nominal_impact(scene, motor_inertia), engine)
     arms = {name: _plan_hit(scene, name, impact, velocity_scale) for name in scene.arms}
+    check_clearance(scene.models, {name: arm.initial for name, arm in arms.items()}, "at the start")
     return TrialPlan(scene, velocity_scale, motor_inertia, impact, arms)
 
 

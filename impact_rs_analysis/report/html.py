@@ -202,6 +202,10 @@ def _left_out(analysis: Analysis) -> str:
             [f"{code(f'{s.object} {s.case}')}: {html.escape(s.reason)}" for s in analysis.incomplete],
         )
         + _listing("Trials without impact, not in the fit", [code(name) for name in analysis.no_impact])
+        + _listing(
+            "Trials in which one arm hit long before another",
+            [f"{code(name)}: {1e3 * spread:.0f}&nbsp;ms" for name, spread in analysis.apart],
+        )
         + _listing("Bags skipped", [f"{code(s.name)}: {html.escape(s.reason)}" for s in analysis.skipped])
         + _listing("Trials of the manifest that are missing", [code(name) for name in analysis.missing])
     )

@@ -92,6 +92,10 @@ def show(analysis: Analysis, terminal: Terminal) -> None:
         terminal.say(f"skipped {bag.name}: {bag.reason}")
     if analysis.no_impact:
         terminal.say(f"without impact, not in the fit: {', '.join(analysis.no_impact)}")
+    for name, spread in analysis.apart:
+        terminal.say(
+            f"{name}: {1e3 * spread:.0f} ms between its arms' impacts, so its feedback is not that of one impact"
+        )
     if analysis.missing:
         shown = ", ".join(analysis.missing[:5]) + (", ..." if len(analysis.missing) > 5 else "")
         terminal.say(f"{len(analysis.missing)} trials of the manifest are missing: {shown}")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from impact_rs_analysis import study
-from impact_rs_analysis.analyze import Analysis, analyze_campaign
+from impact_rs_analysis.analyze import LARGEST_SPREAD, Analysis, analyze_campaign
 from impact_rs_analysis.campaign import make_manifest, run_campaign
 from impact_rs_analysis.study import analyze_study, study_manifests
 from impact_rs_analysis.table import result_table
@@ -57,3 +58,10 @@ def test_a_study_without_one_of_its_campaigns_says_which(push_campaign: Path, tm
         analyze_study(tmp_path)
     assert caught.value.file == str(tmp_path / "grab")
     assert analyze_campaign(tmp_path / "push").sets
+
+
+def test_arms_that_hit_one_after_the_other_are_flagged_with_the_time_between(analysis: Analysis) -> None:
+    trial = next(entry for entry in analysis.sets if entry.scenario == "grab").trials[0]
+    assert 0.0 <= trial.spread < LARGEST_SPREAD
+    assert replace(trial, impact_times=(0.90, 0.97)).spread == pytest.approx(0.07)
+    assert all(spread > LARGEST_SPREAD for _, spread in analysis.apart)
