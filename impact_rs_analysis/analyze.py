@@ -140,8 +140,8 @@ class Analysis:
         skipped: Bags that could not be used.
         missing: Trials of the manifest that are not there.
         no_impact: Trials in which nothing was hit.
-        apart: Trials in which one arm hit long before another, with the time between [s] (``LARGEST_SPREAD``); they stay
-            in the fit.
+        apart: Trials in which one arm hit long before another, with the time between [s] (``LARGEST_SPREAD``); they
+            stay in the fit.
     """
 
     directory: Path
