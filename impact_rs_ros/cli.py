@@ -16,6 +16,7 @@ from impact_rs_ros.commands import (
     demo,
     diagnose,
     effects,
+    friction,
     history,
     map,
     paper,
@@ -25,7 +26,22 @@ from impact_rs_ros.commands import (
 from impact_rs_ros.commands.terminal import Parser, Terminal
 from impact_rs_sim.errors import InputError
 
-COMMANDS = (demo, map, trial, campaign, analyze, compare, diagnose, add_effect, history, effects, blind, paper, up)
+COMMANDS = (
+    demo,
+    map,
+    trial,
+    campaign,
+    analyze,
+    compare,
+    diagnose,
+    add_effect,
+    history,
+    effects,
+    blind,
+    friction,
+    paper,
+    up,
+)
 
 TEXT = """\
 Predict, measure and explain simultaneous robot impacts.
