@@ -1,4 +1,4 @@
-"""What friction compensation is worth: ``./run python benchmarks/friction.py [--objects ...] [--cases ...] [--trials N]``.
+"""What friction compensation is worth: ``./run python benchmarks/friction.py [--objects NAME ...] [--trials N]``.
 
 The same trials three times: a plant without joint friction, one with the robot's identified friction, and that one with
 the compensation identified on it. Prints one JSON document: experimental estimates, and how far the last two are from
@@ -54,7 +54,7 @@ def main() -> None:
             estimates[kind] = {f"{one.object} {one.case}": one for one in analyze_campaign(folder / kind).sets}
     sets = {}
     for name, smooth in estimates["frictionless"].items():
-        sets[name] = {kind: _row(found.get(name), smooth) for kind, found in estimates.items()}
+        sets[name] = {kind: _row(table.get(name), smooth) for kind, table in estimates.items()}
     print(
         json.dumps(
             {

@@ -88,11 +88,14 @@ def identify(
     )
 
 
-def compensated_path(scenario_name: str, path: Path) -> Path:
-    """Where the copy of a scenario goes that uses the compensation at ``path``.
+def prepare_output(scenario_name: str, path: Path) -> Path:
+    """Make the folder of a compensation that is to be written at ``path``, for identification takes long.
+
+    Returns:
+        Where the copy of the scenario goes that uses it.
 
     Raises:
-        InputError: One of the two files exists already, or there is no such scenario.
+        InputError: One of the two files exists already, the folder cannot be made, or there is no such scenario.
     """
     copy = path.with_name(f"{scenario_path(scenario_name).stem}_compensated.yaml")
     for file in (path, copy):
@@ -100,6 +103,10 @@ def compensated_path(scenario_name: str, path: Path) -> Path:
             raise InputError("this file exists already; choose another name", file=file)
     if copy == path:
         raise InputError("this is the name of the scenario's copy; choose another name", file=path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", file=path) from None
     return copy
 
 
@@ -112,11 +119,10 @@ def write_compensation(compensation: FrictionCompensation, scenario_name: str, p
     Raises:
         InputError: A file exists already or cannot be written.
     """
-    copy = compensated_path(scenario_name, path)
+    copy = prepare_output(scenario_name, path)
     text = scenario_path(scenario_name).read_text(encoding="utf-8")
     text = re.sub(rf"^{KEY}:.*\n?", "", text, flags=re.MULTILINE)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(
             yaml.safe_dump(compensation.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=120),
             encoding="utf-8",

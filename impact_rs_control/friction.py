@@ -18,7 +18,7 @@ import numpy as np
 
 from impact_rs_control.closed_loop import make_plant, without_garbage_collection
 from impact_rs_control.controller import Controller
-from impact_rs_control.plan import TrialPlan, initial_position, plan_trial
+from impact_rs_control.plan import TrialPlan, initial_position, plan_trial, tick_times
 from impact_rs_control.references import run_up_path
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.friction_compensation import AccelerationSamples, ArmFriction
@@ -106,8 +106,7 @@ def _free_motion(plan: TrialPlan, arm: str, phase: Phase) -> TrialPlan:
     """The part of a trial's plan that one arm runs alone: two would meet where the object was."""
     scene, own = plan.scene, plan.arms[arm]
     if phase == "post":
-        timing = scene.scenario.timing
-        times = np.arange(timing.ticks + 1) * timing.control_period
+        timing, times = scene.scenario.timing, tick_times(scene)
         position, posture = (run_up_path(timing, path, times) for path in (own.post_position, own.post_posture))
         own = replace(
             own,

@@ -138,14 +138,15 @@ def plan_trial(
     return TrialPlan(scene, velocity_scale, motor_inertia, impact, arms)
 
 
-def _tick_times(scene: Scene) -> Array:
+def tick_times(scene: Scene) -> Array:
+    """Times of the control ticks of a trial, ``(ticks + 1,)`` [s]."""
     timing = scene.scenario.timing
     return np.arange(timing.ticks + 1, dtype=np.float64) * timing.control_period
 
 
 def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> ArmPlan:
     scenario, model, state = scene.scenario, scene.models[name], scene.arms[name]
-    timing, times = scenario.timing, _tick_times(scene)
+    timing, times = scenario.timing, tick_times(scene)
     pose = scenario.impact_placement(name, scene.object_name)
     normal = np.array(scenario.robots[name].impact.pad_normal)
     velocity = model.jacobian(state.position)[:3] @ state.velocity
@@ -176,7 +177,7 @@ def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> Ar
 def _plan_excursion(scene: Scene, name: str) -> ArmPlan:
     """There and back through free space; ante- and post-impact references are the same."""
     scenario, state = scene.scenario, scene.arms[name]
-    excursion, times = scenario.excursion, _tick_times(scene)
+    excursion, times = scenario.excursion, tick_times(scene)
     assert excursion is not None
     robot = scenario.cases[scene.case_name].robots[name]
     pose = scenario.impact_placement(name, scene.object_name)

@@ -54,7 +54,7 @@ class FrictionCompensation(Schema):
 
     def times(self, duration: float) -> Array:
         """When the samples of a trial of ``duration`` [s] are taken, ``(k,)`` [s]."""
-        return np.arange(int(duration / self.period + 1e-9) + 1) * self.period
+        return np.arange(int(duration / self.period + 1e-9) + 1, dtype=np.float64) * self.period
 
     def arms(self, object_name: str, case_name: str) -> dict[str, ArmFriction]:
         """Feedforward by arm of one set.

@@ -12,10 +12,10 @@ from impact_rs_ros.commands.terminal import PROGRAM, Parser, Terminal, add_comma
 TEXT = f"""\
 Identify what joint friction costs, so that the controller feeds it forward and the net feedback shows the impact alone.
 
-identify runs the scenario's plant in free motion, uncompensated: along the ante-impact reference with the ante-impact
-controller, and from rest along the post-impact reference with the post-impact controller, one arm at a time. The feedback
-of these runs, averaged, is the feedforward. It writes FILE, and beside it SCENARIO_compensated.yaml, a copy of the scenario
-that uses it. Files that exist are never overwritten.
+identify runs the scenario's plant in free motion, uncompensated and one arm at a time: along the ante-impact reference
+with the ante-impact controller, and from rest along the post-impact reference with the post-impact controller. The
+feedback of these runs, averaged, is the feedforward. It writes FILE, and beside it SCENARIO_compensated.yaml, a copy of
+the scenario that uses it. Files that exist are never overwritten.
 
 example:
   {PROGRAM} friction identify my_push.yaml -o friction/push_friction.yaml
@@ -51,10 +51,13 @@ def identify(args: argparse.Namespace, terminal: Terminal) -> int:
     from impact_rs_sim.scenario import load_scenario
 
     scenario = load_scenario(args.scenario)
-    friction.compensated_path(args.scenario, args.output)
     effects = None if args.effects is None else load_model(args.effects)
-    with output_folder(args.output.parent), started(args.jobs) as map_tasks, terminal.progress("arms") as tell:
-        found = friction.identify(scenario, args.objects, args.cases, args.runs, args.seed, effects, map_tasks, tell)
+    with output_folder(args.output.parent):
+        friction.prepare_output(args.scenario, args.output)
+        with started(args.jobs) as map_tasks, terminal.progress("arms") as tell:
+            found = friction.identify(
+                scenario, args.objects, args.cases, args.runs, args.seed, effects, map_tasks, tell
+            )
         copy = friction.write_compensation(found, args.scenario, args.output)
     largest = [
         {
