@@ -22,7 +22,7 @@ from impact_rs_analysis.bags.writer import partial_path
 from impact_rs_analysis.workers import local_client
 from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenario import load_scenario, scenario_path
+from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import PositiveVector, Schema, load
 
@@ -78,8 +78,8 @@ def make_manifest(
     """A manifest with the scenario's own values where nothing is given.
 
     Raises:
-        InputError: Unknown scenario, object or case, a pose that cannot be reached, a scale that is not positive, or
-            fewer than one trial.
+        InputError: Unknown scenario, object or case, a pose that cannot be reached, a set without friction compensation
+            where the scenario has one, a scale that is not positive, or fewer than one trial.
     """
     scenario = load_scenario(scenario_name)
     for name in objects or []:
@@ -103,6 +103,8 @@ def make_manifest(
     for name in manifest.objects:
         for case in manifest.cases:
             Scene.resolve(scenario, name, case)
+            if scenario.friction_compensation is not None:
+                scenario.friction_compensation.arms(name, case)
     return manifest
 
 
@@ -131,15 +133,17 @@ def open_campaign(directory: Path, manifest: Manifest) -> list[TrialKey]:
 
 
 @functools.lru_cache(maxsize=16)
-def _scene(scenario: str, modified: int, object_name: str, case_name: str) -> Scene:
-    del modified
-    return Scene.resolve(load_scenario(scenario), object_name, case_name)
+def _scene(scenario: str, object_name: str, case_name: str) -> Scene:
+    return Scene.resolve(Scenario.model_validate_json(scenario), object_name, case_name)
 
 
 @functools.lru_cache(maxsize=16)
-def _plan(scenario: str, modified: int, object_name: str, case_name: str, scale: float, inertia: str) -> TrialPlan:
-    """Repeats of a trial share its plan: inverse kinematics and impact map are solved once per worker."""
-    return plan_trial(_scene(scenario, modified, object_name, case_name), scale, inertia)
+def _plan(scenario: str, object_name: str, case_name: str, scale: float, inertia: str) -> TrialPlan:
+    """Repeats of a trial share its plan: inverse kinematics and impact map are solved once per worker.
+
+    The key is the scenario's content, for the file may be edited, or one that it names.
+    """
+    return plan_trial(_scene(scenario, object_name, case_name), scale, inertia)
 
 
 def run_one(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
@@ -152,8 +156,9 @@ def run_one(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
     if path.exists():
         return TrialReport(key, _outcome(path))
     shutil.rmtree(partial_path(path), ignore_errors=True)
-    modified = scenario_path(manifest.scenario).stat().st_mtime_ns
-    plan = _plan(manifest.scenario, modified, key.object, key.case, key.scale, manifest.motor_inertia)
+    plan = _plan(
+        load_scenario(manifest.scenario).model_dump_json(), key.object, key.case, key.scale, manifest.motor_inertia
+    )
     info = TrialInfo.of(plan, key, key.seed(manifest.seed), "inprocess")
     outcome, _ = record_trial(plan, info, path)
     return TrialReport(key, outcome)

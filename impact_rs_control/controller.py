@@ -1,7 +1,7 @@
 """Reference-spreading QP control of one or several arms (paper sec. Control approach).
 
-Ante, interim and post mode differ in reference, in the weight gamma of velocity feedback, and in the wrench that is
-fed forward:
+Ante, interim and post mode differ in reference, in the weight gamma of velocity feedback, and in what is fed forward
+against joint friction and for the wrench on the object:
 
     e_p = ddp - ddp_d - gamma 2 sqrt(k_p) (dp_d - dp) - k_p (p_d - p) - a_fric - a_f       (paper eqs. e_pos_*)
 
@@ -157,6 +157,7 @@ class ArmController:
         plan = self._plan
         position_path = plan.post_position if after else plan.ante_position
         posture_path = plan.post_posture if after else plan.ante_posture
+        friction = plan.post_friction if after else plan.ante_friction
 
         twist = terms.twist
         feedback = self._position_rate * gamma * (position_path.velocity[index] - twist[:3])
@@ -165,7 +166,7 @@ class ArmController:
         tilt = terms.rotation @ pin.log3(terms.rotation.T @ plan.orientation[index])
         spin = plan.pad_normal * plan.rotation.velocity[index, 0]
         targets = self._targets
-        targets[:3] = position_path.acceleration[index] + feedback
+        targets[:3] = position_path.acceleration[index] + feedback + friction[index]
         targets[3:6] = k_theta * tilt + 2.0 * math.sqrt(k_theta) * gamma * (spin - twist[3:])
         targets[3:6] += plan.pad_normal * plan.rotation.acceleration[index, 0]
         targets[6] = (

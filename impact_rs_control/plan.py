@@ -39,6 +39,8 @@ class ArmPlan:
         rotation: Desired rotation about the pad's normal that ``orientation`` holds, ``(ticks + 1, 1)`` [rad].
         pad_normal: The pad's normal in A, ``(3,)``; it keeps its direction.
         wrench: Desired wrench f_d of the arm on the object per tick, at E in E[A], ``(ticks + 1, 6)`` [N, N m].
+        ante_friction: Friction compensation a^a_fric of the ante mode per tick, ``(ticks + 1, 3)`` [m/s^2].
+        post_friction: Friction compensation a^p_fric of interim and post mode, ``(ticks + 1, 3)`` [m/s^2].
         approach_direction: Direction of the ante-impact velocity, ``(3,)``.
         initial: Initial joint positions, ``(n,)`` [rad].
     """
@@ -51,6 +53,8 @@ class ArmPlan:
     rotation: SampledPath
     pad_normal: Array
     wrench: Array
+    ante_friction: Array
+    post_friction: Array
     approach_direction: Array
     initial: Array
 
@@ -120,7 +124,8 @@ def plan_trial(
         engine: Engine of the impact map.
 
     Raises:
-        InputError: A scale or motor-inertia model that is none, a start that cannot be reached, or arms that collide.
+        InputError: A scale or motor-inertia model that is none, a start that cannot be reached, arms that collide, or a
+            friction compensation that was not identified for this object and case.
     """
     if not 0.0 < velocity_scale <= LARGEST_SCALE:
         raise InputError(f"velocity scale = {velocity_scale!r}: expected a number > 0 and <= {LARGEST_SCALE:g} [-]")
@@ -136,14 +141,15 @@ def plan_trial(
     return TrialPlan(scene, velocity_scale, motor_inertia, impact, arms)
 
 
-def _tick_times(scene: Scene) -> Array:
+def tick_times(scene: Scene) -> Array:
+    """Times of the control ticks of a trial, ``(ticks + 1,)`` [s]."""
     timing = scene.scenario.timing
     return np.arange(timing.ticks + 1, dtype=np.float64) * timing.control_period
 
 
 def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> ArmPlan:
     scenario, model, state = scene.scenario, scene.models[name], scene.arms[name]
-    timing, times = scenario.timing, _tick_times(scene)
+    timing, times = scenario.timing, tick_times(scene)
     pose = scenario.impact_placement(name, scene.object_name)
     normal = np.array(scenario.robots[name].impact.pad_normal)
     velocity = model.jacobian(state.position)[:3] @ state.velocity
@@ -155,6 +161,7 @@ def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> Ar
     post_position = carry_path(timing, pose.translation, after, common, np.eye(3)[scenario.axis_index], normal, times)
     post_posture = post_impact_path(timing, joint_1, scale * impact.joint_velocity[name][:1], times)
     still = np.zeros((times.size, 1))
+    ante_friction, post_friction = _friction(scene, name, times)
     return ArmPlan(
         ante_position=ante_position,
         post_position=post_position,
@@ -164,15 +171,17 @@ def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> Ar
         rotation=SampledPath(still, still, still),
         pad_normal=normal,
         wrench=_wrench(scene, name, post_position),
+        ante_friction=ante_friction,
+        post_friction=post_friction,
         approach_direction=velocity / np.linalg.norm(velocity),
-        initial=_initial(scene, name, pose.rotation, ante_position, ante_posture),
+        initial=initial_position(scene, name, pose.rotation, ante_position, ante_posture),
     )
 
 
 def _plan_excursion(scene: Scene, name: str) -> ArmPlan:
     """There and back through free space; ante- and post-impact references are the same."""
     scenario, state = scene.scenario, scene.arms[name]
-    excursion, times = scenario.excursion, _tick_times(scene)
+    excursion, times = scenario.excursion, tick_times(scene)
     assert excursion is not None
     robot = scenario.cases[scene.case_name].robots[name]
     pose = scenario.impact_placement(name, scene.object_name)
@@ -186,6 +195,7 @@ def _plan_excursion(scene: Scene, name: str) -> ArmPlan:
     posture = path(state.position[:1], state.position[:1] + excursion.joint_1)
     rotation = path(np.zeros(1), np.array([excursion.twist]))
     turned = np.array([pose.rotation @ pin.exp3(np.array([0.0, 0.0, angle])) for angle in rotation.position[:, 0]])
+    ante_friction, post_friction = _friction(scene, name, times)
     return ArmPlan(
         ante_position=position,
         post_position=position,
@@ -195,18 +205,46 @@ def _plan_excursion(scene: Scene, name: str) -> ArmPlan:
         rotation=rotation,
         pad_normal=normal,
         wrench=np.zeros((times.size, 6)),
+        ante_friction=ante_friction,
+        post_friction=post_friction,
         approach_direction=np.array(robot.ante_velocity) / np.linalg.norm(robot.ante_velocity),
-        initial=_initial(scene, name, pose.rotation, position, posture),
+        initial=initial_position(scene, name, pose.rotation, position, posture),
     )
 
 
-def _initial(scene: Scene, name: str, rotation: Array, position: SampledPath, posture: SampledPath) -> Array:
-    """Joint positions at the start of the motion."""
+def initial_position(scene: Scene, name: str, rotation: Array, position: SampledPath, posture: SampledPath) -> Array:
+    """Joint positions of an arm at the start of its motion, ``(n,)`` [rad].
+
+    Args:
+        scene: The scene.
+        name: Name of the arm.
+        rotation: Orientation of E, ``(3, 3)``.
+        position: Path of E.
+        posture: Path of joint 1.
+
+    Raises:
+        InputError: The start cannot be reached.
+    """
     start = pin.SE3(rotation, position.position[0])
     try:
         return scene.models[name].inverse_kinematics(start, float(posture.position[0, 0]), scene.arms[name].position)
     except InputError as error:
         raise InputError(f"arm {name!r}, start of the motion: {error}") from None
+
+
+def _friction(scene: Scene, name: str, times: Array) -> tuple[Array, Array]:
+    """Friction compensation of the ante mode and of the modes after it, ``(ticks + 1, 3)`` each [m/s^2]."""
+    compensation = scene.scenario.friction_compensation
+    if compensation is None:
+        none = np.zeros((times.size, 3))
+        return none, none
+    arm = compensation.arms(scene.object_name, scene.case_name)[name]
+    taken = compensation.times(scene.scenario.timing.duration)
+
+    def at_ticks(rows: Array) -> Array:
+        return np.column_stack([np.interp(times, taken, column) for column in rows.T])
+
+    return at_ticks(arm.ante.rows), at_ticks(arm.post.rows)
 
 
 def _wrench(scene: Scene, name: str, post: SampledPath) -> Array:

@@ -134,6 +134,38 @@ def carry_path(
     )
 
 
+def run_up_path(timing: Timing, post: SampledPath, times: Array) -> SampledPath:
+    """The post-impact path with a start from rest in the place of the impact.
+
+    The run-up takes as long as the approach does. It has reached the velocity of the post-impact path when the net
+    feedback would begin to count, so that at T_nom the tracking has settled and nothing jumps.
+
+    Args:
+        timing: Times of the scenario.
+        post: Post-impact path at ``times``.
+        times: Where it is sampled, ``(k,)`` [s].
+    """
+    nominal = timing.nominal_impact
+    settled = min(timing.window_before, timing.approach / 2.0)
+    speeding = timing.approach - settled
+    start = int(np.searchsorted(times, nominal - 1e-9))
+    position, velocity = post.position[start], post.velocity[start]
+    rest, reached = np.zeros_like(velocity), position - velocity * settled
+    run_up = sample_path(
+        [
+            ViaPoint(nominal - timing.approach, reached - velocity * speeding / 2.0, rest, rest),
+            ViaPoint(nominal - settled, reached, velocity, rest),
+            ViaPoint(nominal, position, velocity, rest),
+        ],
+        times[:start],
+    )
+    return SampledPath(
+        np.vstack((run_up.position, post.position[start:])),
+        np.vstack((run_up.velocity, post.velocity[start:])),
+        np.vstack((run_up.acceleration, post.acceleration[start:])),
+    )
+
+
 def there_and_back_path(begin: float, leg: float, rest: float, start: Array, end: Array, times: Array) -> SampledPath:
     """From rest at ``start`` to rest at ``end`` and back again.
 

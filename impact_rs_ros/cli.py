@@ -16,6 +16,7 @@ from impact_rs_ros.commands import (
     demo,
     diagnose,
     effects,
+    friction,
     history,
     map,
     paper,
@@ -39,6 +40,7 @@ COMMANDS = (
     history,
     effects,
     blind,
+    friction,
     paper,
     up,
 )

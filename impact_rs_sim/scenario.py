@@ -7,14 +7,16 @@ we *believe* of the physics beyond nominal values; beliefs that change live in m
 from __future__ import annotations
 
 import functools
+import hashlib
 from pathlib import Path
-from typing import Annotated, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 import pinocchio as pin
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.friction_compensation import FrictionCompensation
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
 from impact_rs_sim.schema import (
@@ -25,6 +27,8 @@ from impact_rs_sim.schema import (
     Vector,
     Vector3,
     load,
+    load_mapping,
+    validate,
 )
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -327,6 +331,25 @@ class Scenario(Schema):
     control: Control = Field(description="controller")
     sensors: Sensors = Field(description="measurement")
     scatter: Scatter = Field(description="trial-to-trial scatter")
+    friction_compensation: FrictionCompensation | None = Field(
+        None,
+        description="a path, seen from the scenario file's folder, to what `impact-rs friction identify` wrote; absent: "
+        "friction is left to the feedback. That file has these keys",
+    )
+
+    @model_serializer(mode="wrap")
+    def _without_absent_compensation(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Bags of scenarios without it read as they always did."""
+        data: dict[str, Any] = handler(self)
+        if self.friction_compensation is None:
+            data.pop("friction_compensation", None)
+        return data
+
+    @model_validator(mode="after")
+    def _friction_compensation_fits(self) -> Self:
+        if self.friction_compensation is not None:
+            _check_compensation(self.friction_compensation, self)
+        return self
 
     @model_validator(mode="after")
     def _every_case_moves_every_robot(self) -> Self:
@@ -385,6 +408,12 @@ class Scenario(Schema):
         return self.excursion.begin + 2.0 * self.excursion_leg(robot) + self.excursion.rest
 
     @property
+    def digest(self) -> str:
+        """Digest of what decides how the arms move; names, number of trials and velocity scales do not count."""
+        told = {"name", "description", "velocity_scales", "trials", "friction_compensation"}
+        return hashlib.sha256(self.model_dump_json(exclude=told).encode()).hexdigest()[:16]
+
+    @property
     def axis_index(self) -> int:
         """0, 1 or 2 for x, y, z."""
         return AXES[self.axis]
@@ -440,17 +469,47 @@ def scenario_path(name: str) -> Path:
     return path
 
 
+def _check_compensation(compensation: FrictionCompensation, scenario: Scenario) -> None:
+    cases = {name: set(case.robots) for name, case in scenario.cases.items()}
+    sets = {name: cases for name in scenario.objects}
+    compensation.check(scenario.name, scenario.digest, sets, scenario.timing.duration)
+
+
 @functools.lru_cache(maxsize=32)
-def _load_cached(path: Path, modified: int) -> Scenario:
+def _load_cached(path: Path, modified: int) -> tuple[Scenario, Path | None]:
+    """The scenario as its file says it, and the file of its friction compensation."""
     del modified
-    return load(Scenario, path)
+    data = load_mapping(path)
+    named = data.get("friction_compensation")
+    if isinstance(named, str):
+        del data["friction_compensation"]
+    return validate(Scenario, data, path), path.parent / named if isinstance(named, str) else None
+
+
+@functools.lru_cache(maxsize=32)
+def _compensated(path: Path, modified: int, compensation_path: Path, compensation_modified: int) -> Scenario:
+    del compensation_modified
+    scenario, _ = _load_cached(path, modified)
+    compensation = load(FrictionCompensation, compensation_path)
+    try:
+        _check_compensation(compensation, scenario)
+    except InputError as error:
+        raise InputError(error.message, file=compensation_path, key=error.key, value=error.value) from None
+    return scenario.model_copy(update={"friction_compensation": compensation})
 
 
 def load_scenario(name: str) -> Scenario:
-    """Load a scenario by name or path.
+    """Load a scenario by name or path, and the friction compensation that it names.
 
     Raises:
-        InputError: There is no such scenario, or its file breaks the schema.
+        InputError: There is no such scenario, a file breaks its schema, or the friction compensation belongs to another
+            scenario.
     """
     path = scenario_path(name).resolve()
-    return _load_cached(path, path.stat().st_mtime_ns)
+    modified = path.stat().st_mtime_ns
+    scenario, compensation = _load_cached(path, modified)
+    if compensation is None:
+        return scenario
+    if not compensation.is_file():
+        raise InputError("no such file", file=path, key="friction_compensation", value=str(compensation))
+    return _compensated(path, modified, compensation, compensation.stat().st_mtime_ns)

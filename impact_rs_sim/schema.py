@@ -94,11 +94,20 @@ def load(schema: type[SchemaType], path: str | Path) -> SchemaType:
         InputError: The file is missing, is no YAML, or breaks the schema. The message names file, key, value and
             what was expected with its unit.
     """
+    return validate(schema, load_mapping(path), path)
+
+
+def load_mapping(path: str | Path) -> dict[str, Any]:
+    """Read one file without validating it.
+
+    Raises:
+        InputError: The file is missing, is no YAML, or no mapping.
+    """
     try:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot be read: {error}", file=path) from None
-    return validate(schema, parse_yaml(text, path), path)
+    return parse_yaml(text, path)
 
 
 def validate(schema: type[SchemaType], data: dict[str, Any], file: str | Path) -> SchemaType:

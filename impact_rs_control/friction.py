@@ -1,0 +1,129 @@
+"""Friction identification: what the feedback costs in free motion (paper Appendix A).
+
+    a_i,fric(t) = 2 sqrt(k_p) (dp_d - dp_i) + k_p (p_d - p_i),      a_fric(t) = mean over the runs i
+
+A run has one arm and nothing to hit, and stays in one mode. The post-impact controller starts from rest on its own
+reference: in a run with impact the error of the predicted velocity jump would pass for friction, and the net feedback
+that shall show it would be gone.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from dataclasses import replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from impact_rs_control.closed_loop import make_plant, without_garbage_collection
+from impact_rs_control.controller import Controller
+from impact_rs_control.plan import TrialPlan, initial_position, plan_trial, tick_times
+from impact_rs_control.references import run_up_path
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.friction_compensation import AccelerationSamples, ArmFriction
+from impact_rs_sim.model import Model
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scene import Scene
+
+Phase = Literal["ante", "post"]
+
+PERIOD = 0.01  # s; feedback of a position loop with k_p = 200 / s^2 follows nothing faster than some 70 ms
+OUT_OF_REACH = np.array([100.0, 0.0, 0.0])  # m
+RESOLUTION = 5  # digits behind the point [m/s^2], far below the noise
+
+
+def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | None = None) -> ArmFriction:
+    """Feedforward of one arm for both controllers.
+
+    Args:
+        scene: Scenario, object and case; a friction compensation that the scenario has is left out.
+        arm: Name of the arm.
+        runs: Runs to average, for each controller.
+        seed: Seed of scatter and noise; the same seed gives the same result.
+        effects: What the plant does beyond the scenario; None: nothing.
+
+    Raises:
+        InputError: Nothing is hit in this scenario, there are fewer than one run, or a start cannot be reached.
+    """
+    if scene.scenario.excursion is not None:
+        raise InputError(
+            f"scenario {scene.scenario.name!r} hits nothing: it has no net feedback that friction could spoil"
+        )
+    if runs < 1:
+        raise InputError(f"runs = {runs}: expected at least 1")
+    scene = replace(scene, scenario=scene.scenario.model_copy(update={"friction_compensation": None}))
+    plan = plan_trial(scene)
+    physics = scene.physics if effects is None else effects.apply(scene.physics)
+    found = {}
+    for phase in get_args(Phase):
+        alone = _free_motion(plan, arm, phase)
+        seeds = [_seed(seed, f"{scene.object_name}__{scene.case_name}__{arm}__{phase}__r{run}") for run in range(runs)]
+        feedback = np.mean([run_free_motion(alone, arm, phase, physics, each) for each in seeds], axis=0)
+        found[phase] = AccelerationSamples.of(np.round(_binned(feedback, sample_every(scene.scenario)), RESOLUTION))
+    return ArmFriction(**found)
+
+
+def sample_every(scenario: Scenario) -> int:
+    """Control periods in one period of the identified samples."""
+    return max(1, round(PERIOD / scenario.timing.control_period))
+
+
+def run_free_motion(plan: TrialPlan, arm: str, phase: Phase, physics: Physics, seed: int) -> Array:
+    """Feedback of one run in one mode, ``(ticks + 1, 3)`` [m/s^2].
+
+    Args:
+        plan: Motion of one arm in free space.
+        arm: Its name.
+        phase: Whose controller.
+        physics: True physics of the plant.
+        seed: Seed of scatter and noise.
+    """
+    scenario = plan.scene.scenario
+    controller = Controller(plan).arms[arm]
+    if phase == "post":
+        interim = math.ceil(scenario.control.interim_duration / scenario.timing.control_period)
+        controller.begin_interim(-interim)  # an impact so long ago that the interim mode is over
+    plant = make_plant(plan, seed, replace(physics, arms={arm: physics.arms[arm]}))
+    feedback = np.empty((scenario.timing.ticks + 1, 3))
+    try:
+        with without_garbage_collection():
+            for tick in range(feedback.shape[0]):
+                measured = plant.measure().arms[arm]
+                controller.watch(tick, measured)
+                command = controller.command(tick, measured)
+                feedback[tick] = command.feedback
+                if tick < scenario.timing.ticks:
+                    plant.step({arm: command.torque})
+    finally:
+        plant.close()
+    return feedback
+
+
+def _free_motion(plan: TrialPlan, arm: str, phase: Phase) -> TrialPlan:
+    """The part of a trial's plan that one arm runs alone: two would meet where the object was."""
+    scene, own = plan.scene, plan.arms[arm]
+    if phase == "post":
+        timing, times = scene.scenario.timing, tick_times(scene)
+        position, posture = (run_up_path(timing, path, times) for path in (own.post_position, own.post_posture))
+        own = replace(
+            own,
+            post_position=position,
+            post_posture=posture,
+            wrench=np.zeros_like(own.wrench),
+            initial=initial_position(scene, arm, own.orientation[0], position, posture),
+        )
+    away = replace(scene.object, position=scene.object.position + OUT_OF_REACH)
+    return replace(plan, scene=replace(scene, object=away), arms={arm: own})
+
+
+def _seed(seed: int, name: str) -> int:
+    return int(np.random.SeedSequence([seed, zlib.crc32(name.encode())]).generate_state(1, np.uint64)[0])
+
+
+def _binned(signal: Array, every: int) -> Array:
+    """Means around every ``every``-th sample, ``(k, 3)``; noise goes, friction stays."""
+    half = every // 2
+    return np.array([signal[max(0, at - half) : at + half + 1].mean(axis=0) for at in range(0, len(signal), every)])
