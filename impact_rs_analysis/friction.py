@@ -127,7 +127,7 @@ def write_compensation(compensation: FrictionCompensation, scenario_name: str, p
             yaml.safe_dump(compensation.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=120),
             encoding="utf-8",
         )
-        copy.write_text(f"{text.rstrip()}\n\n{KEY}: {path.name}\n", encoding="utf-8")
+        copy.write_text(f"{text.rstrip()}\n\n{yaml.safe_dump({KEY: path.name})}", encoding="utf-8")
         load_scenario(str(copy))
     except (OSError, InputError) as error:
         path.unlink(missing_ok=True)
