@@ -16,6 +16,7 @@ from impact_rs_ros.commands import (
     demo,
     diagnose,
     effects,
+    export,
     history,
     map,
     paper,
@@ -25,7 +26,8 @@ from impact_rs_ros.commands import (
 from impact_rs_ros.commands.terminal import Parser, Terminal
 from impact_rs_sim.errors import InputError
 
-COMMANDS = (demo, map, trial, campaign, analyze, compare, diagnose, add_effect, history, effects, blind, paper, up)
+LOOP = (compare, diagnose, add_effect, history, effects, blind)
+COMMANDS = (demo, map, trial, campaign, analyze, export, *LOOP, paper, up)
 
 TEXT = """\
 Predict, measure and explain simultaneous robot impacts.

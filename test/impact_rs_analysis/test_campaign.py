@@ -7,9 +7,17 @@ from pathlib import Path
 import pytest
 
 from impact_rs_analysis.bags.reader import TrialBag
-from impact_rs_analysis.bags.trial_info import TrialKey
 from impact_rs_analysis.bags.writer import partial_path
-from impact_rs_analysis.campaign import Manifest, TrialReport, make_manifest, open_campaign, run_campaign, run_one
+from impact_rs_analysis.campaign import (
+    Manifest,
+    Trial,
+    TrialReport,
+    make_manifest,
+    open_campaign,
+    run_campaign,
+    run_one,
+)
+from impact_rs_analysis.workers import Workforce
 from impact_rs_sim.errors import InputError
 
 SCALES = [0.8, 1.0, 1.2]
@@ -20,9 +28,9 @@ def manifest() -> Manifest:
     return make_manifest("push", ["cat_food"], ["2"], SCALES, trials=1)
 
 
-def fake(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
-    (directory / key.name).mkdir()
-    return TrialReport(key, "OK")
+def fake(directory: Path, trial: Trial) -> TrialReport:
+    (directory / trial.key.name).mkdir()
+    return TrialReport(trial.key, "OK")
 
 
 def test_a_campaign_is_resumed_where_it_stopped(tmp_path: Path, manifest: Manifest) -> None:
@@ -35,10 +43,10 @@ def test_a_campaign_is_resumed_where_it_stopped(tmp_path: Path, manifest: Manife
 
 
 def test_an_interrupt_leaves_a_campaign_that_can_be_resumed(tmp_path: Path, manifest: Manifest) -> None:
-    def interrupted(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
-        if key.scale == 1.0:
+    def interrupted(directory: Path, trial: Trial) -> TrialReport:
+        if trial.key.scale == 1.0:
             raise KeyboardInterrupt
-        return fake(directory, manifest, key)
+        return fake(directory, trial)
 
     with pytest.raises(KeyboardInterrupt):
         list(run_campaign(tmp_path, manifest, run=interrupted))
@@ -58,7 +66,7 @@ def test_a_half_written_bag_is_run_again_and_gives_the_same_trial(
     hidden = partial_path(tmp_path / key.name)
     hidden.mkdir(parents=True)
     (hidden / "half.mcap").write_bytes(b"")
-    assert run_one(tmp_path, manifest, key).outcome == "OK"
+    assert run_one(tmp_path, manifest.trial(key)).outcome == "OK"
     assert not hidden.exists()
     ours, theirs = (TrialBag(folder / key.name).controller("arm") for folder in (tmp_path, push_campaign))
     assert (ours.feedback_acceleration == theirs.feedback_acceleration).all()
@@ -67,15 +75,15 @@ def test_a_half_written_bag_is_run_again_and_gives_the_same_trial(
 def test_a_finished_bag_stands(push_campaign: Path, tmp_path: Path, manifest: Manifest) -> None:
     directory = Path(shutil.copytree(push_campaign, tmp_path / "push"))
     before = next((directory / manifest.keys[0].name).glob("*.mcap")).stat().st_mtime_ns
-    assert run_one(directory, manifest, manifest.keys[0]).outcome == "OK"
+    assert run_one(directory, manifest.trial(manifest.keys[0])).outcome == "OK"
     assert next((directory / manifest.keys[0].name).glob("*.mcap")).stat().st_mtime_ns == before
 
 
 def test_one_broken_trial_does_not_end_the_campaign(tmp_path: Path, manifest: Manifest) -> None:
-    def broken(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
-        if key.scale == 0.8:
+    def broken(directory: Path, trial: Trial) -> TrialReport:
+        if trial.key.scale == 0.8:
             raise ZeroDivisionError("by nothing")
-        return fake(directory, manifest, key)
+        return fake(directory, trial)
 
     reports = list(run_campaign(tmp_path, manifest, run=broken))
     assert [report.outcome for report in reports] == ["ABORTED", "OK", "OK"]
@@ -83,16 +91,16 @@ def test_one_broken_trial_does_not_end_the_campaign(tmp_path: Path, manifest: Ma
 
 
 def test_a_trial_whose_worker_dies_is_run_again(tmp_path: Path, manifest: Manifest) -> None:
-    def dies_once(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
+    def dies_once(directory: Path, trial: Trial) -> TrialReport:
         marker = directory / "died"
-        if key.scale == 1.0 and not marker.exists():
+        if trial.key.scale == 1.0 and not marker.exists():
             marker.write_text("")
             os._exit(1)
         assert os.environ["OMP_NUM_THREADS"] == "1"
-        (directory / key.name).mkdir()
-        return TrialReport(key, "OK")
+        (directory / trial.key.name).mkdir()  # a worker does not know this module and its functions
+        return TrialReport(trial.key, "OK")
 
-    reports = list(run_campaign(tmp_path, manifest, jobs=2, run=dies_once))
+    reports = list(run_campaign(tmp_path, manifest, Workforce(2), run=dies_once))
     assert (tmp_path / "died").exists()
     assert sorted((report.key.scale, report.outcome, report.message) for report in reports) == [
         (scale, "OK", "") for scale in SCALES

@@ -170,7 +170,7 @@ def test_a_campaign_with_failures_is_no_success(
     def broken(*arguments: object) -> None:
         raise ZeroDivisionError("by nothing")
 
-    monkeypatch.setattr("impact_rs_analysis.campaign.run_campaign.__defaults__", (1, broken))
+    monkeypatch.setattr("impact_rs_analysis.campaign.run_campaign.__defaults__", (None, broken))
     scope = ["--objects", "cat_food", "--cases", "2", "--trials", "1", "--scales", "1.0"]
     assert main(["campaign", "push", "-o", str(tmp_path / "out"), *scope]) == 1
     assert "by nothing" in capfd.readouterr().err
