@@ -233,7 +233,7 @@ def run_campaign(
         workforce = (workforce or Workforce()).at_most(len(todo))
         if workforce.in_process or not todo:
             for key in open_campaign(store, manifest):
-                yield _run(store, run, manifest.trial(key))
+                yield run_in(store, run, manifest.trial(key))
             return
         with client_of(workforce) as client:
             open_campaign(store, manifest)  # now that there are workers: without them nothing is left behind
@@ -243,7 +243,7 @@ def run_campaign(
 def _run_on_cluster(client: Client, store: Store, run: TrialRunner, trials: Iterable[Trial]) -> Iterator[TrialReport]:
     """Run trials on a cluster; repeats of a trial follow each other and share their plan."""
     try:
-        for trial, report in as_they_end(client, functools.partial(_run, store, run), trials):
+        for trial, report in as_they_end(client, functools.partial(run_in, store, run), trials):
             if isinstance(report, TrialReport):
                 yield report
             else:
@@ -252,7 +252,7 @@ def _run_on_cluster(client: Client, store: Store, run: TrialRunner, trials: Iter
         raise SchedulerLost(f"{error}; the same command goes on where it stopped") from None
 
 
-def _run(store: Store, run: TrialRunner, trial: Trial) -> TrialReport:
+def run_in(store: Store, run: TrialRunner, trial: Trial) -> TrialReport:
     """Run one trial where it is missing; a broken one does not end a campaign.
 
     Raises:

@@ -12,9 +12,9 @@ import socket
 import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TextIO
 
 from impact_rs_sim.errors import InputError
 
@@ -59,11 +59,11 @@ class Store(ABC):
         """
 
     @abstractmethod
-    def adding(self, name: str) -> Any:
+    def adding(self, name: str) -> AbstractContextManager[Path]:
         """A context manager with the folder to make the bag ``name`` in; it is kept where the context ends well."""
 
     @abstractmethod
-    def getting(self, name: str) -> Any:
+    def getting(self, name: str) -> AbstractContextManager[Path]:
         """A context manager with the folder that the bag ``name`` can be read in."""
 
 
@@ -101,6 +101,8 @@ class Folder(Store):
             self.path.mkdir(parents=True, exist_ok=True)
             (self.path / name).write_text(text, encoding="utf-8")
         except OSError as error:
+            with suppress(OSError):
+                (self.path / name).unlink()
             raise InputError(f"cannot be written: {error.strerror}", file=self.path / name) from None
 
     @contextmanager

@@ -1,10 +1,12 @@
 """Campaigns: resumed where they stopped, never mixed, and not stopped by one broken trial."""
 
+import errno
 import os
 import shutil
 from pathlib import Path
 
 import pytest
+from rosbags.rosbag2 import Writer
 
 from impact_rs_analysis.bags.reader import TrialBag
 from impact_rs_analysis.bags.writer import partial_path
@@ -105,6 +107,27 @@ def test_a_trial_whose_worker_dies_is_run_again(tmp_path: Path, manifest: Manife
     assert sorted((report.key.scale, report.outcome, report.message) for report in reports) == [
         (scale, "OK", "") for scale in SCALES
     ]
+
+
+def test_a_full_disk_ends_its_trial_alone_and_leaves_no_half_bag(
+    tmp_path: Path, manifest: Manifest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, written = Writer.write, []
+
+    def full(writer: Writer, *arguments: object) -> None:
+        if "s1.000" in writer.path.name and len(written) == 1000:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        written.append(writer.path.name)
+        write(writer, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Writer, "write", full)
+    first = manifest.model_copy(update={"velocity_scales": (1.0, 0.8)})
+    reports = list(run_campaign(tmp_path, first))
+    assert [report.outcome for report in reports] == ["ABORTED", "OK"]
+    assert "No space left on device" in reports[0].message
+    assert sorted(path.name for path in tmp_path.iterdir()) == [reports[1].key.name, "manifest.yaml"]
+    monkeypatch.setattr(Writer, "write", write)
+    assert [report.outcome for report in run_campaign(tmp_path, first)] == ["OK"]
 
 
 @pytest.mark.parametrize(
