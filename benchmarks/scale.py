@@ -62,9 +62,8 @@ def main() -> None:
         for trials in arguments.sizes:
             found = measure(jobs, trials, arguments.scheduler)
             results.append(found)
-            print(
-                f"{found.jobs:8d} {found.trials:8d} {found.first:16.2f} {found.rate:10.3f} {found.rate / found.jobs:20.3f}"
-            )
+            each = found.rate / found.jobs
+            print(f"{found.jobs:8d} {found.trials:8d} {found.first:16.2f} {found.rate:10.3f} {each:20.3f}", flush=True)
     if arguments.scheduler is not None:
         return
     last = results[-1]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Map = Callable[[Callable[..., Any], Sequence[Any]], Iterator[Any]]
 
 MEMORY_LIMIT = "1GiB"  # of a worker process here; measured: 0.2 GiB after five trials
-ANSWER_TIMEOUT = 5.0  # s, for a scheduler to answer
+ANSWER_TIMEOUT = 10.0  # s, for a scheduler to answer
 WORKERS_TIMEOUT = 30.0  # s, for its first worker to be there
 ON_THE_WAY = 1000  # tasks that the scheduler knows of at a time, so that its memory does not grow with a campaign
 

@@ -101,7 +101,7 @@ def test_a_second_process_on_a_folder_is_refused(tmp_path: Path, manifest: Manif
 
 def test_the_lock_of_a_process_that_was_killed_does_not_count(tmp_path: Path) -> None:
     code = "import os, sys, pathlib; from impact_rs_analysis.store import *; "
-    code += "owned(Folder(sys.argv[1])).__enter__(); os._exit(9)"
+    code += "lock = owned(Folder(sys.argv[1])); lock.__enter__(); os._exit(9)"
     assert subprocess.run([sys.executable, "-c", code, str(tmp_path)], timeout=60).returncode == 9
     assert (tmp_path / LOCK).exists()
     with owned(open_store(tmp_path)):

@@ -3,9 +3,12 @@
 import os
 import signal
 import socket
+import subprocess
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from subprocess import DEVNULL
 from typing import TYPE_CHECKING
 
 import pytest
@@ -19,14 +22,14 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def cluster(count: int, threads: int = 1, processes: bool = False) -> Iterator["LocalCluster"]:
-    """A scheduler and its workers; those are threads of this process where that makes no difference."""
+def cluster(count: int, threads: int = 1) -> Iterator["LocalCluster"]:
+    """A scheduler on a port of this machine, and workers that are threads of this process."""
     from distributed import LocalCluster
 
     with LocalCluster(
         n_workers=count,
         threads_per_worker=threads,
-        processes=processes,
+        processes=False,
         protocol="tcp",
         host="127.0.0.1",
         dashboard_address=None,
@@ -34,6 +37,23 @@ def cluster(count: int, threads: int = 1, processes: bool = False) -> Iterator["
         silence_logs=50,
     ) as running:
         yield running
+
+
+@contextmanager
+def worker_processes(address: str, count: int, scratch: Path) -> Iterator[list[subprocess.Popen]]:
+    """Workers as a user starts them."""
+    from distributed import Client
+
+    command = [sys.executable, "-m", "dask", "worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+    started = [subprocess.Popen([*command, "--local-directory", str(scratch)], stderr=DEVNULL) for _ in range(count)]
+    try:
+        with Client(address, set_as_default=False) as client:
+            client.wait_for_workers(count, timeout=100)
+        yield started
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
 
 
 @pytest.fixture
@@ -45,19 +65,19 @@ def test_a_worker_of_a_scheduler_that_is_killed_loses_no_trial_and_doubles_none(
     tmp_path: Path, manifest: Manifest
 ) -> None:
     def killed_once(directory: Path, trial: Trial) -> TrialReport:
-        marker = directory / "killed"
-        if trial.key.scale == 1.0 and not marker.exists():
-            marker.write_text("")
-            os.kill(os.getpid(), signal.SIGKILL)
+        if trial.key.scale == 1.0:
+            with suppress(FileExistsError):
+                (directory / "killed").touch(exist_ok=False)
+                os.kill(os.getpid(), signal.SIGKILL)
         with (directory / "finished").open("a") as log:
             log.write(f"{trial.key.name}\n")
         (directory / trial.key.name).mkdir()
         return TrialReport(trial.key, "OK")
 
-    with cluster(2, processes=True) as running:
+    with cluster(0) as running, worker_processes(running.scheduler_address, 2, tmp_path / "scratch") as processes:
         reports = list(run_campaign(tmp_path, manifest, Workforce(scheduler=running.scheduler_address), killed_once))
-    assert (tmp_path / "killed").exists()
-    assert {report.outcome for report in reports} == {"OK"}
+        assert sorted(process.poll() or 0 for process in processes) == [-signal.SIGKILL, 0]
+    assert not [report.message for report in reports if report.message]
     names = sorted(key.name for key in manifest.keys)
     assert sorted(report.key.name for report in reports) == names
     assert sorted((tmp_path / "finished").read_text().split()) == names
