@@ -21,7 +21,7 @@ from impact_rs_analysis.comparison.runs import read_runs
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import document_of, read_document, write_document
 from impact_rs_analysis.outside import OUTSIDE
-from impact_rs_analysis.workers import Map, workers
+from impact_rs_analysis.workers import Map, Workforce, workers
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
 
@@ -137,7 +137,7 @@ def main() -> None:
     arguments = parser.parse_args()
     wanted = [e for e in matrix(arguments.seeds) if e.name.startswith(arguments.only.replace(":", "__"))]
     rows, began = [], time.monotonic()
-    with workers(arguments.jobs) as map_tasks:
+    with workers(Workforce(arguments.jobs)) as map_tasks:
         for number, entry in enumerate(wanted, start=1):
             directory = arguments.output / entry.name
             if not (directory / "score.json").exists() and time.monotonic() - began > arguments.seconds:

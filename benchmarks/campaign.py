@@ -18,6 +18,7 @@ from impact_rs_analysis.analyze import analyze_campaign
 from impact_rs_analysis.bags.writer import BagWriter
 from impact_rs_analysis.campaign import make_manifest, open_campaign, run_campaign, run_one
 from impact_rs_analysis.report import write_report
+from impact_rs_analysis.workers import Workforce
 from impact_rs_control.closed_loop import make_plant, run_closed_loop
 from impact_rs_control.plan import plan_trial
 from impact_rs_sim.scenario import load_scenario
@@ -69,13 +70,13 @@ def main() -> None:
             close(bag, outcome)
             writing += time.process_time() - start
 
-        run_one(Path(folder) / "single", single, keys[0])  # imports and caches
+        run_one(Path(folder) / "single", single.trial(keys[0]))  # imports and caches
         BagWriter.finish = finish  # type: ignore[method-assign, assignment]
-        trials = [timed(lambda key=key: run_one(Path(folder) / "single", single, key)) for key in keys[1:]]
+        trials = [timed(lambda key=key: run_one(Path(folder) / "single", single.trial(key))) for key in keys[1:]]
         BagWriter.finish = close  # type: ignore[method-assign]
         total_cpu = sum(cpu for _, cpu in trials)
         manifest = make_manifest("push", trials=repeats)
-        campaign = timed(lambda: list(run_campaign(Path(folder) / "campaign", manifest, jobs)))
+        campaign = timed(lambda: list(run_campaign(Path(folder) / "campaign", manifest, Workforce(jobs))))
         analysis = timed(lambda: analyze_campaign(Path(folder) / "campaign"))
         found = analyze_campaign(Path(folder) / "campaign")
         report = timed(lambda: write_report(found, Path(folder) / "report"))

@@ -16,7 +16,7 @@ from pathlib import Path
 from impact_rs_analysis.analyze import ExperimentSet, analyze_campaign
 from impact_rs_analysis.campaign import make_manifest, run_campaign
 from impact_rs_analysis.friction import identify, write_compensation
-from impact_rs_analysis.workers import workers
+from impact_rs_analysis.workers import Workforce, workers
 from impact_rs_sim.scenario import load_scenario, scenario_path
 
 
@@ -37,7 +37,7 @@ def main() -> None:
         text = scenario_path(args.scenario).read_text(encoding="utf-8")
         rough.write_text(text.replace("friction: none", "friction: identified"), encoding="utf-8")
         began = time.perf_counter()
-        with workers(args.jobs) as map_tasks:
+        with workers(Workforce(args.jobs)) as map_tasks:
             found = identify(
                 load_scenario(str(rough)), args.objects, args.cases, args.runs, args.seed, None, map_tasks, _silent
             )
@@ -50,7 +50,7 @@ def main() -> None:
             ("compensated", str(compensated)),
         ):
             manifest = make_manifest(scenario, args.objects, args.cases, trials=args.trials, seed=args.seed)
-            list(run_campaign(folder / kind, manifest, args.jobs))
+            list(run_campaign(folder / kind, manifest, Workforce(args.jobs)))
             estimates[kind] = {f"{one.object} {one.case}": one for one in analyze_campaign(folder / kind).sets}
     sets = {}
     for name, smooth in estimates["frictionless"].items():

@@ -42,7 +42,7 @@ def main() -> None:
     timing = load_scenario("push").timing
     manifest = make_manifest("push", ["cat_food"], ["1"], [1.0], trials=arguments.trials, seed=1)
     with tempfile.TemporaryDirectory() as folder:
-        alone = [timed(lambda key=key: run_one(Path(folder) / "alone", manifest, key)) for key in manifest.keys]
+        alone = [timed(lambda key=key: run_one(Path(folder) / "alone", manifest.trial(key))) for key in manifest.keys]
         nodes = []
         with Graph("push", arguments.domain) as graph:
             for key in manifest.keys:

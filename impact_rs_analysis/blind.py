@@ -20,6 +20,7 @@ from impact_rs_analysis.bags.writer import partial_path
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, runs_digest
 from impact_rs_analysis.diagnosis.search import SIGNIFICANT
 from impact_rs_analysis.outside import OUTSIDE
+from impact_rs_analysis.store import Folder, owned
 from impact_rs_analysis.workers import Map
 from impact_rs_control.plan import plan_trial
 from impact_rs_sim.effects import library
@@ -140,10 +141,16 @@ class BlindTask:
 
 
 def run_task(task: BlindTask) -> str:
-    """Record one trial; a finished one stands. Returns the outcome."""
+    """Record one trial; a finished one stands. Returns the outcome.
+
+    Raises:
+        InputError: This machine does not see the campaign's folder.
+    """
     import shutil
 
     path = Path(task.directory) / task.scenario / task.key.name
+    if not Path(task.directory).is_dir():
+        raise InputError("a worker does not find this folder; expected one that all workers share", file=task.directory)
     if path.exists():
         return "OK"
     shutil.rmtree(partial_path(path), ignore_errors=True)
@@ -178,7 +185,7 @@ def tasks(
         for case in load_scenario("excite").cases
         for repeat in range(plan.excite_repeats)
     ]
-    runs = str(directory / RUNS)
+    runs = str((directory / RUNS).absolute())  # a worker process may stand elsewhere
     return [BlindTask(runs, scenario, key, seed, tuple(hidden), outside, magnitude) for scenario, key in keys]
 
 
@@ -211,10 +218,11 @@ def make(
     text = json.dumps(truth, indent=2) + "\n"
     if path.exists() and path.read_text(encoding="utf-8") != text:
         raise InputError("this folder holds another blind campaign; choose another folder", file=directory)
-    directory.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
-    for done, _ in enumerate(map_tasks(run_task, todo), start=1):
-        yield done, len(todo)
+    with owned(Folder(directory)):
+        (directory / RUNS).mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+        for done, _ in enumerate(map_tasks(run_task, todo), start=1):
+            yield done, len(todo)
 
 
 def _named(item: Hidden) -> dict[str, Any]:

@@ -1,16 +1,18 @@
 """Campaigns: a folder of trials with a manifest, run in parallel, resumed where they stopped.
 
-A trial is a pure function of scenario file, key and campaign seed, so it does not matter where or in which order trials
-run. ``manifest.yaml`` says what the folder holds; a finished bag is never run again, a half-written one is.
+A trial is a pure function of scenario, key and campaign seed, so it does not matter where or in which order trials run.
+``manifest.yaml`` says what the folder holds; a finished bag is never run again, a half-written one is.
 """
 
 from __future__ import annotations
 
 import functools
 import shutil
-from collections.abc import Callable, Iterator
+import socket
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import yaml
 from pydantic import Field
@@ -19,12 +21,16 @@ from impact_rs_analysis.bags.reader import BagError, TrialBag
 from impact_rs_analysis.bags.record import record_trial
 from impact_rs_analysis.bags.trial_info import Outcome, TrialInfo, TrialKey
 from impact_rs_analysis.bags.writer import partial_path
-from impact_rs_analysis.workers import local_client
+from impact_rs_analysis.store import Store, open_store, owned
+from impact_rs_analysis.workers import SchedulerLost, Workforce, as_they_end, client_of
 from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.scene import Scene
-from impact_rs_sim.schema import PositiveVector, Schema, load
+from impact_rs_sim.schema import PositiveVector, Schema, parse_yaml, validate
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 MANIFEST = "manifest.yaml"
 
@@ -50,6 +56,32 @@ class Manifest(Schema):
             for scale in self.velocity_scales
             for repeat in range(self.trials)
         ]
+
+    def trial(self, key: TrialKey) -> Trial:
+        """One trial, with all that is needed to run it anywhere.
+
+        Raises:
+            InputError: There is no such scenario (any more).
+        """
+        scenario = load_scenario(self.scenario).model_dump_json()
+        return Trial(key, key.seed(self.seed), scenario, self.motor_inertia)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One trial, with all that is needed to run it anywhere.
+
+    Attributes:
+        key: Which trial of its campaign.
+        seed: Seed of its random numbers.
+        scenario: Full text of the scenario, JSON.
+        motor_inertia: Motor-inertia model of the reference.
+    """
+
+    key: TrialKey
+    seed: int
+    scenario: str
+    motor_inertia: str
 
 
 @dataclass(frozen=True)
@@ -108,28 +140,36 @@ def make_manifest(
     return manifest
 
 
-def open_campaign(directory: Path, manifest: Manifest) -> list[TrialKey]:
-    """Prepare a folder and return the trials that are still to be run.
+def open_campaign(place: str | Path | Store, manifest: Manifest) -> list[TrialKey]:
+    """Prepare the place of a campaign, a folder or a URL, and return the trials that are still to be run.
 
     Raises:
-        InputError: The folder holds another campaign.
+        InputError: It holds another campaign, or cannot be written.
     """
-    path = directory / MANIFEST
-    if path.exists():
-        present = load(Manifest, path)
+    store = open_store(place)
+    todo = still_to_run(store, manifest)
+    if not store.exists(MANIFEST):
+        store.write(MANIFEST, yaml.safe_dump(manifest.model_dump(mode="json"), sort_keys=False))
+    return todo
+
+
+def still_to_run(store: Store, manifest: Manifest) -> list[TrialKey]:
+    """The trials of a campaign that are not there yet.
+
+    Raises:
+        InputError: The place holds another campaign, or cannot be read.
+    """
+    if store.exists(MANIFEST):
+        path = f"{store}/{MANIFEST}"
+        present = validate(Manifest, parse_yaml(store.read(MANIFEST), path), path)
         if present != manifest:
             changed = [name for name in Manifest.model_fields if getattr(present, name) != getattr(manifest, name)]
             raise InputError(
                 f"this folder holds another campaign (it differs in {', '.join(changed)}); choose another folder",
                 file=path,
             )
-    else:
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-            path.write_text(yaml.safe_dump(manifest.model_dump(mode="json"), sort_keys=False), encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"cannot be written: {error.strerror}", file=path) from None
-    return [key for key in manifest.keys if not (directory / key.name).exists()]
+    names = store.names()
+    return [key for key in manifest.keys if key.name not in names]
 
 
 @functools.lru_cache(maxsize=16)
@@ -146,20 +186,19 @@ def _plan(scenario: str, object_name: str, case_name: str, scale: float, inertia
     return plan_trial(_scene(scenario, object_name, case_name), scale, inertia)
 
 
-def run_one(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
+def run_one(directory: Path, trial: Trial) -> TrialReport:
     """Run one trial in-process and write its bag.
 
     A half-written bag of it is thrown away first; a finished one stands (a worker can die between writing a bag and
     telling so).
     """
+    key = trial.key
     path = directory / key.name
     if path.exists():
         return TrialReport(key, _outcome(path))
     shutil.rmtree(partial_path(path), ignore_errors=True)
-    plan = _plan(
-        load_scenario(manifest.scenario).model_dump_json(), key.object, key.case, key.scale, manifest.motor_inertia
-    )
-    info = TrialInfo.of(plan, key, key.seed(manifest.seed), "inprocess")
+    plan = _plan(trial.scenario, key.object, key.case, key.scale, trial.motor_inertia)
+    info = TrialInfo.of(plan, key, trial.seed, "inprocess")
     outcome, _ = record_trial(plan, info, path)
     return TrialReport(key, outcome)
 
@@ -172,58 +211,70 @@ def _outcome(path: Path) -> Outcome:
     return found if found in ("OK", "NO-IMPACT", "DROPPED") else "ABORTED"  # type: ignore[return-value]
 
 
-TrialRunner = Callable[[Path, Manifest, TrialKey], TrialReport]
+TrialRunner = Callable[[Path, Trial], TrialReport]
 
 
 def run_campaign(
-    directory: Path, manifest: Manifest, jobs: int = 1, run: TrialRunner = run_one
+    place: str | Path | Store, manifest: Manifest, workforce: Workforce | None = None, run: TrialRunner = run_one
 ) -> Iterator[TrialReport]:
     """Run what is missing; yields a report per trial as it ends.
 
     Stopping the iteration, or an interrupt, leaves a folder in which the campaign can be resumed.
 
     Args:
-        directory: Campaign folder.
+        place: Campaign folder, or its URL.
         manifest: What to run.
-        jobs: Worker processes of a local ``dask.distributed`` cluster; 1 runs in this process.
-        run: Runs one trial.
+        workforce: Who runs it; None: this process.
+        run: Runs one trial, and leaves its bag in the folder it is given.
 
     Raises:
-        InputError: The folder holds another campaign, or ``jobs`` is below 1.
+        InputError: The folder holds another campaign, another process works on it, the scheduler cannot be used, or
+            one of its workers does not see the folder.
+        SchedulerLost: The scheduler went away.
     """
-    if jobs < 1:
-        raise InputError(f"jobs = {jobs}: expected at least 1 worker process")
-    todo = open_campaign(directory, manifest)
-    if jobs == 1 or len(todo) <= 1:
-        for key in todo:
-            yield _guarded(run, directory, manifest, key)
-        return
-    yield from _run_on_cluster(directory, manifest, min(jobs, len(todo)), run, todo)
+    store = open_store(place)
+    with owned(store):
+        todo = still_to_run(store, manifest)
+        workforce = (workforce or Workforce()).at_most(len(todo))
+        if workforce.in_process or not todo:
+            for key in open_campaign(store, manifest):
+                yield run_in(store, run, manifest.trial(key))
+            return
+        with client_of(workforce) as client:
+            open_campaign(store, manifest)  # now that there are workers: without them nothing is left behind
+            yield from _run_on_cluster(client, store, run, map(manifest.trial, todo))
 
 
-def _run_on_cluster(
-    directory: Path, manifest: Manifest, jobs: int, run: TrialRunner, todo: list[TrialKey]
-) -> Iterator[TrialReport]:
-    """Run trials on a local cluster; a trial whose worker dies is run again on another one."""
-    from distributed import as_completed
-
-    with local_client(jobs) as client:
-        # One key to a task, in order: repeats of a trial follow each other and share their plan.
-        futures = client.map(
-            _guarded, *zip(*((run, directory, manifest, key) for key in todo), strict=True), pure=False, retries=2
-        )
-        keys = {future.key: key for future, key in zip(futures, todo, strict=True)}
-        for future in as_completed(futures, loop=client.loop):
-            if future.status == "finished":
-                yield future.result()
-            else:  # its workers died, again and again
-                yield TrialReport(keys[future.key], "ABORTED", f"its worker process died ({future.exception()})")
-
-
-def _guarded(run: TrialRunner, directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
-    """One broken trial does not end a campaign."""
+def _run_on_cluster(client: Client, store: Store, run: TrialRunner, trials: Iterable[Trial]) -> Iterator[TrialReport]:
+    """Run trials on a cluster; repeats of a trial follow each other and share their plan."""
     try:
-        return run(directory, manifest, key)
+        for trial, report in as_they_end(client, functools.partial(run_in, store, run), trials):
+            if isinstance(report, TrialReport):
+                yield report
+            else:
+                yield TrialReport(trial.key, "ABORTED", f"its worker process died, again and again ({report})")
+    except SchedulerLost as error:
+        raise SchedulerLost(f"{error}; the same command goes on where it stopped") from None
+
+
+def run_in(store: Store, run: TrialRunner, trial: Trial) -> TrialReport:
+    """Run one trial where it is missing; a broken one does not end a campaign.
+
+    Raises:
+        InputError: This machine does not see the campaign's folder.
+    """
+    if not store.exists(MANIFEST):
+        raise InputError(
+            f"{socket.gethostname()} finds no {MANIFEST} here; expected a folder that all workers share, or a URL",
+            file=str(store),
+        )
+    key = trial.key
+    try:
+        if store.exists(key.name):
+            with store.getting(key.name) as directory:
+                return TrialReport(key, _outcome(directory / key.name))
+        with store.adding(key.name) as directory:
+            return run(directory, trial)
     except InputError as error:
         return TrialReport(key, "ABORTED", str(error))
     except Exception as error:  # whatever it is, it is reported and the other trials go on

@@ -16,6 +16,7 @@ from impact_rs_ros.commands import (
     demo,
     diagnose,
     effects,
+    export,
     friction,
     history,
     map,
@@ -27,23 +28,8 @@ from impact_rs_ros.commands import (
 from impact_rs_ros.commands.terminal import Parser, Terminal
 from impact_rs_sim.errors import InputError
 
-COMMANDS = (
-    demo,
-    map,
-    trial,
-    campaign,
-    analyze,
-    study,
-    compare,
-    diagnose,
-    add_effect,
-    history,
-    effects,
-    blind,
-    friction,
-    paper,
-    up,
-)
+LOOP = (compare, diagnose, add_effect, history, effects, blind)
+COMMANDS = (demo, map, trial, campaign, analyze, study, export, *LOOP, friction, paper, up)
 
 TEXT = """\
 Predict, measure and explain simultaneous robot impacts.

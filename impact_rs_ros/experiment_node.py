@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from rclpy.executors import Executor, MultiThreadedExecutor
 
 from impact_rs_analysis.bags.trial_info import TrialKey
 from impact_rs_analysis.campaign import make_manifest, open_campaign
+from impact_rs_analysis.store import open_store, owned
 from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_ros.trial_session import Progress, TrialResult, TrialSession
@@ -122,7 +124,7 @@ class ExperimentNode(NodeProgram):
     def _run_campaign(self, handle: Any) -> RunCampaign.Result:
         goal = handle.request
         answer = RunCampaign.Result()
-        with self._busy:
+        with self._busy, ExitStack() as held:
             try:
                 manifest = make_manifest(
                     goal.scenario or self.parameter("scenario"),
@@ -133,6 +135,7 @@ class ExperimentNode(NodeProgram):
                     goal.seed,
                 ).model_copy(update={"motor_inertia": goal.motor_inertia or "reduced"})
                 directory = Path(goal.output_directory or ".")
+                held.enter_context(owned(open_store(directory)))
                 todo = open_campaign(directory, manifest)
                 answer.skipped = len(manifest.keys) - len(todo)
                 scenario = load_scenario(manifest.scenario)

@@ -47,7 +47,7 @@ class BagWriter:
     """Writes the bag of one trial; a context manager.
 
     Leaving the context without :meth:`finish` keeps the bag under its hidden name, readable as far as it got, and a
-    campaign runs that trial again.
+    campaign runs that trial again. Where the disk is full nothing is kept.
 
     Args:
         path: Folder of the bag; must not exist yet.
@@ -61,7 +61,7 @@ class BagWriter:
         self.path = path
         self.messages = 0
         self._store = typestore()
-        self._finished = False
+        self._ended = False
         self._pending: list[tuple[str, int, Any]] = []
         if path.exists():
             raise InputError("this bag exists already", file=path)
@@ -73,6 +73,7 @@ class BagWriter:
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
         except OSError as error:
+            shutil.rmtree(hidden, ignore_errors=True)
             raise InputError(f"cannot be written: {error.strerror}", file=path) from None
         self._connections = {
             topic: self._writer.add_connection(
@@ -120,16 +121,30 @@ class BagWriter:
     def finish(self, outcome: Outcome) -> None:
         """Close the bag and give it its name."""
         self._close(outcome)
-        hidden = partial_path(self.path)
-        hidden.rename(self.path)
-        with suppress(OSError):  # other trials may still be in there
-            hidden.parent.rmdir()
-        self._finished = True
+        partial_path(self.path).rename(self.path)
+        self._tidy()
 
     def _close(self, outcome: Outcome) -> None:
-        self._flush()
-        self._writer.set_custom_data("outcome", outcome)
-        self._writer.close()
+        try:
+            self._flush()
+            self._writer.set_custom_data("outcome", outcome)
+            self._writer.close()
+        except OSError:
+            self._discard()
+            raise
+        self._ended = True
+
+    def _discard(self) -> None:
+        """Remove the half-written bag, which would only take up space."""
+        self._ended = True
+        with suppress(OSError):
+            self._writer.abort()
+        shutil.rmtree(partial_path(self.path), ignore_errors=True)
+        self._tidy()
+
+    def _tidy(self) -> None:
+        with suppress(OSError):  # other trials may still be in there
+            partial_path(self.path).parent.rmdir()
 
     def __enter__(self) -> Self:
         return self
@@ -137,5 +152,9 @@ class BagWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if not self._finished:
+        if self._ended:
+            return
+        if isinstance(error, OSError):
+            self._discard()
+        else:
             self._close("ABORTED")

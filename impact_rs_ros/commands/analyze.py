@@ -31,7 +31,7 @@ Units: speeds in m/s along the scenario's axis, errors in percent."""
 def add(subparsers: Any) -> None:
     """Declare the command."""
     parser = add_command(subparsers, "analyze", run, "compare predictions with recorded trials", TEXT)
-    parser.add_argument("directory", type=Path, metavar="DIR", help="folder whose subfolders are bags of trials")
+    parser.add_argument("directory", metavar="DIR", help="folder whose subfolders are bags of trials, or URL")
     parser.add_argument(
         "-o", dest="output", type=Path, metavar="REPORT_DIR", help="folder for the report; default: DIR/report"
     )
@@ -40,7 +40,14 @@ def add(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    return report_on(args.directory, args.output, terminal)[0]
+    from impact_rs_analysis.campaign import MANIFEST
+    from impact_rs_analysis.store import is_url, local_copy
+    from impact_rs_sim.errors import InputError
+
+    if is_url(args.directory) and args.output is None:
+        raise InputError("expected a folder for the report: -o REPORT_DIR", file=args.directory)
+    with local_copy(args.directory, (MANIFEST,)) as directory:
+        return report_on(directory, args.output, terminal)[0]
 
 
 def report_on(directory: Path, output: Path | None, terminal: Terminal) -> tuple[int, Path]:

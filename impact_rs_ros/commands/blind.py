@@ -51,7 +51,7 @@ def make(args: argparse.Namespace, terminal: Terminal) -> int:
     if args.seed < 0:
         raise InputError(f"seed = {args.seed}: expected a whole number >= 0")
     done = 0
-    with output_folder(args.output), started(args.jobs) as map_tasks, terminal.progress("trials") as tell:
+    with output_folder(args.output), started(args) as map_tasks, terminal.progress("trials") as tell:
         for done, total in blind.make(args.output, args.seed, map_tasks, args.kind, args.effect, args.size):
             tell(done, total)
     runs = args.output / blind.RUNS

@@ -53,7 +53,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     from impact_rs_sim.model import load_model
 
     model = load_model(args.model)
-    with started(args.jobs) as map_tasks:
+    with started(args) as map_tasks:
         runs = read(args.runs, map_tasks, terminal)
         comparison = comparison_of(runs, model, map_tasks, terminal)
         if args.output is not None or args.mcap is not None:

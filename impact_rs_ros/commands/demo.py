@@ -135,15 +135,16 @@ def _walk_the_loop(output: Path, runs_directory: Path, terminal: Terminal) -> di
     from impact_rs_analysis.diagnosis.document import add_effect, write_document
     from impact_rs_analysis.history import history
     from impact_rs_analysis.report.loop import write_comparison, write_diagnosis
+    from impact_rs_analysis.workers import Workforce, workers
     from impact_rs_ros.commands.compare import comparison_of
     from impact_rs_ros.commands.diagnose import document_of_runs
     from impact_rs_ros.commands.history import show_history
-    from impact_rs_ros.commands.loop import number, read, started
+    from impact_rs_ros.commands.loop import number, read
     from impact_rs_sim.model import load_model, save_model
 
     diagnosis_file, model_file, reports = output / "diagnosis.json", output / "model_2.yaml", output / "report"
     model = load_model(MODEL)
-    with started(min(2, os.cpu_count() or 1)) as map_tasks:
+    with workers(Workforce(min(2, os.cpu_count() or 1))) as map_tasks:
         runs = read(runs_directory, map_tasks, terminal)
         terminal.say("", "2. Where does the model fail?")
         before = comparison_of(runs, model, map_tasks, terminal)

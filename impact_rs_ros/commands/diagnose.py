@@ -66,7 +66,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("this is a folder; name a file, for example diagnosis.json", file=args.output)
     extended = with_formulas(model, args.formulas)
     check_effects(extended, args.effects)
-    with started(args.jobs) as map_tasks:
+    with started(args) as map_tasks:
         runs = read(args.runs, map_tasks, terminal)
         document = document_of_runs(runs, model, extended, args.effects, map_tasks, terminal)
         if args.output is not None:

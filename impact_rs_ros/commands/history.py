@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from impact_rs_ros.commands.loop import add_jobs, number, read, started
+from impact_rs_ros.commands.loop import add_jobs, local_path, number, read, started
 from impact_rs_ros.commands.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def add(subparsers: Any) -> None:
     """Declare the command."""
     parser = add_command(subparsers, "history", run, "show how the error fell from model to model", TEXT)
     parser.add_argument("model", type=Path, metavar="MODEL.yaml", help="the last model")
-    parser.add_argument("--runs", type=Path, required=True, metavar="RUNS", help="folder with bags of trials")
+    parser.add_argument("--runs", type=local_path, required=True, metavar="RUNS", help="folder with bags of trials")
     parser.add_argument("-o", dest="output", type=Path, metavar="DIR", help="folder for an HTML page with the plot")
     add_jobs(parser)
     add_json(parser)
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     from impact_rs_analysis.history import history, versions
 
     versions(args.model)  # a broken chain is told before anything is read
-    with started(args.jobs) as map_tasks:
+    with started(args) as map_tasks:
         runs = read(args.runs, map_tasks, terminal)
         with terminal.stages() as tell:
             found = history(args.model, runs, map_tasks, tell)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,15 +16,26 @@ if TYPE_CHECKING:
 
     from impact_rs_analysis.comparison.runs import Runs
     from impact_rs_analysis.diagnosis.document import EstimateDocument
-    from impact_rs_analysis.workers import Map
+    from impact_rs_analysis.workers import Map, Workforce
 
 MOST_SHOWN = 5
 
 
 def add_runs(parser: argparse.ArgumentParser) -> None:
     """The argument RUNS and the option ``--model``."""
-    parser.add_argument("runs", type=Path, metavar="RUNS", help="folder with bags of trials, however deep")
+    parser.add_argument("runs", type=local_path, metavar="RUNS", help="folder with bags of trials, however deep")
     add_model(parser)
+
+
+def local_path(text: str) -> Path:
+    """A path of this machine, as the type of an argument.
+
+    Raises:
+        argparse.ArgumentTypeError: It is a URL.
+    """
+    if "://" in text:
+        raise argparse.ArgumentTypeError(f"{text} is a URL: copy the bags into a folder first (analyze does by itself)")
+    return Path(text)
 
 
 def add_model(parser: argparse.ArgumentParser) -> None:
@@ -35,40 +46,49 @@ def add_model(parser: argparse.ArgumentParser) -> None:
 
 
 def add_jobs(parser: argparse.ArgumentParser) -> None:
-    """The option ``--jobs``."""
+    """The options ``--jobs`` and ``--scheduler``."""
     parser.add_argument("--jobs", type=int, metavar="N", help="worker processes; default: one per core")
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="let the workers of a running dask scheduler do it instead (tcp://host:port)",
+    )
+
+
+def workforce_of(args: argparse.Namespace) -> Workforce:
+    """Who does the work, by ``--jobs`` and ``--scheduler``; neither: one process per core that we may use.
+
+    Raises:
+        InputError: Fewer than one process, or both options.
+    """
+    from impact_rs_analysis.workers import Workforce
+    from impact_rs_sim.errors import InputError
+
+    if args.scheduler is not None and args.jobs is not None:
+        raise InputError("--jobs is for processes of this machine; with --scheduler its workers are taken")
+    if args.scheduler is not None:
+        return Workforce(scheduler=args.scheduler)
+    return Workforce(len(os.sched_getaffinity(0)) if args.jobs is None else args.jobs)
 
 
 @contextmanager
-def started(jobs: int | None) -> Iterator[Map]:
-    """Worker processes; None: one per core.
+def started(args: argparse.Namespace) -> Iterator[Map]:
+    """The workers of ``--jobs`` or ``--scheduler``.
 
     Raises:
-        InputError: Fewer than one.
+        InputError: Fewer than one process, both options, or a scheduler that cannot be used.
     """
     from impact_rs_analysis.workers import workers
 
-    with workers(job_count(jobs)) as map_tasks:
+    with workers(workforce_of(args)) as map_tasks:
         yield map_tasks
-
-
-def job_count(jobs: int | None) -> int:
-    """Number of worker processes; None: one per core that we may use.
-
-    Raises:
-        InputError: Fewer than one.
-    """
-    from impact_rs_sim.errors import InputError
-
-    if jobs is not None and jobs < 1:
-        raise InputError(f"jobs = {jobs}: expected at least 1 worker process")
-    return len(os.sched_getaffinity(0)) if jobs is None else jobs
 
 
 def read(directory: Path, map_tasks: Map, terminal: Terminal) -> Runs:
     """Read RUNS and tell what was left out."""
     from impact_rs_analysis.comparison.runs import read_runs
 
+    directory = directory.absolute()  # a worker process may stand elsewhere
     with terminal.progress("reading bags") as tell:
 
         def counted(function: Any, items: Any) -> Iterator[Any]:
@@ -77,11 +97,16 @@ def read(directory: Path, map_tasks: Map, terminal: Terminal) -> Runs:
                 yield result
 
         runs = read_runs(directory, counted)
-    for path, reason in runs.skipped[:MOST_SHOWN]:
-        terminal.warn(f"left out {Path(path).name}: {reason.removeprefix(f'{path}: ')}")
-    if len(runs.skipped) > MOST_SHOWN:
-        terminal.warn(f"left out {len(runs.skipped) - MOST_SHOWN} more bags; --json names all")
+    warn_skipped(runs.skipped, terminal)
     return runs
+
+
+def warn_skipped(skipped: Sequence[tuple[str, str]], terminal: Terminal) -> None:
+    """Tell which bags were left out, by path and reason."""
+    for path, reason in skipped[:MOST_SHOWN]:
+        terminal.warn(f"left out {Path(path).name}: {reason.removeprefix(f'{path}: ')}")
+    if len(skipped) > MOST_SHOWN:
+        terminal.warn(f"left out {len(skipped) - MOST_SHOWN} more bags; --json names all")
 
 
 def number(value: float) -> str:

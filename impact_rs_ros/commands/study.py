@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from impact_rs_ros.commands.loop import add_jobs, job_count
+from impact_rs_ros.commands.loop import add_jobs, workforce_of
 from impact_rs_ros.commands.terminal import Terminal, add_command, add_json, output_folder
 
 TEXT = """\
@@ -38,16 +38,17 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     from impact_rs_analysis.campaign import run_campaign
     from impact_rs_analysis.report import write_report
+    from impact_rs_analysis.store import open_store
     from impact_rs_analysis.study import analyze_study, study_manifests
     from impact_rs_ros.commands.analyze import show
     from impact_rs_ros.commands.campaign import follow
 
-    failed = 0
+    workforce, failed = workforce_of(args), 0
     with output_folder(args.output) as folder:
         for name, manifest in study_manifests(args.trials, args.seed).items():
-            directory = folder / name
-            reports = run_campaign(directory, manifest, job_count(args.jobs))
-            outcomes, failures = follow(reports, manifest, directory, terminal, f"{name}: trials")
+            store = open_store(folder / name)
+            reports = run_campaign(store, manifest, workforce)
+            outcomes, failures = follow(reports, manifest, store, terminal, f"{name}: trials")
             failed += len(failures)
             counted = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items())
             terminal.say(f"{name}: {counted or 'all trials were there'}")

@@ -49,7 +49,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("this bag exists already", file=path)
     with output_folder(args.output), terminal.progress(key.name) as report:
         report(0, 1)
-        outcome = run_one(args.output, manifest, key).outcome
+        outcome = run_one(args.output, manifest.trial(key)).outcome
         report(1, 1)
     trial = net_feedback(TrialBag(path))
     terminal.result(

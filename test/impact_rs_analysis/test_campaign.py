@@ -1,15 +1,25 @@
 """Campaigns: resumed where they stopped, never mixed, and not stopped by one broken trial."""
 
+import errno
 import os
 import shutil
 from pathlib import Path
 
 import pytest
+from rosbags.rosbag2 import Writer
 
 from impact_rs_analysis.bags.reader import TrialBag
-from impact_rs_analysis.bags.trial_info import TrialKey
 from impact_rs_analysis.bags.writer import partial_path
-from impact_rs_analysis.campaign import Manifest, TrialReport, make_manifest, open_campaign, run_campaign, run_one
+from impact_rs_analysis.campaign import (
+    Manifest,
+    Trial,
+    TrialReport,
+    make_manifest,
+    open_campaign,
+    run_campaign,
+    run_one,
+)
+from impact_rs_analysis.workers import Workforce
 from impact_rs_sim.errors import InputError
 
 SCALES = [0.8, 1.0, 1.2]
@@ -20,9 +30,9 @@ def manifest() -> Manifest:
     return make_manifest("push", ["cat_food"], ["2"], SCALES, trials=1)
 
 
-def fake(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
-    (directory / key.name).mkdir()
-    return TrialReport(key, "OK")
+def fake(directory: Path, trial: Trial) -> TrialReport:
+    (directory / trial.key.name).mkdir()
+    return TrialReport(trial.key, "OK")
 
 
 def test_a_campaign_is_resumed_where_it_stopped(tmp_path: Path, manifest: Manifest) -> None:
@@ -35,10 +45,10 @@ def test_a_campaign_is_resumed_where_it_stopped(tmp_path: Path, manifest: Manife
 
 
 def test_an_interrupt_leaves_a_campaign_that_can_be_resumed(tmp_path: Path, manifest: Manifest) -> None:
-    def interrupted(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
-        if key.scale == 1.0:
+    def interrupted(directory: Path, trial: Trial) -> TrialReport:
+        if trial.key.scale == 1.0:
             raise KeyboardInterrupt
-        return fake(directory, manifest, key)
+        return fake(directory, trial)
 
     with pytest.raises(KeyboardInterrupt):
         list(run_campaign(tmp_path, manifest, run=interrupted))
@@ -58,7 +68,7 @@ def test_a_half_written_bag_is_run_again_and_gives_the_same_trial(
     hidden = partial_path(tmp_path / key.name)
     hidden.mkdir(parents=True)
     (hidden / "half.mcap").write_bytes(b"")
-    assert run_one(tmp_path, manifest, key).outcome == "OK"
+    assert run_one(tmp_path, manifest.trial(key)).outcome == "OK"
     assert not hidden.exists()
     ours, theirs = (TrialBag(folder / key.name).controller("arm") for folder in (tmp_path, push_campaign))
     assert (ours.feedback_acceleration == theirs.feedback_acceleration).all()
@@ -67,15 +77,15 @@ def test_a_half_written_bag_is_run_again_and_gives_the_same_trial(
 def test_a_finished_bag_stands(push_campaign: Path, tmp_path: Path, manifest: Manifest) -> None:
     directory = Path(shutil.copytree(push_campaign, tmp_path / "push"))
     before = next((directory / manifest.keys[0].name).glob("*.mcap")).stat().st_mtime_ns
-    assert run_one(directory, manifest, manifest.keys[0]).outcome == "OK"
+    assert run_one(directory, manifest.trial(manifest.keys[0])).outcome == "OK"
     assert next((directory / manifest.keys[0].name).glob("*.mcap")).stat().st_mtime_ns == before
 
 
 def test_one_broken_trial_does_not_end_the_campaign(tmp_path: Path, manifest: Manifest) -> None:
-    def broken(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
-        if key.scale == 0.8:
+    def broken(directory: Path, trial: Trial) -> TrialReport:
+        if trial.key.scale == 0.8:
             raise ZeroDivisionError("by nothing")
-        return fake(directory, manifest, key)
+        return fake(directory, trial)
 
     reports = list(run_campaign(tmp_path, manifest, run=broken))
     assert [report.outcome for report in reports] == ["ABORTED", "OK", "OK"]
@@ -83,20 +93,41 @@ def test_one_broken_trial_does_not_end_the_campaign(tmp_path: Path, manifest: Ma
 
 
 def test_a_trial_whose_worker_dies_is_run_again(tmp_path: Path, manifest: Manifest) -> None:
-    def dies_once(directory: Path, manifest: Manifest, key: TrialKey) -> TrialReport:
+    def dies_once(directory: Path, trial: Trial) -> TrialReport:
         marker = directory / "died"
-        if key.scale == 1.0 and not marker.exists():
+        if trial.key.scale == 1.0 and not marker.exists():
             marker.write_text("")
             os._exit(1)
         assert os.environ["OMP_NUM_THREADS"] == "1"
-        (directory / key.name).mkdir()
-        return TrialReport(key, "OK")
+        (directory / trial.key.name).mkdir()  # a worker does not know this module and its functions
+        return TrialReport(trial.key, "OK")
 
-    reports = list(run_campaign(tmp_path, manifest, jobs=2, run=dies_once))
+    reports = list(run_campaign(tmp_path, manifest, Workforce(2), run=dies_once))
     assert (tmp_path / "died").exists()
     assert sorted((report.key.scale, report.outcome, report.message) for report in reports) == [
         (scale, "OK", "") for scale in SCALES
     ]
+
+
+def test_a_full_disk_ends_its_trial_alone_and_leaves_no_half_bag(
+    tmp_path: Path, manifest: Manifest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, written = Writer.write, []
+
+    def full(writer: Writer, *arguments: object) -> None:
+        if "s1.000" in writer.path.name and len(written) == 1000:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        written.append(writer.path.name)
+        write(writer, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Writer, "write", full)
+    first = manifest.model_copy(update={"velocity_scales": (1.0, 0.8)})
+    reports = list(run_campaign(tmp_path, first))
+    assert [report.outcome for report in reports] == ["ABORTED", "OK"]
+    assert "No space left on device" in reports[0].message
+    assert sorted(path.name for path in tmp_path.iterdir()) == [reports[1].key.name, "manifest.yaml"]
+    monkeypatch.setattr(Writer, "write", write)
+    assert [report.outcome for report in run_campaign(tmp_path, first)] == ["OK"]
 
 
 @pytest.mark.parametrize(

@@ -74,6 +74,13 @@ def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Pat
         (["campaign", "push", "-o", "{}/new/out", "--seed", "-1"], "seed = -1"),
         (["campaign", "push", "-o", "{}/new/out", "--jobs", "0"], "jobs = 0"),
         (["campaign", "push", "-o", "{}/new/out", "--jobs", "2", "--via", "nodes"], "--via inprocess"),
+        (["campaign", "push", "-o", "{}/new/out", "--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"], "--jobs is for"),
+        (["campaign", "push", "-o", "{}/new/out", "--scheduler", "nonsense"], "expected tcp://host:port"),
+        (["campaign", "push", "-o", "nowhere://out"], "this URL cannot be used"),
+        (["campaign", "push", "-o", "memory://out", "--via", "nodes"], "in a folder of this machine"),
+        (["diagnose", "s3://bucket/push", "--scheduler", "tcp://127.0.0.1:1"], "is a URL: copy the bags"),
+        (["analyze", "memory://push"], "expected a folder for the report"),
+        (["export", "{}", "-o", "{}/new/push.txt"], "ends with .parquet"),
         (["campaign", "push", "-o", "{}/new/out", "--objects", "juce"], "did you mean 'juice'"),
         (["campaign", "push", "-o", "{}/file/out"], "cannot be written"),
         (["analyze", "{}"], "holds no trials"),
@@ -170,7 +177,7 @@ def test_a_campaign_with_failures_is_no_success(
     def broken(*arguments: object) -> None:
         raise ZeroDivisionError("by nothing")
 
-    monkeypatch.setattr("impact_rs_analysis.campaign.run_campaign.__defaults__", (1, broken))
+    monkeypatch.setattr("impact_rs_analysis.campaign.run_campaign.__defaults__", (None, broken))
     scope = ["--objects", "cat_food", "--cases", "2", "--trials", "1", "--scales", "1.0"]
     assert main(["campaign", "push", "-o", str(tmp_path / "out"), *scope]) == 1
     assert "by nothing" in capfd.readouterr().err

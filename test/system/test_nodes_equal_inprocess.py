@@ -28,7 +28,7 @@ def manifest(request: pytest.FixtureRequest) -> Manifest:
 @pytest.fixture(scope="module")
 def inprocess(manifest: Manifest, tmp_path_factory: pytest.TempPathFactory) -> TrialBag:
     folder = tmp_path_factory.mktemp("inprocess")
-    run_one(folder, manifest, manifest.keys[0])
+    run_one(folder, manifest.trial(manifest.keys[0]))
     return TrialBag(folder / manifest.keys[0].name)
 
 

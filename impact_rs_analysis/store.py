@@ -1,0 +1,275 @@
+"""Where a campaign lies: a folder, or a place that fsspec reaches by its URL (``s3://bucket/push``).
+
+A bag in a folder gets its name when it is complete. Elsewhere nothing can be renamed at once, so ``metadata.yaml`` is
+uploaded last: a bag that has it is complete.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import socket
+import tempfile
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from pathlib import Path
+from typing import TextIO
+
+from impact_rs_sim.errors import InputError
+
+COMPLETE = "metadata.yaml"
+LOCK = ".lock"
+
+
+def is_url(place: str | Path) -> bool:
+    """Whether a place is meant as a URL; ``file://`` is one, too."""
+    return "://" in str(place)
+
+
+class Store(ABC):
+    """A place that holds files and bags by their name."""
+
+    @abstractmethod
+    def __str__(self) -> str:
+        """The place in words of the user."""
+
+    @abstractmethod
+    def exists(self, name: str) -> bool:
+        """Whether a file or a complete bag of that name is there."""
+
+    @abstractmethod
+    def names(self) -> set[str]:
+        """Names of all complete bags, and possibly of files."""
+
+    @abstractmethod
+    def read(self, name: str) -> str:
+        """Text of a file.
+
+        Raises:
+            InputError: It cannot be read.
+        """
+
+    @abstractmethod
+    def write(self, name: str, text: str) -> None:
+        """Write a file of text; makes the place.
+
+        Raises:
+            InputError: It cannot be written.
+        """
+
+    @abstractmethod
+    def adding(self, name: str) -> AbstractContextManager[Path]:
+        """A context manager with the folder to make the bag ``name`` in; it is kept where the context ends well."""
+
+    @abstractmethod
+    def getting(self, name: str) -> AbstractContextManager[Path]:
+        """A context manager with the folder that the bag ``name`` can be read in."""
+
+
+class Folder(Store):
+    """A folder of this machine, or one that all machines see under the same path.
+
+    Args:
+        path: Its path.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path).absolute()  # a worker process may stand elsewhere
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+    def exists(self, name: str) -> bool:
+        """Whether there is something of that name; half-written bags have none."""
+        return (self.path / name).exists()
+
+    def names(self) -> set[str]:
+        """Names of everything in the folder."""
+        return set(os.listdir(self.path)) if self.path.is_dir() else set()
+
+    def read(self, name: str) -> str:
+        """Text of a file."""
+        try:
+            return (self.path / name).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"cannot be read: {error}", file=self.path / name) from None
+
+    def write(self, name: str, text: str) -> None:
+        """Write a file of text."""
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            (self.path / name).write_text(text, encoding="utf-8")
+        except OSError as error:
+            with suppress(OSError):
+                (self.path / name).unlink()
+            raise InputError(f"cannot be written: {error.strerror}", file=self.path / name) from None
+
+    @contextmanager
+    def adding(self, name: str) -> Iterator[Path]:
+        """The folder itself: a bag is written where it stays."""
+        del name
+        yield self.path
+
+    @contextmanager
+    def getting(self, name: str) -> Iterator[Path]:
+        """The folder itself."""
+        del name
+        yield self.path
+
+
+class Remote(Store):
+    """A place that fsspec reaches by its URL.
+
+    Args:
+        url: Its URL, for example ``s3://bucket/push``.
+
+    Raises:
+        InputError: fsspec does not know the protocol, or lacks the package that speaks it.
+    """
+
+    def __init__(self, url: str) -> None:
+        from fsspec.core import url_to_fs
+
+        self.url = url.rstrip("/")
+        try:
+            self._files, self._root = url_to_fs(self.url)
+        except (ImportError, ValueError) as error:
+            raise InputError(f"this URL cannot be used: {error}", file=url) from None
+
+    def __str__(self) -> str:
+        return self.url
+
+    def exists(self, name: str) -> bool:
+        """Whether there is a file of that name, or a bag with its metadata."""
+        self._files.invalidate_cache()
+        path = f"{self._root}/{name}"
+        return bool(self._files.isfile(path) or self._files.isfile(f"{path}/{COMPLETE}"))
+
+    def names(self) -> set[str]:
+        """Names of all complete bags."""
+        self._files.invalidate_cache()
+        return {path.rsplit("/", 2)[-2] for path in self._files.glob(f"{self._root}/*/{COMPLETE}")}
+
+    def read(self, name: str) -> str:
+        """Text of a file."""
+        try:
+            return str(self._files.cat_file(f"{self._root}/{name}").decode("utf-8"))
+        except Exception as error:  # every file system of fsspec has errors of its own
+            raise InputError(f"cannot be read: {type(error).__name__}: {error}", file=f"{self.url}/{name}") from None
+
+    def write(self, name: str, text: str) -> None:
+        """Write a file of text."""
+        try:
+            self._files.makedirs(self._root, exist_ok=True)
+            self._files.pipe_file(f"{self._root}/{name}", text.encode("utf-8"))
+        except Exception as error:  # as above
+            raise InputError(f"cannot be written: {type(error).__name__}: {error}", file=f"{self.url}/{name}") from None
+
+    @contextmanager
+    def adding(self, name: str) -> Iterator[Path]:
+        """A temporary folder of this machine, from which the bag is uploaded."""
+        with tempfile.TemporaryDirectory(prefix="impact_rs_") as scratch:
+            yield Path(scratch)
+            bag, target = Path(scratch) / name, f"{self._root}/{name}"
+            self._files.makedirs(target, exist_ok=True)
+            for file in sorted(bag.iterdir(), key=lambda file: file.name == COMPLETE):
+                self._files.put_file(str(file), f"{target}/{file.name}")
+
+    @contextmanager
+    def getting(self, name: str) -> Iterator[Path]:
+        """A temporary folder of this machine with a copy of the bag."""
+        with tempfile.TemporaryDirectory(prefix="impact_rs_") as scratch:
+            self.copy(name, Path(scratch))
+            yield Path(scratch)
+
+    def copy(self, name: str, directory: Path) -> None:
+        """Copy a bag into a folder of this machine."""
+        (directory / name).mkdir()
+        for path in self._files.ls(f"{self._root}/{name}", detail=False):
+            self._files.get_file(path, str(directory / name / path.rsplit("/", 1)[-1]))
+
+
+def open_store(place: str | Path | Store) -> Store:
+    """The store at a place: a path or a URL.
+
+    Raises:
+        InputError: A URL that fsspec cannot use.
+    """
+    if isinstance(place, Store):
+        return place
+    if not is_url(place):
+        return Folder(place)
+    protocol, _, rest = str(place).partition("://")
+    return Folder(rest) if protocol in ("file", "local") else Remote(str(place))
+
+
+@contextmanager
+def local_copy(place: str | Path, files: tuple[str, ...] = ()) -> Iterator[Path]:
+    """A folder of this machine with what is at a place: the folder itself, or a temporary copy of all bags at a URL.
+
+    Args:
+        place: Path or URL.
+        files: Names of further files that are copied where they exist.
+
+    Raises:
+        InputError: The URL cannot be used or read.
+    """
+    store = open_store(place)
+    if not isinstance(store, Remote):
+        yield Path(place) if not is_url(place) else Path(str(store))
+        return
+    with tempfile.TemporaryDirectory(prefix="impact_rs_") as scratch:
+        try:
+            for name in sorted(store.names()):
+                store.copy(name, Path(scratch))
+            for name in filter(store.exists, files):
+                (Path(scratch) / name).write_text(store.read(name), encoding="utf-8")
+        except InputError:
+            raise
+        except Exception as error:  # every file system of fsspec has errors of its own
+            raise InputError(f"cannot be read: {type(error).__name__}: {error}", file=str(place)) from None
+        yield Path(scratch)
+
+
+@contextmanager
+def owned(store: Store) -> Iterator[None]:
+    """Keep other processes from a folder; the lock ends with this process, however it ends.
+
+    A URL cannot be locked: two campaigns that run on one waste work, and each bag is one trial all the same.
+
+    Raises:
+        InputError: Another process works on it, or it cannot be written.
+    """
+    if not isinstance(store, Folder):
+        yield
+        return
+    path = store.path / LOCK
+    with _locked(path) as file:
+        file.truncate(0)
+        file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
+        file.flush()
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def _locked(path: Path) -> TextIO:
+    """An open file with an exclusive lock, which goes when the file is closed."""
+    while True:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = path.open("a+", encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"cannot be written: {error.strerror}", file=path) from None
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            file.seek(0)
+            owner = file.read().strip() or "another process"
+            file.close()
+            raise InputError(f"{owner} works on this campaign; wait for it, or stop it", file=path.parent) from None
+        if os.fstat(file.fileno()).st_nlink:
+            return file
+        file.close()  # its owner removed it between our two calls
