@@ -333,8 +333,8 @@ class Scenario(Schema):
     scatter: Scatter = Field(description="trial-to-trial scatter")
     friction_compensation: FrictionCompensation | None = Field(
         None,
-        description="a path, seen from the scenario file's folder, to what `impact-rs friction identify` wrote; absent: "
-        "friction is left to the feedback. That file has these keys",
+        description="a path, seen from the scenario file's folder, to what `impact-rs friction identify` wrote; "
+        "absent: friction is left to the feedback. That file has these keys",
     )
 
     @model_serializer(mode="wrap")
