@@ -54,7 +54,7 @@ def identify(args: argparse.Namespace, terminal: Terminal) -> int:
     effects = None if args.effects is None else load_model(args.effects)
     with output_folder(args.output.parent):
         friction.prepare_output(args.scenario, args.output)
-        with started(args.jobs) as map_tasks, terminal.progress("arms") as tell:
+        with started(args) as map_tasks, terminal.progress("arms") as tell:
             found = friction.identify(
                 scenario, args.objects, args.cases, args.runs, args.seed, effects, map_tasks, tell
             )
