@@ -105,7 +105,10 @@ def test_a_scheduler_that_goes_away_is_told_and_the_campaign_can_be_resumed(tmp_
     assert all((tmp_path / key.name).is_dir() for key in manifest.keys)
 
 
-def test_no_scheduler_is_told_and_leaves_nothing(tmp_path: Path, manifest: Manifest) -> None:
+def test_no_scheduler_is_told_and_leaves_nothing(
+    tmp_path: Path, manifest: Manifest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("impact_rs_analysis.workers.ANSWER_TIMEOUT", 0.5)
     with socket.socket() as taken:  # nobody listens on a socket that is bound alone
         taken.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
