@@ -91,7 +91,7 @@ def test_a_scheduler_that_goes_away_is_told_and_the_campaign_can_be_resumed(tmp_
         (directory / trial.key.name).mkdir()
         return TrialReport(trial.key, "OK")
 
-    with cluster(1) as running:
+    with cluster(0) as running, worker_processes(running.scheduler_address, 1, tmp_path / "scratch"):
         campaign = run_campaign(
             tmp_path, manifest, Workforce(scheduler=running.scheduler_address), run=waits_for_the_end
         )
