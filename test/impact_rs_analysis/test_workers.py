@@ -24,18 +24,23 @@ if TYPE_CHECKING:
 @contextmanager
 def cluster(count: int, threads: int = 1) -> Iterator["LocalCluster"]:
     """A scheduler on a port of this machine, and workers that are threads of this process."""
+    import dask
     from distributed import LocalCluster
 
-    with LocalCluster(
-        n_workers=count,
-        threads_per_worker=threads,
-        processes=False,
-        protocol="tcp",
-        host="127.0.0.1",
-        dashboard_address=None,
-        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
-        silence_logs=50,
-    ) as running:
+    quick = {"distributed.comm.timeouts.connect": "2s"}  # how long its end waits for a scheduler that is gone already
+    with (
+        dask.config.set(quick),
+        LocalCluster(
+            n_workers=count,
+            threads_per_worker=threads,
+            processes=False,
+            protocol="tcp",
+            host="127.0.0.1",
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+            silence_logs=50,
+        ) as running,
+    ):
         yield running
 
 
