@@ -24,18 +24,23 @@ if TYPE_CHECKING:
 @contextmanager
 def cluster(count: int, threads: int = 1) -> Iterator["LocalCluster"]:
     """A scheduler on a port of this machine, and workers that are threads of this process."""
+    import dask
     from distributed import LocalCluster
 
-    with LocalCluster(
-        n_workers=count,
-        threads_per_worker=threads,
-        processes=False,
-        protocol="tcp",
-        host="127.0.0.1",
-        dashboard_address=None,
-        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
-        silence_logs=50,
-    ) as running:
+    quick = {"distributed.comm.timeouts.connect": "2s"}  # how long its end waits for a scheduler that is gone already
+    with (
+        dask.config.set(quick),
+        LocalCluster(
+            n_workers=count,
+            threads_per_worker=threads,
+            processes=False,
+            protocol="tcp",
+            host="127.0.0.1",
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+            silence_logs=50,
+        ) as running,
+    ):
         yield running
 
 
@@ -91,7 +96,7 @@ def test_a_scheduler_that_goes_away_is_told_and_the_campaign_can_be_resumed(tmp_
         (directory / trial.key.name).mkdir()
         return TrialReport(trial.key, "OK")
 
-    with cluster(1) as running:
+    with cluster(0) as running, worker_processes(running.scheduler_address, 1, tmp_path / "scratch"):
         campaign = run_campaign(
             tmp_path, manifest, Workforce(scheduler=running.scheduler_address), run=waits_for_the_end
         )
@@ -105,7 +110,10 @@ def test_a_scheduler_that_goes_away_is_told_and_the_campaign_can_be_resumed(tmp_
     assert all((tmp_path / key.name).is_dir() for key in manifest.keys)
 
 
-def test_no_scheduler_is_told_and_leaves_nothing(tmp_path: Path, manifest: Manifest) -> None:
+def test_no_scheduler_is_told_and_leaves_nothing(
+    tmp_path: Path, manifest: Manifest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("impact_rs_analysis.workers.ANSWER_TIMEOUT", 0.5)
     with socket.socket() as taken:  # nobody listens on a socket that is bound alone
         taken.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
