@@ -9,6 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -194,8 +195,9 @@ class Graph:
             answer: RunTrial.Result = self._wait(ended, None, ("experiment", "recorder")).result
         except BaseException:
             if self.processes["experiment"].poll() is None:
-                self._wait(handle.cancel_goal_async(), STOP_TIMEOUT)
-                self._wait(ended, RESULT_TIMEOUT)  # else the next goal would be rejected
+                with suppress(GraphError):  # what went wrong first is what is told
+                    self._wait(handle.cancel_goal_async(), STOP_TIMEOUT)
+                    self._wait(ended, RESULT_TIMEOUT)  # else the next goal would be rejected
             raise
         return answer
 

@@ -89,7 +89,7 @@ PARAMETERS: dict[str, tuple[Parameter, ...]] = {
             "service_timeout", 10.0, "s", "How long plant, controller and recorder may take to get ready", (0.5, 600.0)
         ),
         Parameter(
-            "progress_timeout", 2.0, "s", "Without a sign of life for so long, a running trial is aborted", (0.5, 600.0)
+            "progress_timeout", 4.0, "s", "Without a sign of life for so long, a running trial is aborted", (0.5, 600.0)
         ),
         Parameter(
             "hide_model",

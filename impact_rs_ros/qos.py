@@ -31,12 +31,21 @@ RECORD = QoSProfile(
 """Subscribers of the recorder: reliable, and nothing is thrown away before it is written."""
 
 WATCH = QoSProfile(
-    reliability=QoSReliabilityPolicy.RELIABLE,
+    reliability=QoSReliabilityPolicy.BEST_EFFORT,
     durability=QoSDurabilityPolicy.VOLATILE,
     history=QoSHistoryPolicy.KEEP_LAST,
     depth=1,
 )
-"""Subscribers that only want to know how things stand; reliable, so that they see the last sample."""
+"""Subscribers that only want to know how things stand. Best effort: a reliable one that lost a sample shows none of the
+later ones until the publisher's next heartbeat, up to 3 s later, and looks like a dead publisher meanwhile."""
+
+EVENT = QoSProfile(
+    reliability=QoSReliabilityPolicy.RELIABLE,
+    durability=QoSDurabilityPolicy.VOLATILE,
+    history=QoSHistoryPolicy.KEEP_LAST,
+    depth=10,
+)
+"""Subscribers of what is said once (``/impact_event``)."""
 
 LATCHED = QoSProfile(
     reliability=QoSReliabilityPolicy.RELIABLE,

@@ -208,10 +208,13 @@ class RecorderNode(NodeProgram):
 
     def _abort(self) -> None:
         """Close the bag as far as it got; it stays readable under its hidden name."""
-        if self._bag is not None:
-            self._drain()
+        try:
+            if self._bag is not None:
+                self._drain()
+            self._open.close()
+        except OSError as error:  # its folder is gone or full; the next trial has another bag
+            self.node.get_logger().error(f"the bag of an aborted trial cannot be closed: {error}")
         self._bag = None
-        self._open.close()
 
     def close(self) -> None:
         self._abort()

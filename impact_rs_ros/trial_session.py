@@ -28,7 +28,7 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_ros import parameters
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.message_types import RosidlTypes
-from impact_rs_ros.qos import LATCHED, WATCH
+from impact_rs_ros.qos import EVENT, LATCHED, WATCH
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 
@@ -89,16 +89,18 @@ class TrialSession:
         self._trial_info = node.create_publisher(TrialInfoMessage, topics.TRIAL_INFO, LATCHED)
         self._description = node.create_publisher(String, topics.ROBOT_DESCRIPTION, LATCHED)
         self._arms: list[str] = []
-        self._watched: Inbox | None = None
+        self._watched: list[Inbox] = []
 
     def watch(self, arms: list[str]) -> None:
         """Follow the controllers of these arms."""
         if arms != self._arms:
-            if self._watched is not None:
-                self._watched.close()
+            for inbox in self._watched:
+                inbox.close()
             kinds = topics.recorded(arms)
-            names = [name(arm) for arm in arms for name in (topics.controller_state, topics.impact_event)]
-            self._watched = Inbox(self._node, {name: kinds[name] for name in names}, WATCH)
+            self._watched = [
+                Inbox(self._node, {name(arm): kinds[name(arm)] for arm in arms}, qos)
+                for name, qos in ((topics.controller_state, WATCH), (topics.impact_event, EVENT))
+            ]
             self._arms = arms
 
     def run(
@@ -126,8 +128,8 @@ class TrialSession:
         path = directory / key.name
         maker = MessageMaker(RosidlTypes(), plan)
         self.watch(list(plan.arms))
-        assert self._watched is not None
-        self._watched.clear()
+        for inbox in self._watched:
+            inbox.clear()
         progress = Progress()
         reason = ""
         try:
@@ -237,8 +239,7 @@ class TrialSession:
 
     def _look(self, progress: Progress) -> None:
         states = {}
-        assert self._watched is not None
-        for topic, message in self._watched.take():
+        for topic, message in (sample for inbox in self._watched for sample in inbox.take()):
             if topic.endswith("impact_event"):
                 progress.detected_time = float(np.fmin(progress.detected_time, message.detected_time))
             else:

@@ -56,7 +56,7 @@ def test_a_node_killed_in_mid_trial_ends_the_trial_and_not_the_campaign(
             killed.append(time.monotonic())
 
     result = graph.call_trial(goal(tmp_path), kill)
-    assert time.monotonic() - killed[0] < 5.0
+    assert time.monotonic() - killed[0] < 8.0
     assert (result.success, result.outcome) == (False, "ABORTED")
     assert result.message
     bag = TrialBag(Path(result.bag_path))
