@@ -28,7 +28,7 @@ from rich.table import Table
 from scipy.optimize import approx_fprime, nnls
 
 from impact_rs_sim.impact_map import BulletEngine, Engine, ImpactMapError, ImpactProblem, PinocchioEngine
-from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint, contact_frame, find_contacts
+from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint, Meeting, contact_frame, find_contacts, meetings
 from impact_rs_sim.impact_map.pinocchio import solve_contacts
 from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import System, build_system
@@ -64,11 +64,8 @@ class PinocchioOnGivenPoints(PinocchioEngine):
         super().__init__(physics)
         self.contacts = contacts
 
-    def _solve(self, problem: ImpactProblem, system: System) -> tuple[Sequence[ContactPoint], Array, Array, int]:
-        impulses, iterations = solve_contacts(system, self.contacts, problem.restitution)
-        jacobian = system.jacobian(self.contacts)
-        velocity = system.velocity + np.linalg.solve(system.inertia, jacobian.T @ impulses.ravel())
-        return self.contacts, impulses, velocity, iterations
+    def _contacts(self, meetings: Sequence[Meeting]) -> list[ContactPoint]:
+        return list(self.contacts)
 
 
 @dataclass(frozen=True)
@@ -96,7 +93,7 @@ class Case:
         if name in ("corner", "edge"):
             problem = _tilted(problem, models["arm"], roll=0.035 if name == "corner" else 0.0, yaw=0.03)
         placements = {arm: models[arm].placement(state.position) for arm, state in problem.arms.items()}
-        contacts = find_contacts(physics, problem.object, placements)
+        contacts = find_contacts(physics, meetings(physics, problem.object, placements))
         if name == "grid":
             contacts = grid(contacts, 4)
         system = build_system(problem, models)
@@ -191,7 +188,7 @@ def grid(corners: Sequence[ContactPoint], count: int) -> list[ContactPoint]:
 def _exact(system: System, contacts: Sequence[ContactPoint]) -> Array:
     """u^+ by Newton's method on the laws, with the contact modes of a first answer by our solver."""
     terms = ContactTerms(system, contacts, 0.0)
-    impulses, _ = solve_contacts(system, contacts, 0.0)
+    impulses, _ = solve_contacts(terms)
     velocity = system.velocity + terms.response @ impulses.ravel()
     pressed = terms.split(impulses)[0] > 1e-6 * np.max(impulses)
     slides = np.linalg.norm(terms.split((terms.jacobian @ velocity).reshape(-1, 3))[1], axis=1) > 1e-6

@@ -38,11 +38,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pinocchio as pin
 
 from impact_rs_sim.bullet_world import BulletWorld
-from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, boxes, separating_face
-from impact_rs_sim.impact_map.engine import Engine
+from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, Meeting
+from impact_rs_sim.impact_map.engine import Answer, Engine
 from impact_rs_sim.impact_map.pinocchio import solve_contacts
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.impact_map.residual import SLIDING, ContactTerms
@@ -109,15 +108,15 @@ class BulletEngine(Engine):
         self._worlds.move_to_end(key)
         return self._worlds[key]
 
-    def _solve(self, problem: ImpactProblem, system: System) -> tuple[Sequence[ContactPoint], Array, Array, int]:
+    def _solve(self, problem: ImpactProblem, system: System, meetings: Sequence[Meeting]) -> Answer:
         world = self._world(problem.motor_inertia)
-        world.bring_together(problem, self._placements(problem))
+        world.bring_together(meetings)
         world.place(problem, system.velocity)
         world.bullet.client.performCollisionDetection()
         contacts = world.contacts()
-        if not contacts:
-            return contacts, np.zeros((0, 3)), system.velocity.copy(), 0
         terms = ContactTerms(system, contacts, problem.restitution)
+        if not contacts:
+            return Answer(terms, np.zeros((0, 3)), system.velocity.copy(), 0)
         run = _Run(
             problem=problem,
             system=system,
@@ -126,15 +125,15 @@ class BulletEngine(Engine):
             contacts=contacts,
             start=system.velocity + _restitution_shift(system, terms, problem.restitution),
         )
-        best, count = _Answer(np.inf, np.zeros((len(contacts), 3)), system.velocity), 0
+        best, count = _Attempt(np.inf, np.zeros((len(contacts), 3)), system.velocity), 0
         for effort in self._EFFORTS:
             best, steps = self._iterate(world, run, effort, best)
             count += steps
             if best.error <= effort.accepted:
                 break
-        return contacts, best.impulses, best.velocity, count
+        return Answer(terms, best.impulses, best.velocity, count)
 
-    def _iterate(self, world: _World, run: _Run, effort: _Effort, best: _Answer) -> tuple[_Answer, int]:
+    def _iterate(self, world: _World, run: _Run, effort: _Effort, best: _Attempt) -> tuple[_Attempt, int]:
         """Improve on ``best``; returns the best answer so far and the number of Bullet's steps."""
         world.bullet.client.setPhysicsEngineParameter(numSolverIterations=effort.solver_iterations)
         terms, system = run.terms, run.system
@@ -145,7 +144,7 @@ class BulletEngine(Engine):
             count = 1
             if best.error <= self._GOAL:
                 return best, count
-        total, _ = solve_contacts(system, run.contacts, run.problem.restitution, effort.guess)
+        total, _ = solve_contacts(terms, effort.guess)
         moved = terms.response @ total.ravel()
         extra = total - _bullet_friction(terms, run.inertia, total, system.velocity + moved)
         inertial = -missing @ moved
@@ -165,7 +164,7 @@ class BulletEngine(Engine):
 
 
 @dataclass(frozen=True)
-class _Answer:
+class _Attempt:
     """Impulses on the object ``(m, 3)`` [N s], u^+ ``(nv,)``, and their largest residual [m/s]."""
 
     error: float
@@ -184,7 +183,7 @@ class _Run:
     contacts: Sequence[ContactPoint]
     start: Array
 
-    def judge(self, world: _World, inertial: Array, extra: Array) -> tuple[_Answer, Array]:
+    def judge(self, world: _World, inertial: Array, extra: Array) -> tuple[_Attempt, Array]:
         """One step of Bullet with a generalised impulse ``(nv,)`` and extra friction ``(m, 3)``.
 
         Returns:
@@ -195,7 +194,7 @@ class _Run:
         impulses = world.impulses(self.contacts)
         velocity = self.system.velocity + moved
         error = self.terms.residual(impulses + extra, velocity).largest
-        return _Answer(error if np.isfinite(error) else np.inf, impulses + extra, velocity), impulses
+        return _Attempt(error if np.isfinite(error) else np.inf, impulses + extra, velocity), impulses
 
 
 @dataclass(frozen=True)
@@ -242,18 +241,17 @@ class _World:
             inertia[where, where] = model.mass_matrix(problem.arms[name].position)
         return inertia
 
-    def bring_together(self, problem: ImpactProblem, placements: Mapping[str, pin.SE3]) -> None:
+    def bring_together(self, meetings: Sequence[Meeting]) -> None:
         """Empty the manifolds, and move arms and support until touching boxes overlap."""
         client = self.bullet.client
         self.bullet.set_object(_FAR)
         client.performCollisionDetection()
-        thing, partners = boxes(self.physics, problem.object, placements)
-        for name, partner in partners.items():
-            separation, normal, _ = separating_face(partner, thing)
-            shift = GAP_TOLERANCE * normal if separation <= GAP_TOLERANCE else np.zeros(3)
+        for meeting in meetings:
+            name = meeting.partner
+            shift = GAP_TOLERANCE * meeting.normal if meeting.separation <= GAP_TOLERANCE else np.zeros(3)
             if name == SUPPORT:
                 assert self.bullet.support is not None
-                body, origin = self.bullet.support, partner.centre
+                body, origin = self.bullet.support, meeting.box.centre
             else:
                 body, origin = self.bullet.arms[name], self.physics.arms[name].base.translation
             _, rotation = client.getBasePositionAndOrientation(body)

@@ -11,7 +11,7 @@ by an iterative search, which is ill-defined exactly here: at faces that touch w
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,8 +65,35 @@ class ContactPoint:
         return self.position - self.gap * self.normal
 
 
-def boxes(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]) -> tuple[Box, dict[str, Box]]:
-    """The object, and every partner it may touch; ``placements`` are those of frame E by arm."""
+@dataclass(frozen=True)
+class Meeting:
+    """How the object stands to a partner that it may touch.
+
+    Attributes:
+        partner: Name of the arm, or ``support``.
+        box: The partner.
+        thing: The object.
+        separation: Distance along the normal, negative: overlap [m].
+        normal: Unit normal from the partner into the object, in A, ``(3,)``.
+        on_object: Whether the face that the normal belongs to is the object's.
+    """
+
+    partner: str
+    box: Box
+    thing: Box
+    separation: float
+    normal: Array
+    on_object: bool
+
+
+def meetings(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]) -> list[Meeting]:
+    """The object and every partner it may touch; ``placements`` are those of frame E in A by arm."""
+    thing, partners = _boxes(physics, state, placements)
+    return [Meeting(name, box, thing, *_separating_face(box, thing)) for name, box in partners.items()]
+
+
+def _boxes(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]) -> tuple[Box, dict[str, Box]]:
+    """The object, and its partners."""
     thing = Box(state.position, state.rotation, physics.object.size / 2.0)
     partners = {}
     for name, placement in placements.items():
@@ -80,25 +107,22 @@ def boxes(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3])
 
 
 def find_contacts(
-    physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3], tolerance: float = GAP_TOLERANCE
+    physics: Physics, meetings: Sequence[Meeting], tolerance: float = GAP_TOLERANCE
 ) -> list[ContactPoint]:
     """Contact points of the object with pads and support.
 
     Args:
-        physics: Sizes and friction coefficients.
-        state: Pose of the object.
-        placements: Placement of frame E in A by arm.
+        physics: Friction coefficients.
+        meetings: How the object stands to its partners.
         tolerance: Largest gap that still counts as touching [m].
     """
-    thing, partners = boxes(physics, state, placements)
     contacts = []
-    for name, partner in partners.items():
-        friction = physics.support_friction if name == SUPPORT else physics.pad_friction
-        separation, normal, on_object = separating_face(partner, thing)
-        if separation > tolerance:
+    for meeting in meetings:
+        if meeting.separation > tolerance:
             continue
-        for position, gap in _touching(partner, thing, normal, on_object, tolerance):
-            contacts.append(ContactPoint(name, position, normal, gap, friction))
+        friction = physics.support_friction if meeting.partner == SUPPORT else physics.pad_friction
+        for position, gap in _touching(meeting, tolerance):
+            contacts.append(ContactPoint(meeting.partner, position, meeting.normal, gap, friction))
     return contacts
 
 
@@ -111,14 +135,14 @@ def contact_frame(normal: Array) -> Array:
     return np.array([[1.0 + sign * x * x * a, sign * b, -sign * x], [b, sign + y * y * a, -y], [x, y, z]])
 
 
-def separating_face(partner: Box, thing: Box) -> tuple[float, Array, bool]:
+def _separating_face(partner: Box, thing: Box) -> tuple[float, Array, bool]:
     """The face direction that separates two boxes best.
 
     Returns:
         Separation along it (negative: overlap) [m]; unit normal from ``partner`` into ``thing``, ``(3,)``; whether the
         face belongs to ``thing``.
     """
-    axes = np.vstack((partner.rotation.T, thing.rotation.T))
+    axes = np.concatenate((partner.rotation.T, thing.rotation.T))
     distance = axes @ (thing.centre - partner.centre)
     reach = np.abs(axes @ partner.rotation) @ partner.half + np.abs(axes @ thing.rotation) @ thing.half
     separation = np.abs(distance) - reach
@@ -127,11 +151,12 @@ def separating_face(partner: Box, thing: Box) -> tuple[float, Array, bool]:
     return float(separation[best]), sign * axes[best], best >= 3
 
 
-def _touching(partner: Box, thing: Box, normal: Array, on_object: bool, tolerance: float) -> list[tuple[Array, float]]:
-    """Points on ``thing`` with their gaps."""
+def _touching(meeting: Meeting, tolerance: float) -> list[tuple[Array, float]]:
+    """Points on the object with their gaps."""
     # The reference face owns the normal; the incident face of the other box is clipped to it.
-    reference, incident = (thing, partner) if on_object else (partner, thing)
-    outward = -normal if on_object else normal
+    on_object = meeting.on_object
+    reference, incident = (meeting.thing, meeting.box) if on_object else (meeting.box, meeting.thing)
+    outward = -meeting.normal if on_object else meeting.normal
     axis = int(np.argmax(np.abs(reference.rotation.T @ outward)))
     facing = np.copysign(1.0, reference.rotation[:, axis] @ outward)
     polygon = (_face(incident, -outward) - reference.centre) @ reference.rotation

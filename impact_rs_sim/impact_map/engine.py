@@ -5,10 +5,9 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
-import pinocchio as pin
-
-from impact_rs_sim.impact_map.contacts import ContactPoint
+from impact_rs_sim.impact_map.contacts import Meeting
 from impact_rs_sim.impact_map.problem import (
     ContactImpulse,
     ImpactMapError,
@@ -21,6 +20,23 @@ from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What an engine found.
+
+    Attributes:
+        terms: The problem at its m contact points.
+        impulses: On the object, in axes of A, ``(m, 3)`` [N s].
+        velocity: u^+, ``(nv,)`` [rad/s, m/s].
+        iterations: Of the engine's outer loop.
+    """
+
+    terms: ContactTerms
+    impulses: Array
+    velocity: Array
+    iterations: int
 
 
 class Engine(ABC):
@@ -45,24 +61,25 @@ class Engine(ABC):
             ImpactMapError: The answer breaks a law by more than ``tolerance``; the message names the law.
         """
         start = time.perf_counter()
-        check_problem(problem, models=self.models)
+        meetings = check_problem(problem, self.models)
         system = build_system(problem, self.models)
-        contacts, impulses, velocity, iterations = self._solve(problem, system)
-        residual = ContactTerms(system, contacts, problem.restitution).residual(impulses, velocity)
+        answer = self._solve(problem, system, meetings)
+        contacts, iterations = answer.terms.contacts, answer.iterations
+        residual = answer.terms.residual(answer.impulses, answer.velocity)
         if not residual.largest <= self.tolerance:
             law, amount = residual.worst
             raise ImpactMapError(
                 f"engine {self.name!r} breaks {law} by {amount:.3g} m/s (accepted: {self.tolerance:.3g} m/s) "
                 f"with {len(contacts)} contact points after {iterations} iterations"
             )
-        joints, twists, twist = system.split(velocity)
+        joints, twists, twist = system.split(answer.velocity)
         return ImpactResult(
             joint_velocity=joints,
             end_effector_twist=twists,
             object_twist=twist,
             contacts=tuple(
                 ContactImpulse("object", point.partner, point.position, point.normal, impulse, point.gap)
-                for point, impulse in zip(contacts, impulses, strict=True)
+                for point, impulse in zip(contacts, answer.impulses, strict=True)
             ),
             residual=residual,
             engine=self.name,
@@ -74,9 +91,6 @@ class Engine(ABC):
         """Give back what the engine holds outside Python; nothing by default."""
         return
 
-    def _placements(self, problem: ImpactProblem) -> dict[str, pin.SE3]:
-        return {name: self.models[name].placement(state.position) for name, state in problem.arms.items()}
-
     @abstractmethod
-    def _solve(self, problem: ImpactProblem, system: System) -> tuple[Sequence[ContactPoint], Array, Array, int]:
-        """Contact points (m), impulses on the object ``(m, 3)`` [N s], u^+ ``(nv,)``, and outer iterations."""
+    def _solve(self, problem: ImpactProblem, system: System, meetings: Sequence[Meeting]) -> Answer:
+        """Find the answer; ``meetings`` tell how the object stands to its partners."""

@@ -10,13 +10,15 @@ impulses without favourites among equivalent ones, and u^+ does not depend on th
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.impact_map.contacts import ContactPoint, contact_frame, find_contacts
-from impact_rs_sim.impact_map.engine import Engine
+from impact_rs_sim.impact_map.contacts import ContactPoint, Meeting, contact_frame, find_contacts
+from impact_rs_sim.impact_map.engine import Answer, Engine
 from impact_rs_sim.impact_map.problem import ImpactProblem
+from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import System
 from impact_rs_sim.robot import Array
 
@@ -32,45 +34,38 @@ class PinocchioEngine(Engine):
     name = "pinocchio"
     tolerance = 1e-5  # m/s; most answers are below 1e-7
 
-    def _solve(self, problem: ImpactProblem, system: System) -> tuple[Sequence[ContactPoint], Array, Array, int]:
-        contacts = find_contacts(problem.physics, problem.object, self._placements(problem))
-        impulses, iterations = solve_contacts(system, contacts, problem.restitution)
-        velocity = system.velocity + np.linalg.solve(system.inertia, system.jacobian(contacts).T @ impulses.ravel())
-        return contacts, impulses, velocity, iterations
+    def _solve(self, problem: ImpactProblem, system: System, meetings: Sequence[Meeting]) -> Answer:
+        terms = ContactTerms(system, self._contacts(meetings), problem.restitution)
+        impulses, iterations = solve_contacts(terms)
+        return Answer(terms, impulses, system.velocity + terms.response @ impulses.ravel(), iterations)
+
+    def _contacts(self, meetings: Sequence[Meeting]) -> list[ContactPoint]:
+        return find_contacts(self.physics, meetings)
 
 
-def solve_contacts(
-    system: System, contacts: Sequence[ContactPoint], restitution: float, feasibility: float = FEASIBILITY
-) -> tuple[Array, int]:
+def solve_contacts(terms: ContactTerms, feasibility: float = FEASIBILITY) -> tuple[Array, int]:
     """Solve the conic problem.
 
     Args:
-        system: Terms of the problem.
-        contacts: The m contact points.
-        restitution: Newton restitution e [-].
+        terms: The problem at its m contact points.
         feasibility: Tolerance of the solver [m/s].
 
     Returns:
         Impulses on the object ``(m, 3)`` [N s], and the number of ADMM iterations.
     """
-    if not contacts:
+    count = len(terms.contacts)
+    if not count:
         return np.zeros((0, 3)), 0
-    count = len(contacts)
-    frames = np.array([contact_frame(point.normal) for point in contacts])
-    jacobian = (frames @ system.jacobian(contacts).reshape(count, 3, -1)).reshape(3 * count, -1)
-    delassus = jacobian @ np.linalg.solve(system.inertia, jacobian.T)
-    drift = jacobian @ system.velocity
-    drift[2::3] *= 1.0 + restitution
+    frames = np.array([contact_frame(normal) for normal in terms.normals])
+    jacobian = (frames @ terms.jacobian.reshape(count, 3, -1)).reshape(3 * count, -1)
+    response = np.einsum("vmj,mij->vmi", terms.response.reshape(-1, count, 3), frames).reshape(-1, 3 * count)
+    delassus = jacobian @ response
+    drift = jacobian @ terms.before
+    drift[2::3] *= 1.0 + terms.restitution
     # In units of the mean inverse mass, impulses are velocities too, and one tolerance means the same to both.
     scale = np.trace(delassus) / len(delassus)
     operator = pin.DelassusOperatorDense((delassus + delassus.T) / (2.0 * scale))
-    constraints, data = pin.StdVec_ConstraintModel(), pin.StdVec_ConstraintData()
-    for contact in contacts:
-        # The solver takes only the cone from the constraint; the operator brings geometry and inertia.
-        constraint = pin.PointContactConstraintModel(_ANY_MODEL, 1, pin.SE3.Identity())
-        constraint.setFriction(contact.friction)
-        constraints.append(pin.ConstraintModel(constraint))
-        data.append(pin.ConstraintData(constraint.createData()))
+    constraints, data = _cones(tuple(terms.friction.tolist()))
     settings = pin.ADMMSolverSettings()
     settings.absolute_feasibility_tol = settings.absolute_complementarity_tol = feasibility
     settings.relative_feasibility_tol = settings.relative_complementarity_tol = 0.0
@@ -88,6 +83,18 @@ def solve_contacts(
         if converged or error < GOOD_ENOUGH:
             break
     return np.einsum("mji,mj->mi", frames, impulse.reshape(-1, 3)), iterations
+
+
+@lru_cache(maxsize=64)
+def _cones(friction: tuple[float, ...]) -> tuple[pin.StdVec_ConstraintModel, pin.StdVec_ConstraintData]:
+    """Coulomb's cones; the solver takes nothing else from a constraint: geometry and inertia are in the operator."""
+    constraints, data = pin.StdVec_ConstraintModel(), pin.StdVec_ConstraintData()
+    for coefficient in friction:
+        constraint = pin.PointContactConstraintModel(_ANY_MODEL, 1, pin.SE3.Identity())
+        constraint.setFriction(coefficient)
+        constraints.append(pin.ConstraintModel(constraint))
+        data.append(pin.ConstraintData(constraint.createData()))
+    return constraints, data
 
 
 def _any_model() -> pin.Model:

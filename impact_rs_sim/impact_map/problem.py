@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map.contacts import boxes, separating_face
+from impact_rs_sim.impact_map.contacts import Meeting, meetings
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -149,17 +149,18 @@ class ImpactMapError(RuntimeError):
     """An engine found no answer that obeys the laws; the message says which law and by how much."""
 
 
-def check_problem(
-    problem: ImpactProblem,
-    penetration_tolerance: float = 1e-3,
-    models: Mapping[str, RobotModel] | None = None,
-) -> None:
+PENETRATION_TOLERANCE = 1e-3  # m, deepest accepted overlap of pad and object, or object and support
+
+
+def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | None = None) -> list[Meeting]:
     """Refuse a question that has no answer.
 
     Args:
         problem: The question.
-        penetration_tolerance: Deepest accepted overlap of pad and object, or object and support [m].
         models: Rigid-body models by arm, where the caller has them already.
+
+    Returns:
+        How the object stands to pads and support.
 
     Raises:
         InputError: Non-finite or wrong-length state, joint positions or velocities beyond their limits, negative
@@ -185,15 +186,16 @@ def check_problem(
     if models is None:
         models = {name: physics.robot_model(name) for name in problem.arms}
     placements = {name: models[name].placement(state.position) for name, state in problem.arms.items()}
-    thing, partners = boxes(physics, body, placements)
-    for name, partner in partners.items():
-        depth = -separating_face(partner, thing)[0]
-        if depth > penetration_tolerance:
+    found = meetings(physics, body, placements)
+    for meeting in found:
+        depth = -meeting.separation
+        if depth > PENETRATION_TOLERANCE:
             raise InputError(
-                f"the object penetrates {name!r} by {1e3 * depth:.3g} mm, accepted are "
-                f"{1e3 * penetration_tolerance:.3g} mm",
+                f"the object penetrates {meeting.partner!r} by {1e3 * depth:.3g} mm, accepted are "
+                f"{1e3 * PENETRATION_TOLERANCE:.3g} mm",
                 key="object.position",
             )
+    return found
 
 
 def _vector(values: Array, length: int, key: str, unit: str) -> None:

@@ -34,6 +34,9 @@ class ContactTerms:
         restitution: Newton restitution e [-].
 
     Attributes:
+        contacts: The contact points.
+        restitution: e [-].
+        before: u^-, ``(nv,)`` [rad/s, m/s].
         jacobian: J_c, ``(3 m, nv)``.
         response: H^-1 J_c^T, ``(nv, 3 m)``.
         normals: Unit normals into the object, ``(m, 3)``.
@@ -41,11 +44,13 @@ class ContactTerms:
     """
 
     def __init__(self, system: System, contacts: Sequence[ContactPoint], restitution: float) -> None:
+        self.contacts = contacts
+        self.restitution = restitution
+        self.before = system.velocity
         self.jacobian = system.jacobian(contacts)
         self.response = np.linalg.solve(system.inertia, self.jacobian.T)
         self.normals = np.array([contact.normal for contact in contacts]).reshape(-1, 3)
         self.friction = np.array([contact.friction for contact in contacts])
-        self._before = system.velocity
         approach, _ = self.split((self.jacobian @ system.velocity).reshape(-1, 3))
         self._rebound = restitution * approach
         self._inverse_mass = np.einsum("ij,ji->i", self.jacobian, self.response).reshape(-1, 3).mean(axis=1)
@@ -71,7 +76,7 @@ class ContactTerms:
             impulses: L on the object in axes of A, ``(m, 3)`` [N s].
             velocity: u^+, ``(nv,)`` [rad/s, m/s].
         """
-        jump = velocity - self._before
+        jump = velocity - self.before
         momentum = float(np.max(np.abs(jump - self.response @ impulses.ravel())))
         if not len(impulses):
             return Residual(0.0, 0.0, 0.0, momentum)

@@ -16,10 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint
+from impact_rs_sim.impact_map.contacts import ContactPoint
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
+
+_AXES = (0, 1, 2)
 
 
 @dataclass(frozen=True)
@@ -48,12 +50,13 @@ class System:
         """J_c: velocity of the object relative to its partner, ``(3 m, nv)``, three rows of axes of A per point."""
         size = self.velocity.size
         jacobian = np.zeros((len(contacts), 3, size))
-        thing = self.columns["object"]
-        for row, contact in zip(jacobian, contacts, strict=True):
-            row[:, thing] = point_map(contact.position - self.object_position)
-            if contact.partner != SUPPORT:
-                lever = contact.partner_position - self.end_effector_position[contact.partner]
-                row[:, self.columns[contact.partner]] = -point_map(lever) @ self.end_effector_jacobian[contact.partner]
+        positions = np.array([contact.position for contact in contacts]).reshape(-1, 3)
+        jacobian[:, :, self.columns["object"]] = point_maps(positions - self.object_position)
+        for name, of_arm in self.end_effector_jacobian.items():
+            rows = [row for row, contact in enumerate(contacts) if contact.partner == name]
+            levers = np.array([contacts[row].partner_position for row in rows]).reshape(-1, 3)
+            levers -= self.end_effector_position[name]
+            jacobian[rows, :, self.columns[name]] = -point_maps(levers) @ of_arm
         return jacobian.reshape(3 * len(contacts), size)
 
     def split(self, velocity: Array) -> tuple[dict[str, Array], dict[str, Array], Array]:
@@ -63,10 +66,13 @@ class System:
         return joints, twists, velocity[self.columns["object"]]
 
 
-def point_map(lever: Array) -> Array:
-    """Twist of a body at O to velocity of its point at O + ``lever``, ``(3, 6)``."""
-    x, y, z = lever
-    return np.array([[1.0, 0, 0, 0, z, -y], [0, 1.0, 0, -z, 0, x], [0, 0, 1.0, y, -x, 0]])
+def point_maps(levers: Array) -> Array:
+    """Twist of a body at O to velocities of its points at O + ``levers`` ``(m, 3)``, ``(m, 3, 6)``."""
+    maps = np.zeros((len(levers), 3, 6))
+    maps[:, _AXES, _AXES] = 1.0
+    maps[:, (1, 2, 0), (5, 3, 4)] = levers
+    maps[:, (2, 0, 1), (4, 5, 3)] = -levers
+    return maps
 
 
 def build_system(problem: ImpactProblem, models: Mapping[str, RobotModel]) -> System:

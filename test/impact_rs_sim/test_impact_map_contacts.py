@@ -10,13 +10,14 @@ import pytest
 from impact_map_cases import MODEL, nominal, one_point
 
 from impact_rs_sim.impact_map import BulletEngine, ImpactProblem, PinocchioEngine
-from impact_rs_sim.impact_map.contacts import ContactPoint, contact_frame, find_contacts
+from impact_rs_sim.impact_map.contacts import ContactPoint, contact_frame, find_contacts, meetings
 from impact_rs_sim.scene import BodyState
 
 
 def contacts_of(problem: ImpactProblem, partner: str) -> list[ContactPoint]:
     placements = {"arm": MODEL.placement(problem.arms["arm"].position)}
-    return [c for c in find_contacts(problem.physics, problem.object, placements) if c.partner == partner]
+    found = meetings(problem.physics, problem.object, placements)
+    return [c for c in find_contacts(problem.physics, found) if c.partner == partner]
 
 
 def moved(problem: ImpactProblem, shift: tuple[float, float, float], yaw: float = 0.0) -> ImpactProblem:
