@@ -13,14 +13,13 @@ import numpy as np
 from impact_rs_analysis.comparison.compare import (
     Comparison,
     noise_floor_of,
-    residuals_with_progress,
     scaled_evidence,
     score_of,
 )
+from impact_rs_analysis.comparison.rollouts import RolloutStore, residuals
 from impact_rs_analysis.comparison.runs import Runs
 from impact_rs_analysis.diagnosis.candidates import NormalEquations, linearise
 from impact_rs_analysis.diagnosis.evidence import ConditionEvidence
-from impact_rs_analysis.diagnosis.sensitivity import RolloutStore
 from impact_rs_analysis.workers import Map
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import JOINT_COUNT, Model, load_model
@@ -133,7 +132,7 @@ def history(
         if done is not None:
             evidence = list(done.evidence)
         else:
-            evidence, _ = scaled_evidence(runs, residuals_with_progress(runs, version.model, map_tasks, progress))
+            evidence, _ = scaled_evidence(runs, residuals(runs, version.model, store))
         error = score_of(evidence)
         held_out: float | None = error
         if version.effect_added is not None:

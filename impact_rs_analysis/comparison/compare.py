@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from impact_rs_analysis.comparison.jump import JOINTS, JumpEntry, jump_entries, root_mean_square
-from impact_rs_analysis.comparison.runs import Condition, Runs, predicted_features
-from impact_rs_analysis.comparison.twin import Start
+from impact_rs_analysis.comparison.rollouts import RolloutStore, residuals
+from impact_rs_analysis.comparison.runs import Runs
 from impact_rs_analysis.diagnosis.evidence import ConditionEvidence, gather
 from impact_rs_analysis.workers import Map
 from impact_rs_sim.errors import InputError
@@ -159,7 +159,7 @@ def compare(runs: Runs, model: Model, map_tasks: Map, progress: Progress | None 
     Raises:
         InputError: With this model nothing is hit, or the model blows up.
     """
-    evidence, remarks = scaled_evidence(runs, residuals_with_progress(runs, model, map_tasks, progress))
+    evidence, remarks = scaled_evidence(runs, residuals(runs, model, RolloutStore(map_tasks, progress)))
     # The map knows no trial's own start: repetition is what the measured numbers themselves scatter, for every model.
     measured, _ = scaled_evidence(runs, [trial.features for trial in runs.trials])
     jump, more = jump_entries(runs.trials, measured, model)
@@ -174,29 +174,6 @@ def compare(runs: Runs, model: Model, map_tasks: Map, progress: Progress | None 
         where=tuple(_where(evidence)),
         remarks=tuple(remarks + more),
     )
-
-
-def _predict(task: tuple[Condition, Model, Start]) -> Array | None:
-    return predicted_features(*task)
-
-
-def residuals_with_progress(runs: Runs, model: Model, map_tasks: Map, progress: Progress | None = None) -> list[Array]:
-    """Measured minus predicted features of every trial, the twin started where the trial started.
-
-    Raises:
-        InputError: With this model nothing is hit, or the model blows up.
-    """
-    tasks = [(trial.condition, model, trial.start) for trial in runs.trials]
-    found = []
-    for number, (trial, predicted) in enumerate(zip(runs.trials, map_tasks(_predict, tasks), strict=True), start=1):
-        if predicted is None:
-            raise InputError(f"with model {model.name!r} nothing is hit in {trial.condition.label}", file=trial.path)
-        if not np.isfinite(predicted).all():
-            raise InputError(f"with model {model.name!r} the twin of {trial.condition.label} is not finite")
-        found.append(trial.features - predicted)
-        if progress is not None:
-            progress("twin of every trial", number, len(tasks))
-    return found
 
 
 def scaled_evidence(runs: Runs, residuals: list[Array]) -> tuple[list[ConditionEvidence], list[str]]:

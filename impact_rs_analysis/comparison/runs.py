@@ -12,11 +12,10 @@ import numpy as np
 from impact_rs_analysis.bags.reader import BagError, TrialBag
 from impact_rs_analysis.comparison.features import Feature, extract, layout
 from impact_rs_analysis.comparison.signals import signals_of_bag
-from impact_rs_analysis.comparison.twin import Start, observed_until, run_twin
+from impact_rs_analysis.comparison.twin import Start
 from impact_rs_analysis.workers import Map
 from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import Scene
@@ -155,26 +154,3 @@ def read_runs(directory: Path, map_tasks: Map) -> Runs:
         reason = f"; {len(skipped)} bag(s) cannot be used, the first because: {skipped[0][1]}" if skipped else ""
         raise InputError(f"no usable trials here{reason}", file=directory)
     return Runs(directory, trials, skipped)
-
-
-def predicted_features(condition: Condition, model: Model, start: Start | None = None) -> Array | None:
-    """Features of the twin under a model; None where the twin hits nothing although it should."""
-    plan = condition.plan
-    physics = model.apply(plan.scene.physics)
-    signals = run_twin(plan, physics, start or Start.nominal(plan), observed_until(plan))
-    return extract(signals, plan)
-
-
-def _predict(task: tuple[Condition, Model, Start | None]) -> Array | None:
-    return predicted_features(*task)
-
-
-def residuals(runs: Runs, model: Model, map_tasks: Map) -> list[Array]:
-    """Measured minus predicted features of every trial, the twin started where the trial started."""
-    tasks = [(trial.condition, model, trial.start) for trial in runs.trials]
-    result = []
-    for trial, predicted in zip(runs.trials, map_tasks(_predict, tasks), strict=True):
-        if predicted is None:
-            raise InputError(f"with this model nothing is hit in {trial.condition.label}", file=trial.path)
-        result.append(trial.features - predicted)
-    return result

@@ -38,6 +38,12 @@ class Start:
     object_position: Array
     object_yaw: float
 
+    @property
+    def identity(self) -> str:
+        """All of it, to the last bit."""
+        numbers = (*self.joints.values(), self.object_position, np.array(self.object_yaw))
+        return ",".join(self.joints) + b"".join(array.tobytes() for array in numbers).hex()
+
     @staticmethod
     def nominal(plan: TrialPlan) -> Start:
         """Where the plan says it starts."""

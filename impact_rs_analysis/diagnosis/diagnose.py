@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from impact_rs_analysis.comparison.runs import Runs, residuals
-from impact_rs_analysis.diagnosis.candidates import Added
+from impact_rs_analysis.comparison.rollouts import Added, RolloutStore, residuals
+from impact_rs_analysis.comparison.runs import Runs
 from impact_rs_analysis.diagnosis.evidence import ConditionEvidence, gather, rescale
 from impact_rs_analysis.diagnosis.search import LEAST_EXCESS, LEAST_GAIN, MOST_EFFECTS, SIGNIFICANT, Fit, Search
-from impact_rs_analysis.diagnosis.sensitivity import RolloutStore
 from impact_rs_analysis.workers import Map
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.model import JOINT_COUNT, Model, ModelEffect, ParameterValue
+from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
 
 Progress = Callable[[str, int, int], None]
@@ -120,26 +119,15 @@ def diagnose(
             "at least 3 are needed to hold one out; `impact-rs compare` still shows where the model fails",
             file=runs.directory,
         )
-    evidence = gather(runs, residuals(runs, model, map_tasks))
+    store = RolloutStore(map_tasks, progress)
+    evidence = gather(runs, residuals(runs, model, store))
     known = model.known_effects
     present = {item.name for item in model.effects}
     effects = [known[name] for name in known if name not in present and (only is None or name in only)]
-    store = RolloutStore(map_tasks, progress)
 
     def measure_again(added: Added) -> list[ConditionEvidence] | None:
-        extended = [
-            ModelEffect(
-                name=name,
-                parameters={
-                    scalar.name: ParameterValue(estimate=value, unit=scalar.unit)
-                    for scalar, value in zip(known[name].scalars(JOINT_COUNT), values, strict=True)
-                },
-            )
-            for name, values in added
-        ]
-        with_effects = model.model_copy(update={"effects": (*model.effects, *extended)})
         try:
-            return rescale(runs, residuals(runs, with_effects, map_tasks), evidence)
+            return rescale(runs, residuals(runs, model, store, added), evidence)
         except InputError:
             return None
 

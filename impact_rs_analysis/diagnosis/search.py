@@ -9,8 +9,8 @@ from itertools import combinations
 import numpy as np
 from scipy.stats import false_discovery_control
 
+from impact_rs_analysis.comparison.rollouts import Added, Rollout, RolloutStore
 from impact_rs_analysis.diagnosis.candidates import (
-    Added,
     Candidate,
     NormalEquations,
     combine,
@@ -19,7 +19,7 @@ from impact_rs_analysis.diagnosis.candidates import (
     tail_probability,
 )
 from impact_rs_analysis.diagnosis.evidence import ConditionEvidence
-from impact_rs_analysis.diagnosis.sensitivity import Rollout, RolloutStore, concerns, nominal_vector, steps
+from impact_rs_analysis.diagnosis.sensitivity import concerns, nominal_vector, steps
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
@@ -111,10 +111,9 @@ class Search:
 
     def _prefetch(self, effects: list[Effect]) -> None:
         """Run every rollout of the screening in one parallel batch."""
-        wanted: dict[str, Rollout] = {}
+        wanted: list[Rollout] = []
         for item in self.evidence:
-            base = Rollout(item.condition, self.model)
-            wanted.setdefault(base.digest, base)
+            wanted.append(Rollout(item.condition, self.model))
             for effect in effects:
                 if not concerns(effect, item.condition):
                     continue
@@ -122,9 +121,8 @@ class Search:
                 for index, step in enumerate(steps(effect, point)):
                     moved = point.copy()
                     moved[index] += step
-                    rollout = Rollout(item.condition, self.model, ((effect.name, tuple(float(v) for v in moved)),))
-                    wanted.setdefault(rollout.digest, rollout)
-        self.store(list(wanted.values()), "sensitivities of all effects")
+                    wanted.append(Rollout(item.condition, self.model, ((effect.name, tuple(map(float, moved))),)))
+        self.store(wanted, "sensitivities of all effects")
 
     @property
     def lack_of_fit(self) -> float:
