@@ -18,7 +18,7 @@ from scipy.optimize import lsq_linear
 
 from impact_rs_analysis.comparison.rollouts import Added, Rollout, RolloutStore
 from impact_rs_analysis.diagnosis.evidence import ConditionEvidence
-from impact_rs_analysis.diagnosis.sensitivity import concerns, nominal_vector, steps
+from impact_rs_analysis.diagnosis.sensitivity import Where, concerns, nominal_vector, steps
 from impact_rs_sim.effects import Effect, ScalarParameter
 from impact_rs_sim.model import JOINT_COUNT, Model
 from impact_rs_sim.robot import Array
@@ -97,10 +97,12 @@ def linearise(
     point: Array | None = None,
     what: str = "sensitivities",
     origin: Added = (),
+    where: Where = concerns,
 ) -> Candidate | None:
     """Sensitivities about ``point`` (None: where the effects do nothing); None where the twin misses the object.
 
-    ``origin`` is what was switched on in the twin that the evidence was held against.
+    ``origin`` is what was switched on in the twin that the evidence was held against; ``where`` says in which
+    conditions an effect is looked at, elsewhere its sensitivities are zero.
     """
     if point is None:
         point = np.concatenate([nominal_vector(effect) for effect in effects])
@@ -113,7 +115,7 @@ def linearise(
         if not at_nominal:
             wanted.append(Rollout(item.condition, model, empty.split(point)))
         for effect, part in _parts(effects):
-            if not concerns(effect, item.condition):
+            if not where(effect, item.condition):
                 continue
             for index in range(part.start, part.stop):
                 moved = point.copy()
@@ -128,7 +130,7 @@ def linearise(
             return None
         jacobian = np.zeros((base.size, point.size))
         for effect, part in _parts(effects):
-            if not concerns(effect, item.condition):
+            if not where(effect, item.condition):
                 continue
             for index in range(part.start, part.stop):
                 there = next(results)

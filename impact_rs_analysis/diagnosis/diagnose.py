@@ -347,6 +347,9 @@ def _remarks(search: Search, chosen: Fit | None, verdict: str, remaining: float)
         remarks.append(
             "no free motion there and back was measured: friction, torque offset and torque gain look alike in a push"
         )
+    if search.ruled_out:
+        names = ", ".join(sorted(search.ruled_out))
+        remarks.append(f"free motion shows nothing of them, so they were not tried in contact: {names}")
     single = [item.condition.label for item in search.evidence if item.count < 2]
     if single:
         remarks.append(f"not repeated, so without pure error of their own: {', '.join(single)}")

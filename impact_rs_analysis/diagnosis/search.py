@@ -19,12 +19,13 @@ from impact_rs_analysis.diagnosis.candidates import (
     tail_probability,
 )
 from impact_rs_analysis.diagnosis.evidence import ConditionEvidence
-from impact_rs_analysis.diagnosis.sensitivity import concerns, nominal_vector, steps
+from impact_rs_analysis.diagnosis.sensitivity import Where, concerns, in_free_motion, nominal_vector, steps
 from impact_rs_sim.effects import Effect
-from impact_rs_sim.model import Model
+from impact_rs_sim.model import JOINT_COUNT, Model
 from impact_rs_sim.robot import Array
 
 SIGNIFICANT = 0.01  # false-discovery rate at which an effect is accepted
+NOTHING = 0.1  # p in free motion above which an effect of the joints is ruled out
 SHORTLIST = 5  # candidates refined through the twin in every round
 MOST_EFFECTS = 3
 FIT_STEPS = 4
@@ -100,22 +101,37 @@ class Search:
         self.signs = random_signs(evidence)
         self.before = np.array([np.mean(np.square(item.mean)) for item in evidence])
         self.noise = np.array([np.mean(np.square(item.pure)) / item.count for item in evidence])
-        self._prefetch(effects)
+        # An effect of the joints has parameters for every one of them, which makes it dear to look at. What shows
+        # nothing in free motion there and back is not there, and need not be looked at in every push as well.
+        self.ruled_out: set[str] = set()
+        of_joints = [effect for effect in effects if len(effect.scalars(JOINT_COUNT)) >= JOINT_COUNT]
+        if any(in_free_motion(effect, item.condition) for effect in of_joints for item in evidence):
+            self._prefetch(of_joints, in_free_motion)
+            for effect in of_joints:
+                alone = linearise((effect,), model, evidence, store, where=in_free_motion)
+                if alone is not None and self._p_value(NormalEquations(alone, evidence)) > NOTHING:
+                    self.ruled_out.add(effect.name)
+        self._prefetch([effect for effect in effects if effect.name not in self.ruled_out], concerns)
         self.singles: dict[str, Candidate] = {}
         for effect in effects:
-            candidate = linearise((effect,), model, evidence, store)
+            where = in_free_motion if effect.name in self.ruled_out else concerns
+            candidate = linearise((effect,), model, evidence, store, where=where)
             if candidate is not None:
                 self.singles[effect.name] = candidate
         self.fits = {name: fit(candidate, evidence) for name, candidate in self.singles.items()}
         self.p_values = self.p_values_given(None)
 
-    def _prefetch(self, effects: list[Effect]) -> None:
-        """Run every rollout of the screening in one parallel batch."""
+    def _p_value(self, equations: NormalEquations) -> float:
+        """p of an effect, not adjusted."""
+        return tail_probability(equations.statistic(), np.maximum(equations.null_statistics(self.signs), 0.0))
+
+    def _prefetch(self, effects: list[Effect], where: Where) -> None:
+        """Run rollouts of the screening in one parallel batch."""
         wanted: list[Rollout] = []
         for item in self.evidence:
             wanted.append(Rollout(item.condition, self.model))
             for effect in effects:
-                if not concerns(effect, item.condition):
+                if not where(effect, item.condition):
                     continue
                 point = nominal_vector(effect)
                 for index, step in enumerate(steps(effect, point)):
@@ -288,12 +304,13 @@ class Search:
     def shortlist(self, chosen: Fit | None, count: int = SHORTLIST) -> list[Fit]:
         """Most promising candidates for one more effect, by their linear held-out error."""
         evidence = self.evidence if chosen is None else chosen.evidence
-        ranked = [fit(candidate, evidence) for _, candidate in self._joined(chosen)]
+        ranked = [fit(candidate, evidence) for name, candidate in self._joined(chosen) if name not in self.ruled_out]
         return sorted(ranked, key=lambda entry: entry.score)[:count]
 
     def best_pairs(self, count: int = 2) -> list[Candidate]:
         """Most promising pairs among the better half of the effects, by their linear held-out error."""
-        names = sorted(self.fits, key=lambda name: self.fits[name].score)[:10]
+        likely = (name for name in self.fits if name not in self.ruled_out)
+        names = sorted(likely, key=lambda name: self.fits[name].score)[:10]
         ranked = []
         for first, second in combinations(names, 2):
             joined = combine(self.singles[first], self.singles[second])

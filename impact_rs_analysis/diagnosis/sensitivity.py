@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from impact_rs_analysis.comparison.runs import Condition
@@ -26,6 +28,14 @@ def nominal_vector(effect: Effect) -> Array:
     return np.array([scalar.nominal for scalar in effect.scalars(JOINT_COUNT)])
 
 
+Where = Callable[[Effect, Condition], bool]
+
+
 def concerns(effect: Effect, condition: Condition) -> bool:
     """Whether an effect can be seen in a condition at all."""
     return condition.plan.expects_impact or "free" in effect.phases
+
+
+def in_free_motion(effect: Effect, condition: Condition) -> bool:
+    """Whether an effect can be seen in a condition in which nothing is hit."""
+    return not condition.plan.expects_impact and concerns(effect, condition)

@@ -42,7 +42,9 @@ EFFECTS = [
     Analytic("bent", (_parameter("b"),)),
     Analytic("twin_of_straight", (_parameter("c"),)),
     Analytic("payload", (_parameter("mass"), _parameter("lever"))),
+    Analytic("of_joints", tuple(_parameter(f"joint{number}") for number in range(7))),
 ]
+FREE = (0, 1)  # conditions in which nothing is hit, where there are any
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,7 @@ class World:
     """Features of every condition as functions of the parameters."""
 
     seed: int
+    free: tuple[int, ...] = ()
 
     def direction(self, condition: int, number: int) -> np.ndarray:
         return np.random.default_rng([10_000 + number, condition]).standard_normal(FEATURES)
@@ -67,6 +70,8 @@ class World:
             elif name == "payload":
                 mass, lever = values
                 result += mass * self.direction(condition, 3) + mass * lever * self.direction(condition, 4)
+            elif name == "of_joints":
+                result += sum(value * self.direction(condition, 10 + j) for j, value in enumerate(values))
             elif name == "outside":
                 result += values[0] * self.direction(condition, 5)
         return result
@@ -78,12 +83,18 @@ class World:
             noise = np.random.default_rng([self.seed, number]).standard_normal((REPEATS, FEATURES))
             sigma = np.sqrt(1.0 + (FLOOR / 2.0) ** 2) * np.ones(FEATURES)
             rows = self.features(number, truth) - self.features(number, believed) + noise
-            condition = SimpleNamespace(number=number, plan=SimpleNamespace(expects_impact=True), label=str(number))
+            plan = SimpleNamespace(expects_impact=number not in self.free)
+            condition = SimpleNamespace(number=number, plan=plan, label=str(number))
             found.append(ConditionEvidence(condition, rows / sigma, sigma, 1.0 / sigma))  # type: ignore[arg-type]
         return found
 
-    def search(self, truth: tuple, only: tuple[str, ...] = ("straight", "bent", "payload")) -> Search:
+    def search(
+        self, truth: tuple, only: tuple[str, ...] = ("straight", "bent", "payload"), asked: list | None = None
+    ) -> Search:
+        asked = [] if asked is None else asked
+
         def store(rollouts, what=""):  # noqa: ANN001, ANN202
+            asked.extend(rollouts)
             return [self.features(rollout.condition.number, rollout.added) for rollout in rollouts]
 
         return Search(
@@ -173,3 +184,24 @@ def test_leaving_a_condition_out_uses_all_others() -> None:
         )
         direct = NormalEquations(without, others).solve()
         np.testing.assert_allclose(NormalEquations(candidate, search.evidence).left_out[number], direct, rtol=1e-9)
+
+
+def test_most_effects_of_the_joints_that_are_absent_are_not_tried_in_contact() -> None:
+    ruled_out = 0
+    for seed in range(20):
+        asked: list = []
+        search = World(seed, FREE).search((), ("bent", "of_joints"), asked)
+        tried = {rollout.condition.number for rollout in asked if rollout.added and rollout.added[0][0] == "of_joints"}
+        assert tried == (set(FREE) if search.ruled_out else set(range(CONDITIONS)))
+        assert set(search.p_values) == {"bent", "of_joints"}
+        ruled_out += bool(search.ruled_out)
+    assert ruled_out >= 14
+
+
+@pytest.mark.parametrize("size", [1.0, 30.0])
+def test_an_effect_of_the_joints_is_found_beside_one_of_the_contact(size: float) -> None:
+    values = tuple(size * (-1.0) ** joint for joint in range(7))
+    search = World(2, FREE).search((("of_joints", values), ("bent", (5.0,))), ("bent", "of_joints"))
+    assert not search.ruled_out
+    chosen, _ = choose(search)
+    assert chosen is not None and set(chosen.candidate.names) == {"bent", "of_joints"}
