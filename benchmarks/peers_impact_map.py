@@ -8,7 +8,7 @@ installed is skipped.
 Everybody gets the same robot (our URDF), the same motor inertia, the same state and the same contact points: a sphere
 of 1 mm on pad or support for every point, against a plate on the object. Only ``bullet`` finds its points itself, as
 always. The exact solution is computed here, by Newton's method on the laws, and is accepted only if it breaks none of
-them by more than 1e-10 m/s. A call sets the state, steps until the velocity is settled, and reads
+them by more than 1e-9 m/s. A call sets the state, steps until the velocity is settled, and reads
 it. Times are CPU times, which other programs blur least: run it with ``OMP_NUM_THREADS=1``.
 """
 
@@ -40,8 +40,10 @@ from impact_rs_sim.scene import BodyState, Scene
 
 SCENES = ("corner", "edge", "face", "push", "grab", "grid")
 FRICTIONS = {"none": (0.0, 0.0), "sticking": (2.0, 0.0), "nominal": (0.5, 0.3)}  # of pad and support [-]
-EXACT = 1e-10  # m/s, largest accepted residual of the exact solution
+EXACT = 1e-9  # m/s, largest accepted residual of the exact solution
 NEWTON_STEPS = 10
+GUESS = 1e-11  # m/s, accuracy of the answer that it starts from
+SLOWEST_SLIDING = (1e-6, 1e-5, 1e-7, 1e-4, 1e-8)  # m/s, tried in turn: what divides sliding from sticking
 NEGLIGIBLE = 1e-4  # of the ante-impact speed: what the goal asks for, and what tells touching from leaving
 FAR = 2e-3  # of the ante-impact speed: an answer as far off is wrong, or another solution
 SETTLED = 1e-5  # rad/s, m/s; a peer steps until nothing changes by more
@@ -188,10 +190,23 @@ def grid(corners: Sequence[ContactPoint], count: int) -> list[ContactPoint]:
 def _exact(system: System, contacts: Sequence[ContactPoint]) -> Array:
     """u^+ by Newton's method on the laws, with the contact modes of a first answer by our solver."""
     terms = ContactTerms(system, contacts, 0.0)
-    impulses, _ = solve_contacts(terms)
-    velocity = system.velocity + terms.response @ impulses.ravel()
-    pressed = terms.split(impulses)[0] > 1e-6 * np.max(impulses)
-    slides = np.linalg.norm(terms.split((terms.jacobian @ velocity).reshape(-1, 3))[1], axis=1) > 1e-6
+    guess, _ = solve_contacts(terms, GUESS)
+    residuals = []
+    for slowest in SLOWEST_SLIDING:
+        impulses = _newton(system, terms, guess, slowest)
+        velocity = system.velocity + terms.response @ impulses.ravel()
+        residuals.append(terms.residual(impulses, velocity))
+        if residuals[-1].largest <= EXACT:
+            return np.asarray(velocity)
+    law, amount = min((residual.worst for residual in residuals), key=lambda worst: worst[1])
+    raise ArithmeticError(f"no exact solution: {law} is broken by {amount:.1e} m/s")
+
+
+def _newton(system: System, terms: ContactTerms, guess: Array, slowest: float) -> Array:
+    """Impulses ``(m, 3)``; points of ``guess`` that slide slower than ``slowest`` [m/s] stick."""
+    velocity = system.velocity + terms.response @ guess.ravel()
+    pressed = terms.split(guess)[0] > 1e-6 * np.max(guess)
+    slides = np.linalg.norm(terms.split((terms.jacobian @ velocity).reshape(-1, 3))[1], axis=1) > slowest
 
     def laws(unknown: Array) -> Array:
         impulse = unknown.reshape(-1, 3)
@@ -205,15 +220,10 @@ def _exact(system: System, contacts: Sequence[ContactPoint]) -> Array:
         held = np.where((slides | (terms.friction == 0.0))[:, None], slipping, moving)
         return np.asarray(np.where(pressed[:, None], held, impulse).ravel())
 
-    unknown = impulses.ravel()
+    unknown = guess.ravel()
     for _ in range(NEWTON_STEPS):  # least norm: redundant contacts share an impulse in many ways
         unknown = unknown - np.linalg.lstsq(approx_fprime(unknown, laws), laws(unknown), rcond=1e-6)[0]
-    impulses = unknown.reshape(-1, 3)
-    velocity = system.velocity + terms.response @ impulses.ravel()
-    residual = terms.residual(impulses, velocity)
-    if residual.largest > EXACT:
-        raise ArithmeticError(f"no exact solution: {residual.worst[0]} is broken by {residual.worst[1]:.1e} m/s")
-    return np.asarray(velocity)
+    return np.asarray(unknown.reshape(-1, 3))
 
 
 def _bare(model: RobotModel, name: str) -> Xml.Element:
