@@ -33,6 +33,7 @@ from impact_rs_sim.scenario import load_scenario, scenario_path
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
 START_TIMEOUT = 60.0  # s, for all nodes to answer; imports take some seconds on a busy machine
 STOP_TIMEOUT = 5.0  # s, for a node to leave in order
+ATTEMPTS = 2  # of a trial
 RESULT_TIMEOUT = 10.0  # s, for the answer to a goal, beyond what the experiment node may wait itself
 
 
@@ -296,7 +297,11 @@ def run_trials_through_nodes(
 def run_trial(
     graph: Graph, directory: Path, manifest: Manifest, key: TrialKey, plant_model: Model | None = None
 ) -> TrialReport:
-    """Run one trial of a campaign; whatever goes wrong is told in the report, and what died is started again."""
+    """Run one trial of a campaign; whatever goes wrong is told in the report, and what died is started again.
+
+    A trial that was aborted although every node lives is run once more: shortly after a node was killed the middleware
+    can hold up the others for some seconds, and a busy machine can lose messages.
+    """
     goal = RunTrial.Goal(
         scenario=manifest.scenario,
         object_name=key.object,
@@ -308,14 +313,17 @@ def run_trial(
         output_directory=str(directory.resolve()),
         plant_model="" if plant_model is None else model_text(plant_model),
     )
-    try:
-        result = graph.call_trial(goal)
-        outcome, message = result.outcome, result.message
-    except GraphError as error:
-        outcome, message = "ABORTED", str(error)
-    died = graph.revive()
-    if died:
-        graph.wait_until_ready()
+    for _ in range(ATTEMPTS):
+        try:
+            result = graph.call_trial(goal)
+            outcome, message = result.outcome, result.message
+        except GraphError as error:
+            outcome, message = "ABORTED", str(error)
+        died = graph.revive()
+        if died:
+            graph.wait_until_ready()
+        if died or outcome != "ABORTED":
+            break
     return TrialReport(key, outcome, "; ".join(filter(None, (message, *died))))
 
 

@@ -123,10 +123,7 @@ def _through_nodes(todo: list[tuple[Path, Manifest, TrialKey]], hidden: Model | 
 
     with Graph(SCENARIO) as graph:
         for directory, manifest, key in todo:
-            report = run_trial(graph, directory, manifest, key, hidden)
-            if report.outcome == "ABORTED":  # a busy machine can lose messages; the recorder notices
-                report = run_trial(graph, directory, manifest, key, hidden)
-            yield report
+            yield run_trial(graph, directory, manifest, key, hidden)
 
 
 def _walk_the_loop(output: Path, runs_directory: Path, terminal: Terminal) -> dict[str, Any]:
