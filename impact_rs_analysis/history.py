@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,15 +16,13 @@ from impact_rs_analysis.comparison.compare import (
     scaled_evidence,
     score_of,
 )
-from impact_rs_analysis.comparison.rollouts import RolloutStore, residuals
+from impact_rs_analysis.comparison.rollouts import Progress, RolloutStore, residuals
 from impact_rs_analysis.comparison.runs import Runs
 from impact_rs_analysis.diagnosis.candidates import NormalEquations, linearise
 from impact_rs_analysis.diagnosis.evidence import ConditionEvidence
 from impact_rs_analysis.workers import Map
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import JOINT_COUNT, Model, load_model
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)

@@ -209,9 +209,9 @@ class RecorderNode(NodeProgram):
     def _abort(self) -> None:
         """Close the bag as far as it got; it stays readable under its hidden name."""
         try:
-            if self._bag is not None:
-                self._drain()
-            self._open.close()
+            with self._open:  # it is closed, too, where what is left cannot be written
+                if self._bag is not None:
+                    self._drain()
         except OSError as error:  # its folder is gone or full; the next trial has another bag
             self.node.get_logger().error(f"the bag of an aborted trial cannot be closed: {error}")
         self._bag = None

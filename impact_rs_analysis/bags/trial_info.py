@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import functools
 import subprocess
-import zlib
 from dataclasses import dataclass, fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from impact_rs_control.plan import TrialPlan
+from impact_rs_sim.seeds import seed_of
 
 Outcome = Literal["OK", "NO-IMPACT", "DROPPED", "ABORTED"]
 
@@ -40,8 +38,7 @@ class TrialKey:
 
     def seed(self, campaign_seed: int) -> int:
         """Seed of the trial: depends on campaign seed and key alone, not on the order of trials."""
-        sequence = np.random.SeedSequence([campaign_seed, zlib.crc32(self.name.encode())])
-        return int(sequence.generate_state(1, np.uint64)[0])
+        return seed_of(campaign_seed, self.name)
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,13 @@ be ranked together. The score is the one the diagnosis lowers:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from impact_rs_analysis.comparison.jump import JOINTS, JumpEntry, jump_entries, root_mean_square
-from impact_rs_analysis.comparison.rollouts import RolloutStore, residuals
+from impact_rs_analysis.comparison.rollouts import Progress, RolloutStore, residuals
 from impact_rs_analysis.comparison.runs import Runs
 from impact_rs_analysis.diagnosis.evidence import ConditionEvidence, gather
 from impact_rs_analysis.workers import Map
@@ -28,7 +27,6 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
 
-Progress = Callable[[str, int, int], None]
 SCORE_IS = (
     "root mean square difference between measurement and twin over all features and conditions, in multiples of what "
     "repeating a trial explains"

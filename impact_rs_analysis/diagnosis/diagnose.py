@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
 
-from impact_rs_analysis.comparison.rollouts import Added, RolloutStore, residuals
+from impact_rs_analysis.comparison.rollouts import Added, Progress, RolloutStore, residuals
 from impact_rs_analysis.comparison.runs import Runs
 from impact_rs_analysis.diagnosis.evidence import ConditionEvidence, gather, rescale
 from impact_rs_analysis.diagnosis.search import LEAST_EXCESS, LEAST_GAIN, MOST_EFFECTS, SIGNIFICANT, Fit, Search
@@ -20,7 +19,6 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
 
-Progress = Callable[[str, int, int], None]
 UNSEEN = 20.0  # parameter scales; an interval wider than this says nothing
 TIE = 0.05  # difference in log error below which two explanations are the same
 

@@ -103,27 +103,29 @@ class Search:
         self.noise = np.array([np.mean(np.square(item.pure)) / item.count for item in evidence])
         # An effect of the joints has parameters for every one of them, which makes it dear to look at. What shows
         # nothing in free motion there and back is not there, and need not be looked at in every push as well.
-        self.ruled_out: set[str] = set()
+        absent: dict[str, Candidate] = {}
         of_joints = [effect for effect in effects if len(effect.scalars(JOINT_COUNT)) >= JOINT_COUNT]
         if any(in_free_motion(effect, item.condition) for effect in of_joints for item in evidence):
             self._prefetch(of_joints, in_free_motion)
             for effect in of_joints:
                 alone = linearise((effect,), model, evidence, store, where=in_free_motion)
                 if alone is not None and self._p_value(NormalEquations(alone, evidence)) > NOTHING:
-                    self.ruled_out.add(effect.name)
+                    absent[effect.name] = alone
+        self.ruled_out = set(absent)
         self._prefetch([effect for effect in effects if effect.name not in self.ruled_out], concerns)
         self.singles: dict[str, Candidate] = {}
         for effect in effects:
-            where = in_free_motion if effect.name in self.ruled_out else concerns
-            candidate = linearise((effect,), model, evidence, store, where=where)
+            known = absent.get(effect.name)
+            candidate = linearise((effect,), model, evidence, store) if known is None else known
             if candidate is not None:
                 self.singles[effect.name] = candidate
         self.fits = {name: fit(candidate, evidence) for name, candidate in self.singles.items()}
         self.p_values = self.p_values_given(None)
 
-    def _p_value(self, equations: NormalEquations) -> float:
-        """p of an effect, not adjusted."""
-        return tail_probability(equations.statistic(), np.maximum(equations.null_statistics(self.signs), 0.0))
+    def _p_value(self, equations: NormalEquations, base: tuple[float, Array | float] = (0.0, 0.0)) -> float:
+        """p of an effect, not adjusted; ``base``: statistic and null statistics of what it is added to."""
+        observed, null = equations.statistic() - base[0], equations.null_statistics(self.signs) - base[1]
+        return tail_probability(observed, np.maximum(null, 0.0))
 
     def _prefetch(self, effects: list[Effect], where: Where) -> None:
         """Run rollouts of the screening in one parallel batch."""
@@ -162,13 +164,11 @@ class Search:
         """p per effect, given effects already chosen; adjusted for looking at all of them (Benjamini-Hochberg)."""
         raw = {}
         evidence = self.evidence if chosen is None else chosen.evidence
-        base = None if chosen is None else chosen.equations
+        base: tuple[float, Array | float] = (0.0, 0.0)
+        if chosen is not None:
+            base = chosen.equations.statistic(), chosen.equations.null_statistics(self.signs)
         for name, candidate in self._joined(chosen):
-            equations = NormalEquations(candidate, evidence)
-            observed, null = equations.statistic(), equations.null_statistics(self.signs)
-            if base is not None:
-                observed, null = observed - base.statistic(), null - base.null_statistics(self.signs)
-            raw[name] = tail_probability(observed, np.maximum(null, 0.0))
+            raw[name] = self._p_value(NormalEquations(candidate, evidence), base)
         if not raw:
             return {}
         return dict(zip(raw, false_discovery_control(list(raw.values())).tolist(), strict=True))

@@ -53,21 +53,28 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 def report_on(directory: Path, output: Path | None, terminal: Terminal) -> tuple[int, Path]:
     """Analyse, write the report and show the table; exit code and path of the report."""
     from impact_rs_analysis.analyze import analyze_campaign
-    from impact_rs_analysis.report import write_report
 
     with terminal.progress("reading bags") as tell:
         analysis = analyze_campaign(directory, tell)
-    with output_folder(output or directory / "report") as folder, terminal.progress("report") as tell:
-        written = write_report(analysis, folder, tell)
-    terminal.result(analysis.to_json())
-    show(analysis, terminal)
-    terminal.say(f"report: {written[0].resolve()}")
+    report = publish(analysis, output or directory / "report", terminal)
     if not analysis.sets:
         terminal.warn("no set has enough trials for an estimate; see above what is missing")
-    return (0 if analysis.sets else 1), written[0]
+    return (0 if analysis.sets else 1), report
 
 
-def show(analysis: Analysis, terminal: Terminal) -> None:
+def publish(analysis: Analysis, directory: Path, terminal: Terminal) -> Path:
+    """Write the report and show what is in it; returns its page."""
+    from impact_rs_analysis.report import write_report
+
+    with output_folder(directory) as folder, terminal.progress("report") as tell:
+        report = write_report(analysis, folder, tell)[0]
+    terminal.result(analysis.to_json())
+    _show(analysis, terminal)
+    terminal.say(f"report: {report.resolve()}")
+    return report
+
+
+def _show(analysis: Analysis, terminal: Terminal) -> None:
     """Show the table, and what did not enter it."""
     from rich.table import Table
 

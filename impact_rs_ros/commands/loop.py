@@ -33,7 +33,9 @@ def local_path(text: str) -> Path:
     Raises:
         argparse.ArgumentTypeError: It is a URL.
     """
-    if "://" in text:
+    from impact_rs_analysis.store import is_url
+
+    if is_url(text):
         raise argparse.ArgumentTypeError(f"{text} is a URL: copy the bags into a folder first (analyze does by itself)")
     return Path(text)
 

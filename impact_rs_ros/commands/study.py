@@ -37,10 +37,9 @@ def add(subparsers: Any) -> None:
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     from impact_rs_analysis.campaign import run_campaign
-    from impact_rs_analysis.report import write_report
     from impact_rs_analysis.store import open_store
     from impact_rs_analysis.study import analyze_study, study_manifests
-    from impact_rs_ros.commands.analyze import show
+    from impact_rs_ros.commands.analyze import publish
     from impact_rs_ros.commands.campaign import follow
 
     workforce, failed = workforce_of(args), 0
@@ -54,9 +53,5 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             terminal.say(f"{name}: {counted or 'all trials were there'}")
     with terminal.progress("reading bags") as tell:
         analysis = analyze_study(args.output, tell)
-    with output_folder(args.output / "report") as folder, terminal.progress("report") as tell:
-        written = write_report(analysis, folder, tell)
-    terminal.result(analysis.to_json())
-    show(analysis, terminal)
-    terminal.say(f"report: {written[0].resolve()}")
+    publish(analysis, args.output / "report", terminal)
     return 0 if analysis.sets and not failed and not analysis.missing else 1

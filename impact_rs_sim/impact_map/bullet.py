@@ -122,8 +122,7 @@ class BulletEngine(Engine):
             system=system,
             terms=terms,
             inertia=world.inertia(problem, system),
-            contacts=contacts,
-            start=system.velocity + _restitution_shift(system, terms, problem.restitution),
+            start=system.velocity + _restitution_shift(terms),
         )
         best, count = _Attempt(np.inf, np.zeros((len(contacts), 3)), system.velocity), 0
         for effort in self._EFFORTS:
@@ -140,7 +139,7 @@ class BulletEngine(Engine):
         missing = system.inertia - run.inertia
         count, stalled = 0, 0
         if not np.any(missing) and not np.isfinite(best.error):
-            best = run.judge(world, np.zeros(run.start.size), np.zeros((len(run.contacts), 3)))[0]
+            best = run.judge(world, np.zeros(run.start.size), np.zeros((len(terms.contacts), 3)))[0]
             count = 1
             if best.error <= self._GOAL:
                 return best, count
@@ -180,7 +179,6 @@ class _Run:
     system: System
     terms: ContactTerms
     inertia: Array
-    contacts: Sequence[ContactPoint]
     start: Array
 
     def judge(self, world: _World, inertial: Array, extra: Array) -> tuple[_Attempt, Array]:
@@ -191,7 +189,7 @@ class _Run:
         """
         push = inertial + self.terms.jacobian.T @ extra.ravel()
         moved = world.step(self.problem, self.system, self.inertia, self.start, push) - self.start
-        impulses = world.impulses(self.contacts)
+        impulses = world.impulses(self.terms.contacts)
         velocity = self.system.velocity + moved
         error = self.terms.residual(impulses + extra, velocity).largest
         return _Attempt(error if np.isfinite(error) else np.inf, impulses + extra, velocity), impulses
@@ -317,12 +315,12 @@ class _World:
         return np.asarray(sign * (np.array((point[9], point[10], point[12])) @ directions))
 
 
-def _restitution_shift(system: System, terms: ContactTerms, restitution: float) -> Array:
+def _restitution_shift(terms: ContactTerms) -> Array:
     """s with J_n s = e J_n u^- and J_t s = 0, ``(nv,)``."""
-    if restitution == 0.0:
-        return np.zeros_like(system.velocity)
-    before, _ = terms.split((terms.jacobian @ system.velocity).reshape(-1, 3))
-    wanted = restitution * before[:, None] * terms.normals
+    if terms.restitution == 0.0:
+        return np.zeros_like(terms.before)
+    before, _ = terms.split((terms.jacobian @ terms.before).reshape(-1, 3))
+    wanted = terms.restitution * before[:, None] * terms.normals
     return np.asarray(np.linalg.lstsq(terms.jacobian, wanted.ravel(), rcond=1e-10)[0])
 
 
