@@ -11,7 +11,7 @@ import os
 import socket
 import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import TextIO
@@ -183,9 +183,15 @@ class Remote(Store):
             self.copy(name, Path(scratch))
             yield Path(scratch)
 
+    def bags(self) -> list[str]:
+        """Complete bags at any depth, by their path below the place; hidden ones are left out."""
+        self._files.invalidate_cache()
+        found = (path.split(f"{self._root}/", 1)[1] for path in self._files.glob(f"{self._root}/**/{COMPLETE}"))
+        return sorted(str(Path(path).parent) for path in found if not path.startswith(".") and "/." not in path)
+
     def copy(self, name: str, directory: Path) -> None:
-        """Copy a bag into a folder of this machine."""
-        (directory / name).mkdir()
+        """Copy a bag into a folder of this machine, at the same path below it."""
+        (directory / name).mkdir(parents=True)
         for path in self._files.ls(f"{self._root}/{name}", detail=False):
             self._files.get_file(path, str(directory / name / path.rsplit("/", 1)[-1]))
 
@@ -205,15 +211,18 @@ def open_store(place: str | Path | Store) -> Store:
 
 
 @contextmanager
-def local_copy(place: str | Path, files: tuple[str, ...] = ()) -> Iterator[Path]:
+def local_copy(
+    place: str | Path, files: tuple[str, ...] = (), progress: Callable[[int, int], None] = lambda done, total: None
+) -> Iterator[Path]:
     """A folder of this machine with what is at a place: the folder itself, or a temporary copy of all bags at a URL.
 
     Args:
         place: Path or URL.
         files: Names of further files that are copied where they exist.
+        progress: Told how many of how many bags are copied.
 
     Raises:
-        InputError: The URL cannot be used or read.
+        InputError: The URL cannot be used or read, or there is no bag below it.
     """
     store = open_store(place)
     if not isinstance(store, Remote):
@@ -221,14 +230,18 @@ def local_copy(place: str | Path, files: tuple[str, ...] = ()) -> Iterator[Path]
         return
     with tempfile.TemporaryDirectory(prefix="impact_rs_") as scratch:
         try:
-            for name in sorted(store.names()):
+            bags = store.bags()
+            for number, name in enumerate(bags, start=1):
                 store.copy(name, Path(scratch))
+                progress(number, len(bags))
             for name in filter(store.exists, files):
                 (Path(scratch) / name).write_text(store.read(name), encoding="utf-8")
         except InputError:
             raise
         except Exception as error:  # every file system of fsspec has errors of its own
             raise InputError(f"cannot be read: {type(error).__name__}: {error}", file=str(place)) from None
+        if not bags:
+            raise InputError("no bags of trials here", file=str(place))
         yield Path(scratch)
 
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from impact_rs_ros.commands.loop import add_jobs, add_runs, estimates_table, number, read, started
+from impact_rs_ros.commands.loop import add_jobs, add_runs, estimates_table, number, on_local_runs, read, started
 from impact_rs_ros.commands.recordings import add_mapping, mapping_of, run_diagnose
 from impact_rs_ros.commands.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
 
@@ -52,6 +52,7 @@ def add(subparsers: Any) -> None:
     add_json(parser)
 
 
+@on_local_runs
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     if (mapping := mapping_of(args)) is not None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from impact_rs_ros.commands.loop import add_jobs, local_path, number, read, started
+from impact_rs_ros.commands.loop import RUNS, add_jobs, number, on_local_runs, read, started
 from impact_rs_ros.commands.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
 
 if TYPE_CHECKING:
@@ -29,12 +29,13 @@ def add(subparsers: Any) -> None:
     """Declare the command."""
     parser = add_command(subparsers, "history", run, "show how the error fell from model to model", TEXT)
     parser.add_argument("model", type=Path, metavar="MODEL.yaml", help="the last model")
-    parser.add_argument("--runs", type=local_path, required=True, metavar="RUNS", help="folder with bags of trials")
+    parser.add_argument("--runs", required=True, metavar="RUNS", help=RUNS)
     parser.add_argument("-o", dest="output", type=Path, metavar="DIR", help="folder for an HTML page with the plot")
     add_jobs(parser)
     add_json(parser)
 
 
+@on_local_runs
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     from impact_rs_analysis.history import history, versions

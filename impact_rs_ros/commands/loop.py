@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,25 +20,39 @@ if TYPE_CHECKING:
     from impact_rs_analysis.workers import Map, Workforce
 
 MOST_SHOWN = 5
+RUNS = "folder with bags of trials, however deep, or URL"
+
+Command = Callable[[argparse.Namespace, Terminal], int]
 
 
 def add_runs(parser: argparse.ArgumentParser) -> None:
     """The argument RUNS and the option ``--model``."""
-    parser.add_argument("runs", type=local_path, metavar="RUNS", help="folder with bags of trials, however deep")
+    parser.add_argument("runs", metavar="RUNS", help=RUNS)
     add_model(parser)
 
 
-def local_path(text: str) -> Path:
-    """A path of this machine, as the type of an argument.
+def on_local_runs(run: Command) -> Command:
+    """A command whose ``args.runs`` is a folder of this machine: bags at a URL are copied into one that goes again.
 
     Raises:
-        argparse.ArgumentTypeError: It is a URL.
+        InputError: The URL cannot be read, or a scheduler is asked for, whose workers would not see the copy.
     """
-    from impact_rs_analysis.store import is_url
 
-    if is_url(text):
-        raise argparse.ArgumentTypeError(f"{text} is a URL: copy the bags into a folder first (analyze does by itself)")
-    return Path(text)
+    @functools.wraps(run)
+    def command(args: argparse.Namespace, terminal: Terminal) -> int:
+        from impact_rs_analysis.store import is_url, local_copy
+        from impact_rs_sim.errors import InputError
+
+        if is_url(args.runs) and args.scheduler is not None:
+            raise InputError(
+                "with --scheduler RUNS must be a folder that its workers see; copy the bags into one", file=args.runs
+            )
+        with ExitStack() as held:
+            with terminal.progress("copying bags") as tell:
+                directory = held.enter_context(local_copy(args.runs, progress=tell))
+            return run(argparse.Namespace(**vars(args) | {"runs": directory}), terminal)
+
+    return command
 
 
 def add_model(parser: argparse.ArgumentParser) -> None:

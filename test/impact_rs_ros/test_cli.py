@@ -78,7 +78,7 @@ def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Pat
         (["campaign", "push", "-o", "{}/new/out", "--scheduler", "nonsense"], "expected tcp://host:port"),
         (["campaign", "push", "-o", "nowhere://out"], "this URL cannot be used"),
         (["campaign", "push", "-o", "memory://out", "--via", "nodes"], "in a folder of this machine"),
-        (["diagnose", "s3://bucket/push", "--scheduler", "tcp://127.0.0.1:1"], "is a URL: copy the bags"),
+        (["diagnose", "s3://bucket/push", "--scheduler", "tcp://127.0.0.1:1"], "must be a folder that its workers see"),
         (["analyze", "memory://push"], "expected a folder for the report"),
         (["export", "{}", "-o", "{}/new/push.txt"], "ends with .parquet"),
         (["campaign", "push", "-o", "{}/new/out", "--objects", "juce"], "did you mean 'juice'"),

@@ -1,15 +1,19 @@
 """The loop on the command line: compare, diagnose, add, compare, history; and every way to get it wrong."""
 
+import argparse
 import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import fsspec
 import numpy as np
 import pytest
 
 from impact_rs_ros.cli import main
+from impact_rs_ros.commands.loop import on_local_runs
+from impact_rs_ros.commands.terminal import Terminal
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +43,27 @@ def test_the_loop_makes_the_score_fall(
     assert after["score"] < 0.5 * history[0]["error_fit"]
     assert history[1]["error_fit"] == pytest.approx(after["score"], rel=1e-6)
     assert history[1]["error_held_out"] < 0.5 * history[0]["error_held_out"]
+
+
+def test_runs_at_a_url_become_a_folder_for_the_command(capfd: pytest.CaptureFixture) -> None:
+    files = fsspec.filesystem("memory")
+    for name in ("push/one", "excite/two", "excite/.three"):
+        files.pipe({f"/runs/{name}/metadata.yaml": b"complete", f"/runs/{name}/{Path(name).name}.mcap": b"signals"})
+    files.pipe("/runs/push/half/half.mcap", b"uploaded by half")
+    found = []
+
+    @on_local_runs
+    def command(args: argparse.Namespace, terminal: Terminal) -> int:
+        del terminal
+        found.extend(path.relative_to(args.runs).as_posix() for path in args.runs.rglob("*.mcap"))
+        return 7
+
+    try:
+        assert command(argparse.Namespace(runs="memory://runs", scheduler=None), Terminal(as_json=False)) == 7
+    finally:
+        files.rm("/runs", recursive=True)
+    assert sorted(found) == ["excite/two/two.mcap", "push/one/one.mcap"]
+    _refused(capfd, ["diagnose", "memory://runs"], "memory://runs: no bags of trials here")
 
 
 def test_effects_lists_parameters_with_units(capfd: pytest.CaptureFixture) -> None:
