@@ -64,7 +64,7 @@ class ArmCommand:
         gamma: Weight of velocity feedback [-].
         position: Measured position of E in A, ``(3,)`` [m].
         twist: Measured twist of E in E[A], ``(6,)`` [m/s, rad/s].
-        feedback: a_fb of paper eq. fb_error, ``(3,)`` [m/s^2].
+        task_feedback: Feedback of position and orientation of E and of joint 1, ``(7,)`` [m/s^2, rad/s^2].
         net_feedback: Its integral since t1, up to t2, ``(3,)`` [m/s].
         wrench: Estimated external wrench at E, in E[A], ``(6,)`` [N, N m].
         qp_status: How the QP was solved.
@@ -78,13 +78,18 @@ class ArmCommand:
     gamma: float
     position: Array
     twist: Array
-    feedback: Array
+    task_feedback: Array
     net_feedback: Array
     wrench: Array
     qp_status: QpStatus
     qp_iterations: int
     qp_solve_time: float
     detection: ImpactDetection | None
+
+    @property
+    def feedback(self) -> Array:
+        """a_fb of paper eq. fb_error, ``(3,)`` [m/s^2]."""
+        return self.task_feedback[:3]
 
 
 class ArmController:
@@ -160,20 +165,21 @@ class ArmController:
         friction = plan.post_friction if after else plan.ante_friction
 
         twist = terms.twist
-        feedback = self._position_rate * gamma * (position_path.velocity[index] - twist[:3])
-        feedback += self._position_gain * (position_path.position[index] - terms.position)
+        feedback = np.empty(7)
+        feedback[:3] = self._position_rate * gamma * (position_path.velocity[index] - twist[:3])
+        feedback[:3] += self._position_gain * (position_path.position[index] - terms.position)
         k_theta = self._orientation_gains[int(after)]
         tilt = terms.rotation @ pin.log3(terms.rotation.T @ plan.orientation[index])
         spin = plan.pad_normal * plan.rotation.velocity[index, 0]
+        feedback[3:6] = k_theta * tilt + 2.0 * math.sqrt(k_theta) * gamma * (spin - twist[3:])
+        feedback[6] = self._posture_rate * gamma * (posture_path.velocity[index, 0] - dq[0])
+        feedback[6] += self._posture_gain * (posture_path.position[index, 0] - q[0])
         targets = self._targets
-        targets[:3] = position_path.acceleration[index] + feedback + friction[index]
-        targets[3:6] = k_theta * tilt + 2.0 * math.sqrt(k_theta) * gamma * (spin - twist[3:])
-        targets[3:6] += plan.pad_normal * plan.rotation.acceleration[index, 0]
-        targets[6] = (
-            posture_path.acceleration[index, 0]
-            + self._posture_rate * gamma * (posture_path.velocity[index, 0] - dq[0])
-            + self._posture_gain * (posture_path.position[index, 0] - q[0])
-        )
+        targets[:3] = position_path.acceleration[index]
+        targets[3:6] = plan.pad_normal * plan.rotation.acceleration[index, 0]
+        targets[6] = posture_path.acceleration[index, 0]
+        targets += feedback
+        targets += friction[index]
         inertia = terms.mass_matrix + self._motor_inertia
         jacobian = terms.jacobian
         if after:
@@ -187,14 +193,14 @@ class ArmController:
         if solution.status is not QpStatus.SOLVED:
             torque = np.clip(torque, -self._model.torque_max, self._model.torque_max)
         if self._window[0] <= now < self._window[1]:
-            self._net = self._net + self._period * feedback
+            self._net = self._net + self._period * feedback[:3]
         return ArmCommand(
             torque=torque,
             mode=mode,
             gamma=gamma,
             position=terms.position.copy(),
             twist=twist,
-            feedback=feedback,
+            task_feedback=feedback,
             net_feedback=self._net,
             wrench=self._detector.wrench,
             qp_status=solution.status,

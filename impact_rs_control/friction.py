@@ -2,6 +2,10 @@
 
     a_i,fric(t) = 2 sqrt(k_p) (dp_d - dp_i) + k_p (p_d - p_i),      a_fric(t) = mean over the runs i
 
+and likewise for orientation and joint 1, which the paper leaves to their feedback: seven tasks move seven joints, so
+all of the friction is fed forward, and the pad hits with the orientation that the impact map was asked about. The
+feedback lags behind the friction that it answers; what is left is identified again with the first answer fed forward.
+
 A run has one arm and nothing to hit, and stays in one mode. The post-impact controller starts from rest on its own
 reference: in a run with impact the error of the predicted velocity jump would pass for friction, and the net feedback
 that shall show it would be gone.
@@ -10,7 +14,6 @@ that shall show it would be gone.
 from __future__ import annotations
 
 import math
-import zlib
 from dataclasses import replace
 from typing import Literal, get_args
 
@@ -21,18 +24,20 @@ from impact_rs_control.controller import Controller
 from impact_rs_control.plan import TrialPlan, initial_position, plan_trial, tick_times
 from impact_rs_control.references import run_up_path
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.friction_compensation import AccelerationSamples, ArmFriction
+from impact_rs_sim.friction_compensation import TASKS, AccelerationSamples, ArmFriction
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import Scene
+from impact_rs_sim.seeds import seed_of
 
 Phase = Literal["ante", "post"]
 
-PERIOD = 0.01  # s; feedback of a position loop with k_p = 200 / s^2 follows nothing faster than some 70 ms
+PERIOD = 0.01  # s; feedback of a loop with k_p = 200 / s^2 follows nothing faster than some 70 ms
+TURNS = 3  # of identification, each with what the ones before found; see docs/physics.md
 OUT_OF_REACH = np.array([100.0, 0.0, 0.0])  # m
-RESOLUTION = 5  # digits behind the point [m/s^2], far below the noise
+RESOLUTION = 5  # digits behind the point [m/s^2, rad/s^2], far below the noise
 
 
 def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | None = None) -> ArmFriction:
@@ -41,7 +46,7 @@ def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | 
     Args:
         scene: Scenario, object and case; a friction compensation that the scenario has is left out.
         arm: Name of the arm.
-        runs: Runs to average, for each controller.
+        runs: Runs to average, for each controller and turn.
         seed: Seed of scatter and noise; the same seed gives the same result.
         effects: What the plant does beyond the scenario; None: nothing.
 
@@ -59,10 +64,15 @@ def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | 
     physics = scene.physics if effects is None else effects.apply(scene.physics)
     found = {}
     for phase in get_args(Phase):
-        alone = _free_motion(plan, arm, phase)
-        seeds = [_seed(seed, f"{scene.object_name}__{scene.case_name}__{arm}__{phase}__r{run}") for run in range(runs)]
-        feedback = np.mean([run_free_motion(alone, arm, phase, physics, each) for each in seeds], axis=0)
-        found[phase] = AccelerationSamples.of(np.round(_binned(feedback, sample_every(scene.scenario)), RESOLUTION))
+        motion = _free_motion(plan, arm, phase)
+        total: Array | float = 0.0
+        for turn in range(TURNS):
+            name = f"{scene.object_name}__{scene.case_name}__{arm}__{phase}__t{turn}"
+            seeds = [seed_of(seed, f"{name}__r{run}") for run in range(runs)]
+            feedback = np.mean([run_free_motion(motion, arm, phase, physics, each) for each in seeds], axis=0)
+            total = total + _binned(feedback, sample_every(scene.scenario))
+            found[phase] = AccelerationSamples.of(np.round(total, RESOLUTION))
+            motion = _fed_forward(motion, arm, phase, found[phase])
     return ArmFriction(**found)
 
 
@@ -72,7 +82,7 @@ def sample_every(scenario: Scenario) -> int:
 
 
 def run_free_motion(plan: TrialPlan, arm: str, phase: Phase, physics: Physics, seed: int) -> Array:
-    """Feedback of one run in one mode, ``(ticks + 1, 3)`` [m/s^2].
+    """Feedback of all control tasks of one run in one mode, ``(ticks + 1, 7)`` [m/s^2, rad/s^2].
 
     Args:
         plan: Motion of one arm in free space.
@@ -87,14 +97,14 @@ def run_free_motion(plan: TrialPlan, arm: str, phase: Phase, physics: Physics, s
         interim = math.ceil(scenario.control.interim_duration / scenario.timing.control_period)
         controller.begin_interim(-interim)  # an impact so long ago that the interim mode is over
     plant = make_plant(plan, seed, replace(physics, arms={arm: physics.arms[arm]}))
-    feedback = np.empty((scenario.timing.ticks + 1, 3))
+    feedback = np.empty((scenario.timing.ticks + 1, len(TASKS)))
     try:
         with without_garbage_collection():
             for tick in range(feedback.shape[0]):
                 measured = plant.measure().arms[arm]
                 controller.watch(tick, measured)
                 command = controller.command(tick, measured)
-                feedback[tick] = command.feedback
+                feedback[tick] = command.task_feedback
                 if tick < scenario.timing.ticks:
                     plant.step({arm: command.torque})
     finally:
@@ -119,11 +129,16 @@ def _free_motion(plan: TrialPlan, arm: str, phase: Phase) -> TrialPlan:
     return replace(plan, scene=replace(scene, object=away), arms={arm: own})
 
 
-def _seed(seed: int, name: str) -> int:
-    return int(np.random.SeedSequence([seed, zlib.crc32(name.encode())]).generate_state(1, np.uint64)[0])
+def _fed_forward(plan: TrialPlan, arm: str, phase: Phase, samples: AccelerationSamples) -> TrialPlan:
+    """A plan with what has been identified so far."""
+    scenario = plan.scene.scenario
+    period = sample_every(scenario) * scenario.timing.control_period
+    rows, own = samples.at(tick_times(plan.scene), period), plan.arms[arm]
+    own = replace(own, ante_friction=rows) if phase == "ante" else replace(own, post_friction=rows)
+    return replace(plan, arms={arm: own})
 
 
 def _binned(signal: Array, every: int) -> Array:
-    """Means around every ``every``-th sample, ``(k, 3)``; noise goes, friction stays."""
+    """Means around every ``every``-th sample, ``(k, 7)``; noise goes, friction stays."""
     half = every // 2
     return np.array([signal[max(0, at - half) : at + half + 1].mean(axis=0) for at in range(0, len(signal), every)])

@@ -16,6 +16,7 @@ from impact_rs_control.references import (
 )
 from impact_rs_sim.clearance import check_clearance
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.friction_compensation import TASKS
 from impact_rs_sim.impact_map import compute_impact_map
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
@@ -39,8 +40,8 @@ class ArmPlan:
         rotation: Desired rotation about the pad's normal that ``orientation`` holds, ``(ticks + 1, 1)`` [rad].
         pad_normal: The pad's normal in A, ``(3,)``; it keeps its direction.
         wrench: Desired wrench f_d of the arm on the object per tick, at E in E[A], ``(ticks + 1, 6)`` [N, N m].
-        ante_friction: Friction compensation a^a_fric of the ante mode per tick, ``(ticks + 1, 3)`` [m/s^2].
-        post_friction: Friction compensation a^p_fric of interim and post mode, ``(ticks + 1, 3)`` [m/s^2].
+        ante_friction: Friction compensation of the ante mode per tick, ``(ticks + 1, 7)`` [m/s^2, rad/s^2]; see TASKS.
+        post_friction: Friction compensation of interim and post mode, ``(ticks + 1, 7)`` [m/s^2, rad/s^2].
         approach_direction: Direction of the ante-impact velocity, ``(3,)``.
         initial: Initial joint positions, ``(n,)`` [rad].
     """
@@ -233,18 +234,13 @@ def initial_position(scene: Scene, name: str, rotation: Array, position: Sampled
 
 
 def _friction(scene: Scene, name: str, times: Array) -> tuple[Array, Array]:
-    """Friction compensation of the ante mode and of the modes after it, ``(ticks + 1, 3)`` each [m/s^2]."""
+    """Friction compensation of the ante mode and of the modes after it, ``(ticks + 1, 7)`` each; see TASKS."""
     compensation = scene.scenario.friction_compensation
     if compensation is None:
-        none = np.zeros((times.size, 3))
+        none = np.zeros((times.size, len(TASKS)))
         return none, none
     arm = compensation.arms(scene.object_name, scene.case_name)[name]
-    taken = compensation.times(scene.scenario.timing.duration)
-
-    def at_ticks(rows: Array) -> Array:
-        return np.column_stack([np.interp(times, taken, column) for column in rows.T])
-
-    return at_ticks(arm.ante.rows), at_ticks(arm.post.rows)
+    return arm.ante.at(times, compensation.period), arm.post.at(times, compensation.period)
 
 
 def _wrench(scene: Scene, name: str, post: SampledPath) -> Array:

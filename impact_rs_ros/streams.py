@@ -143,7 +143,7 @@ class StreamMaker:
             gamma=0.0,
             position=three,
             twist=six,
-            feedback=three,
+            task_feedback=np.zeros(7),
             net_feedback=three,
             wrench=six,
             qp_status=next(iter(QpStatus)),

@@ -1,4 +1,4 @@
-"""Friction compensation files: what the position task feeds forward against joint friction (paper Appendix A).
+"""Friction compensation files: what the control tasks feed forward against joint friction (paper Appendix A).
 
 Such a file is made by ``impact-rs friction identify`` for one scenario and named in it; a recorded scenario holds its
 content, so that a bag explains itself.
@@ -13,31 +13,42 @@ from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import Schema, Vector
 
+TASKS = ("x", "y", "z", "rotation_x", "rotation_y", "rotation_z", "joint_1")
+"""Rows of the control tasks: position and orientation of E in A, posture."""
+
 
 class AccelerationSamples(Schema):
-    """Acceleration of E over the trial, one entry per period from the start on, axes of the inertial frame."""
+    """Acceleration of the control tasks over the trial, one entry per period from the start on, in frame A."""
 
-    x: Vector = Field(description="along x [m/s^2]")
-    y: Vector = Field(description="along y [m/s^2]")
-    z: Vector = Field(description="along z [m/s^2]")
+    x: Vector = Field(description="of E along x [m/s^2]")
+    y: Vector = Field(description="of E along y [m/s^2]")
+    z: Vector = Field(description="of E along z [m/s^2]")
+    rotation_x: Vector = Field(description="of E about x [rad/s^2]")
+    rotation_y: Vector = Field(description="of E about y [rad/s^2]")
+    rotation_z: Vector = Field(description="of E about z [rad/s^2]")
+    joint_1: Vector = Field(description="of the first joint [rad/s^2]")
 
     @staticmethod
     def of(rows: Array) -> AccelerationSamples:
-        """From samples ``(k, 3)`` [m/s^2]."""
-        x, y, z = rows.T.tolist()
-        return AccelerationSamples(x=x, y=y, z=z)
+        """From samples ``(k, 7)`` in the order of :data:`TASKS`."""
+        return AccelerationSamples(**dict(zip(TASKS, rows.T.tolist(), strict=True)))
 
     @property
     def rows(self) -> Array:
-        """Samples, ``(k, 3)`` [m/s^2]."""
-        return np.column_stack((self.x, self.y, self.z))
+        """Samples, ``(k, 7)``, in the order of :data:`TASKS`."""
+        return np.column_stack([getattr(self, task) for task in TASKS])
+
+    def at(self, times: Array, period: float) -> Array:
+        """Interpolated at ``times`` ``(k,)`` [s], ``(k, 7)``; one sample per ``period`` [s]."""
+        taken = np.arange(len(self.x)) * period
+        return np.column_stack([np.interp(times, taken, getattr(self, task)) for task in TASKS])
 
 
 class ArmFriction(Schema):
     """Feedforward of one arm for one object and case."""
 
-    ante: AccelerationSamples = Field(description="a^a_fric of the ante-impact mode")
-    post: AccelerationSamples = Field(description="a^p_fric of interim and post-impact mode")
+    ante: AccelerationSamples = Field(description="a^a_fric, of the ante-impact mode")
+    post: AccelerationSamples = Field(description="a^p_fric, of interim and post-impact mode")
 
 
 class FrictionCompensation(Schema):
@@ -45,7 +56,7 @@ class FrictionCompensation(Schema):
 
     scenario: str = Field(description="name of the scenario that it was identified on")
     scenario_digest: str = Field(description="digest of that scenario; another scenario is refused")
-    runs: int = Field(ge=1, description="identification runs behind every average")
+    runs: int = Field(ge=1, description="identification runs behind every average, in each turn")
     seed: int = Field(ge=0, description="seed of their scatter and noise")
     period: float = Field(gt=0.0, description="time between two samples [s]")
     sets: dict[str, dict[str, dict[str, ArmFriction]]] = Field(
@@ -114,10 +125,10 @@ class FrictionCompensation(Schema):
 
     def _count(self, place: str, friction: ArmFriction, count: int, duration: float) -> None:
         for phase in ("ante", "post"):
-            for axis in "xyz":
-                found = len(getattr(getattr(friction, phase), axis))
+            for task in TASKS:
+                found = len(getattr(getattr(friction, phase), task))
                 if found != count:
                     raise InputError(
                         f"{found} samples, expected {count}: one per {self.period:g} s of the trial's {duration:g} s",
-                        key=f"{place}.{phase}.{axis}",
+                        key=f"{place}.{phase}.{task}",
                     )

@@ -12,16 +12,16 @@ from impact_rs_ros.commands.terminal import PROGRAM, Parser, Terminal, add_comma
 TEXT = f"""\
 Identify what joint friction costs, so that the controller feeds it forward and the net feedback shows the impact alone.
 
-identify runs the scenario's plant in free motion, uncompensated and one arm at a time: along the ante-impact reference
-with the ante-impact controller, and from rest along the post-impact reference with the post-impact controller. The
-feedback of these runs, averaged, is the feedforward. It writes FILE, and beside it SCENARIO_compensated.yaml, a copy of
-the scenario that uses it. Files that exist are never overwritten.
+identify runs the scenario's plant in free motion, one arm at a time: along the ante-impact reference with the
+ante-impact controller, and from rest along the post-impact reference with the post-impact controller. The feedback of
+these runs, averaged, is the feedforward; with it the runs are made again, twice, for what is left. It writes FILE, and
+beside it SCENARIO_compensated.yaml, a copy of the scenario that uses it. Files that exist are never overwritten.
 
 example:
   {PROGRAM} friction identify my_push.yaml -o friction/push_friction.yaml
   {PROGRAM} campaign friction/my_push_compensated.yaml -o campaigns/compensated
 
-Units: accelerations of the end effector [m/s^2], over the time of the trial [s]."""
+Units: accelerations of the end effector [m/s^2, rad/s^2] and of joint 1 [rad/s^2], over the time of the trial [s]."""
 
 
 def add(subparsers: Any) -> None:
@@ -33,7 +33,9 @@ def add(subparsers: Any) -> None:
     identifier.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE", help="file to write, .yaml")
     identifier.add_argument("--objects", nargs="+", metavar="NAME", help="default: all of the scenario")
     identifier.add_argument("--cases", nargs="+", metavar="NAME", help="default: all of the scenario")
-    identifier.add_argument("--runs", type=int, default=5, metavar="N", help="runs behind an average; %(default)s")
+    identifier.add_argument(
+        "--runs", type=int, default=5, metavar="N", help="runs behind an average, in each of three turns; %(default)s"
+    )
     identifier.add_argument("--seed", type=int, default=0, metavar="N", help="seed of scatter and noise; %(default)s")
     identifier.add_argument(
         "--effects", type=Path, metavar="MODEL", help="model file with what the plant does beyond the scenario"
@@ -64,8 +66,8 @@ def identify(args: argparse.Namespace, terminal: Terminal) -> int:
             "object": name,
             "case": case,
             "arm": arm,
-            "largest_ante_m_s2": float(np.linalg.norm(entry.ante.rows, axis=1).max()),
-            "largest_post_m_s2": float(np.linalg.norm(entry.post.rows, axis=1).max()),
+            "largest_ante_m_s2": float(np.linalg.norm(entry.ante.rows[:, :3], axis=1).max()),
+            "largest_post_m_s2": float(np.linalg.norm(entry.post.rows[:, :3], axis=1).max()),
         }
         for name, cases in found.sets.items()
         for case, arms in cases.items()

@@ -9,7 +9,7 @@ import pytest
 from impact_rs_analysis.bags.trial_info import TrialInfo, TrialKey
 from impact_rs_control.closed_loop import make_plant, run_closed_loop
 from impact_rs_control.controller import Controller
-from impact_rs_control.friction import identify_arm
+from impact_rs_control.friction import identify_arm, run_free_motion
 from impact_rs_control.plan import plan_trial
 from impact_rs_control.references import run_up_path
 from impact_rs_ros.trials import plan_of
@@ -40,7 +40,7 @@ def smooth():
 
 @pytest.fixture(scope="module")
 def identified():
-    return identify_arm(scene_of("identified"), "arm", runs=2, seed=0)
+    return identify_arm(scene_of("identified"), "arm", runs=1, seed=0)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def compensated(identified):
     compensation = FrictionCompensation(
         scenario="push",
         scenario_digest=rough.scenario.digest,
-        runs=2,
+        runs=1,
         seed=0,
         period=0.01,
         sets={"cat_food": {"case_2": {"arm": identified}}},
@@ -69,9 +69,9 @@ def test_without_friction_nothing_but_noise_is_identified(smooth, identified):
     found = identify_arm(smooth, "arm", runs=1, seed=0)
     for phase in ("ante", "post"):
         rows = getattr(found, phase).rows
-        assert np.abs(rows.mean(axis=0)).max() < 0.005
-        assert rows.std(axis=0).max() < 0.02
-        assert np.abs(getattr(identified, phase).rows).max() > 0.5
+        assert np.abs(rows.mean(axis=0)).max() < 0.01
+        assert rows.std(axis=0).max() < 0.15
+        assert np.abs(getattr(identified, phase).rows).max() > 3.0
 
 
 def test_a_known_torque_offset_is_identified_as_the_acceleration_it_causes(smooth):
@@ -84,7 +84,8 @@ def test_a_known_torque_offset_is_identified_as_the_acceleration_it_causes(smoot
 
     def expected(q):
         terms = robot.terms(q, np.zeros(JOINT_COUNT))
-        return -(terms.jacobian @ np.linalg.solve(terms.mass_matrix + inertia, offset))[:3]
+        joints = np.linalg.solve(terms.mass_matrix + inertia, offset)
+        return -np.append(terms.jacobian @ joints, joints[0])
 
     at_impact = smooth.arms["arm"].position
     for rows, path, posture in (
@@ -94,7 +95,9 @@ def test_a_known_torque_offset_is_identified_as_the_acceleration_it_causes(smoot
         end = pin.SE3(arm.orientation[-1], path.position[-1])
         at_end = robot.inverse_kinematics(end, float(posture.position[-1, 0]), at_impact)
         for samples, q in ((rows[88:93], at_impact), (rows[-12:], at_end)):
-            assert samples.mean(axis=0) == pytest.approx(expected(q), abs=0.04 * np.linalg.norm(expected(q)))
+            for task in (slice(3), slice(3, 6), slice(6, 7)):
+                tolerance = 0.04 * np.linalg.norm(expected(q)[task]) + 0.02
+                assert samples.mean(axis=0)[task] == pytest.approx(expected(q)[task], abs=tolerance)
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +137,7 @@ def test_the_run_up_starts_from_rest_and_joins_the_post_impact_path_without_a_ju
 
 def test_compensation_is_fed_forward_and_is_no_part_of_the_net_feedback(smooth):
     plan = plan_trial(smooth)
-    extra = np.array([0.3, -0.2, 0.5])
+    extra = np.array([0.3, -0.2, 0.5, 1.0, -2.0, 0.7, 0.4])
     arm = replace(plan.arms["arm"], ante_friction=np.broadcast_to(extra, plan.arms["arm"].ante_friction.shape))
     plant = make_plant(plan, seed=0)
     measured = plant.measure().arms
@@ -148,8 +151,8 @@ def test_compensation_is_fed_forward_and_is_no_part_of_the_net_feedback(smooth):
     assert np.array_equal(without.feedback, with_it.feedback)
     terms = smooth.models["arm"].terms(measured["arm"].position, measured["arm"].velocity)
     inertia = terms.mass_matrix + np.diag(smooth.physics.arms["arm"].motor_inertia_reduced)
-    acceleration = terms.jacobian @ np.linalg.solve(inertia, with_it.torque - without.torque)
-    assert acceleration == pytest.approx(np.append(extra, np.zeros(3)), abs=1e-5)
+    joints = np.linalg.solve(inertia, with_it.torque - without.torque)
+    assert np.append(terms.jacobian @ joints, joints[0]) == pytest.approx(extra, abs=1e-5)
 
 
 def test_compensated_friction_leaves_the_net_feedback_of_a_frictionless_arm(smooth, compensated):
@@ -158,7 +161,19 @@ def test_compensated_friction_leaves_the_net_feedback_of_a_frictionless_arm(smoo
         for name, scene in (("smooth", smooth), ("rough", scene_of("identified")), ("compensated", compensated))
     }
     assert abs(net["rough"] - net["smooth"]) > 0.04
-    assert abs(net["compensated"] - net["smooth"]) < 0.006
+    assert abs(net["compensated"] - net["smooth"]) < 0.005
+
+
+def test_compensated_friction_leaves_no_task_any_feedback_in_free_motion(smooth, compensated):
+    """Not even the share that lags behind: it would be a few percent, and a pad that sticks would hold it."""
+
+    def approach(scene):
+        rows = run_free_motion(plan_trial(scene), "arm", "ante", scene.physics, seed=3)[300:880]
+        return np.sqrt(np.mean(rows.reshape(-1, 20, 7).mean(axis=1) ** 2, axis=0))
+
+    noise, rough, left = (approach(scene) for scene in (smooth, scene_of("identified"), compensated))
+    assert np.all(rough > 5.0 * noise)
+    assert np.all(left < 0.07 * rough + 2.0 * noise)
 
 
 def test_the_nodes_plan_the_same_compensation(compensated):

@@ -7,6 +7,7 @@ import pytest
 import yaml
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.friction_compensation import TASKS
 from impact_rs_sim.scenario import Scenario, load_scenario, scenario_path
 
 COUNT = 181  # samples of 10 ms in a trial of 1.8 s
@@ -14,7 +15,7 @@ COUNT = 181  # samples of 10 ms in a trial of 1.8 s
 
 @pytest.fixture
 def content():
-    samples = {axis: [0.0] * COUNT for axis in "xyz"}
+    samples = {task: [0.0] * COUNT for task in TASKS}
     return {
         "scenario": "push",
         "scenario_digest": load_scenario("push").digest,
@@ -37,11 +38,11 @@ def _sets(content):
 
 
 def _with_nan(content):
-    _sets(content)["arm"]["ante"] = {"x": [float("nan")] * COUNT, "y": [0.0] * COUNT, "z": [0.0] * COUNT}
+    _sets(content)["arm"]["ante"] = _sets(content)["arm"]["ante"] | {"x": [float("nan")] * COUNT}
 
 
 def _too_short(content):
-    _sets(content)["arm"]["post"] = {"x": [0.0] * COUNT, "y": [0.0] * 7, "z": [0.0] * COUNT}
+    _sets(content)["arm"]["post"] = _sets(content)["arm"]["post"] | {"joint_1": [0.0] * 7}
 
 
 def _two_arms(content):
@@ -56,7 +57,7 @@ def _two_arms(content):
         (_two_arms, ["sets.cat_food.case_2.amr", "no such arm", "did you mean 'arm'"]),
         (lambda c: _sets(c).pop("arm"), ["sets.cat_food.case_2", "arm 'arm' is missing"]),
         (_with_nan, ["sets.cat_food.case_2.arm.ante.x", "finite", "[m/s^2]"]),
-        (_too_short, ["sets.cat_food.case_2.arm.post.y", "7 samples, expected 181", "0.01 s"]),
+        (_too_short, ["sets.cat_food.case_2.arm.post.joint_1", "7 samples, expected 181", "0.01 s"]),
         (lambda c: c.update(scenario_digest="0123"), ["scenario_digest = '0123'", "identify it again"]),
         (lambda c: c.update(period=-0.01), ["period = -0.01", "[s]"]),
         (lambda c: c.pop("runs"), ["runs", "missing"]),
