@@ -54,11 +54,17 @@ class ArmTruth:
 
 @dataclass(frozen=True)
 class Truth:
-    """True state of the plant at one control tick."""
+    """True state of the plant at one control tick.
+
+    Attributes:
+        time: Time since the start of the trial [s].
+        arms: Arms by name.
+        object: The object whenever the tracker takes a sample, or None between samples.
+    """
 
     time: float
     arms: dict[str, ArmTruth]
-    object: BodyState
+    object: BodyState | None
 
 
 class PlantExtension:
@@ -160,6 +166,10 @@ class Plant:
         """Time since the start of the trial [s]."""
         return self._tick * self._timing.control_period
 
+    @property
+    def _tracked(self) -> bool:
+        return self._tick % self._tracker_ticks == 0
+
     def measure(self) -> Measurement:
         """What the sensors say now. Calling it twice gives the same answer."""
         arms = {}
@@ -174,7 +184,7 @@ class Plant:
                 drive.velocity,
             )
         tracked = None
-        if self._tick % self._tracker_ticks == 0:
+        if self._tracked:
             state = self._world.object_state()
             sample = self._tick // self._tracker_ticks
             tracked = self._tracker.measure(sample, self.time, state.position, state.rotation)
@@ -193,7 +203,7 @@ class Plant:
                 drive.velocity.copy(),
                 self._world.pad_force(name),
             )
-        return Truth(self.time, arms, self._world.object_state())
+        return Truth(self.time, arms, self._world.object_state() if self._tracked else None)
 
     def step(self, desired: dict[str, Array]) -> None:
         """Advance by one control period with desired torques ``(n,)`` [N m] by arm.

@@ -16,8 +16,9 @@ from impact_rs_analysis.bags.trial_info import TrialInfo
 from impact_rs_analysis.bags.types import typestore
 from impact_rs_control.controller import ArmCommand, ImpactDetection
 from impact_rs_control.plan import ArmPlan, TrialPlan
-from impact_rs_sim.plant import ArmTruth, Truth
+from impact_rs_sim.plant import ArmTruth
 from impact_rs_sim.robot import Array
+from impact_rs_sim.scene import BodyState
 from impact_rs_sim.sensors import ArmMeasurement, ObjectMeasurement
 from impact_rs_sim.urdf import joint_names
 
@@ -159,14 +160,14 @@ class MessageMaker:
         """Tracked pose of the object."""
         return self._pose(tick, measured.position, measured.quaternion)
 
-    def truth_object_pose(self, tick: int, truth: Truth) -> Any:
+    def truth_object_pose(self, tick: int, state: BodyState) -> Any:
         """True pose of the object."""
-        return self._pose(tick, truth.object.position, np.array(pin.Quaternion(truth.object.rotation).coeffs()))
+        return self._pose(tick, state.position, np.array(pin.Quaternion(state.rotation).coeffs()))
 
-    def truth_object_twist(self, tick: int, truth: Truth) -> Any:
+    def truth_object_twist(self, tick: int, state: BodyState) -> Any:
         """True twist of the object."""
         twist = self._types.type("geometry_msgs/msg/Twist")(
-            linear=self._vector(**_xyz(truth.object.twist[:3])), angular=self._vector(**_xyz(truth.object.twist[3:]))
+            linear=self._vector(**_xyz(state.twist[:3])), angular=self._vector(**_xyz(state.twist[3:]))
         )
         return self._types.type(topics.TWIST)(header=self.header(tick), twist=twist)
 

@@ -83,8 +83,9 @@ def occasional_messages(
     """What the plant does not publish in every tick."""
     if measurement.object is not None:
         yield topics.OBJECT_POSE, maker.object_pose(tick, measurement.object)
-        yield topics.TRUTH_OBJECT_POSE, maker.truth_object_pose(tick, truth)
-        yield topics.TRUTH_OBJECT_TWIST, maker.truth_object_twist(tick, truth)
+    if truth.object is not None:
+        yield topics.TRUTH_OBJECT_POSE, maker.truth_object_pose(tick, truth.object)
+        yield topics.TRUTH_OBJECT_TWIST, maker.truth_object_twist(tick, truth.object)
     if frames.due(tick):
         yield topics.TF, maker.transforms(tick, frames.frames(measurement))
         yield topics.CLOCK, maker.clock(tick)

@@ -129,14 +129,15 @@ class BagWriter:
             self._flush()
             self._writer.set_custom_data("outcome", outcome)
             self._writer.close()
-        except OSError:
-            self._discard()
+        except OSError as error:
+            self._discard(error)
             raise
         self._ended = True
 
-    def _discard(self) -> None:
-        """Remove the half-written bag, which would only take up space."""
+    def _discard(self, error: OSError) -> None:
+        """Remove the half-written bag, which would only take up space, and let the error say what it was."""
         self._ended = True
+        error.filename = error.filename or str(self.path)
         with suppress(OSError):
             self._writer.abort()
         shutil.rmtree(partial_path(self.path), ignore_errors=True)
@@ -155,6 +156,6 @@ class BagWriter:
         if self._ended:
             return
         if isinstance(error, OSError):
-            self._discard()
+            self._discard(error)
         else:
             self._close("ABORTED")

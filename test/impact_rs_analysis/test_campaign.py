@@ -124,7 +124,7 @@ def test_a_full_disk_ends_its_trial_alone_and_leaves_no_half_bag(
     first = manifest.model_copy(update={"velocity_scales": (1.0, 0.8)})
     reports = list(run_campaign(tmp_path, first))
     assert [report.outcome for report in reports] == ["ABORTED", "OK"]
-    assert "No space left on device" in reports[0].message
+    assert f"No space left on device: '{tmp_path / reports[0].key.name}'" in reports[0].message
     assert sorted(path.name for path in tmp_path.iterdir()) == [reports[1].key.name, "manifest.yaml"]
     monkeypatch.setattr(Writer, "write", write)
     assert [report.outcome for report in run_campaign(tmp_path, first)] == ["OK"]
