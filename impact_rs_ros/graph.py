@@ -57,7 +57,7 @@ class Graph:
         self, scenario: str, domain_id: int | None = None, parameters: Path | None = None, quiet: bool = True
     ) -> None:
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        self.restarts = dict.fromkeys(NODES, 0)
+        self._revived: list[str] = []
         path = scenario_path(scenario)
         self._scenario = str(path.resolve()) if scenario.endswith((".yaml", ".yml")) else scenario
         self._parameters = parameters or config_directory() / "nodes.yaml"
@@ -138,28 +138,33 @@ class Graph:
             and self.run_campaign.server_is_ready()
             and all(client.service_is_ready() for client in self._services)
         ):
-            for name, process in self.processes.items():
-                if process.poll() is not None:
-                    raise GraphError(f"node {name} ended with {_how(process)} while starting: {self.last_words(name)}")
+            self._check_starting()
             if time.monotonic() > deadline:
                 raise GraphError(f"the nodes did not all come up within {START_TIMEOUT:g} s")
             self.spin(0.02)
-        if self.restarts["experiment"]:  # the middleware still knows the dead one and takes its action for ready
-            self._wait_for_answer(deadline)
+        while self._revived:  # the middleware still knows the dead ones and takes their services for ready
+            self._wait_for_answer(self._revived[-1], deadline)
+            self._revived.pop()
 
-    def _wait_for_answer(self, deadline: float) -> None:
-        """Ask the experiment node something harmless until it answers."""
-        client = self.node.create_client(GetParameters, "experiment/get_parameters")
+    def _check_starting(self) -> None:
+        for name, process in self.processes.items():
+            if process.poll() is not None:
+                raise GraphError(f"node {name} ended with {_how(process)} while starting: {self.last_words(name)}")
+
+    def _wait_for_answer(self, name: str, deadline: float) -> None:
+        """Ask a node something harmless until it answers."""
+        client = self.node.create_client(GetParameters, f"{name}/get_parameters")
         try:
             while time.monotonic() < deadline:
+                self._check_starting()
                 future = client.call_async(GetParameters.Request(names=["scenario"]))
-                attempt = time.monotonic() + 1.0
+                attempt = time.monotonic() + 0.5
                 while not future.done() and time.monotonic() < attempt:
                     self.spin(0.02)
                 if future.done():
                     return
                 client.remove_pending_request(future)
-            raise GraphError("the experiment node does not answer")
+            raise GraphError(f"the {name} node does not answer")
         finally:
             self.node.destroy_client(client)
 
@@ -169,8 +174,8 @@ class Graph:
         for name, process in list(self.processes.items()):
             if process.poll() is not None:
                 lines.append(f"node {name} died ({_how(process)}) and is started again: {self.last_words(name)}")
-                self.restarts[name] += 1
                 self._start(name)
+                self._revived.append(name)
         return lines
 
     def output(self, name: str) -> str:
