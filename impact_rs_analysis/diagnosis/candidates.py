@@ -79,6 +79,14 @@ class Candidate:
         """Whether some parameter moves nothing here, like the centre of a payload without mass."""
         return bool(np.any(np.all([np.all(jacobian == 0.0, axis=0) for jacobian in self.jacobians], axis=0)))
 
+    def only(self, conditions: list[int]) -> Candidate:
+        """The same in some of the conditions, by number."""
+        return replace(
+            self,
+            offsets=tuple(self.offsets[number] for number in conditions),
+            jacobians=tuple(self.jacobians[number] for number in conditions),
+        )
+
     def split(self, vector: Array) -> Added:
         """Effect names with their own parameter values."""
         result, start = [], 0

@@ -347,7 +347,7 @@ def _remarks(search: Search, chosen: Fit | None, verdict: str, remaining: float)
         )
     if search.ruled_out:
         names = ", ".join(sorted(search.ruled_out))
-        remarks.append(f"free motion shows nothing of them, so they were not tried in contact: {names}")
+        remarks.append(f"free motion rules them out, so they were not tried in contact: {names}")
     single = [item.condition.label for item in search.evidence if item.count < 2]
     if single:
         remarks.append(f"not repeated, so without pure error of their own: {', '.join(single)}")

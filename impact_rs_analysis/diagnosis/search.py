@@ -25,13 +25,13 @@ from impact_rs_sim.model import JOINT_COUNT, Model
 from impact_rs_sim.robot import Array
 
 SIGNIFICANT = 0.01  # false-discovery rate at which an effect is accepted
-NOTHING = 0.1  # p in free motion above which an effect of the joints is ruled out
+NOTHING = 0.1  # p in free motion above which an effect is ruled out
 SHORTLIST = 5  # candidates refined through the twin in every round
 MOST_EFFECTS = 3
 FIT_STEPS = 4
 ENOUGH = 0.02  # of the error; a fit that gains less in a step is finished trial by trial
 LEAST_GAIN = 0.10  # share of the excess error that an accepted effect must remove on unseen conditions
-HOPELESS = 3.0  # a fit whose squared error is so many times that of the best is not followed
+HOPELESS = 3.0  # a fit whose squared error is so many times that of the best is not followed, or ruled out
 SHORTEST_LESSON = 0.5  # parameter scales
 MOST_LOOKS = 4
 SETTLED = 2.0  # standard errors; a correction below this needs no further look
@@ -101,16 +101,7 @@ class Search:
         self.signs = random_signs(evidence)
         self.before = np.array([np.mean(np.square(item.mean)) for item in evidence])
         self.noise = np.array([np.mean(np.square(item.pure)) / item.count for item in evidence])
-        # An effect of the joints has parameters for every one of them, which makes it dear to look at. What shows
-        # nothing in free motion there and back is not there, and need not be looked at in every push as well.
-        absent: dict[str, Candidate] = {}
-        of_joints = [effect for effect in effects if len(effect.scalars(JOINT_COUNT)) >= JOINT_COUNT]
-        if any(in_free_motion(effect, item.condition) for effect in of_joints for item in evidence):
-            self._prefetch(of_joints, in_free_motion)
-            for effect in of_joints:
-                alone = linearise((effect,), model, evidence, store, where=in_free_motion)
-                if alone is not None and self._p_value(NormalEquations(alone, evidence)) > NOTHING:
-                    absent[effect.name] = alone
+        absent = self._absent(effects)
         self.ruled_out = set(absent)
         self._prefetch([effect for effect in effects if effect.name not in self.ruled_out], concerns)
         self.singles: dict[str, Candidate] = {}
@@ -121,6 +112,45 @@ class Search:
                 self.singles[effect.name] = candidate
         self.fits = {name: fit(candidate, evidence) for name, candidate in self.singles.items()}
         self.p_values = self.p_values_given(None)
+
+    def _absent(self, effects: list[Effect]) -> dict[str, Candidate]:
+        """Effects that free motion there and back rules out, with their sensitivities there.
+
+        Those with several parameters, up to two for every joint, are dear to look at in every push as well. What shows
+        nothing in free motion is not there. Nor is what cannot explain it, where a single other effect does.
+        """
+        free = [number for number, item in enumerate(self.evidence) if not item.condition.plan.expects_impact]
+        evidence = [self.evidence[number] for number in free]
+        seen = [effect for effect in effects if any(in_free_motion(effect, item.condition) for item in evidence)]
+        dear = {effect.name for effect in seen if len(effect.scalars(JOINT_COUNT)) > 1}
+        if not dear:
+            return {}
+        self._prefetch(seen, in_free_motion)
+        alone: dict[str, Candidate] = {}
+        for effect in seen:
+            candidate = linearise((effect,), self.model, self.evidence, self.store, where=in_free_motion)
+            if candidate is not None:
+                alone[effect.name] = candidate
+        absent = {
+            name for name in dear & alone.keys() if self._p_value(NormalEquations(alone[name], self.evidence)) > NOTHING
+        }
+        rest = {name: alone[name].only(free) for name in alone.keys() - absent}
+        if dear & rest.keys():
+            absent |= dear & self._cannot_explain(rest, free)
+        return {name: alone[name] for name in absent}
+
+    def _cannot_explain(self, candidates: dict[str, Candidate], conditions: list[int]) -> set[str]:
+        """Candidates that are far from explaining what is measured in some conditions, where one of them does."""
+        evidence, enough = [self.evidence[number] for number in conditions], 2.0 * LEAST_EXCESS
+        noise = float(self.noise[conditions].mean())
+        if float(self.before[conditions].mean()) - noise < enough:
+            return set()
+        fits = {name: self._see_all(self.refine(candidate, evidence)) for name, candidate in sorted(candidates.items())}
+        errors = {name: _error(fitted, fitted.change) for name, fitted in fits.items()}
+        best = min(errors.values(), default=np.inf)
+        if best - noise > enough:
+            return set()
+        return {name for name, error in errors.items() if error > HOPELESS * max(best, enough)}
 
     def _p_value(self, equations: NormalEquations, base: tuple[float, Array | float] = (0.0, 0.0)) -> float:
         """p of an effect, not adjusted; ``base``: statistic and null statistics of what it is added to."""

@@ -43,6 +43,7 @@ EFFECTS = [
     Analytic("twin_of_straight", (_parameter("c"),)),
     Analytic("payload", (_parameter("mass"), _parameter("lever"))),
     Analytic("of_joints", tuple(_parameter(f"joint{number}") for number in range(7))),
+    Analytic("of_motors", tuple(_parameter(f"motor{number}") for number in range(7))),
 ]
 FREE = (0, 1)  # conditions in which nothing is hit, where there are any
 
@@ -72,6 +73,8 @@ class World:
                 result += mass * self.direction(condition, 3) + mass * lever * self.direction(condition, 4)
             elif name == "of_joints":
                 result += sum(value * self.direction(condition, 10 + j) for j, value in enumerate(values))
+            elif name == "of_motors":
+                result += sum(value * self.direction(condition, 20 + j) for j, value in enumerate(values))
             elif name == "outside":
                 result += values[0] * self.direction(condition, 5)
         return result
@@ -205,3 +208,24 @@ def test_an_effect_of_the_joints_is_found_beside_one_of_the_contact(size: float)
     assert not search.ruled_out
     chosen, _ = choose(search)
     assert chosen is not None and set(chosen.candidate.names) == {"bent", "of_joints"}
+
+
+@pytest.mark.parametrize("size", [1.0, 30.0])
+def test_where_one_effect_explains_free_motion_others_of_the_joints_are_not_tried_in_contact(size: float) -> None:
+    values = tuple(size * (-1.0) ** joint for joint in range(7))
+    asked: list = []
+    search = World(2, FREE).search((("of_joints", values),), ("of_joints", "of_motors", "bent"), asked)
+    assert search.ruled_out == {"of_motors"}
+    moved = {rollout.condition.number for rollout in asked if rollout.added and rollout.added[0][0] == "of_motors"}
+    assert moved == set(FREE)
+    chosen, _ = choose(search)
+    assert chosen is not None and chosen.candidate.names == ("of_joints",)
+
+
+@pytest.mark.parametrize("size", [1.0, 30.0])
+def test_two_effects_of_the_joints_are_both_tried_in_contact_and_named(size: float) -> None:
+    values = tuple(size * (-1.0) ** joint for joint in range(7))
+    search = World(2, FREE).search((("of_joints", values), ("of_motors", values)), ("of_joints", "of_motors", "bent"))
+    assert not search.ruled_out
+    chosen, _ = choose(search)
+    assert chosen is not None and set(chosen.candidate.names) == {"of_joints", "of_motors"}
