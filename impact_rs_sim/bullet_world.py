@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
+from impact_rs_sim.errors import NotABody
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robot import Array, EndEffector
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.urdf import joint_names, write_urdf
 
@@ -59,6 +60,9 @@ class BulletWorld:
         iterations: Largest number of solver iterations in a step.
         residual_threshold: The solver stops when the largest squared change of a row is below this.
         contact_erp: Share of a penetration that a rigid contact removes in one step.
+
+    Raises:
+        NotABody: Mass and inertia of an end effector are those of no body; Bullet would go on with an inertia of zero.
     """
 
     def __init__(
@@ -73,6 +77,8 @@ class BulletWorld:
         contact_erp: float = 0.2,
     ) -> None:
         self.physics = physics
+        for name, arm in physics.arms.items():
+            _check_body(name, arm.end_effector)
         self._com_is_offset = bool(np.any(physics.object.com_offset))
         with _quiet():
             self.client = BulletClient(connection_mode=pybullet.DIRECT)
@@ -252,11 +258,21 @@ class BulletWorld:
 
     def pad_force(self, name: str) -> Array:
         """Force of the object on an arm's pad in the last step, in A, ``(3,)`` [N]."""
-        force = np.zeros(3)
-        for point in self._get_contacts(self.arms[name], self.object):
-            force += np.array(point[7]) * point[9]
-            force += np.array(point[11]) * point[10] + np.array(point[13]) * point[12]
-        return force
+        points = self._get_contacts(self.arms[name], self.object)
+        if not points:
+            return np.zeros(3)
+        sizes = np.array([(point[9], point[10], point[12]) for point in points])  # normal and both tangents
+        directions = np.array([(point[7], point[11], point[13]) for point in points])
+        return np.asarray(sizes.ravel() @ directions.reshape(-1, 3))
+
+
+def _check_body(name: str, end_effector: EndEffector) -> None:
+    smallest, middle, largest = np.linalg.eigvalsh(end_effector.inertia)
+    if end_effector.mass <= 0.0 or smallest <= 0.0 or largest > (1.0 + 1e-6) * (smallest + middle):
+        raise NotABody(
+            f"end effector of arm {name!r}: mass {end_effector.mass:.4g} kg with principal moments of inertia "
+            f"{smallest:.3g}, {middle:.3g}, {largest:.3g} kg m^2 is no rigid body"
+        )
 
 
 def _quaternion(rotation: Array) -> list[float]:

@@ -38,6 +38,10 @@ class InputError(ValueError):
         super().__init__(": ".join([*place, message]))
 
 
+class NotABody(InputError):
+    """Mass and inertia that no rigid body has, for example because more was taken away than was there."""
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """``; did you mean 'x'?`` where ``name`` looks like a slip of the pen, else nothing."""
     close = get_close_matches(name, list(known), n=1)

@@ -22,7 +22,7 @@ from impact_rs_analysis.comparison.runs import Condition, Runs
 from impact_rs_analysis.comparison.twin import Start, observed_until, run_twin
 from impact_rs_analysis.workers import Map
 from impact_rs_sim.effects import Effect
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
 
@@ -71,14 +71,25 @@ def _code_of(kind: type[Effect]) -> str:
 
 
 def run_rollout(rollout: Rollout) -> Array | None:
-    """Features of one rollout; None where nothing was hit although it should."""
+    """Features of one rollout; None where nothing was hit although it should.
+
+    None also where the added effects leave an arm that is no body: a fit that asks for it will try a smaller step.
+
+    Raises:
+        InputError: The model itself cannot be.
+    """
     plan = rollout.condition.plan
     physics = rollout.model.apply(plan.scene.physics)
     known = rollout.model.known_effects
     for name, values in rollout.added:
         physics = known[name].apply_vector(physics, np.array(values))
     start = Start.nominal(plan) if rollout.start is None else rollout.start
-    return extract(run_twin(plan, physics, start, observed_until(plan)), plan)
+    try:
+        return extract(run_twin(plan, physics, start, observed_until(plan)), plan)
+    except NotABody:
+        if not rollout.added:
+            raise
+        return None
 
 
 def cache_directory() -> Path:

@@ -10,7 +10,8 @@ import pytest
 from impact_rs_analysis.comparison.rollouts import Rollout, RolloutStore, run_rollout
 from impact_rs_analysis.comparison.runs import Condition
 from impact_rs_analysis.comparison.twin import Start
-from impact_rs_sim.model import Model
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.scenario import load_scenario
 
 
@@ -66,3 +67,17 @@ def test_a_twin_that_hits_nothing_is_kept_as_well(
     assert len(calls) == 1
     assert list(tmp_path.rglob("*.npy"))
     assert not list(tmp_path.rglob("*.tmp"))
+
+
+def test_a_fit_that_takes_away_more_than_there_is_gets_no_twin_and_a_model_that_does_is_refused() -> None:
+    """A negative mass far outside leaves negative moments of inertia, which Bullet would silently set to zero."""
+    values = (-0.4, 0.2, 0.0, 0.2)
+    assert run_rollout(Rollout(condition(), Model(name="nominal"), (("end_effector_payload", values),))) is None
+    names = ("mass", "com_x", "com_y", "com_z")
+    believed = {
+        name: ParameterValue(estimate=value, unit="kg" if name == "mass" else "m")
+        for name, value in zip(names, values, strict=True)
+    }
+    model = Model(name="hollow", effects=(ModelEffect(name="end_effector_payload", parameters=believed),))
+    with pytest.raises(InputError, match="end effector of arm 'arm': mass .* kg .* is no rigid body"):
+        run_rollout(Rollout(condition(), model))
