@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -33,12 +33,18 @@ from impact_rs_sim.scenario import load_scenario, scenario_path
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
 START_TIMEOUT = 60.0  # s, for all nodes to answer; imports take some seconds on a busy machine
 STOP_TIMEOUT = 5.0  # s, for a node to leave in order
+ANSWER_TIMEOUT = 5.0  # s, for a node to answer something harmless
+CHECK_PERIOD = 30.0  # s, between two questions to the experiment node in a long trial
 ATTEMPTS = 2  # of a trial
 RESULT_TIMEOUT = 10.0  # s, for the answer to a goal, beyond what the experiment node may wait itself
 
 
 class GraphError(RuntimeError):
     """The nodes cannot be run; the message says why."""
+
+
+class NodeHangs(GraphError):
+    """A node lives and does not answer."""
 
 
 class Graph:
@@ -143,37 +149,49 @@ class Graph:
                 raise GraphError(f"the nodes did not all come up within {START_TIMEOUT:g} s")
             self.spin(0.02)
         while self._revived:  # the middleware still knows the dead ones and takes their services for ready
-            self._wait_for_answer(self._revived[-1], deadline)
-            self._revived.pop()
+            self._check_starting()
+            if time.monotonic() > deadline:
+                raise GraphError(f"the {self._revived[-1]} node does not answer")
+            if self.answers(self._revived[-1]):
+                self._revived.pop()
 
     def _check_starting(self) -> None:
         for name, process in self.processes.items():
             if process.poll() is not None:
                 raise GraphError(f"node {name} ended with {_how(process)} while starting: {self.last_words(name)}")
 
-    def _wait_for_answer(self, name: str, deadline: float) -> None:
-        """Ask a node something harmless until it answers."""
+    def answers(self, name: str) -> bool:
+        """Whether a node answers something harmless."""
         client = self.node.create_client(GetParameters, f"{name}/get_parameters")
+        deadline = time.monotonic() + ANSWER_TIMEOUT
         try:
-            while time.monotonic() < deadline:
-                self._check_starting()
+            while time.monotonic() < deadline and self.processes[name].poll() is None:
                 future = client.call_async(GetParameters.Request(names=["scenario"]))
-                attempt = time.monotonic() + 0.5
+                attempt = time.monotonic() + 0.5  # a request into the discovery of a new client can be lost
                 while not future.done() and time.monotonic() < attempt:
                     self.spin(0.02)
                 if future.done():
-                    return
+                    return True
                 client.remove_pending_request(future)
-            raise GraphError(f"the {name} node does not answer")
+            return False
         finally:
             self.node.destroy_client(client)
 
-    def revive(self) -> list[str]:
-        """Start the nodes again that have died; returns a line about each."""
+    def end_hung(self) -> list[str]:
+        """End every node that lives and does not answer; returns their names."""
+        hung = [name for name, process in self.processes.items() if process.poll() is None and not self.answers(name)]
+        for name in hung:
+            self.processes[name].kill()
+            self.processes[name].wait()
+        return hung
+
+    def revive(self, hung: Sequence[str] = ()) -> list[str]:
+        """Start the nodes again that have died, or ``hung``; returns a line about each."""
         lines = []
         for name, process in list(self.processes.items()):
             if process.poll() is not None:
-                lines.append(f"node {name} died ({_how(process)}) and is started again: {self.last_words(name)}")
+                how = "did not answer any more" if name in hung else f"died ({_how(process)})"
+                lines.append(f"node {name} {how} and is started again: {self.last_words(name)}")
                 self._start(name)
                 self._revived.append(name)
         return lines
@@ -199,6 +217,8 @@ class Graph:
         ended = handle.get_result_async()
         try:
             answer: RunTrial.Result = self._wait(ended, None, ("experiment", "recorder")).result
+        except NodeHangs:
+            raise
         except BaseException:
             if self.processes["experiment"].poll() is None:
                 with suppress(GraphError):  # what went wrong first is what is told
@@ -226,6 +246,7 @@ class Graph:
 
     def _wait(self, future: Any, timeout: float | None, watched: tuple[str, ...] = ("experiment",)) -> Any:
         deadline = None if timeout is None else time.monotonic() + timeout
+        checked = time.monotonic()
         while not future.done():
             self.spin(0.1)
             for name in watched:
@@ -233,6 +254,10 @@ class Graph:
                     raise GraphError(f"node {name} died: {self.last_words(name)}")
             if deadline is not None and time.monotonic() > deadline:
                 raise GraphError(f"no answer within {timeout:g} s")
+            if time.monotonic() > checked + CHECK_PERIOD:
+                checked = time.monotonic()
+                if not self.answers("experiment"):
+                    raise NodeHangs("the experiment node does not answer")
         return future.result()
 
     def stop(self) -> None:
@@ -304,8 +329,8 @@ def run_trial(
 ) -> TrialReport:
     """Run one trial of a campaign; whatever goes wrong is told in the report, and what died is started again.
 
-    A trial that was aborted although every node lives is run once more: shortly after a node was killed the middleware
-    can hold up the others for some seconds, and a busy machine can lose messages.
+    A trial that was aborted although no node died is run once more, and a node that does not answer any more is started
+    again first: after one process was killed, the shared memory between them can trap another one in the middleware.
     """
     goal = RunTrial.Goal(
         scenario=manifest.scenario,
@@ -318,18 +343,21 @@ def run_trial(
         output_directory=str(directory.resolve()),
         plant_model="" if plant_model is None else model_text(plant_model),
     )
+    ended: list[str] = []
     for _ in range(ATTEMPTS):
         try:
             result = graph.call_trial(goal)
             outcome, message = result.outcome, result.message
         except GraphError as error:
             outcome, message = "ABORTED", str(error)
-        died = graph.revive()
-        if died:
+        hung = graph.end_hung() if outcome == "ABORTED" else []
+        revived = graph.revive(hung)
+        ended += revived
+        if revived:
             graph.wait_until_ready()
-        if died or outcome != "ABORTED":
+        if len(revived) > len(hung) or outcome != "ABORTED":
             break
-    return TrialReport(key, outcome, "; ".join(filter(None, (message, *died))))
+    return TrialReport(key, outcome, "; ".join(filter(None, (message, *ended))))
 
 
 def up(scenario: str, domain_id: int | None = None) -> int:

@@ -22,6 +22,7 @@ from impact_rs_analysis.bags import topics
 from impact_rs_analysis.bags.reader import TrialBag
 from impact_rs_analysis.bags.record import record_trial
 from impact_rs_analysis.campaign import make_manifest
+from impact_rs_ros import graph as graph_module
 from impact_rs_ros.graph import NODES, Graph, GraphError, run_trial, run_trials_through_nodes
 from impact_rs_ros.trials import plan_of
 from impact_rs_sim.effects import library
@@ -91,6 +92,31 @@ def test_without_recorder_or_experiment_a_trial_fails_and_the_next_one_runs(
     manifest = make_manifest("push", ["parcel"], ["1"], [1.0], trials=1)
     report = run_trial(graph, tmp_path, manifest, manifest.keys[0])
     assert (report.outcome, report.message) == ("OK", "")
+
+
+@pytest.mark.parametrize("victim", ["plant", "experiment"])
+def test_a_node_that_hangs_is_started_again_and_its_trial_run_once_more(
+    graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, victim: str
+) -> None:
+    monkeypatch.setattr(graph_module, "CHECK_PERIOD", 1.0)
+    monkeypatch.setattr(graph_module, "ANSWER_TIMEOUT", 2.0)
+    call_trial, stopped = graph.call_trial, []
+
+    def stop_once(goal: RunTrial.Goal) -> RunTrial.Result:
+        def stop(message: RunTrial.Impl.FeedbackMessage) -> None:
+            if message.feedback.time > 0.2 and not stopped:
+                stopped.append(graph.processes[victim].pid)
+                graph.processes[victim].send_signal(signal.SIGSTOP)
+
+        return call_trial(goal, stop)
+
+    monkeypatch.setattr(graph, "call_trial", stop_once)
+    manifest = make_manifest("push", ["parcel"], ["1"], [1.0], trials=1)
+    report = run_trial(graph, tmp_path, manifest, manifest.keys[0])
+    assert report.outcome == "OK"
+    assert report.message.startswith(f"node {victim} did not answer any more and is started again")
+    assert graph.processes[victim].pid != stopped[0]
+    assert not Path(f"/proc/{stopped[0]}").exists()
 
 
 def test_in_real_time_the_plant_does_not_wait_and_every_sample_is_recorded(graph: Graph, tmp_path: Path) -> None:
