@@ -7,7 +7,7 @@ import pickle
 import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Any
@@ -147,15 +147,25 @@ def _check_workers(client: Client, address: str) -> None:
 def workers(workforce: Workforce) -> Iterator[Map]:
     """A ``map`` over the workforce that yields results in order.
 
+    Processes of this machine start when there are two tasks to do for the first time, which takes them some seconds: a
+    mistake that shows before is told at once. A scheduler is connected to at once.
+
     Raises:
         InputError: No scheduler answers at that address, or its workers cannot do our work.
     """
     if workforce.in_process:
         yield lambda function, items: map(function, items)
         return
-    with client_of(workforce) as client:
+    with ExitStack() as held:
+        clients = [] if workforce.scheduler is None else [held.enter_context(client_of(workforce))]
 
         def distributed_map(function: Callable[..., Any], items: Sequence[Any]) -> Iterator[Any]:
+            if not clients:
+                if len(items) < 2:
+                    yield from map(function, items)
+                    return
+                clients.append(held.enter_context(client_of(workforce)))
+            client = clients[0]
             futures = client.map(_work, [_packed(function, item) for item in items], pure=False, retries=2)
             for future in futures:
                 yield _result(client, future)

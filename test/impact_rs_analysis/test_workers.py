@@ -159,9 +159,20 @@ def test_more_tasks_than_the_scheduler_may_know_at_a_time_all_end_once(monkeypat
 def test_a_task_that_a_worker_cannot_read_is_an_error_and_breaks_nothing() -> None:
     with workers(Workforce(2)) as map_tasks:
         with pytest.raises(ModuleNotFoundError):
-            list(map_tasks(_of_a_module_that_workers_do_not_know, [1]))
+            list(map_tasks(_of_a_module_that_workers_do_not_know, [1, 2]))
         assert list(map_tasks(abs, [-3, -1, -2])) == [3, 1, 2]
 
 
 def _of_a_module_that_workers_do_not_know(value: int) -> int:
     return value
+
+
+def test_processes_start_when_there_is_work_to_share() -> None:
+    def process(_: int) -> int:
+        return os.getpid()
+
+    with workers(Workforce(2)) as map_tasks:
+        assert list(map_tasks(process, [])) == []
+        assert list(map_tasks(process, [0])) == [os.getpid()]
+        assert os.getpid() not in map_tasks(process, [0, 1])
+        assert os.getpid() not in map_tasks(process, [0])
