@@ -19,6 +19,7 @@ from impact_rs_analysis.bags.types import typestore
 from impact_rs_sim.errors import InputError
 
 LATCHED = (topics.TRIAL_INFO, topics.ROBOT_DESCRIPTION)
+FILES = ("scenario_yaml", "model_yaml")  # with a friction compensation 200 kB, which YAML takes a second for
 LARGEST_BLOCK = 100_000  # messages kept in memory; several trials' worth
 
 
@@ -83,9 +84,10 @@ class BagWriter:
         }
 
     def describe(self, info: TrialInfo) -> None:
-        """Put the trial's identity into the bag's metadata."""
+        """Put the trial's identity into the bag's metadata; whole files are in ``/trial_info`` alone."""
         for name, value in info.values().items():
-            self._writer.set_custom_data(name, value if isinstance(value, str) else str(value))
+            if name not in FILES:
+                self._writer.set_custom_data(name, str(value))
 
     def write(self, topic: str, nanoseconds: int, message: Any) -> None:
         """Write a message of the ``rosbags`` typestore at trial time [ns]; it must not be changed afterwards.
