@@ -34,7 +34,7 @@ LEAST_GAIN = 0.10  # share of the excess error that an accepted effect must remo
 HOPELESS = 3.0  # a fit whose squared error is so many times that of the best is not followed, or ruled out
 SHORTEST_LESSON = 0.5  # parameter scales
 MOST_LOOKS = 4
-SETTLED = 2.0  # standard errors; a correction below this needs no further look
+NEAR = 0.1  # parameter scales; a correction below this does not depend on where a trial starts
 LEAST_EXCESS = 0.05  # mean square error in units of the scale of repetition; less concerns nobody
 
 
@@ -307,8 +307,8 @@ class Search:
             if fresh is None:
                 nothing = tuple(np.zeros_like(item.sigma) for item in evidence)
                 fresh = replace(candidate, point=point, origin=added, offsets=nothing)
-            chosen = fit(fresh, evidence)
-            if np.all(np.abs(chosen.change) < SETTLED * chosen.equations.spread()):
+            chosen = self.refine(fresh, evidence)
+            if np.all(np.abs(chosen.estimate - point) < NEAR * candidate.scale):
                 break
         return chosen
 
