@@ -10,7 +10,7 @@ from pathlib import Path
 import yaml
 
 from impact_rs_analysis.workers import Map
-from impact_rs_control.friction import identify_arm, sample_every
+from impact_rs_control.friction import identify_arm, sample_period
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.friction_compensation import ArmFriction, FrictionCompensation
 from impact_rs_sim.model import Model
@@ -83,7 +83,7 @@ def identify(
         scenario_digest=scenario.digest,
         runs=runs,
         seed=seed,
-        period=sample_every(scenario) * scenario.timing.control_period,
+        period=sample_period(scenario),
         sets=sets,
     )
 

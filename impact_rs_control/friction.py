@@ -81,6 +81,11 @@ def sample_every(scenario: Scenario) -> int:
     return max(1, round(PERIOD / scenario.timing.control_period))
 
 
+def sample_period(scenario: Scenario) -> float:
+    """Time between two identified samples [s]."""
+    return sample_every(scenario) * scenario.timing.control_period
+
+
 def run_free_motion(plan: TrialPlan, arm: str, phase: Phase, physics: Physics, seed: int) -> Array:
     """Feedback of all control tasks of one run in one mode, ``(ticks + 1, 7)`` [m/s^2, rad/s^2].
 
@@ -131,9 +136,7 @@ def _free_motion(plan: TrialPlan, arm: str, phase: Phase) -> TrialPlan:
 
 def _fed_forward(plan: TrialPlan, arm: str, phase: Phase, samples: AccelerationSamples) -> TrialPlan:
     """A plan with what has been identified so far."""
-    scenario = plan.scene.scenario
-    period = sample_every(scenario) * scenario.timing.control_period
-    rows, own = samples.at(tick_times(plan.scene), period), plan.arms[arm]
+    rows, own = samples.at(tick_times(plan.scene), sample_period(plan.scene.scenario)), plan.arms[arm]
     own = replace(own, ante_friction=rows) if phase == "ante" else replace(own, post_friction=rows)
     return replace(plan, arms={arm: own})
 

@@ -13,9 +13,6 @@ from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import Schema, Vector
 
-TASKS = ("x", "y", "z", "rotation_x", "rotation_y", "rotation_z", "joint_1")
-"""Rows of the control tasks: position and orientation of E in A, posture."""
-
 
 class AccelerationSamples(Schema):
     """Acceleration of the control tasks over the trial, one entry per period from the start on, in frame A."""
@@ -44,6 +41,10 @@ class AccelerationSamples(Schema):
         return np.column_stack([np.interp(times, taken, getattr(self, task)) for task in TASKS])
 
 
+TASKS = tuple(AccelerationSamples.model_fields)
+"""Rows of the control tasks: position and orientation of E in A, posture."""
+
+
 class ArmFriction(Schema):
     """Feedforward of one arm for one object and case."""
 
@@ -62,10 +63,6 @@ class FrictionCompensation(Schema):
     sets: dict[str, dict[str, dict[str, ArmFriction]]] = Field(
         min_length=1, description="feedforward by object, full name of the case, and arm"
     )
-
-    def times(self, duration: float) -> Array:
-        """When the samples of a trial of ``duration`` [s] are taken, ``(k,)`` [s]."""
-        return np.arange(int(duration / self.period + 1e-9) + 1, dtype=np.float64) * self.period
 
     def arms(self, object_name: str, case_name: str) -> dict[str, ArmFriction]:
         """Feedforward by arm of one set.
@@ -94,7 +91,7 @@ class FrictionCompensation(Schema):
             InputError: An unknown object, case or arm, an arm without entry, a wrong number of samples, or another
                 scenario than the one it was identified on. The key is the place in this file.
         """
-        count = self.times(duration).size
+        count = int(duration / self.period + 1e-9) + 1
         for object_name, cases in self.sets.items():
             self._known(f"sets.{object_name}", object_name, "object", set(sets))
             for case_name, arms in cases.items():
