@@ -26,7 +26,7 @@ from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
 
-CACHE_VERSION = 6
+CACHE_VERSION = 7
 
 Progress = Callable[[str, int, int], None]
 Added = tuple[tuple[str, tuple[float, ...]], ...]
