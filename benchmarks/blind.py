@@ -16,14 +16,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from impact_rs_analysis.blind import RUNS, make, score
-from impact_rs_analysis.comparison.runs import read_runs
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import document_of, read_document, write_document
-from impact_rs_analysis.outside import OUTSIDE
-from impact_rs_analysis.workers import Map, Workforce, workers
+from impact_rs_analysis.diagnosis.scoring import score
+from impact_rs_analysis.evidence.runs import read_runs
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
+from impact_rs_sim.unmodelled import OUTSIDE
+from impact_rs_trials.blind import RUNS, make
+from impact_rs_trials.workers import Map, Workforce, workers
 
 MAGNITUDES = (3.0, 8.0, 1.0)  # parameter scales: clear, gross, barely noticeable
 OUTSIDE_MAGNITUDES = (2.0, 6.0)

@@ -14,15 +14,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from impact_rs_analysis.analyze import analyze_campaign
-from impact_rs_analysis.bags.writer import BagWriter
-from impact_rs_analysis.campaign import make_manifest, open_campaign, run_campaign, run_one
+from impact_rs_analysis.measure.analyze import analyze_campaign
 from impact_rs_analysis.report import write_report
-from impact_rs_analysis.workers import Workforce
 from impact_rs_control.closed_loop import make_plant, run_closed_loop
 from impact_rs_control.plan import plan_trial
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
+from impact_rs_trials.bags.writer import BagWriter
+from impact_rs_trials.campaign import make_manifest, open_campaign, run_campaign, run_one
+from impact_rs_trials.workers import Workforce
 
 REPEATS = 10
 

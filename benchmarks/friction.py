@@ -13,11 +13,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from impact_rs_analysis.analyze import ExperimentSet, analyze_campaign
-from impact_rs_analysis.campaign import make_manifest, run_campaign
-from impact_rs_analysis.friction import identify, write_compensation
-from impact_rs_analysis.workers import Workforce, workers
+from impact_rs_analysis.measure.analyze import ExperimentSet, analyze_campaign
 from impact_rs_sim.scenario import load_scenario, scenario_path
+from impact_rs_trials.campaign import make_manifest, run_campaign
+from impact_rs_trials.friction import identify, write_compensation
+from impact_rs_trials.workers import Workforce, workers
 
 
 def main() -> None:

@@ -22,9 +22,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
-from impact_rs_analysis.campaign import make_manifest, run_one
 from impact_rs_ros.graph import Graph, run_trial
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.campaign import make_manifest, run_one
 
 PINGS = 2000
 

@@ -11,8 +11,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from impact_rs_analysis.campaign import make_manifest, run_campaign
-from impact_rs_analysis.workers import Workforce
+from impact_rs_trials.campaign import make_manifest, run_campaign
+from impact_rs_trials.workers import Workforce
 
 MILLION = 1_000_000
 CORES = 256

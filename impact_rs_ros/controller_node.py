@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import time
 
-from impact_rs_analysis.bags import topics
-from impact_rs_analysis.bags.trial_info import TrialInfo
 from impact_rs_control.controller import Controller
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
@@ -14,6 +12,8 @@ from impact_rs_ros.process import run
 from impact_rs_ros.streams import Stream, StreamMaker
 from impact_rs_ros.trial_node import TrialNode
 from impact_rs_sim.sensors import ArmMeasurement
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.trial_info import TrialInfo
 
 
 class ControllerNode(TrialNode):

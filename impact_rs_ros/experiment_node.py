@@ -13,15 +13,15 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import Executor, MultiThreadedExecutor
 
-from impact_rs_analysis.bags.trial_info import TrialKey
-from impact_rs_analysis.campaign import make_manifest, open_campaign
-from impact_rs_analysis.store import open_store, owned
 from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_ros.trial_session import Progress, TrialResult, TrialSession
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
+from impact_rs_trials.bags.trial_info import TrialKey
+from impact_rs_trials.campaign import make_manifest, open_campaign
+from impact_rs_trials.store import open_store, owned
 
 
 class ExperimentNode(NodeProgram):

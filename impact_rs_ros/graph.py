@@ -22,13 +22,13 @@ from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
-from impact_rs_analysis.bags.trial_info import TrialKey
-from impact_rs_analysis.campaign import Manifest, TrialReport
 from impact_rs_ros.process import SUPERVISOR
 from impact_rs_ros.trials import model_text
 from impact_rs_sim.model import Model
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenario import load_scenario, scenario_path
+from impact_rs_trials.bags.trial_info import TrialKey
+from impact_rs_trials.campaign import Manifest, TrialReport
 
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
 START_TIMEOUT = 60.0  # s, for all nodes to answer; imports take some seconds on a busy machine

@@ -1,4 +1,4 @@
-"""ROS message classes for :class:`~impact_rs_analysis.bags.messages.MessageMaker`."""
+"""ROS message classes for :class:`~impact_rs_trials.bags.messages.MessageMaker`."""
 
 from __future__ import annotations
 

@@ -14,9 +14,6 @@ from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from impact_rs_analysis.bags import topics
-from impact_rs_analysis.bags.record import FrameSource, occasional_messages
-from impact_rs_analysis.bags.trial_info import TrialInfo
 from impact_rs_control.closed_loop import make_plant
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import joint_signals
@@ -27,6 +24,9 @@ from impact_rs_ros.trials import model_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.plant import Plant
 from impact_rs_sim.robot import Array
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.record import FrameSource, occasional_messages
+from impact_rs_trials.bags.trial_info import TrialInfo
 
 MATCHING = 0.002  # s, between two looks whether everybody listens
 CONNECTING = 8.0  # s, that a controller which was just started may take to hear the first state

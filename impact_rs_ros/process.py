@@ -16,9 +16,9 @@ from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedE
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from impact_rs_analysis.bags import topics
 from impact_rs_ros import parameters
 from impact_rs_ros.qos import STREAM
+from impact_rs_trials.bags import topics
 
 SUPERVISOR = "IMPACT_RS_SUPERVISOR"  # process id of the runner; a node does not outlive it
 IDLE = 0.05  # s, how long an idle node waits for work before it looks around

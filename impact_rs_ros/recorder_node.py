@@ -18,10 +18,6 @@ from impact_rs.srv import ConfigureTrial, FinishTrial
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import String
 
-from impact_rs_analysis.bags import topics
-from impact_rs_analysis.bags.outcome import outcome_of
-from impact_rs_analysis.bags.trial_info import Outcome, TrialInfo
-from impact_rs_analysis.bags.writer import LATCHED, BagWriter
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.message_types import available
@@ -31,6 +27,10 @@ from impact_rs_ros.transforms import Transforms
 from impact_rs_ros.trials import plan_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.outcome import outcome_of
+from impact_rs_trials.bags.trial_info import Outcome, TrialInfo
+from impact_rs_trials.bags.writer import LATCHED, BagWriter
 
 MATCHING = 5.0  # s, for publishers to be discovered
 OPTIONAL = (topics.TF, topics.DIAGNOSTICS, topics.TRUTH_MODEL)  # nobody may publish these, and nothing is wrong
@@ -39,7 +39,7 @@ _SEQUENCE_FIRST = 8  # the same with the length of a sequence before it
 
 
 class RecorderNode(NodeProgram):
-    """Writes with a :class:`~impact_rs_analysis.bags.writer.BagWriter`."""
+    """Writes with a :class:`~impact_rs_trials.bags.writer.BagWriter`."""
 
     kind = "recorder"
 

@@ -2,7 +2,7 @@
 
 A message object per tick and topic, filled field by field and serialized by rclpy, costs more than the physics. Here a
 sample is put aside when it is measured, and a whole burst becomes bytes by columns; the bytes are those that
-:class:`~impact_rs_analysis.bags.messages.MessageMaker` stands for.
+:class:`~impact_rs_trials.bags.messages.MessageMaker` stands for.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from impact_rs_analysis.bags import topics
-from impact_rs_analysis.bags.cdr import Template
-from impact_rs_analysis.bags.messages import MessageMaker, RosbagsTypes, reference_columns
-from impact_rs_analysis.bags.types import typestore
 from impact_rs_control.controller import ArmCommand, Mode
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
 from impact_rs_sim.plant import ArmTruth
 from impact_rs_sim.robot import Array
 from impact_rs_sim.sensors import ArmMeasurement
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.cdr import Template
+from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes, reference_columns
+from impact_rs_trials.bags.types import typestore
 
 SECOND = 1_000_000_000  # ns
 

@@ -10,12 +10,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from impact_rs_analysis.bags import topics
-from impact_rs_analysis.bags.messages import MessageMaker, RosbagsTypes
-from impact_rs_analysis.bags.record import FrameSource
-from impact_rs_analysis.bags.types import typestore
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import joint_signals
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
+from impact_rs_trials.bags.record import FrameSource
+from impact_rs_trials.bags.types import typestore
 
 
 class Transforms:

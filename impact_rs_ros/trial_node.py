@@ -8,8 +8,6 @@ from abc import abstractmethod
 
 from impact_rs.srv import ConfigureTrial, FinishTrial
 
-from impact_rs_analysis.bags.messages import MessageMaker
-from impact_rs_analysis.bags.trial_info import TrialInfo
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.message_types import RosidlTypes
@@ -19,6 +17,8 @@ from impact_rs_ros.streams import Stream, StreamMaker
 from impact_rs_ros.trials import plan_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.bags.messages import MessageMaker
+from impact_rs_trials.bags.trial_info import TrialInfo
 
 SLICE = 0.02  # s, how long a running trial may keep a node from its services
 

@@ -19,11 +19,6 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from impact_rs_analysis.bags import topics
-from impact_rs_analysis.bags.messages import MessageMaker
-from impact_rs_analysis.bags.record import scene_urdf
-from impact_rs_analysis.bags.trial_info import Outcome, TrialInfo, TrialKey
-from impact_rs_analysis.bags.writer import partial_path
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros import parameters
 from impact_rs_ros.exchange import Inbox
@@ -31,6 +26,11 @@ from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.qos import EVENT, LATCHED, WATCH
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.messages import MessageMaker
+from impact_rs_trials.bags.record import scene_urdf
+from impact_rs_trials.bags.trial_info import Outcome, TrialInfo, TrialKey
+from impact_rs_trials.bags.writer import partial_path
 
 ATTEMPT = 1.0  # s; a request into the discovery of a restarted node can be lost and is sent again
 LAST_SAMPLE = 0.5  # s, how long the last controller state may take

@@ -7,13 +7,13 @@ import functools
 import yaml
 from pydantic import ValidationError
 
-from impact_rs_analysis.bags.trial_info import TrialInfo
 from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, check_model
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import parse_yaml, validate
+from impact_rs_trials.bags.trial_info import TrialInfo
 
 
 def plan_of(info: TrialInfo) -> TrialPlan:

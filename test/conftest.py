@@ -24,7 +24,7 @@ hypothesis.settings.load_profile("impact_rs")
 @pytest.fixture(scope="session")
 def push_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small campaign, run once: cat food, case 2, three scales. Tests copy it before they change it."""
-    from impact_rs_analysis.campaign import make_manifest, run_campaign
+    from impact_rs_trials.campaign import make_manifest, run_campaign
 
     directory = tmp_path_factory.mktemp("campaigns") / "push"
     manifest = make_manifest("push", ["cat_food"], ["case_2"], [0.8, 1.0, 1.2], trials=1)
@@ -37,7 +37,7 @@ def rewrite_bag(source: Path, target: Path, keep: Callable[[str], bool]) -> None
     """Copy a bag with its metadata, without the topics that ``keep`` refuses."""
     from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
-    from impact_rs_analysis.bags.types import typestore
+    from impact_rs_trials.bags.types import typestore
 
     with Reader(source) as reader:
         writer = Writer(target, version=9, storage_plugin=StoragePlugin.MCAP)
@@ -95,12 +95,12 @@ CONSIDERED = ["support_friction"]  # few, because every effect costs twin rollou
 @pytest.fixture(scope="session")
 def hidden_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six trials of a plant whose support is rougher than anybody knows: two objects and a free motion, twice each."""
-    from impact_rs_analysis.bags.record import record_trial
-    from impact_rs_analysis.bags.trial_info import TrialInfo, TrialKey
-    from impact_rs_analysis.blind import Hidden, hide
     from impact_rs_control.plan import plan_trial
     from impact_rs_sim.scenario import load_scenario
     from impact_rs_sim.scene import Scene
+    from impact_rs_trials.bags.record import record_trial
+    from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
+    from impact_rs_trials.blind import Hidden, hide
 
     directory = tmp_path_factory.mktemp("hidden") / "runs"
     hidden = [Hidden("support_friction", (HIDDEN_FRICTION,), 6.0)]
@@ -121,7 +121,7 @@ def hidden_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def diagnosed(hidden_campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Diagnosis of ``hidden_campaign`` by the command line, for the effect that is hidden alone."""
-    from impact_rs_ros.cli import main
+    from impact_rs_cli.main import main
 
     path = tmp_path_factory.mktemp("diagnosis") / "diagnosis.json"
     with pytest.MonkeyPatch.context() as patch:

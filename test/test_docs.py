@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from impact_rs_ros.cli import parser
+from impact_rs_cli.main import parser
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

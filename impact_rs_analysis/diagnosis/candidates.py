@@ -16,9 +16,9 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from impact_rs_analysis.comparison.rollouts import Added, Rollout, RolloutStore
-from impact_rs_analysis.diagnosis.evidence import ConditionEvidence
 from impact_rs_analysis.diagnosis.sensitivity import Where, concerns, nominal_vector, steps
+from impact_rs_analysis.evidence.clusters import ConditionEvidence
+from impact_rs_analysis.evidence.rollouts import Added, Rollout, RolloutStore
 from impact_rs_sim.effects import Effect, ScalarParameter
 from impact_rs_sim.model import JOINT_COUNT, Model
 from impact_rs_sim.robot import Array

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from impact_rs_analysis.comparison.rollouts import Added, Progress, RolloutStore, residuals
-from impact_rs_analysis.comparison.runs import Runs
-from impact_rs_analysis.diagnosis.evidence import ConditionEvidence, gather, rescale
 from impact_rs_analysis.diagnosis.search import LEAST_EXCESS, LEAST_GAIN, MOST_EFFECTS, SIGNIFICANT, Fit, Search
-from impact_rs_analysis.workers import Map
+from impact_rs_analysis.evidence.clusters import ConditionEvidence, gather, rescale
+from impact_rs_analysis.evidence.rollouts import Added, Progress, RolloutStore, residuals
+from impact_rs_analysis.evidence.runs import Runs
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
+from impact_rs_trials.workers import Map
 
 UNSEEN = 20.0  # parameter scales; an interval wider than this says nothing
 TIE = 0.05  # difference in log error below which two explanations are the same

@@ -11,14 +11,14 @@ from typing import Any
 
 from pydantic import Field
 
-from impact_rs_analysis.bags.reader import BagError, TrialBag
-from impact_rs_analysis.comparison.runs import Runs, find_bags
 from impact_rs_analysis.diagnosis.diagnose import Diagnosis
+from impact_rs_analysis.evidence.runs import Runs, find_bags
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.model import JOINT_COUNT, Model, ModelEffect, ParameterValue, check_model
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.schema import Schema, validate
+from impact_rs_trials.bags.reader import BagError, TrialBag
 
 NOTHING, NONE = "NOTHING-MISSING", "NONE-EXPLAINS"
 

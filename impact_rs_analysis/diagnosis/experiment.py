@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from impact_rs_analysis.comparison.rollouts import Rollout
-from impact_rs_analysis.comparison.runs import Condition, Runs
 from impact_rs_analysis.diagnosis.search import Fit, Search
+from impact_rs_analysis.evidence.rollouts import Rollout
+from impact_rs_analysis.evidence.runs import Condition, Runs
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import Scenario, load_scenario
 

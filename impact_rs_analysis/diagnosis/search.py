@@ -9,7 +9,6 @@ from itertools import combinations
 import numpy as np
 from scipy.stats import false_discovery_control
 
-from impact_rs_analysis.comparison.rollouts import Added, Rollout, RolloutStore
 from impact_rs_analysis.diagnosis.candidates import (
     Candidate,
     NormalEquations,
@@ -18,8 +17,9 @@ from impact_rs_analysis.diagnosis.candidates import (
     random_signs,
     tail_probability,
 )
-from impact_rs_analysis.diagnosis.evidence import ConditionEvidence
 from impact_rs_analysis.diagnosis.sensitivity import Where, concerns, in_free_motion, nominal_vector, steps
+from impact_rs_analysis.evidence.clusters import ConditionEvidence
+from impact_rs_analysis.evidence.rollouts import Added, Rollout, RolloutStore
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.model import JOINT_COUNT, Model
 from impact_rs_sim.robot import Array

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from impact_rs_analysis.comparison.runs import Condition
+from impact_rs_analysis.evidence.runs import Condition
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.model import JOINT_COUNT
 from impact_rs_sim.robot import Array

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from impact_rs_analysis.imports.mapping import Mapping, load_mapping, mapping_names
-from impact_rs_analysis.imports.recording import Recording, is_foreign, read_recordings
 from impact_rs_sim.model import Model
+from impact_rs_trials.recordings.mapping import Mapping, load_mapping, mapping_names
+from impact_rs_trials.recordings.recording import Recording, is_foreign, read_recordings
 
 __all__ = [
     "Mapping",

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from impact_rs_analysis.imports.free_motion import (
+from impact_rs_analysis.evidence.torque_balance import (
     ARM,
     Column,
     Motion,
@@ -18,11 +18,11 @@ from impact_rs_analysis.imports.free_motion import (
     prepare,
 )
 from impact_rs_analysis.imports.inference import Pieces, Regression, adjusted, cut
-from impact_rs_analysis.imports.mapping import Mapping
-from impact_rs_analysis.imports.recording import Recording
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
+from impact_rs_trials.recordings.mapping import Mapping
+from impact_rs_trials.recordings.recording import Recording
 
 SIGNIFICANT = 0.01  # false-discovery rate
 LEAST_GAIN = 0.10  # share of the excess error that an accepted effect must remove on unseen stretches

@@ -21,7 +21,7 @@ from scipy.stats import false_discovery_control
 from scipy.stats import t as student
 
 from impact_rs_analysis.diagnosis.candidates import PRIOR, tail_probability
-from impact_rs_analysis.imports.free_motion import Column, TorqueBalance
+from impact_rs_analysis.evidence.torque_balance import Column, TorqueBalance
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 

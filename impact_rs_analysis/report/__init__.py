@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from impact_rs_analysis.analyze import Analysis
+from impact_rs_analysis.measure.analyze import Analysis
 from impact_rs_analysis.report.figures import figures_of
 from impact_rs_analysis.report.html import write_html
 from impact_rs_analysis.report.png import write_png

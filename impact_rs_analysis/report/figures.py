@@ -11,8 +11,8 @@ from typing import Literal
 
 import numpy as np
 
-from impact_rs_analysis.analyze import ExperimentSet
-from impact_rs_analysis.net_feedback import TrialFeedback
+from impact_rs_analysis.measure.analyze import ExperimentSet
+from impact_rs_analysis.measure.net_feedback import TrialFeedback
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.robot import Array
 

@@ -11,9 +11,9 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
-from impact_rs_analysis.analyze import Analysis, ExperimentSet
+from impact_rs_analysis.measure.analyze import Analysis, ExperimentSet
+from impact_rs_analysis.measure.table import Row, result_table
 from impact_rs_analysis.report.figures import Figure
-from impact_rs_analysis.table import Row, result_table
 
 HEADINGS = ("B<sub>θ</sub> (nominal)", "B<sub>ρ</sub>", "B = 0")
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from impact_rs_analysis.comparison.aligned import AlignedTrial, Track
-from impact_rs_analysis.comparison.compare import SCORE_IS, Comparison
+from impact_rs_analysis.diagnosis.compare import SCORE_IS, Comparison
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument
-from impact_rs_analysis.history import VersionError
+from impact_rs_analysis.diagnosis.history import VersionError
+from impact_rs_analysis.evidence.aligned import AlignedTrial, Track
 from impact_rs_analysis.report.figures import BLUE, RED
 from impact_rs_analysis.report.page import MOST_POINTS, Page, number, p_text, short
 from impact_rs_analysis.report.words import verdict_in_words

@@ -6,7 +6,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from impact_rs_analysis.bags.trial_info import TrialInfo, TrialKey
 from impact_rs_control.closed_loop import make_plant, run_closed_loop
 from impact_rs_control.controller import Controller
 from impact_rs_control.friction import identify_arm, run_free_motion
@@ -18,6 +17,7 @@ from impact_rs_sim.friction_compensation import FrictionCompensation
 from impact_rs_sim.model import JOINT_COUNT, Model, ModelEffect, ParameterValue
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
+from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 
 
 def scene_of(friction, compensation=None):

@@ -8,7 +8,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from impact_rs_analysis.bags.outcome import outcome_of
 from impact_rs_control.closed_loop import make_plant, run_closed_loop
 from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_sim.effects import library
@@ -18,6 +17,7 @@ from impact_rs_sim.robot import Link, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import ArmState, Scene
+from impact_rs_trials.bags.outcome import outcome_of
 
 GRAB = load_scenario("grab")
 SCENE = Scene.resolve(GRAB, "cat_food", "case_1")

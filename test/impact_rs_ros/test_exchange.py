@@ -7,9 +7,9 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
-from impact_rs_analysis.bags import topics
 from impact_rs_ros.exchange import joint_signals
 from impact_rs_ros.message_types import RosidlTypes, message_type
+from impact_rs_trials.bags import topics
 
 
 @pytest.mark.parametrize("names", [[], ["a"], ["arm_joint_1", "arm_joint_12", "b"]])

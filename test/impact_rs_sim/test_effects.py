@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from impact_rs_analysis.comparison.rollouts import Rollout, run_rollout
-from impact_rs_analysis.comparison.runs import Condition
+from impact_rs_analysis.evidence.rollouts import Rollout, run_rollout
+from impact_rs_analysis.evidence.runs import Condition
 from impact_rs_sim.effects import BUILT_IN, Effect, library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model

@@ -9,11 +9,11 @@ import pytest
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
 
-from impact_rs_analysis.bags import topics
-from impact_rs_analysis.bags.reader import TrialBag
-from impact_rs_analysis.bags.types import typestore
-from impact_rs_analysis.campaign import Manifest, make_manifest, run_one
 from impact_rs_ros.graph import Graph, run_trial
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.bags.types import typestore
+from impact_rs_trials.campaign import Manifest, make_manifest, run_one
 
 TOLERANCE = 1e-9
 SKIPPED = {topics.DIAGNOSTICS}

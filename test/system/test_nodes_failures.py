@@ -18,10 +18,6 @@ from impact_rs.srv import ConfigureTrial, FinishTrial
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
-from impact_rs_analysis.bags import topics
-from impact_rs_analysis.bags.reader import TrialBag
-from impact_rs_analysis.bags.record import record_trial
-from impact_rs_analysis.campaign import make_manifest
 from impact_rs_ros import graph as graph_module
 from impact_rs_ros.graph import NODES, Graph, GraphError, run_trial, run_trials_through_nodes
 from impact_rs_ros.trials import plan_of
@@ -29,6 +25,10 @@ from impact_rs_sim.effects import library
 from impact_rs_sim.model import JOINT_COUNT, Model, ModelEffect
 from impact_rs_sim.model import ParameterValue as ParameterBelief
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.bags.record import record_trial
+from impact_rs_trials.campaign import make_manifest
 
 PATIENCE = 60.0  # s, of the tests; never reached on a machine that works
 

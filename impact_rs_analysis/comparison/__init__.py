@@ -1,1 +1,0 @@
-"""Model against measurement: the same signals, the same features, and their differences."""

@@ -1,0 +1,1 @@
+"""Where residuals and sensitivities come from: one module per source."""

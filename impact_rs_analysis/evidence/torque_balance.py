@@ -1,0 +1,332 @@
+"""The torque balance of a moving arm that touches nothing: all that a recording without command and contact can show.
+
+    tau + eps = (M(q) ddq + h(q, dq) [+ B ddq] - tau_fric(dq) - tau_load - offset) / gain         (cf. paper eq. eom)
+
+tau is what was recorded; B only where the torque was measured at the motor. Positions, velocities and torques pass the
+same zero-phase low-pass (Butterworth, order 4, forwards and backwards), accelerations are central differences of the
+filtered velocity, the prediction passes the low-pass once more and so does the recorded torque; both ends are cut off.
+
+Columns of the regression are differences of the predicted torque with and without an effect, applied through
+:class:`~impact_rs_sim.physics.Physics` as plant and twin apply it. An effect without such a difference is not measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.signal import butter, sosfiltfilt, welch
+
+from impact_rs_sim.effects import Effect
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import ArmPhysics, JointFriction, LoadState, ObjectPhysics, Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.mapping import Mapping
+from impact_rs_trials.recordings.recording import Recording
+
+ARM = "arm"
+ORDER = 4
+GRID = 10.0  # samples per period of the cut-off frequency, at most
+EDGE = 2.0  # periods of the cut-off frequency, cut off at both ends
+STRIBECK_VELOCITIES = (0.01, 0.02, 0.035, 0.05, 0.08, 0.12, 0.2, 0.35, 0.5)  # rad/s, profiled
+SIGNIFICANT_TORQUE = 1e-9  # N m; an effect that changes no torque by more than this is not measured
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Filtered signals of one recording on an even grid, ``(k, n)`` unless stated.
+
+    Attributes:
+        time: Since the first sample, ``(k,)`` [s].
+        position: q [rad].
+        velocity: dq [rad/s].
+        acceleration: ddq [rad/s^2].
+        torque: Recorded torque, low-passed twice [N m].
+        kept: What is left between the edges.
+        noise: Noise of the recorded torque that is left in ``torque``, ``(n,)`` [N m].
+        cut_off: Of the low-pass [Hz].
+        rate: Of the grid [Hz].
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+    kept: slice
+    noise: Array
+    cut_off: float
+    rate: float
+
+    def low_pass(self, values: Array) -> Array:
+        """The low-pass on the grid."""
+        return _low_pass(values, self.cut_off, self.rate)
+
+
+def _low_pass(values: Array, cut_off: float, rate: float) -> Array:
+    return np.asarray(sosfiltfilt(butter(ORDER, cut_off, fs=rate, output="sos"), values, axis=0))
+
+
+def prepare(recording: Recording, cut_off: float) -> Motion:
+    """Filter and differentiate one recording.
+
+    Raises:
+        InputError: Sampled too slowly for the cut-off, or too short.
+    """
+    start = recording.time - recording.time[0]
+    sampled = 1.0 / float(np.median(np.diff(start)))
+    if cut_off > 0.3 * sampled:
+        raise InputError(
+            f"sampled at {sampled:.3g} Hz, too slow for low_pass = {cut_off:g} Hz; at most {0.3 * sampled:.2g} Hz",
+            file=recording.path,
+        )
+    even = np.arange(0.0, start[-1], 1.0 / sampled)
+
+    def resampled(values: Array) -> Array:
+        return np.column_stack([np.interp(even, start, column) for column in values.T])
+
+    raw = resampled(recording.torque)
+    once = _low_pass(raw, cut_off, sampled)
+    noise = _noise(raw, cut_off, sampled)
+    stride = max(1, int(sampled / (GRID * cut_off)))
+    rate = sampled / stride
+    q, dq = (
+        _low_pass(resampled(values), cut_off, sampled)[::stride] for values in (recording.position, recording.velocity)
+    )
+    edge = int(np.ceil(EDGE * rate / cut_off))
+    if q.shape[0] < 2 * edge + 60:
+        raise InputError(
+            f"{start[-1]:.3g} s long, at least {(2 * edge + 60) / rate:.2g} s needed with low_pass = {cut_off:g} Hz",
+            file=recording.path,
+        )
+    return Motion(
+        time=even[::stride],
+        position=q,
+        velocity=dq,
+        acceleration=np.gradient(dq, 1.0 / rate, axis=0),
+        torque=_low_pass(once[::stride], cut_off, rate),
+        kept=slice(edge, q.shape[0] - edge),
+        noise=noise,
+        cut_off=cut_off,
+        rate=rate,
+    )
+
+
+def _noise(raw: Array, cut_off: float, rate: float) -> Array:
+    """Noise below the cut-off if it is as dense there as just above, where no motion is meant to be, ``(n,)`` [N m]."""
+    frequency, density = welch(raw, rate, nperseg=min(raw.shape[0], 256), axis=0)
+    above = (frequency >= 1.5 * cut_off) & (frequency <= min(3.0 * cut_off, 0.45 * rate))
+    if not np.any(above):
+        above = frequency >= 1.2 * cut_off
+    return np.asarray(np.sqrt(np.median(density[above], axis=0) * cut_off))
+
+
+def physics_of(mapping: Mapping, motions: list[Motion]) -> Physics:
+    """Nominal physics of the recorded arm: rigid, frictionless, level, with what the mapping says is mounted."""
+    facts = mapping.facts
+    count = facts.joint_count
+    base = pin.SE3(pin.rpy.rpyToMatrix(*mapping.base_rpy), np.zeros(3))
+    end_effector = mapping.end_effector.build()
+    inertia = np.zeros(count)
+    if mapping.torque_measured_at == "motor":
+        if mapping.motor_inertia is None:
+            raise InputError("torque_measured_at: motor needs motor_inertia [kg m^2]")
+        inertia = np.array(mapping.motor_inertia)
+    model = RobotModel(facts, end_effector, base)
+    places = [model.placement(q).translation for motion in motions for q in motion.position[:: len(motion.time) // 50]]
+    arm = ArmPhysics(
+        facts=facts,
+        base=base,
+        end_effector=end_effector,
+        motor_inertia_rotor=inertia,
+        motor_inertia_reduced=inertia,
+        stiffness=np.full(count, np.inf),
+        damping=np.zeros(count),
+        friction=JointFriction.none(count),
+        torque_offset=np.zeros(count),
+        torque_gain=np.ones(count),
+        actuation_delay=0.0,
+        pad_stiffness=None,
+        pad_damping=0.0,
+        impact_position=np.mean(places, axis=0),
+    )
+    nothing = ObjectPhysics(1.0, np.ones(3), np.ones(3), np.zeros(3))
+    return Physics({ARM: arm}, nothing, None, (1.0, 1.0), 0.0, 0.0, 0.0)
+
+
+class TorqueBalance:
+    """Predicts the recorded torque of several motions under given physics.
+
+    Args:
+        motions: Filtered recordings.
+    """
+
+    def __init__(self, motions: list[Motion]) -> None:
+        self.motions = motions
+        self._rigid: dict[tuple[bytes, ...], list[Array]] = {}
+
+    def predict(self, physics: Physics) -> Array:
+        """Torque as it would have been recorded, all motions below each other between their edges, ``(k, n)`` [N m]."""
+        arm = physics.arms[ARM]
+        rows = []
+        for motion, rigid in zip(self.motions, self._rigid_torques(physics), strict=True):
+            torque = rigid + arm.motor_inertia_reduced * motion.acceleration
+            if not arm.friction.is_zero:
+                torque = torque - arm.friction.torque(motion.velocity)
+            if arm.loads:
+                torque = torque - _load_torques(physics, motion)
+            torque = (torque - arm.torque_offset) / arm.torque_gain
+            rows.append(motion.low_pass(torque)[motion.kept])
+        return np.concatenate(rows)
+
+    def _rigid_torques(self, physics: Physics) -> list[Array]:
+        """M ddq + h, remembered: most effects do not change it."""
+        end = physics.arms[ARM].end_effector
+        key = tuple(np.asarray(value, float).tobytes() for value in (end.mass, end.com, end.inertia, physics.gravity))
+        if key not in self._rigid:
+            model = physics.robot_model(ARM)
+            self._rigid[key] = [
+                np.array(
+                    [
+                        model.inverse_dynamics(*state)
+                        for state in zip(motion.position, motion.velocity, motion.acceleration, strict=True)
+                    ]
+                )
+                for motion in self.motions
+            ]
+        return self._rigid[key]
+
+    @property
+    def recorded(self) -> Array:
+        """Recorded torque between the edges, ``(k, n)`` [N m]."""
+        return np.concatenate([motion.torque[motion.kept] for motion in self.motions])
+
+    @property
+    def velocity(self) -> Array:
+        """Joint velocities between the edges, ``(k, n)`` [rad/s]."""
+        return np.concatenate([motion.velocity[motion.kept] for motion in self.motions])
+
+    @property
+    def noise(self) -> Array:
+        """Noise of the recorded torque below the cut-off, ``(n,)`` [N m]."""
+        return np.asarray(np.sqrt(np.mean([np.square(motion.noise) for motion in self.motions], axis=0)))
+
+
+def _load_torques(physics: Physics, motion: Motion) -> Array:
+    arm = physics.arms[ARM]
+    model = physics.robot_model(ARM)
+    torques = np.zeros_like(motion.position)
+    for row, (time, q, dq) in enumerate(zip(motion.time, motion.position, motion.velocity, strict=True)):
+        jacobian = model.jacobian(q)[:3]
+        position = model.placement(q).translation
+        state = LoadState(float(time), q, dq, position, jacobian @ dq, arm.impact_position)
+        for load in arm.loads:
+            if (torque := load.joint_torque(state)) is not None:
+                torques[row] += torque
+            if (force := load.end_effector_force(state)) is not None:
+                torques[row] += jacobian.T @ force
+    return torques
+
+
+@dataclass(frozen=True)
+class Column:
+    """One linear parameter of an effect in the recorded torque.
+
+    Attributes:
+        effect: Its effect.
+        name: Name of the parameter.
+        unit: Unit.
+        joint: Index of the joint it belongs to; None: it acts on all.
+        values: Change of the recorded torque per unit, ``(k, n)`` [N m / unit].
+        nominal, lower, upper, scale: As in :class:`~impact_rs_sim.effects.Parameter`.
+        meaning: What it is.
+        variant: Which of several alternatives it belongs to (Stribeck velocity [rad/s]); None: there is only one.
+    """
+
+    effect: str
+    name: str
+    unit: str
+    joint: int | None
+    values: Array
+    nominal: float
+    lower: float
+    upper: float
+    scale: float
+    meaning: str
+    variant: float | None = None
+
+
+def columns_of(effect: Effect, physics: Physics, balance: TorqueBalance) -> list[Column]:
+    """Linear parameters of an effect; empty where nothing of it is in the recorded torque."""
+    if effect.name == "end_effector_payload":
+        return _payload_columns(effect, physics, balance)
+    if effect.name == "joint_stribeck_friction":
+        return [column for velocity in STRIBECK_VELOCITIES for column in _columns(effect, physics, balance, velocity)]
+    return _columns(effect, physics, balance)
+
+
+def _columns(effect: Effect, physics: Physics, balance: TorqueBalance, variant: float | None = None) -> list[Column]:
+    """Columns by finite differences about the point where the effect does nothing."""
+    count = physics.arms[ARM].facts.joint_count
+    scalars = effect.scalars(count)
+    joints = [
+        index if parameter.per_joint else None
+        for parameter in effect.parameters
+        for index in range(count if parameter.per_joint else 1)
+    ]
+    point = np.array([scalar.nominal for scalar in scalars])
+    if variant is not None:
+        point[-1] = variant
+    before = balance.predict(effect.apply_vector(physics, point))
+    columns = []
+    for index, (scalar, joint) in enumerate(zip(scalars, joints, strict=True)):
+        if variant is not None and index == len(scalars) - 1:
+            continue
+        step = scalar.scale if point[index] + scalar.scale <= scalar.upper else -scalar.scale
+        moved = point.copy()
+        moved[index] += step
+        values = (balance.predict(effect.apply_vector(physics, moved)) - before) / step
+        columns.append(
+            Column(
+                effect.name, scalar.name, scalar.unit, joint, values, scalar.nominal, scalar.lower, scalar.upper,
+                scalar.scale, scalar.meaning, variant,
+            )
+        )  # fmt: skip
+    if all(np.max(np.abs(column.values)) * column.scale < SIGNIFICANT_TORQUE for column in columns):
+        return []
+    return columns
+
+
+def _payload_columns(effect: Effect, physics: Physics, balance: TorqueBalance) -> list[Column]:
+    """Mass and first moments: the torque is linear in them, not in mass and place.
+
+    tau(m, c) = m a + m c . b + m (quadratic in c): differences at +c and -c leave b, at c = 0 they leave a.
+    """
+    mass, lever = 0.1, 0.05  # kg, m; the result does not depend on them
+
+    def torque(added: float, place: Array) -> Array:
+        return balance.predict(effect.apply_vector(physics, np.array([added, *place])))
+
+    base = balance.predict(physics)
+    scalars = {scalar.name: scalar for scalar in effect.scalars(physics.arms[ARM].facts.joint_count)}
+    known = scalars["mass"]
+    columns = [
+        Column(
+            effect.name, "mass", "kg", None, (torque(mass, np.zeros(3)) - base) / mass, 0.0, known.lower, known.upper,
+            known.scale, known.meaning,
+        )
+    ]  # fmt: skip
+    for axis, name in enumerate("xyz"):
+        place = np.zeros(3)
+        place[axis] = lever
+        values = (torque(mass, place) - torque(mass, -place)) / (2.0 * mass * lever)
+        bound = known.upper * scalars[f"com_{name}"].upper
+        columns.append(
+            Column(
+                effect.name, f"first_moment_{name}", "kg m", None, values, 0.0, -bound, bound, 0.01,
+                f"added mass times where it sits, {name} of frame E",
+            )
+        )  # fmt: skip
+    return columns

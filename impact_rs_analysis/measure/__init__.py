@@ -1,0 +1,1 @@
+"""The net-feedback measure: integrals, fits, tables, the whole study."""

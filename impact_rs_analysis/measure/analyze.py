@@ -1,0 +1,313 @@
+"""A folder of trials in, experimental estimates and prediction errors out.
+
+Reads whatever is there: bags that are damaged, foreign or unfinished are reported and left out, trials without impact
+are reported and never enter a fit, trials of the manifest that do not exist yet are listed.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from impact_rs_analysis.measure.fit import FitError, LineFit, fit_zero_crossing
+from impact_rs_analysis.measure.net_feedback import TrialFeedback, net_feedback
+from impact_rs_analysis.measure.predictions import predict, recorded_scenario
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
+from impact_rs_sim.schema import load
+from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.campaign import MANIFEST, Manifest
+
+LARGEST_SPREAD = 0.05  # s between the impacts of two arms; later, velocity feedback fights the second one
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """Something in the folder that did not enter the analysis.
+
+    Attributes:
+        name: Folder or file name.
+        reason: Why not.
+    """
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What one motor-inertia model predicts for a set.
+
+    Attributes:
+        velocity: Post-impact velocity along the measured axis [m/s].
+        error: (prediction - estimate) / estimate [%].
+    """
+
+    velocity: float
+    error: float
+
+
+@dataclass(frozen=True)
+class ExperimentSet:
+    """All trials of one object and case, and what they say.
+
+    Attributes:
+        scenario: Name of the scenario.
+        object: Name of the object.
+        case: Full name of the case.
+        axis: Measured axis.
+        label: Object and case in words.
+        trials: Trials with impact.
+        fit: The line and its zero crossing, signed along the axis.
+        predictions: Predictions by motor-inertia model, signed along the axis.
+    """
+
+    scenario: str
+    object: str
+    case: str
+    axis: str
+    label: str
+    trials: tuple[TrialFeedback, ...]
+    fit: LineFit
+    predictions: dict[str, Prediction]
+
+    @property
+    def sign(self) -> float:
+        """Direction of the motion along the axis: speed = sign * velocity."""
+        return -1.0 if self.fit.estimate < 0.0 else 1.0
+
+    @property
+    def estimate(self) -> float:
+        """Experimental estimate as a speed [m/s]."""
+        return self.sign * self.fit.estimate
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """95 % interval of the estimate as speeds [m/s]."""
+        if self.fit.interval is None:
+            return None
+        low, high = sorted(self.sign * bound for bound in self.fit.interval)
+        return low, high
+
+    def to_json(self) -> dict[str, Any]:
+        """One entry of ``sets``; speeds in m/s, errors in percent."""
+        return {
+            "scenario": self.scenario,
+            "object": self.object,
+            "case": self.case,
+            "axis": self.axis,
+            "estimate_m_s": self.estimate,
+            "ci95_m_s": None if self.interval is None else list(self.interval),
+            "r_squared": self.fit.r_squared,
+            "trials": self.fit.count,
+            "predictions": {
+                model: {"v_m_s": self.sign * prediction.velocity, "error_percent": prediction.error}
+                for model, prediction in self.predictions.items()
+            },
+        }
+
+
+@dataclass(frozen=True)
+class Incomplete:
+    """A set that determines no estimate yet.
+
+    Attributes:
+        scenario: Name of the scenario.
+        object: Name of the object.
+        case: Full name of the case.
+        reason: What is missing.
+    """
+
+    scenario: str
+    object: str
+    case: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What a folder of trials says.
+
+    Attributes:
+        directory: The folder.
+        sets: One per object and case that has enough trials.
+        incomplete: Sets with too few trials.
+        skipped: Bags that could not be used.
+        missing: Trials of the manifest that are not there.
+        no_impact: Trials in which nothing was hit.
+        apart: Trials in which one arm hit long before another, with the time between [s] (``LARGEST_SPREAD``); they
+            stay in the fit.
+    """
+
+    directory: Path
+    sets: tuple[ExperimentSet, ...]
+    incomplete: tuple[Incomplete, ...]
+    skipped: tuple[Skipped, ...]
+    missing: tuple[str, ...]
+    no_impact: tuple[str, ...]
+    apart: tuple[tuple[str, float], ...] = ()
+
+    def errors(self, model: str) -> list[float]:
+        """Percentage mismatch of a model in every set [%]."""
+        return [entry.predictions[model].error for entry in self.sets]
+
+    @property
+    def average_error(self) -> dict[str, float | None]:
+        """Mean of the percentage mismatch by model: the bias [%]; None without sets."""
+        return {model: _mean(self.errors(model)) for model in MOTOR_INERTIA_MODELS}
+
+    @property
+    def absolute_error(self) -> dict[str, float | None]:
+        """Mean of its absolute value by model: the quality [%]; None without sets."""
+        return {model: _mean([abs(error) for error in self.errors(model)]) for model in MOTOR_INERTIA_MODELS}
+
+    def to_json(self) -> dict[str, Any]:
+        """The document that ``analyze --json`` prints."""
+        return {
+            "sets": [entry.to_json() for entry in self.sets],
+            "average_error_percent": self.average_error,
+            "absolute_error_percent": self.absolute_error,
+            "incomplete": [vars(entry) for entry in self.incomplete],
+            "skipped": [vars(entry) for entry in self.skipped],
+            "missing": list(self.missing),
+            "no_impact": list(self.no_impact),
+            "apart": [{"trial": name, "between_impacts_s": spread} for name, spread in self.apart],
+        }
+
+
+def _mean(values: list[float]) -> float | None:
+    return float(np.mean(values)) if values else None
+
+
+def find_bags(directory: Path) -> list[Path]:
+    """What looks like a bag in a campaign folder: subfolders with bag files, and empty ones."""
+    found = []
+    for path in sorted(directory.iterdir()):
+        if path.name.startswith("."):
+            continue
+        if path.is_dir():
+            names = [entry.name for entry in path.iterdir()]
+            if not names or any(n == "metadata.yaml" or n.endswith((".mcap", ".db3")) for n in names):
+                found.append(path)
+        elif path.suffix in (".mcap", ".db3"):
+            found.append(path)
+    return found
+
+
+def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | None = None) -> Analysis:
+    """Analyse a folder of trials.
+
+    Args:
+        directory: Folder whose subfolders are bags.
+        progress: Told how many of how many bags are read.
+
+    Raises:
+        InputError: No such folder, or none of its bags is a readable trial.
+        ImpactMapError: The impact map of a recorded scenario has no answer.
+    """
+    if not directory.is_dir():
+        raise InputError("no such folder", file=directory)
+    if (directory / "metadata.yaml").is_file():
+        raise InputError("this is a single trial; give the folder it lies in", file=directory)
+    bags = find_bags(directory)
+    if not bags:
+        raise InputError("this folder holds no trials (a trial is a subfolder that is a rosbag2 bag)", file=directory)
+    skipped: list[Skipped] = []
+    measured: list[TrialFeedback] = []
+    for count, path in enumerate(bags, start=1):
+        try:
+            measured.append(net_feedback(TrialBag(path)))
+        except BagError as error:
+            skipped.append(Skipped(path.name, error.reason))
+        if progress is not None:
+            progress(count, len(bags))
+    if not measured:
+        raise InputError(
+            f"none of its {len(bags)} bags is a readable trial; {skipped[0].name}: {skipped[0].reason}", file=directory
+        )
+    missing = _missing(directory, skipped)
+    measured = _one_scenario_each(measured, skipped)
+    sets, incomplete = [], []
+    groups: dict[tuple[str, str, str], list[TrialFeedback]] = defaultdict(list)
+    for trial in measured:
+        groups[trial.info.scenario, trial.info.object, trial.info.case_name].append(trial)
+    for key, trials in groups.items():
+        try:
+            sets.append(_evaluate(directory, [trial for trial in trials if trial.impact], trials[0]))
+        except FitError as error:
+            incomplete.append(Incomplete(*key, str(error)))
+    return Analysis(
+        directory=directory,
+        sets=tuple(_in_order(sets, measured)),
+        incomplete=tuple(incomplete),
+        skipped=tuple(skipped),
+        missing=tuple(missing),
+        no_impact=tuple(trial.name for trial in measured if not trial.impact),
+        apart=tuple((trial.name, trial.spread) for trial in measured if trial.impact and trial.spread > LARGEST_SPREAD),
+    )
+
+
+def _missing(directory: Path, skipped: list[Skipped]) -> list[str]:
+    """Names of the manifest's trials that have no folder; a broken manifest is reported and does not stop anything."""
+    if not (directory / MANIFEST).exists():
+        return []
+    try:
+        manifest = load(Manifest, directory / MANIFEST)
+    except InputError as error:
+        skipped.append(Skipped(MANIFEST, error.message))
+        return []
+    return [key.name for key in manifest.keys if not (directory / key.name).exists()]
+
+
+def _one_scenario_each(trials: list[TrialFeedback], skipped: list[Skipped]) -> list[TrialFeedback]:
+    """Leave out trials recorded with another version of the scenario than most others of that name."""
+    versions: dict[str, Counter[str]] = defaultdict(Counter)
+    for trial in trials:
+        versions[trial.info.scenario][trial.info.scenario_yaml] += 1
+    common = {name: counter.most_common(1)[0][0] for name, counter in versions.items()}
+    kept = []
+    for trial in trials:
+        if trial.info.scenario_yaml == common[trial.info.scenario]:
+            kept.append(trial)
+        else:
+            reason = f"recorded with another version of scenario {trial.info.scenario!r} than most trials of the folder"
+            skipped.append(Skipped(trial.name, reason))
+    return kept
+
+
+def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedback) -> ExperimentSet:
+    info = example.info
+    fit = fit_zero_crossing(
+        np.array([trial.info.reference_post_velocity for trial in trials]), np.array([trial.net for trial in trials])
+    )
+    scenario = recorded_scenario(info.scenario_yaml, directory / example.name)
+    velocities = predict(scenario, info.object, info.case_name)
+    return ExperimentSet(
+        scenario=info.scenario,
+        object=info.object,
+        case=info.case_name,
+        axis=info.axis,
+        label=f"{scenario.object(info.object).label}: {scenario.case(info.case_name).label}",
+        trials=tuple(trials),
+        fit=fit,
+        predictions={
+            model: Prediction(velocity, 100.0 * (velocity - fit.estimate) / fit.estimate)
+            for model, velocity in velocities.items()
+        },
+    )
+
+
+def _in_order(sets: list[ExperimentSet], trials: list[TrialFeedback]) -> list[ExperimentSet]:
+    """Sets as the scenario lists its objects and cases, not as folders sort."""
+    order: dict[tuple[str, str, str], tuple[str, int, int]] = {}
+    for text, name in {(trial.info.scenario_yaml, trial.info.scenario) for trial in trials}:
+        scenario = recorded_scenario(text, name)
+        for i, thing in enumerate(scenario.objects):
+            for j, case in enumerate(scenario.cases):
+                order[name, thing, case] = (name, i, j)
+    return sorted(sets, key=lambda entry: order[entry.scenario, entry.object, entry.case])

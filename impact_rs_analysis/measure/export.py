@@ -1,0 +1,246 @@
+"""A campaign as one file for other tools: a row per trial (Parquet), or all measured signals (HDF5).
+
+What is exported is what a robot would give; ``/truth`` stays in the bags. Names of columns end with their unit, and
+datasets have it as their attribute ``units``.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from impact_rs_analysis.evidence.runs import find_bags
+from impact_rs_analysis.measure.analyze import Skipped
+from impact_rs_analysis.measure.net_feedback import net_feedback
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.bags.trial_info import TrialInfo, package_version
+from impact_rs_trials.workers import Map
+
+NEEDS = {".parquet": "pyarrow", ".h5": "h5py", ".hdf5": "h5py"}
+
+CONTROLLER_UNITS = {
+    "mode": "0 ante-impact, 1 interim, 2 post-impact",
+    "gamma": "1",
+    "ante_position": "m",
+    "ante_velocity": "m/s",
+    "ante_acceleration": "m/s^2",
+    "post_position": "m",
+    "post_velocity": "m/s",
+    "post_acceleration": "m/s^2",
+    "position": "m",
+    "twist": "m/s, rad/s",
+    "feedback_acceleration": "m/s^2",
+    "net_feedback": "m/s",
+    "external_wrench": "N, N m",
+}
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What an export holds.
+
+    Attributes:
+        trials: Number of trials in the file.
+        skipped: Bags that could not be read.
+    """
+
+    trials: int
+    skipped: tuple[Skipped, ...]
+
+
+def check_target(path: Path) -> None:
+    """Check that a file of that name can be made, before anything is read.
+
+    Raises:
+        InputError: Another ending than .parquet, .h5 or .hdf5, a folder, or a package that is not installed.
+    """
+    if path.suffix not in NEEDS:
+        raise InputError(f"expected a name that ends with {', '.join(NEEDS)}", file=path)
+    if path.is_dir():
+        raise InputError("this is a folder; expected the name of a file", file=path)
+    package = NEEDS[path.suffix]
+    try:
+        importlib.import_module(package)
+    except ImportError:
+        raise InputError(f"this needs the package {package}: pip install {package}", file=path) from None
+
+
+def export(directory: Path, path: Path, map_tasks: Map, progress: Callable[[int, int], None]) -> Exported:
+    """Write all readable trials below a folder into one file, which is there when it is complete.
+
+    Args:
+        directory: Folder with bags of trials, however deep.
+        path: File that ends with .parquet, .h5 or .hdf5; one that is there is replaced.
+        map_tasks: Parallel map; not used for signals.
+        progress: Told how many of how many bags are read.
+
+    Raises:
+        InputError: As :func:`check_target`, no readable trial in the folder, or a file that cannot be written.
+    """
+    check_target(path)
+    bags = find_bags(directory)
+    trials, skipped = 0, []
+    write = _parquet if path.suffix == ".parquet" else _hdf5
+    with _complete_or_gone(path) as partial:
+        for number, skip in enumerate(write(directory, bags, partial, map_tasks), start=1):
+            if skip is None:
+                trials += 1
+            else:
+                skipped.append(skip)
+            progress(number, len(bags))
+        if not trials:
+            reason = f"; {skipped[0].name}: {skipped[0].reason}" if skipped else ""
+            raise InputError(f"no readable trials here{reason}", file=directory)
+    return Exported(trials, tuple(skipped))
+
+
+@contextmanager
+def _complete_or_gone(path: Path) -> Iterator[Path]:
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield partial
+        os.replace(partial, path)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror or error}", file=path) from None
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def trial_row(path: Path) -> dict[str, Any] | Skipped:
+    """One trial in one row: what was run, how it ended and what was measured; or why it cannot be read.
+
+    Where the net feedback is no measurement (nothing was hit, the object was dropped, the recording has holes),
+    ``remark`` says why.
+    """
+    try:
+        bag = TrialBag(path)
+        impact_times = {f"{arm}_impact_time_s": _or_none(bag.impact_time(arm)) for arm in bag.info.robots}
+    except BagError as error:
+        return Skipped(path.name, error.reason)
+    net, impact, remark = None, None, ""
+    try:
+        measured = net_feedback(bag)
+        net, impact = measured.net, measured.impact
+        remark = "" if impact else "no impact in the window"
+    except BagError as error:
+        remark = error.reason
+    info = bag.info
+    return {
+        "trial": path.name,
+        **_identity(info),
+        "outcome": bag.outcome,
+        "impact": impact,
+        "ante_velocity_m_s": info.ante_velocity,
+        "predicted_post_velocity_m_s": info.predicted_post_velocity,
+        "reference_post_velocity_m_s": info.reference_post_velocity,
+        "net_feedback_m_s": net,
+        **impact_times,
+        "window_start_s": info.window_start,
+        "window_end_s": info.window_end,
+        "remark": remark,
+        "via": info.via,
+        "git_revision": info.git_revision,
+        "package_version": info.package_version,
+    }
+
+
+def _or_none(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def _identity(info: TrialInfo) -> dict[str, Any]:
+    return {
+        "scenario": info.scenario,
+        "object": info.object,
+        "case": info.case_name,
+        "velocity_scale": info.velocity_scale,
+        "repeat": info.repeat,
+        "seed": info.seed,
+        "motor_inertia": info.motor_inertia,
+        "axis": info.axis,
+    }
+
+
+def _parquet(directory: Path, bags: list[Path], target: Path, map_tasks: Map) -> Iterator[Skipped | None]:
+    import pyarrow
+    import pyarrow.parquet
+
+    del directory
+    rows = []
+    for row in map_tasks(trial_row, bags):
+        if isinstance(row, Skipped):
+            yield row
+        else:
+            rows.append(row)
+            yield None
+    columns = list(dict.fromkeys(name for row in rows for name in row))  # arms differ from scenario to scenario
+    table = pyarrow.table({name: _column(name, [row.get(name) for row in rows]) for name in columns})
+    pyarrow.parquet.write_table(table, target)
+
+
+def _column(name: str, values: list[Any]) -> Any:
+    """A column whose type does not depend on whether anything was measured."""
+    import pyarrow
+
+    kind = {"seed": pyarrow.uint64(), "repeat": pyarrow.uint32(), "impact": pyarrow.bool_()}.get(name)
+    if kind is None and name.endswith(("_s", "velocity_scale")):
+        kind = pyarrow.float64()
+    return pyarrow.array(values, kind or pyarrow.string())
+
+
+def _hdf5(directory: Path, bags: list[Path], target: Path, map_tasks: Map) -> Iterator[Skipped | None]:
+    import h5py
+
+    del map_tasks
+    with h5py.File(target, "w") as file:
+        file.attrs["made_by"] = f"impact-rs {package_version()}"
+        for path in bags:
+            name = str(path.relative_to(directory))
+            try:
+                _hdf5_trial(file.create_group(name), TrialBag(path))
+                yield None
+            except BagError as error:
+                del file[name]
+                yield Skipped(path.name, error.reason)
+
+
+def _hdf5_trial(group: Any, bag: TrialBag) -> None:
+    for key, value in _identity(bag.info).items():
+        group.attrs[key] = value
+    group.attrs["outcome"] = bag.outcome
+    for key in ("ante_velocity", "predicted_post_velocity", "reference_post_velocity"):
+        group.attrs[f"{key}_m_s"] = getattr(bag.info, key)
+    for arm in bag.info.robots:
+        group.attrs[f"{arm}_impact_time_s"] = bag.impact_time(arm)
+        for name, (columns, units) in _signals(bag, arm).items():
+            _datasets(group.create_group(f"{arm}/{name}"), columns, units)
+    _datasets(group.create_group("object"), bag.poses(topics.OBJECT_POSE), {"position": "m", "quaternion": "1"})
+
+
+def _signals(bag: TrialBag, arm: str) -> dict[str, tuple[Any, dict[str, str]]]:
+    """Columns of an arm and the unit of each, by the name of their group; each topic has its own clock."""
+    return {
+        "joint_states": (
+            bag.joints(topics.joint_states(arm)),
+            {"position": "rad", "velocity": "rad/s", "effort": "N m"},
+        ),
+        "motor_states": (bag.joints(topics.motor_states(arm)), {"position": "rad", "velocity": "rad/s"}),
+        "joint_command": (bag.joints(topics.joint_command(arm)), {"effort": "N m"}),
+        "controller_state": (bag.controller(arm), CONTROLLER_UNITS),
+    }
+
+
+def _datasets(group: Any, columns: Any, units: dict[str, str]) -> None:
+    for name, unit in {"time": "s", **units}.items():
+        values: Array = getattr(columns, name)
+        group.create_dataset(name, data=values, compression="gzip" if values.size else None).attrs["units"] = unit

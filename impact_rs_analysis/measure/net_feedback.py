@@ -1,0 +1,148 @@
+"""The measure: net feedback of one trial (paper eqs. fb_error, a_fb_net).
+
+    a_fb,net = integral of a_fb(t) dt from t1 to t2
+
+The controller holds its command between two ticks, so the recorded a_fb(t_k) acts from t_k to t_{k+1}; the integral of
+that held signal is a sum, without a quadrature error. Along the measured axis, averaged over the arms (paper
+sec. Dual-arm grabbing scenario).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scenario import AXES
+from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.bags.trial_info import TrialInfo
+
+LARGEST_GAP = 0.02  # s; a hole this long in a 1 kHz signal hides more feedback than the measure resolves
+
+
+@dataclass(frozen=True)
+class TrialFeedback:
+    """One trial along the measured axis, mean over its arms.
+
+    Attributes:
+        name: Folder name of the bag.
+        info: Identity of the trial.
+        impact_times: Detected impact time of every arm [s]; NaN where none was detected.
+        time: Trial time of the samples, ``(k,)`` [s].
+        velocity: Measured end-effector velocity, ``(k,)`` [m/s].
+        feedback: a_fb, ``(k,)`` [m/s^2].
+        integral: Integral of a_fb since t1, constant after t2, ``(k,)`` [m/s].
+        ante_reference: Velocity of the ante-impact reference, ``(k,)`` [m/s].
+        post_reference: Velocity of the post-impact reference, ``(k,)`` [m/s].
+        net: a_fb,net [m/s].
+    """
+
+    name: str
+    info: TrialInfo
+    impact_times: tuple[float, ...]
+    time: Array
+    velocity: Array
+    feedback: Array
+    integral: Array
+    ante_reference: Array
+    post_reference: Array
+    net: float
+
+    @property
+    def impact(self) -> bool:
+        """Whether every arm hit within the window; a trial without impact never enters a fit."""
+        start, end = self.info.window_start, self.info.window_end
+        return all(start <= moment <= end for moment in self.impact_times)
+
+    @property
+    def spread(self) -> float:
+        """Time between the first and the last arm's impact [s]; NaN where an arm detected none."""
+        return max(self.impact_times) - min(self.impact_times)
+
+
+def held_integral(time: Array, signal: Array, start: float, end: float) -> tuple[Array, float]:
+    """Integral of a signal that keeps its value until the next sample (paper eq. a_fb_net).
+
+    Args:
+        time: Sample times, increasing, ``(k,)`` [s].
+        signal: Samples, ``(k,)`` [m/s^2].
+        start: t1 [s].
+        end: t2 [s].
+
+    Returns:
+        The integral from ``start`` to every sample, held at 0 before and constant after ``end``, ``(k,)`` [m/s]; and
+        the integral from ``start`` to ``end`` [m/s].
+    """
+    edges = np.clip(np.append(time, max(end, time[-1])), start, end)
+    pieces = signal * np.diff(edges)
+    total = np.cumsum(pieces)
+    return np.concatenate(([0.0], total[:-1])), float(total[-1])
+
+
+def net_feedback(bag: TrialBag) -> TrialFeedback:
+    """Measure one trial. Reads what a robot would give, nothing below ``/truth``.
+
+    Raises:
+        BagError: The bag was left unfinished, is damaged, has holes, or does not cover the window from t1 to t2.
+    """
+    info = bag.info
+    if bag.metadata.get("outcome") == "ABORTED":
+        raise BagError(bag.path, "the trial was aborted")
+    if bag.metadata.get("outcome") == "DROPPED":
+        raise BagError(bag.path, "the object was dropped")
+    axis = AXES.get(info.axis)
+    if axis is None or not info.robots:
+        raise BagError(bag.path, f"its trial_info names axis {info.axis!r} and {len(info.robots)} robots")
+    columns = {arm: bag.controller(arm) for arm in info.robots}
+    time = next(iter(columns.values())).time
+    signals: dict[str, list[Array]] = {name: [] for name in ("velocity", "feedback", "ante", "post")}
+    for arm, state in columns.items():
+        _check_coverage(bag, arm, state.time)
+        for name, values in (
+            ("velocity", state.twist[:, axis]),
+            ("feedback", state.feedback_acceleration[:, axis]),
+            ("ante", state.ante_velocity[:, axis]),
+            ("post", state.post_velocity[:, axis]),
+        ):
+            if not np.all(np.isfinite(values)):
+                raise BagError(bag.path, f"arm {arm!r}: the recorded {name} signal is not finite everywhere")
+            signals[name].append(np.interp(time, state.time, values))
+    mean = {name: np.mean(values, axis=0) for name, values in signals.items()}
+    integral, net = held_integral(time, mean["feedback"], info.window_start, info.window_end)
+    return TrialFeedback(
+        name=bag.path.name,
+        info=info,
+        impact_times=tuple(bag.impact_time(arm) for arm in info.robots),
+        time=time,
+        velocity=mean["velocity"],
+        feedback=mean["feedback"],
+        integral=integral,
+        ante_reference=mean["ante"],
+        post_reference=mean["post"],
+        net=net,
+    )
+
+
+def _check_coverage(bag: TrialBag, arm: str, time: Array) -> None:
+    start, end = bag.info.window_start, bag.info.window_end
+    if not (math.isfinite(start) and math.isfinite(end) and start < end):
+        raise BagError(bag.path, f"its window from {start} s to {end} s is none")
+    if time.size < 2:
+        raise BagError(bag.path, f"arm {arm!r} has {time.size} controller states")
+    steps = np.diff(time)
+    if np.any(steps <= 0.0):
+        raise BagError(bag.path, f"arm {arm!r}: the stamps of the controller states do not increase")
+    if time[0] > start or time[-1] + LARGEST_GAP < end:
+        raise BagError(
+            bag.path,
+            f"arm {arm!r} is recorded from {time[0]:.3f} s to {time[-1]:.3f} s, "
+            f"the window lasts from {start:.3f} s to {end:.3f} s",
+        )
+    inside = (time[1:] >= start) & (time[:-1] <= end)
+    if np.max(steps[inside]) > LARGEST_GAP:
+        worst = int(np.argmax(np.where(inside, steps, 0.0)))
+        raise BagError(
+            bag.path, f"arm {arm!r}: no controller state from {time[worst]:.3f} s to {time[worst + 1]:.3f} s"
+        )

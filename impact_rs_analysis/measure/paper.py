@@ -1,0 +1,294 @@
+"""The published experiment as a measurement: what a motor-inertia scale can and cannot explain in it.
+
+Each of the 18 rows (``config/paper/tables.yaml``, paper tables II and III) has an experimental estimate v of the
+post-impact speed and the mismatch of three predictions, with B = 0, B_theta and B_rho = 3 B_theta. As a function of a
+scale s with B = s B_theta the predicted speed is therefore known at s = 0, 1 and 3. In between it is taken from the
+parabola through the three points. An effective mass along the normal that is linear in s would give the hyperbola
+p_0 + a s / (s + h) instead; the fit is repeated with it, to show what the interpolation is worth. In five rows of the
+grab the parabola has its peak below s = 3, which no rigid impact of one effective mass has.
+
+s minimises the mean absolute mismatch over the rows, the measure of the paper's last lines.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from impact_rs_analysis.measure.table import PaperRow, PaperTables
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.robot import Array
+from impact_rs_sim.schema import parse_yaml
+
+ROTOR_SCALE = 3.0  # B_rho / B_theta, paper sec. Experimental setup; 2.99 for joints 5 to 7
+GRID = np.linspace(0.0, ROTOR_SCALE, 3001)
+RESAMPLES = 2000
+
+
+@dataclass(frozen=True)
+class PaperResult:
+    """One row of the published tables.
+
+    Attributes:
+        scenario, object, case: Names.
+        row: Estimate [m/s] and mismatches [%].
+    """
+
+    scenario: str
+    object: str
+    case: str
+    row: PaperRow
+
+    @property
+    def label(self) -> str:
+        """For tables."""
+        return f"{self.scenario} {self.object} {self.case}"
+
+    @property
+    def explained(self) -> bool:
+        """Whether some B between 0 and B_rho predicts the estimate exactly."""
+        low, high = sorted((self.row.zero, self.row.rotor))
+        return low <= 0.0 <= high
+
+    def mismatch(self, scale: Array, curve: str = "parabola") -> Array:
+        """Interpolated mismatch at scales of B_theta [%]."""
+        zero, reduced, rotor = self.row.zero, self.row.reduced, self.row.rotor
+        first, last = reduced - zero, rotor - zero
+        if curve == "parabola":
+            bend = (last / ROTOR_SCALE - first) / (ROTOR_SCALE - 1.0)
+            return np.asarray(zero + scale * (first + bend * (scale - 1.0)))
+        ratio = last / first
+        half = ROTOR_SCALE * (ratio - 1.0) / (ROTOR_SCALE - ratio)
+        return np.asarray(zero + first * (1.0 + half) * scale / (scale + half))
+
+
+def paper_results() -> list[PaperResult]:
+    """All rows of ``config/paper/tables.yaml``.
+
+    Raises:
+        InputError: The file is missing or broken.
+    """
+    path = config_directory() / "paper" / "tables.yaml"
+    try:
+        tables = PaperTables.model_validate(parse_yaml(path.read_text(encoding="utf-8"), path)).root
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot be read: {' '.join(str(error).split())}", file=path) from None
+    return [
+        PaperResult(scenario, name, case, row)
+        for scenario, objects in tables.items()
+        for name, cases in objects.items()
+        for case, row in cases.items()
+    ]
+
+
+@dataclass(frozen=True)
+class ScaleFit:
+    """The scale that suits some rows best.
+
+    Attributes:
+        scale: s, B = s B_theta [-].
+        interval: 95 % interval from resampling rows [-].
+        error_nominal: Mean absolute mismatch at s = 1 [%].
+        error_fitted: The same at the fitted scale [%].
+        error_held_out: The same, each row predicted with the scale that the other rows want [%].
+    """
+
+    scale: float
+    interval: tuple[float, float]
+    error_nominal: float
+    error_fitted: float
+    error_held_out: float
+
+
+@dataclass(frozen=True)
+class PaperStudy:
+    """What the published rows say about the motor inertia.
+
+    Attributes:
+        results: The rows.
+        all_rows: Fit to all.
+        by_scenario: Fit to the rows of each scenario.
+        other_curve: Fit to all with hyperbolas in place of parabolas.
+        nominal, fitted: Mismatch of each row at s = 1 and at the fitted scale, ``(18,)`` [%].
+    """
+
+    results: tuple[PaperResult, ...]
+    all_rows: ScaleFit
+    by_scenario: dict[str, ScaleFit]
+    other_curve: ScaleFit
+    nominal: Array
+    fitted: Array
+
+    @property
+    def unexplained(self) -> list[str]:
+        """Rows that no motor inertia between 0 and B_rho explains."""
+        return [result.label for result in self.results if not result.explained]
+
+    @property
+    def verdict(self) -> str:
+        """NOT-DECISIVE, or CONFIRMED where one scale explains the rows."""
+        fit = self.all_rows
+        decisive = fit.error_held_out < 0.5 * fit.error_nominal and not self.unexplained
+        return "CONFIRMED" if decisive else "NOT-DECISIVE"
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        fit = self.all_rows
+        if self.verdict == "CONFIRMED":
+            return f"one motor-inertia scale of {fit.scale:.2f} explains the published rows"
+        scales = ", ".join(f"{name} alone wants {one.scale:.2f}" for name, one in self.by_scenario.items())
+        return (
+            f"one motor-inertia scale does not explain the published rows: the best, {fit.scale:.2f}, lowers the mean "
+            f"absolute mismatch from {fit.error_nominal:.2f} to {fit.error_fitted:.2f} % ({fit.error_held_out:.2f} % "
+            f"on rows it has not seen), {scales}, and {len(self.unexplained)} of {len(self.results)} rows fit no motor "
+            "inertia between 0 and B_rho; another effect is missing"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """The document of ``impact-rs paper --json``."""
+        return {
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "scale_is": "B = scale x B_theta; minimises the mean absolute mismatch over the rows",
+            "interpolation": "parabola through the published predictions at scale 0, 1 and 3",
+            "interval_is": f"95 %, {RESAMPLES} resamples of the rows",
+            "all": _fit_json(self.all_rows),
+            **{name: _fit_json(fit) for name, fit in self.by_scenario.items()},
+            "all_with_hyperbolas": _fit_json(self.other_curve),
+            "unexplained": self.unexplained,
+            "rows": [
+                {
+                    "scenario": result.scenario,
+                    "object": result.object,
+                    "case": result.case,
+                    "estimate_m_s": result.row.estimate,
+                    "mismatch_percent": {**result.row.errors, "fitted": float(fitted)},
+                    "explained_by_some_motor_inertia": result.explained,
+                }
+                for result, fitted in zip(self.results, self.fitted, strict=True)
+            ],
+        }
+
+
+def _fit_json(fit: ScaleFit) -> dict[str, Any]:
+    return {
+        "scale": fit.scale,
+        "ci95": list(fit.interval),
+        "error_nominal_percent": fit.error_nominal,
+        "error_fitted_percent": fit.error_fitted,
+        "error_held_out_percent": fit.error_held_out,
+    }
+
+
+def fit_scale(results: list[PaperResult], curve: str = "parabola") -> ScaleFit:
+    """Fit s to rows, leave each out once, and resample them."""
+    errors = np.abs([result.mismatch(GRID, curve) for result in results])
+    best = int(errors.mean(axis=0).argmin())
+    held_out = []
+    for index in range(len(results)):
+        others = np.delete(errors, index, axis=0).mean(axis=0).argmin()
+        held_out.append(errors[index, others])
+    rng = np.random.default_rng(0)
+    drawn = [GRID[errors[rng.integers(0, len(results), len(results))].mean(axis=0).argmin()] for _ in range(RESAMPLES)]
+    low, high = np.percentile(drawn, [2.5, 97.5])
+    nominal = np.abs([result.row.reduced for result in results]).mean()
+    return ScaleFit(
+        scale=float(GRID[best]),
+        interval=(float(low), float(high)),
+        error_nominal=float(nominal),
+        error_fitted=float(errors[:, best].mean()),
+        error_held_out=float(np.mean(held_out)),
+    )
+
+
+def study_paper() -> PaperStudy:
+    """Fit the motor-inertia scale to the published rows."""
+    results = paper_results()
+    scenarios = dict.fromkeys(result.scenario for result in results)
+    fit = fit_scale(results)
+    return PaperStudy(
+        results=tuple(results),
+        all_rows=fit,
+        by_scenario={name: fit_scale([result for result in results if result.scenario == name]) for name in scenarios},
+        other_curve=fit_scale(results, "hyperbola"),
+        nominal=np.array([result.row.reduced for result in results]),
+        fitted=np.array([float(result.mismatch(np.array(fit.scale))) for result in results]),
+    )
+
+
+def paper_figure(study: PaperStudy) -> Any:
+    """Mean absolute mismatch over the scale, for all rows and for each scenario."""
+    from impact_rs_analysis.report.figures import BLACK, BLUE, RED, Curve, Figure, Note, Panel
+
+    colours = {"all rows": BLACK, "push": BLUE, "grab": RED}
+    groups = {"all rows": list(study.results)}
+    for name in study.by_scenario:
+        groups[name] = [result for result in study.results if result.scenario == name]
+    fits = {"all rows": study.all_rows, **study.by_scenario}
+    curves = []
+    for name, results in groups.items():
+        fit = fits[name]
+        error = np.abs([result.mismatch(GRID[::10]) for result in results]).mean(axis=0)
+        low, high = fit.interval
+        colour = colours.get(name, BLACK)
+        curves.append(Curve("", GRID[::10], error, colour))
+        curves.append(
+            Curve(
+                f"{name}: {fit.scale:.2f} [{low:.2f}, {high:.2f}], "
+                f"{fit.error_nominal:.2f} % → {fit.error_fitted:.2f} %",
+                np.array([fit.scale]), np.array([fit.error_fitted]), colour, line="none", marker="circle",
+                error=(max(fit.scale - low, 0.0), max(high - fit.scale, 0.0)),
+            )
+        )  # fmt: skip
+    return Figure(
+        name="paper_motor_inertia",
+        title="Published experiment: how much a motor-inertia scale explains",
+        caption=study.sentence[0].upper() + study.sentence[1:] + ".",
+        x_label="motor-inertia scale s, B = s B<sub>θ</sub> [-]",
+        panels=(Panel("mean absolute mismatch [%]", tuple(curves)),),
+        notes=(Note(0.0, "B = 0"), Note(1.0, "B<sub>θ</sub>"), Note(ROTOR_SCALE, "B<sub>ρ</sub>")),
+        x_range=(-0.05, ROTOR_SCALE + 0.05),
+    )
+
+
+def write_paper(study: PaperStudy, directory: Path) -> list[Path]:
+    """Write the figure as PNG and as HTML, with the table.
+
+    Raises:
+        InputError: The folder cannot be written.
+    """
+    import html
+    import json
+
+    from impact_rs_analysis.report.html import STYLE, plotly_figure
+    from impact_rs_analysis.report.png import write_png
+
+    figure = paper_figure(study)
+    rows = "".join(
+        f"<tr><td>{html.escape(result.label)}</td><td>{result.row.estimate:.3f}</td><td>{result.row.zero:+.2f}</td>"
+        f"<td>{result.row.reduced:+.2f}</td><td>{result.row.rotor:+.2f}</td><td>{fitted:+.2f}</td>"
+        f"<td>{'yes' if result.explained else 'no'}</td></tr>"
+        for result, fitted in zip(study.results, study.fitted, strict=True)
+    )
+    text = f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<title>impact_rs: the published experiment</title><style>{STYLE}</style></head><body>
+<h1>The published experiment as a measurement</h1><p>{html.escape(figure.caption)}</p>
+{plotly_figure(figure).to_html(full_html=False, include_plotlyjs=True)}
+<div class="wide"><table><thead><tr><th>row</th><th>estimate [m/s]</th><th>B = 0 [%]</th><th>B<sub>θ</sub> [%]</th>
+<th>B<sub>ρ</sub> [%]</th><th>s = {study.all_rows.scale:.2f} [%]</th>
+<th>some B between 0 and B<sub>ρ</sub> fits</th></tr></thead><tbody>{rows}</tbody></table></div></body></html>
+"""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        page, data = directory / "paper.html", directory / "paper.json"
+        page.write_text(text, encoding="utf-8")
+        data.write_text(json.dumps(study.to_json(), indent=2) + "\n", encoding="utf-8")
+        return [page, data, write_png(figure, directory / f"{figure.name}.png")]
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", file=directory) from None

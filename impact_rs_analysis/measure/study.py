@@ -1,0 +1,50 @@
+"""The whole published study: both scenarios with every object, case, reference and repeat, in one folder.
+
+A study is a folder of campaigns, one per scenario; each is resumed and analysed as any campaign is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
+from impact_rs_trials.campaign import Manifest, make_manifest
+
+SCENARIOS = ("push", "grab")
+
+
+def study_manifests(trials: int | None = None, seed: int = 0) -> dict[str, Manifest]:
+    """What to run, by scenario.
+
+    Args:
+        trials: Repeats of every reference; None: the scenarios' own number.
+        seed: Seed of both campaigns.
+
+    Raises:
+        InputError: Fewer than one trial, or a negative seed.
+    """
+    return {name: make_manifest(name, trials=trials, seed=seed) for name in SCENARIOS}
+
+
+def analyze_study(directory: Path, progress: Callable[[int, int], None] | None = None) -> Analysis:
+    """Analyse both campaigns of a study as one.
+
+    Args:
+        directory: Folder of the study.
+        progress: Told how many of how many bags of the present campaign are read.
+
+    Raises:
+        InputError: A campaign has no readable trial.
+        ImpactMapError: The impact map of a recorded scenario has no answer.
+    """
+    parts = {name: analyze_campaign(directory / name, progress) for name in SCENARIOS}
+    return Analysis(
+        directory=directory,
+        sets=tuple(entry for part in parts.values() for entry in part.sets),
+        incomplete=tuple(entry for part in parts.values() for entry in part.incomplete),
+        skipped=tuple(entry for part in parts.values() for entry in part.skipped),
+        missing=tuple(f"{name}/{trial}" for name, part in parts.items() for trial in part.missing),
+        no_impact=tuple(f"{name}/{trial}" for name, part in parts.items() for trial in part.no_impact),
+        apart=tuple((f"{name}/{trial}", spread) for name, part in parts.items() for trial, spread in part.apart),
+    )

@@ -1,0 +1,115 @@
+"""The paper's result table (paper tables comparison_push and comparison_grab), ours beside the paper's own numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import Field, RootModel
+
+from impact_rs_analysis.measure.analyze import Analysis, ExperimentSet
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
+from impact_rs_sim.schema import Schema, parse_yaml
+
+
+class PaperRow(Schema):
+    """One row of the paper's tables."""
+
+    estimate: float = Field(description="experimental estimate of the post-impact speed [m/s]")
+    reduced: float = Field(description="mismatch of the prediction with B_theta [%]")
+    rotor: float = Field(description="mismatch of the prediction with B_rho [%]")
+    zero: float = Field(description="mismatch of the prediction with B = 0 [%]")
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Mismatch by motor-inertia model [%]."""
+        return {"reduced": self.reduced, "rotor": self.rotor, "zero": self.zero}
+
+
+class PaperTables(RootModel[dict[str, dict[str, dict[str, PaperRow]]]]):
+    """``config/paper/tables.yaml``: rows by scenario, object and case."""
+
+
+def paper_row(scenario: str, object_name: str, case: str) -> PaperRow | None:
+    """The paper's row for a set of ours, where the names are the paper's."""
+    path = config_directory() / "paper" / "tables.yaml"
+    if not path.is_file():
+        return None
+    tables = PaperTables.model_validate(parse_yaml(path.read_text(encoding="utf-8"), path)).root
+    return tables.get(scenario, {}).get(object_name, {}).get(case)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the table.
+
+    Attributes:
+        label: Object and case, or what is averaged.
+        estimate: Experimental estimate [m/s]; None in the rows of averages.
+        half_interval: Larger half of the 95 % interval [m/s]; None where there is none.
+        errors: Mismatch by motor-inertia model [%].
+        paper_estimate: The paper's estimate [m/s], if it has this row.
+        paper_errors: The paper's mismatch by model [%], if it has this row.
+        signed: Whether the mismatches have a sign; absolute errors have none.
+    """
+
+    label: str
+    estimate: float | None
+    half_interval: float | None
+    errors: dict[str, float]
+    paper_estimate: float | None
+    paper_errors: dict[str, float] | None
+    signed: bool = True
+
+
+def result_table(analysis: Analysis) -> list[Row]:
+    """A row per set, then average error (bias) and absolute error (quality) of each scenario, and of all if several."""
+    groups: dict[str, list[Row]] = {}
+    for entry in analysis.sets:
+        groups.setdefault(entry.scenario, []).append(_row(entry))
+    if len(groups) == 1:
+        (rows,) = groups.values()
+        return [*rows, *_averages(rows, "")]
+    table = []
+    for scenario, rows in groups.items():
+        table += [replace(row, label=f"{scenario}: {row.label}") for row in rows]
+        table += _averages(rows, f"{scenario}: ")
+    return [*table, *_averages([row for rows in groups.values() for row in rows], "All: ")] if table else []
+
+
+def _row(entry: ExperimentSet) -> Row:
+    paper = paper_row(entry.scenario, entry.object, entry.case)
+    return Row(
+        label=entry.label,
+        estimate=entry.estimate,
+        half_interval=None if entry.interval is None else max(abs(bound - entry.estimate) for bound in entry.interval),
+        errors={model: entry.predictions[model].error for model in MOTOR_INERTIA_MODELS},
+        paper_estimate=None if paper is None else paper.estimate,
+        paper_errors=None if paper is None else paper.errors,
+    )
+
+
+def _averages(rows: list[Row], prefix: str) -> list[Row]:
+    ours = [row.errors for row in rows]
+    theirs = [row.paper_errors for row in rows if row.paper_errors is not None]
+    words = (("average error", False), ("absolute error", True))
+    return [
+        Row(
+            f"{prefix}{label}" if prefix else label.capitalize(),
+            None,
+            None,
+            _mean(ours, absolute),
+            None,
+            _mean(theirs, absolute) if theirs else None,
+            not absolute,
+        )
+        for label, absolute in words
+    ]
+
+
+def _mean(errors: list[dict[str, float]], absolute: bool) -> dict[str, float]:
+    return {
+        model: float(np.mean([abs(row[model]) if absolute else row[model] for row in errors]))
+        for model in MOTOR_INERTIA_MODELS
+    }

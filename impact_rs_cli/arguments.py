@@ -1,0 +1,150 @@
+"""What the commands of the loop share: reading RUNS and MODEL, and telling what could not be used."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from impact_rs_cli.terminal import Terminal
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from impact_rs_analysis.diagnosis.document import EstimateDocument
+    from impact_rs_analysis.evidence.runs import Runs
+    from impact_rs_trials.workers import Map, Workforce
+
+MOST_SHOWN = 5
+RUNS = "folder with bags of trials, however deep, or URL"
+
+Command = Callable[[argparse.Namespace, Terminal], int]
+
+
+def add_runs(parser: argparse.ArgumentParser) -> None:
+    """The argument RUNS and the option ``--model``."""
+    parser.add_argument("runs", metavar="RUNS", help=RUNS)
+    add_model(parser)
+
+
+def on_local_runs(run: Command) -> Command:
+    """A command whose ``args.runs`` is a folder of this machine: bags at a URL are copied into one that goes again.
+
+    Raises:
+        InputError: The URL cannot be read, or a scheduler is asked for, whose workers would not see the copy.
+    """
+
+    @functools.wraps(run)
+    def command(args: argparse.Namespace, terminal: Terminal) -> int:
+        from impact_rs_sim.errors import InputError
+        from impact_rs_trials.store import is_url, local_copy
+
+        if is_url(args.runs) and args.scheduler is not None:
+            raise InputError(
+                "with --scheduler RUNS must be a folder that its workers see; copy the bags into one", file=args.runs
+            )
+        with ExitStack() as held:
+            with terminal.progress("copying bags") as tell:
+                directory = held.enter_context(local_copy(args.runs, progress=tell))
+            return run(argparse.Namespace(**vars(args) | {"runs": directory}), terminal)
+
+    return command
+
+
+def add_model(parser: argparse.ArgumentParser) -> None:
+    """The option ``--model``."""
+    parser.add_argument(
+        "--model", type=Path, default=Path("nominal"), metavar="FILE", help="model file; default: the nominal model"
+    )
+
+
+def add_jobs(parser: argparse.ArgumentParser) -> None:
+    """The options ``--jobs`` and ``--scheduler``."""
+    parser.add_argument("--jobs", type=int, metavar="N", help="worker processes; default: one per core")
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="let the workers of a running dask scheduler do it instead (tcp://host:port)",
+    )
+
+
+def workforce_of(args: argparse.Namespace) -> Workforce:
+    """Who does the work, by ``--jobs`` and ``--scheduler``; neither: one process per core that we may use.
+
+    Raises:
+        InputError: Fewer than one process, or both options.
+    """
+    from impact_rs_sim.errors import InputError
+    from impact_rs_trials.workers import Workforce
+
+    if args.scheduler is not None and args.jobs is not None:
+        raise InputError("--jobs is for processes of this machine; with --scheduler its workers are taken")
+    if args.scheduler is not None:
+        return Workforce(scheduler=args.scheduler)
+    return Workforce(len(os.sched_getaffinity(0)) if args.jobs is None else args.jobs)
+
+
+@contextmanager
+def started(args: argparse.Namespace) -> Iterator[Map]:
+    """The workers of ``--jobs`` or ``--scheduler``.
+
+    Raises:
+        InputError: Fewer than one process, both options, or a scheduler that cannot be used.
+    """
+    from impact_rs_trials.workers import workers
+
+    with workers(workforce_of(args)) as map_tasks:
+        yield map_tasks
+
+
+def read(directory: Path, map_tasks: Map, terminal: Terminal) -> Runs:
+    """Read RUNS and tell what was left out."""
+    from impact_rs_analysis.evidence.runs import read_runs
+
+    directory = directory.absolute()  # a worker process may stand elsewhere
+    with terminal.progress("reading bags") as tell:
+
+        def counted(function: Any, items: Any) -> Iterator[Any]:
+            for number, result in enumerate(map_tasks(function, items), start=1):
+                tell(number, len(items))
+                yield result
+
+        runs = read_runs(directory, counted)
+    warn_skipped(runs.skipped, terminal)
+    return runs
+
+
+def warn_skipped(skipped: Sequence[tuple[str, str]], terminal: Terminal) -> None:
+    """Tell which bags were left out, by path and reason."""
+    for path, reason in skipped[:MOST_SHOWN]:
+        terminal.warn(f"left out {Path(path).name}: {reason.removeprefix(f'{path}: ')}")
+    if len(skipped) > MOST_SHOWN:
+        terminal.warn(f"left out {len(skipped) - MOST_SHOWN} more bags; --json names all")
+
+
+def number(value: float) -> str:
+    """Three significant digits."""
+    return f"{value:.3g}"
+
+
+def estimates_table(effect: str, rows: list[tuple[str, EstimateDocument, str]]) -> Table:
+    """Estimates of one effect with their intervals: parameter, estimate, and a verdict on it or ``""``."""
+    from rich.table import Table
+
+    table = Table(title=effect, title_justify="left")
+    table.add_column("parameter", no_wrap=True)
+    table.add_column("estimate", justify="right", no_wrap=True)
+    table.add_column("95 % interval", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    told = any(verdict for *_, verdict in rows)
+    if told:
+        table.add_column("verdict", overflow="fold")
+    for name, value, verdict in rows:
+        interval = "" if value.ci95 is None else f"{number(value.ci95[0])} ... {number(value.ci95[1])}"
+        cells = [name, number(value.estimate), interval, value.unit.strip("-")]
+        table.add_row(*cells, *([verdict] if told else []))
+    return table

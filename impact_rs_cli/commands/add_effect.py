@@ -1,0 +1,63 @@
+"""``impact-rs add``: a new model file with a diagnosed effect."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from impact_rs_cli.arguments import add_model, number
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
+
+TEXT = f"""\
+Write a new model file: the old model and one effect with the parameters of a diagnosis.
+
+The new file names its parent, so {PROGRAM} history can follow the way back. Model files are never overwritten. A
+diagnosis of another model is refused, and so is an effect that these trials do not determine; --force adds one that
+was found to improve nothing.
+
+example:
+  {PROGRAM} add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
+  {PROGRAM} compare campaigns/blind/runs --model model_2.yaml
+
+Units: as the diagnosis and the model file say."""
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "add", run, "add a diagnosed effect to a model", TEXT)
+    parser.add_argument("effect", metavar="EFFECT", help="name of an effect of the diagnosis")
+    add_model(parser)
+    parser.add_argument(
+        "--from", dest="source", type=Path, required=True, metavar="FILE.json", help="diagnosis of the model"
+    )
+    parser.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE.yaml", help="new model file")
+    parser.add_argument("--force", action="store_true", help="add it even where the verdict is NO-IMPROVEMENT")
+    add_json(parser)
+
+
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Run the command."""
+    from impact_rs_analysis.diagnosis.document import add_effect, read_document
+    from impact_rs_sim.model import load_model, save_model
+
+    model = load_model(args.model)
+    document = read_document(args.source)
+    child = add_effect(model, args.model, document, args.source, args.effect, args.output, args.force)
+    with output_folder(args.output.parent):
+        save_model(child, args.output)
+    item = child.effects[-1]
+    terminal.result(
+        {
+            "file": str(args.output),
+            "model": {"name": child.name, "digest": child.digest},
+            "parent": child.parent,
+            "effect": item.model_dump(mode="json"),
+        }
+    )
+    found = document.effect(args.effect)
+    terminal.say(f"{args.output}: {model.name!r} and {args.effect} ({found.verdict if found else ''})")
+    for name, value in item.parameters.items():
+        interval = "" if value.ci95 is None else f" [{number(value.ci95[0])}, {number(value.ci95[1])}]"
+        terminal.say(f"  {name} = {number(value.estimate)}{interval} {value.unit}")
+    return 0

@@ -1,0 +1,115 @@
+"""``impact-rs analyze``: experimental estimates, prediction errors and the report."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from impact_rs_cli.terminal import Terminal, add_command, add_json, output_folder
+
+if TYPE_CHECKING:
+    from impact_rs_analysis.measure.analyze import Analysis
+
+TEXT = """\
+Compare the impact map's predictions with what a folder of trials shows.
+
+For every object and case: the net feedback of each trial over its post-impact reference velocity, a line through them,
+and its zero crossing, which is the experimental estimate of the post-impact velocity, with a 95 % interval. Errors are
+(prediction - estimate) / estimate in percent, for three models of the motor inertia. Writes report.html, which opens
+offline and on a phone, analysis.json, and the figures as PNG.
+
+Damaged or foreign bags are named and left out; trials without impact never enter a fit.
+
+example:
+  impact-rs analyze campaigns/push                  # report in campaigns/push/report
+  impact-rs analyze campaigns/push -o /tmp/report --json
+
+Units: speeds in m/s along the scenario's axis, errors in percent."""
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "analyze", run, "compare predictions with recorded trials", TEXT)
+    parser.add_argument("directory", metavar="DIR", help="folder whose subfolders are bags of trials, or URL")
+    parser.add_argument(
+        "-o", dest="output", type=Path, metavar="REPORT_DIR", help="folder for the report; default: DIR/report"
+    )
+    add_json(parser)
+
+
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Run the command."""
+    from impact_rs_sim.errors import InputError
+    from impact_rs_trials.campaign import MANIFEST
+    from impact_rs_trials.store import is_url, local_copy
+
+    if is_url(args.directory) and args.output is None:
+        raise InputError("expected a folder for the report: -o REPORT_DIR", file=args.directory)
+    with local_copy(args.directory, (MANIFEST,)) as directory:
+        return report_on(directory, args.output, terminal)[0]
+
+
+def report_on(directory: Path, output: Path | None, terminal: Terminal) -> tuple[int, Path]:
+    """Analyse, write the report and show the table; exit code and path of the report."""
+    from impact_rs_analysis.measure.analyze import analyze_campaign
+
+    with terminal.progress("reading bags") as tell:
+        analysis = analyze_campaign(directory, tell)
+    report = publish(analysis, output or directory / "report", terminal)
+    if not analysis.sets:
+        terminal.warn("no set has enough trials for an estimate; see above what is missing")
+    return (0 if analysis.sets else 1), report
+
+
+def publish(analysis: Analysis, directory: Path, terminal: Terminal) -> Path:
+    """Write the report and show what is in it; returns its page."""
+    from impact_rs_analysis.report import write_report
+
+    with output_folder(directory) as folder, terminal.progress("report") as tell:
+        report = write_report(analysis, folder, tell)[0]
+    terminal.result(analysis.to_json())
+    _show(analysis, terminal)
+    terminal.say(f"report: {report.resolve()}")
+    return report
+
+
+def _show(analysis: Analysis, terminal: Terminal) -> None:
+    """Show the table, and what did not enter it."""
+    from rich.table import Table
+
+    from impact_rs_analysis.measure.table import result_table
+
+    rows = result_table(analysis)
+    if rows:
+        table = Table(title="Experimental estimate, and errors of the predictions [%]")
+        table.add_column("", no_wrap=True)
+        table.add_column("estimate [m/s]", justify="right")
+        for heading in ("B_θ (nominal)", "B_ρ", "B = 0"):
+            table.add_column(heading, justify="right")
+        published = any(row.paper_errors for row in rows)
+        if published:
+            table.add_column("published B_θ", justify="right")
+        for row in rows:
+            estimate = "" if row.estimate is None else f"{row.estimate:.3f}"
+            if row.half_interval is not None:
+                estimate += f" ± {row.half_interval:.3f}"
+            form = "{:+.2f}" if row.signed else "{:.2f}"
+            cells = [form.format(error) for error in row.errors.values()]
+            if published:
+                cells.append("" if row.paper_errors is None else form.format(row.paper_errors["reduced"]))
+            table.add_row(row.label, estimate, *cells)
+        terminal.say(table)
+    for entry in analysis.incomplete:
+        terminal.say(f"no estimate for {entry.object} {entry.case}: {entry.reason}")
+    for bag in analysis.skipped:
+        terminal.say(f"skipped {bag.name}: {bag.reason}")
+    if analysis.no_impact:
+        terminal.say(f"without impact, not in the fit: {', '.join(analysis.no_impact)}")
+    for name, spread in analysis.apart:
+        terminal.say(
+            f"{name}: {1e3 * spread:.0f} ms between its arms' impacts, so its feedback is not that of one impact"
+        )
+    if analysis.missing:
+        shown = ", ".join(analysis.missing[:5]) + (", ..." if len(analysis.missing) > 5 else "")
+        terminal.say(f"{len(analysis.missing)} trials of the manifest are missing: {shown}")

@@ -1,0 +1,75 @@
+"""``impact-rs blind``: campaigns with a hidden effect, and how a diagnosis of them did."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from impact_rs_cli.arguments import add_jobs, started
+from impact_rs_cli.terminal import PROGRAM, Parser, Terminal, add_command, add_json, output_folder
+
+TEXT = f"""\
+Make a campaign whose plant hides an effect, or hold a diagnosis against the truth.
+
+make draws effect and size from SEED, records pushes and free motions into DIR/runs, and writes DIR/truth.json, which
+only score reads. Kinds: single, pair, null (nothing hidden), outside (something the library does not have).
+
+example:
+  {PROGRAM} blind make 7 -o blind_7 --size small
+  {PROGRAM} diagnose blind_7/runs -o diagnosis.json
+  {PROGRAM} blind score blind_7 --diagnosis diagnosis.json
+
+Units: those of the hidden parameters are in truth.json."""
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "blind", make, "make a campaign with a hidden effect, or score a diagnosis", TEXT)
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True, parser_class=Parser)
+    maker = add_command(actions, "make", make, "make a campaign with a hidden effect", TEXT)
+    maker.add_argument("seed", type=int, metavar="SEED", help="whole number; the same seed hides the same")
+    maker.add_argument("-o", dest="output", type=Path, required=True, metavar="DIR", help="folder of the campaign")
+    maker.add_argument("--kind", choices=("single", "pair", "null", "outside"), default="single", help="%(default)s")
+    maker.add_argument("--effect", metavar="NAME", help="hide this one; default: drawn")
+    maker.add_argument("--size", choices=("small", "full"), default="small", help="default: %(default)s")
+    add_jobs(maker)
+    add_json(maker)
+    scorer = add_command(actions, "score", score, "hold a diagnosis against the truth", TEXT)
+    scorer.add_argument("directory", type=Path, metavar="DIR", help="folder of the campaign")
+    scorer.add_argument(
+        "--diagnosis", type=Path, required=True, metavar="FILE.json", help="diagnosis of its folder runs"
+    )
+    add_json(scorer)
+
+
+def make(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Make a blind campaign."""
+    from impact_rs_sim.errors import InputError
+    from impact_rs_trials import blind
+
+    if args.seed < 0:
+        raise InputError(f"seed = {args.seed}: expected a whole number >= 0")
+    done = 0
+    with output_folder(args.output), started(args) as map_tasks, terminal.progress("trials") as tell:
+        for done, total in blind.make(args.output, args.seed, map_tasks, args.kind, args.effect, args.size):
+            tell(done, total)
+    runs = args.output / blind.RUNS
+    terminal.result({"directory": str(args.output), "runs": str(runs), "trials": done, "kind": args.kind})
+    terminal.say(f"{done} trials in {runs}", f"next: {PROGRAM} diagnose {runs} -o diagnosis.json")
+    return 0
+
+
+def score(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Score a diagnosis."""
+    from impact_rs_analysis.diagnosis.document import read_document
+    from impact_rs_analysis.diagnosis.scoring import score as hold_against
+
+    found = hold_against(args.directory, read_document(args.diagnosis), args.diagnosis)
+    terminal.result({**vars(found), "truth": list(found.truth), "named": list(found.named)})
+    cover = "" if found.intervals_cover is None else "; {} of {} intervals hold the truth".format(*found.covered)
+    terminal.say(
+        f"{'right' if found.correct else 'wrong'}: {found.kind}, hidden {', '.join(found.truth) or 'nothing'}, "
+        f"named {', '.join(found.named) or 'nothing'}{cover}"
+    )
+    return 0

@@ -1,0 +1,100 @@
+"""``impact-rs effects``: the library of physical effects."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json
+
+if TYPE_CHECKING:
+    from impact_rs_sim.effects import Effect
+
+TEXT = f"""\
+List the physical effects that a model may have and that diagnose considers, or explain one of them.
+
+Your own come by a Python entry point (group impact_rs.effects) or by a YAML file of formulas (--formulas checks it).
+
+example:
+  {PROGRAM} effects
+  {PROGRAM} effects torque_offset
+  {PROGRAM} effects --formulas cable.yaml
+
+Units: with every parameter."""
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "effects", run, "list the library of physical effects", TEXT)
+    parser.add_argument("name", nargs="?", metavar="NAME", help="one effect; default: all")
+    parser.add_argument("--formulas", type=Path, metavar="FILE.yaml", help="list those of a formula file as well")
+    add_json(parser)
+
+
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Run the command."""
+    from rich.table import Table
+
+    from impact_rs_sim.effects import library
+    from impact_rs_sim.errors import InputError, did_you_mean
+
+    known: dict[str, Effect] = dict(library())
+    if args.formulas is not None:
+        from impact_rs_sim.effects.formula import load_formulas
+
+        known |= load_formulas(args.formulas)
+    if args.name is not None and args.name not in known:
+        raise InputError(
+            f"no effect {args.name!r}{did_you_mean(args.name, known)}; known effects: {', '.join(sorted(known))}"
+        )
+    chosen = known if args.name is None else {args.name: known[args.name]}
+    terminal.result({"effects": [_describe(effect) for effect in chosen.values()]})
+    if args.name is None:
+        table = Table(title=f"Library of physical effects; {PROGRAM} effects NAME tells more")
+        table.add_column("effect", no_wrap=True)
+        table.add_column("acts on", no_wrap=True)
+        table.add_column("what it is")
+        for effect in chosen.values():
+            table.add_row(effect.name, effect.acts_on, effect.sentence)
+        terminal.say(table)
+        return 0
+    effect = chosen[args.name]
+    phases = "free motion and contact" if len(effect.phases) == 2 else effect.phases[0]
+    terminal.say(f"{effect.name}: {effect.sentence}", f"acts on: {effect.acts_on}; seen in: {phases}")
+    table = Table(title="Parameters")
+    for heading in ("parameter", "unit", "does nothing at", "bounds", "noticeable", "what it is"):
+        table.add_column(heading)
+    for parameter in effect.parameters:
+        table.add_row(
+            parameter.name + (" (per joint)" if parameter.per_joint else ""),
+            parameter.unit,
+            f"{parameter.nominal:g}",
+            f"{parameter.lower:g} ... {parameter.upper:g}",
+            f"{parameter.scale:g}",
+            parameter.meaning,
+        )
+    terminal.say(table)
+    return 0
+
+
+def _describe(effect: Effect) -> dict[str, Any]:
+    return {
+        "name": effect.name,
+        "acts_on": effect.acts_on,
+        "sentence": effect.sentence,
+        "phases": list(effect.phases),
+        "parameters": [
+            {
+                "name": parameter.name,
+                "unit": parameter.unit,
+                "nominal": parameter.nominal,
+                "lower": parameter.lower,
+                "upper": parameter.upper,
+                "scale": parameter.scale,
+                "per_joint": parameter.per_joint,
+                "meaning": parameter.meaning,
+            }
+            for parameter in effect.parameters
+        ],
+    }

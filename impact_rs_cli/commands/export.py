@@ -1,0 +1,57 @@
+"""``impact-rs export``: a campaign as one file for other tools."""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+from impact_rs_cli.arguments import add_jobs, started, warn_skipped
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
+
+TEXT = f"""\
+Write a campaign into one file: .parquet has a row per trial, .h5 (or .hdf5) has every measured signal.
+
+A row says scenario, object, case, scale, repeat, seed, outcome, predicted and reference velocity, net feedback and
+impact times. In HDF5 every trial is a group, with a group per arm (joint states, motor states, commands, controller
+state) and one for the object. Ground truth of the simulated plant is not exported. A bag that cannot be read is told
+and left out.
+
+example:
+  {PROGRAM} export campaigns/push -o push.parquet
+  {PROGRAM} export s3://bucket/push -o push.h5
+
+Needs pyarrow for .parquet and h5py for .h5 (both are in the extra "export").
+
+Units: names of columns end with theirs; datasets have an attribute units."""
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "export", run, "write a campaign into one Parquet or HDF5 file", TEXT)
+    parser.add_argument("campaign", metavar="CAMPAIGN", help="folder with bags of trials, however deep, or URL")
+    parser.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE", help=".parquet, .h5 or .hdf5")
+    add_jobs(parser)
+    add_json(parser)
+
+
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Run the command."""
+    from impact_rs_analysis.measure.export import check_target, export
+    from impact_rs_trials.store import local_copy
+
+    check_target(args.output)
+    with (
+        local_copy(args.campaign) as directory,
+        # Signals are read in this process: they would be most of the work to pass on.
+        started(args) if args.output.suffix == ".parquet" else nullcontext(map) as map_tasks,
+        output_folder(args.output.parent),
+        terminal.progress("reading bags") as tell,
+    ):
+        found = export(directory.absolute(), args.output, map_tasks, tell)
+    warn_skipped([(bag.name, bag.reason) for bag in found.skipped], terminal)
+    skipped = [vars(bag) for bag in found.skipped]
+    terminal.result({"file": str(args.output), "trials": found.trials, "skipped": skipped})
+    terminal.say(f"{found.trials} trials in {args.output}")
+    return 0

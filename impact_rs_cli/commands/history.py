@@ -1,0 +1,76 @@
+"""``impact-rs history``: how the error fell from model to model."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from impact_rs_cli.arguments import RUNS, add_jobs, number, on_local_runs, read, started
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
+
+if TYPE_CHECKING:
+    from impact_rs_analysis.diagnosis.history import VersionError
+
+TEXT = f"""\
+Show the error of every version of a model, from the first parent to the file that is named.
+
+Two errors: with the parameters as they stand in the file, and held out: in every condition with the parameters of the
+added effect fitted to all other conditions. The second cannot be bettered by fitting noise.
+
+example:
+  {PROGRAM} history model_3.yaml --runs campaigns/blind/runs
+  {PROGRAM} history model_3.yaml --runs campaigns/blind/runs -o report --json
+
+Units: errors are multiples of what repetition explains."""
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "history", run, "show how the error fell from model to model", TEXT)
+    parser.add_argument("model", type=Path, metavar="MODEL.yaml", help="the last model")
+    parser.add_argument("--runs", required=True, metavar="RUNS", help=RUNS)
+    parser.add_argument("-o", dest="output", type=Path, metavar="DIR", help="folder for an HTML page with the plot")
+    add_jobs(parser)
+    add_json(parser)
+
+
+@on_local_runs
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Run the command."""
+    from impact_rs_analysis.diagnosis.history import history, versions
+
+    versions(args.model)  # a broken chain is told before anything is read
+    with started(args) as map_tasks:
+        runs = read(args.runs, map_tasks, terminal)
+        with terminal.stages() as tell:
+            found = history(args.model, runs, map_tasks, tell)
+    terminal.result({"history": [entry.to_json() for entry in found]})
+    show_history(found, terminal)
+    if args.output is not None:
+        from impact_rs_analysis.report.loop import write_history
+
+        with output_folder(args.output):
+            path = write_history(found, args.output)
+        terminal.say(f"plot: {path.resolve()}")
+    return 0
+
+
+def show_history(found: list[VersionError], terminal: Terminal) -> None:
+    """The table."""
+    from rich.table import Table
+
+    table = Table(title="Error per model version [multiples of what repetition explains]")
+    for heading in ("model", "effect added"):
+        table.add_column(heading)
+    for heading in ("fit", "held out", "repetition alone"):
+        table.add_column(heading, justify="right")
+    for entry in found:
+        table.add_row(
+            entry.version.model.name,
+            entry.version.effect_added or "–",
+            number(entry.error_fit),
+            "–" if entry.error_held_out is None else number(entry.error_held_out),
+            "–" if entry.noise_floor is None else number(entry.noise_floor),
+        )
+    terminal.say(table)

@@ -1,0 +1,58 @@
+"""``impact-rs paper``: the published experiment as a measurement."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
+
+TEXT = f"""\
+Take the 18 published rows (config/paper/tables.yaml) as a measurement: which motor inertia would explain them?
+
+The published predictions are known for no motor inertia, for B_theta and for B_rho = 3 B_theta. In between they are
+interpolated by a parabola in s, B = s B_theta. Gives the s with the least mean absolute mismatch, its interval from
+resampling the rows, the mismatch of rows that the fit has not seen, and the rows that no motor inertia between 0 and
+B_rho explains.
+
+example:
+  {PROGRAM} paper
+  {PROGRAM} paper --json -o report
+
+Units: mismatch is (prediction - estimate) / estimate in percent; the scale has none."""
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "paper", run, "what a motor-inertia scale explains in the published rows", TEXT)
+    parser.add_argument("-o", dest="output", type=Path, metavar="REPORT_DIR", help="folder for figure and table")
+    add_json(parser)
+
+
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Run the command."""
+    from rich.table import Table
+
+    from impact_rs_analysis.measure.paper import study_paper, write_paper
+
+    study = study_paper()
+    terminal.result(study.to_json())
+    table = Table(title="Motor-inertia scale that suits the published rows best")
+    for heading in ("rows", "scale", "95 % interval", "mismatch at 1 [%]", "fitted [%]", "rows not seen [%]"):
+        table.add_column(heading, justify="left" if heading == "rows" else "right")
+    fits = {"all": study.all_rows, **study.by_scenario, "all, hyperbolas": study.other_curve}
+    for name, fit in fits.items():
+        low, high = fit.interval
+        table.add_row(
+            name, f"{fit.scale:.2f}", f"{low:.2f} ... {high:.2f}", f"{fit.error_nominal:.2f}",
+            f"{fit.error_fitted:.2f}", f"{fit.error_held_out:.2f}",
+        )  # fmt: skip
+    terminal.say(table)
+    terminal.say(f"no motor inertia between 0 and B_rho explains: {', '.join(study.unexplained)}")
+    terminal.say(f"{study.verdict}: {study.sentence}")
+    if args.output is not None:
+        with output_folder(args.output):
+            written = write_paper(study, args.output)
+        terminal.say(f"report: {written[0].resolve()}")
+    return 0

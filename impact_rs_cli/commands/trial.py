@@ -1,0 +1,71 @@
+"""``impact-rs trial``: one trial in-process."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from impact_rs_cli.terminal import Terminal, add_command, add_json, output_folder
+
+TEXT = """\
+Run one trial of a scenario in this process and record it as a bag.
+
+--scale multiplies the post-impact reference velocity that the impact map predicts; 1.0 follows the prediction. The
+trial is the same as repeat 0 of a campaign with the same seed.
+
+example:
+  impact-rs trial push cat_food case_2 --scale 0.9 --seed 7 -o trials
+  impact-rs analyze trials        # from three scales on: where does the net feedback cross zero?
+
+Units: the scale has none; speeds are in m/s."""
+
+
+def add(subparsers: Any) -> None:
+    """Declare the command."""
+    parser = add_command(subparsers, "trial", run, "run one trial and record it", TEXT)
+    parser.add_argument("scenario", metavar="SCENARIO", help="name of a scenario, or path of its YAML file")
+    parser.add_argument("object", metavar="OBJECT", help="name of an object of the scenario")
+    parser.add_argument("case", metavar="CASE", help="name of a case of the scenario; 2 is short for case_2")
+    parser.add_argument(
+        "--scale", type=float, default=1.0, metavar="S", help="post-impact reference over prediction [-]"
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of scatter and noise; default: 0")
+    parser.add_argument("-o", dest="output", type=Path, required=True, metavar="DIR", help="folder for the bag")
+    add_json(parser)
+
+
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Run the command."""
+    from impact_rs_analysis.measure.net_feedback import net_feedback
+    from impact_rs_sim.errors import InputError
+    from impact_rs_trials.bags.reader import TrialBag
+    from impact_rs_trials.campaign import make_manifest, run_one
+
+    manifest = make_manifest(args.scenario, [args.object], [args.case], [args.scale], 1, args.seed)
+    key = manifest.keys[0]
+    path = args.output / key.name
+    if path.exists():
+        raise InputError("this bag exists already", file=path)
+    with output_folder(args.output), terminal.progress(key.name) as report:
+        report(0, 1)
+        outcome = run_one(args.output, manifest.trial(key)).outcome
+        report(1, 1)
+    trial = net_feedback(TrialBag(path))
+    terminal.result(
+        {
+            "bag": str(path),
+            "outcome": outcome,
+            "axis": trial.info.axis,
+            "impact_time_s": [None if time != time else time for time in trial.impact_times],
+            "predicted_post_velocity_m_s": trial.info.predicted_post_velocity,
+            "reference_post_velocity_m_s": trial.info.reference_post_velocity,
+            "net_feedback_m_s": trial.net,
+        }
+    )
+    terminal.say(
+        f"{outcome}: net feedback {trial.net:+.4f} m/s along {trial.info.axis} at a post-impact reference of "
+        f"{trial.info.reference_post_velocity:+.4f} m/s",
+        f"bag: {path}",
+    )
+    return 0 if outcome == "OK" else 1

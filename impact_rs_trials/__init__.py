@@ -1,0 +1,1 @@
+"""Trials: what one is, where it is recorded, and campaigns of them; other people's recordings as well."""

@@ -1,0 +1,195 @@
+"""Reading trials back, as columns. Ground truth stays where it is unless it is asked for by name."""
+
+from __future__ import annotations
+
+import math
+import weakref
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.rosbag2 import Reader, ReaderError
+
+from impact_rs_sim.robot import Array
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.cdr import decode
+from impact_rs_trials.bags.trial_info import TrialInfo
+from impact_rs_trials.bags.types import typestore
+
+
+class BagError(Exception):
+    """A folder that is no readable trial: truncated, empty or foreign. The message names the folder and says why."""
+
+    def __init__(self, path: Path, reason: str) -> None:
+        self.path = path
+        self.reason = reason
+        super().__init__(f"{path}: {reason}")
+
+
+@dataclass(frozen=True)
+class JointColumns:
+    """One ``sensor_msgs/JointState`` topic as columns.
+
+    Attributes:
+        time: Header stamps, ``(k,)`` [s].
+        position: ``(k, n)`` [rad]; empty where the topic has none.
+        velocity: ``(k, n)`` [rad/s]; empty where the topic has none.
+        effort: ``(k, n)`` [N m]; empty where the topic has none.
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    effort: Array
+
+
+@dataclass(frozen=True)
+class ControllerColumns:
+    """The ``ControllerState`` topic of one arm as columns; see the message for units and frames.
+
+    ``(k,)`` for scalars, ``(k, 3)``, ``(k, 6)`` or ``(k, n)`` for vectors.
+    """
+
+    time: Array
+    mode: Array
+    gamma: Array
+    ante_position: Array
+    ante_velocity: Array
+    ante_acceleration: Array
+    post_position: Array
+    post_velocity: Array
+    post_acceleration: Array
+    ante_posture: Array
+    post_posture: Array
+    position: Array
+    twist: Array
+    feedback_acceleration: Array
+    net_feedback: Array
+    commanded_torque: Array
+    external_wrench: Array
+    qp_status: Array
+    qp_iterations: Array
+    qp_solve_time: Array
+
+
+@dataclass(frozen=True)
+class PoseColumns:
+    """One ``geometry_msgs/PoseStamped`` topic as columns.
+
+    Attributes:
+        time: Header stamps, ``(k,)`` [s].
+        position: ``(k, 3)`` [m].
+        quaternion: x y z w, ``(k, 4)``.
+    """
+
+    time: Array
+    position: Array
+    quaternion: Array
+
+
+class TrialBag:
+    """One trial on disk; a topic is read when it is asked for.
+
+    Args:
+        path: Folder of the bag.
+
+    Raises:
+        BagError: The folder is no readable bag, or holds no ``/trial_info``.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._store = typestore()
+        if not path.is_dir():
+            raise BagError(path, "a bare file; a trial is a folder with metadata.yaml")
+        if not (path / "metadata.yaml").is_file():
+            reason = "no metadata.yaml: the recording was cut off" if any(path.iterdir()) else "an empty folder"
+            raise BagError(path, reason)
+        self._reader = Reader(path)
+        try:
+            self._reader.open()
+            weakref.finalize(self, self._reader.close)
+            self.counts = {connection.topic: connection.msgcount for connection in self._reader.connections}
+            self.metadata: dict[str, str] = dict(self._reader.storage.metadata.custom or {})
+        except (ReaderError, OSError) as error:
+            raise BagError(path, f"not a readable bag ({error})") from None
+        except Exception as error:  # a damaged file can fail anywhere inside the library
+            raise BagError(path, f"damaged bag ({type(error).__name__}: {error})") from None
+        if self.counts.get(topics.TRIAL_INFO) is None:
+            raise BagError(path, f"no {topics.TRIAL_INFO}: not a trial of impact_rs")
+        info = self.messages(topics.TRIAL_INFO)
+        if not info:
+            raise BagError(path, f"{topics.TRIAL_INFO} is empty: the recording was cut off")
+        try:
+            self.info = TrialInfo.from_message(info[0])
+        except AttributeError as error:
+            raise BagError(path, f"{topics.TRIAL_INFO} is of another kind: {error}") from None
+
+    @property
+    def outcome(self) -> str:
+        """``OK``, ``NO-IMPACT``, ``DROPPED`` or ``ABORTED``; the last where the recorder wrote nothing."""
+        return self.metadata.get("outcome", "ABORTED")
+
+    def _raw(self, topic: str) -> tuple[str, list[bytes]]:
+        """Type and serialized messages of a topic."""
+        connections = [c for c in self._reader.connections if c.topic == topic]
+        if not connections:
+            return "", []
+        try:
+            rows = [data for _, _, data in self._reader.messages(connections=connections)]
+        except Exception as error:  # as above
+            raise BagError(self.path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
+        expected = connections[0].msgcount
+        if len(rows) < expected:
+            raise BagError(self.path, f"{topic}: damaged ({len(rows)} of {expected} messages are left)")
+        return connections[0].msgtype, rows
+
+    def messages(self, topic: str) -> list[Any]:
+        """All messages of a topic, as objects of the ``rosbags`` typestore.
+
+        Raises:
+            BagError: The bag breaks off inside this topic.
+        """
+        kind, rows = self._raw(topic)
+        try:
+            return [self._store.deserialize_cdr(data, kind) for data in rows]
+        except Exception as error:
+            raise BagError(self.path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
+
+    def _columns(self, topic: str) -> dict[str, Array]:
+        """All numbers of a topic by field path, and ``time`` from the header stamps [s]."""
+        kind, rows = self._raw(topic)
+        try:
+            columns = decode(self._store, kind, rows)
+        except Exception as error:
+            raise BagError(self.path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
+        if columns:
+            columns["time"] = columns["header.stamp.sec"] + 1e-9 * columns["header.stamp.nanosec"]
+        return columns
+
+    def joints(self, topic: str) -> JointColumns:
+        """A JointState topic."""
+        columns = self._columns(topic)
+        return JointColumns(*(_column(columns, name) for name in ("time", "position", "velocity", "effort")))
+
+    def controller(self, arm: str) -> ControllerColumns:
+        """The ControllerState topic of an arm."""
+        columns = self._columns(topics.controller_state(arm))
+        return ControllerColumns(**{name: _column(columns, name) for name in ControllerColumns.__dataclass_fields__})
+
+    def poses(self, topic: str) -> PoseColumns:
+        """A PoseStamped topic."""
+        columns = self._columns(topic)
+        position = [_column(columns, f"pose.position.{axis}") for axis in "xyz"]
+        quaternion = [_column(columns, f"pose.orientation.{axis}") for axis in "xyzw"]
+        return PoseColumns(_column(columns, "time"), np.stack(position, axis=-1), np.stack(quaternion, axis=-1))
+
+    def impact_time(self, arm: str) -> float:
+        """Detected impact time of an arm [s]; NaN where nothing was detected."""
+        found = self.messages(topics.impact_event(arm))
+        return float(found[0].detected_time) if found else math.nan
+
+
+def _column(columns: dict[str, Array], name: str) -> Array:
+    return columns[name].astype(float) if columns else np.zeros(0)

@@ -1,0 +1,150 @@
+"""Run a trial in-process and record what the nodes would record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pinocchio as pin
+
+from impact_rs_control.closed_loop import Tick, make_plant, run_closed_loop, without_garbage_collection
+from impact_rs_control.plan import TrialPlan
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.plant import Measurement, PlantExtension, Truth
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scene import Scene
+from impact_rs_sim.urdf import write_scene_urdf
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.messages import TF_PERIOD, MessageMaker, RosbagsTypes
+from impact_rs_trials.bags.outcome import outcome_of
+from impact_rs_trials.bags.trial_info import Outcome, TrialInfo
+from impact_rs_trials.bags.writer import BagWriter
+
+
+def scene_urdf(plan: TrialPlan) -> str:
+    """URDF of the scene for ``/robot_description``."""
+    physics = plan.scene.physics
+    x, y, z = physics.object.size.tolist()
+    support = None if physics.support_height is None else (physics.support_height, physics.support_size)
+    arms = {name: (arm.facts, arm.end_effector) for name, arm in physics.arms.items()}
+    return write_scene_urdf(arms, (x, y, z), support)
+
+
+class FrameSource:
+    """Frames for ``/tf``, from measurements alone."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._models = scene.models
+        self._every = max(1, round(TF_PERIOD / scene.scenario.timing.control_period))
+        self._object = pin.SE3(scene.object.rotation, scene.object.position)
+
+    def due(self, tick: int) -> bool:
+        """Whether transforms are published in this tick."""
+        return tick % self._every == 0
+
+    def frames(self, measurement: Measurement) -> dict[str, pin.SE3]:
+        """Placement of every link, the object and the support in the world frame."""
+        seen = measurement.object
+        return self.placements(
+            {name: arm.position for name, arm in measurement.arms.items()},
+            None if seen is None else (seen.position, seen.quaternion),
+        )
+
+    def placements(self, arms: dict[str, Array], seen: tuple[Array, Array] | None) -> dict[str, pin.SE3]:
+        """The same from joint positions by arm, and position and quaternion of the object where it was seen."""
+        frames = {"support": pin.SE3.Identity()}
+        for name, model in self._models.items():
+            frames |= {f"{name}_{link}": placement for link, placement in model.link_placements(arms[name]).items()}
+        if seen is not None:
+            position, quaternion = seen
+            self._object = pin.SE3(pin.Quaternion(quaternion).matrix(), position)
+        frames["object"] = self._object
+        return frames
+
+
+def plant_messages(
+    maker: MessageMaker, tick: int, measurement: Measurement, truth: Truth, frames: FrameSource
+) -> Iterator[tuple[str, Any]]:
+    """What the plant publishes in one tick: measurements first, they are awaited."""
+    for arm, measured in measurement.arms.items():
+        yield topics.joint_states(arm), maker.joint_states(tick, arm, measured)
+    for arm, measured in measurement.arms.items():
+        yield topics.motor_states(arm), maker.motor_states(tick, arm, measured)
+    for arm, state in truth.arms.items():
+        yield topics.truth_joint_states(arm), maker.joint_states(tick, arm, state)
+        yield topics.truth_contact_wrench(arm), maker.truth_contact_wrench(tick, state)
+    yield from occasional_messages(maker, tick, measurement, truth, frames)
+
+
+def occasional_messages(
+    maker: MessageMaker, tick: int, measurement: Measurement, truth: Truth, frames: FrameSource
+) -> Iterator[tuple[str, Any]]:
+    """What the plant does not publish in every tick."""
+    if measurement.object is not None:
+        yield topics.OBJECT_POSE, maker.object_pose(tick, measurement.object)
+    if truth.object is not None:
+        yield topics.TRUTH_OBJECT_POSE, maker.truth_object_pose(tick, truth.object)
+        yield topics.TRUTH_OBJECT_TWIST, maker.truth_object_twist(tick, truth.object)
+    if frames.due(tick):
+        yield topics.TF, maker.transforms(tick, frames.frames(measurement))
+        yield topics.CLOCK, maker.clock(tick)
+
+
+def controller_messages(maker: MessageMaker, tick: int, commands: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """What the controller publishes in one tick: torques first, they are awaited."""
+    for arm, command in commands.items():
+        yield topics.joint_command(arm), maker.joint_command(tick, arm, command.torque)
+    for arm, command in commands.items():
+        yield topics.controller_state(arm), maker.controller_state(tick, arm, command)
+        if command.detection is not None:
+            yield topics.impact_event(arm), maker.impact_event(tick, arm, command.detection)
+
+
+def record_trial(
+    plan: TrialPlan,
+    info: TrialInfo,
+    path: Path,
+    physics: Physics | None = None,
+    extension: PlantExtension | None = None,
+) -> tuple[Outcome, dict[str, Array]]:
+    """Run one trial in lockstep and write its bag.
+
+    Args:
+        plan: What to do.
+        info: Identity; its seed makes the scatter and the noise.
+        path: Folder of the bag.
+        physics: True physics of the plant; None: the scenario's.
+        extension: What the plant does beyond its physics.
+
+    Returns:
+        Outcome, and net feedback ``(3,)`` [m/s] by arm.
+
+    Raises:
+        InputError: The bag exists or cannot be written.
+    """
+    maker = MessageMaker(RosbagsTypes(), plan)
+    frames = FrameSource(plan.scene)
+    plant = make_plant(plan, info.seed, physics, extension)
+    try:
+        with without_garbage_collection(), BagWriter(path, list(plan.arms)) as bag:
+            bag.describe(info)
+            bag.write(topics.TRIAL_INFO, 0, maker.trial_info(info))
+            bag.write(topics.ROBOT_DESCRIPTION, 0, maker.robot_description(scene_urdf(plan)))
+            detected: set[str] = set()
+            heights: list[float] = []
+            tick: Tick
+            for tick in run_closed_loop(plan, plant):
+                now = maker.nanoseconds(tick.number)
+                for topic, message in plant_messages(maker, tick.number, tick.measurement, plant.truth(), frames):
+                    bag.write(topic, now, message)
+                for topic, message in controller_messages(maker, tick.number, tick.commands):
+                    bag.write(topic, now, message)
+                detected |= {arm for arm, command in tick.commands.items() if command.detection is not None}
+                if tick.measurement.object is not None:
+                    heights.append(float(tick.measurement.object.position[2]))
+            outcome = outcome_of(plan, detected == set(plan.arms), heights[-1] - heights[0])
+            bag.finish(outcome)
+            return outcome, {arm: command.net_feedback for arm, command in tick.commands.items()}
+    finally:
+        plant.close()

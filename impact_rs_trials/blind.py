@@ -1,0 +1,230 @@
+"""Hidden-effect campaigns: a plant with an effect that only ``truth.json`` knows.
+
+``make`` draws an effect and its size from a seed, records a campaign with it (``DIR/runs``) and writes the truth beside
+it, which ``blind score`` alone reads.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from impact_rs_control.plan import plan_trial
+from impact_rs_sim.effects import library
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import JOINT_COUNT
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import Scene
+from impact_rs_sim.unmodelled import OUTSIDE
+from impact_rs_trials.bags.record import record_trial
+from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
+from impact_rs_trials.bags.writer import partial_path
+from impact_rs_trials.store import Folder, owned
+from impact_rs_trials.workers import Map
+
+KINDS = ("single", "pair", "null", "outside")
+TRUTH = "truth.json"
+RUNS = "runs"
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """One hidden effect.
+
+    Attributes:
+        name: Effect.
+        values: Its parameters, in the order of its scalars.
+        magnitude: Size in parameter scales.
+    """
+
+    name: str
+    values: tuple[float, ...]
+    magnitude: float
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large a campaign is: objects and cases of the push, repeats of push and excursion."""
+
+    objects: tuple[str, ...]
+    cases: tuple[str, ...]
+    repeats: int
+    excite_repeats: int
+
+
+SIZES = {
+    "small": Size(("parcel", "juice"), ("case_1", "case_2"), 3, 3),
+    "full": Size(("parcel", "cat_food", "juice"), ("case_1", "case_2", "case_3"), 4, 4),
+}
+
+
+def draw(name: str, magnitude: float, rng: np.random.Generator) -> Hidden:
+    """Parameter values of an effect, ``magnitude`` parameter scales away from nominal, in a random direction.
+
+    Where the nominal value is a bound (friction cannot be negative) the effect goes the only way it can; values beyond
+    a bound stop 10 % short of it.
+    """
+    effect = library()[name]
+    values = []
+    for scalar in effect.scalars(JOINT_COUNT):
+        size = magnitude * scalar.scale * rng.uniform(0.7, 1.3)
+        up = scalar.upper - scalar.nominal > 0.0 and (scalar.nominal <= scalar.lower or rng.random() < 0.5)
+        room = 0.9 * (scalar.upper - scalar.nominal if up else scalar.nominal - scalar.lower)
+        values.append(scalar.nominal + (1.0 if up else -1.0) * min(size, room))
+    if name == "joint_stribeck_friction":
+        values[-1] = float(rng.uniform(0.03, 0.15))
+    if name == "end_effector_payload":
+        values[0] = min(magnitude * 0.1 * rng.uniform(0.7, 1.3), 2.7)
+        values[1:] = [float(rng.uniform(low, high)) for low, high in ((-0.04, 0.04), (-0.04, 0.04), (-0.1, 0.02))]
+    return Hidden(name, tuple(float(value) for value in values), magnitude)
+
+
+def draw_truth(seed: int, kind: str, effect: str | None, magnitude: float | None) -> list[Hidden]:
+    """The hidden effects of a campaign.
+
+    Raises:
+        InputError: Unknown kind or effect.
+    """
+    if kind not in KINDS:
+        raise InputError(f"no kind {kind!r}; known: {', '.join(KINDS)}")
+    names = sorted(library())
+    if effect is not None and kind == "single" and effect not in names:
+        raise InputError(f"no effect {effect!r}; known effects: {', '.join(names)}")
+    rng = np.random.default_rng([seed, KINDS.index(kind)])
+    count = {"single": 1, "pair": 2}.get(kind, 0)
+    chosen = [effect] if effect is not None and count == 1 else list(rng.choice(names, size=count, replace=False))
+    return [
+        draw(str(name), magnitude if magnitude is not None else float(np.exp(rng.uniform(0.0, np.log(10.0)))), rng)
+        for name in chosen
+    ]
+
+
+def draw_outside(seed: int, name: str | None, magnitude: float | None) -> tuple[str, float]:
+    """An effect that is not in the library, and its size (1: noticeable).
+
+    Raises:
+        InputError: There is no such outside effect.
+    """
+    if name is not None and name not in OUTSIDE:
+        raise InputError(f"no outside effect {name!r}; known: {', '.join(OUTSIDE)}")
+    rng = np.random.default_rng([seed, KINDS.index("outside")])
+    chosen = name or str(rng.choice(list(OUTSIDE)))
+    return chosen, magnitude if magnitude is not None else float(np.exp(rng.uniform(0.0, np.log(4.0))))
+
+
+def hide(physics: Physics, hidden: list[Hidden]) -> Physics:
+    """Physics with the hidden effects."""
+    for item in hidden:
+        physics = library()[item.name].apply_vector(physics, np.array(item.values))
+    return physics
+
+
+@dataclass(frozen=True)
+class BlindTask:
+    """One trial of a blind campaign; everything a worker needs."""
+
+    directory: str
+    scenario: str
+    key: TrialKey
+    seed: int
+    hidden: tuple[Hidden, ...]
+    outside: str | None
+    magnitude: float
+
+
+def run_task(task: BlindTask) -> str:
+    """Record one trial; a finished one stands. Returns the outcome.
+
+    Raises:
+        InputError: This machine does not see the campaign's folder.
+    """
+    import shutil
+
+    path = Path(task.directory) / task.scenario / task.key.name
+    if not Path(task.directory).is_dir():
+        raise InputError("a worker does not find this folder; expected one that all workers share", file=task.directory)
+    if path.exists():
+        return "OK"
+    shutil.rmtree(partial_path(path), ignore_errors=True)
+    scene = Scene.resolve(load_scenario(task.scenario), task.key.object, task.key.case)
+    plan = plan_trial(scene, task.key.scale)
+    info = TrialInfo.of(plan, task.key, task.key.seed(task.seed), "inprocess")
+    physics = hide(scene.physics, list(task.hidden))
+    extension = None if task.outside is None else OUTSIDE[task.outside](task.magnitude, task.key.repeat)
+    outcome, _ = record_trial(plan, info, path, physics, extension)
+    return outcome
+
+
+def tasks(
+    directory: Path, seed: int, size: str, hidden: list[Hidden], outside: str | None, magnitude: float
+) -> list[BlindTask]:
+    """Every trial of a blind campaign.
+
+    Raises:
+        InputError: Unknown size.
+    """
+    if size not in SIZES:
+        raise InputError(f"no size {size!r}; known: {', '.join(SIZES)}")
+    plan = SIZES[size]
+    keys = [
+        ("push", TrialKey(name, case, 1.0, repeat))
+        for name in plan.objects
+        for case in plan.cases
+        for repeat in range(plan.repeats)
+    ]
+    keys += [
+        ("excite", TrialKey("none", case, 1.0, repeat))
+        for case in load_scenario("excite").cases
+        for repeat in range(plan.excite_repeats)
+    ]
+    runs = str((directory / RUNS).absolute())  # a worker process may stand elsewhere
+    return [BlindTask(runs, scenario, key, seed, tuple(hidden), outside, magnitude) for scenario, key in keys]
+
+
+def make(
+    directory: Path,
+    seed: int,
+    map_tasks: Map,
+    kind: str = "single",
+    effect: str | None = None,
+    size: str = "full",
+    magnitude: float | None = None,
+) -> Iterator[tuple[int, int]]:
+    """Make a blind campaign; yields (done, total) as trials end.
+
+    Raises:
+        InputError: Unknown kind, effect or size, or a folder that holds another blind campaign.
+    """
+    hidden = draw_truth(seed, kind, effect, magnitude)
+    outside, strength = (None, 0.0) if kind != "outside" else draw_outside(seed, effect, magnitude)
+    todo = tasks(directory, seed, size, hidden, outside, strength)
+    truth = {
+        "kind": kind,
+        "seed": seed,
+        "size": size,
+        "outside": outside,
+        "outside_magnitude": strength,
+        "effects": [{"name": item.name, "magnitude": item.magnitude, "parameters": _named(item)} for item in hidden],
+    }
+    path = directory / TRUTH
+    text = json.dumps(truth, indent=2) + "\n"
+    if path.exists() and path.read_text(encoding="utf-8") != text:
+        raise InputError("this folder holds another blind campaign; choose another folder", file=directory)
+    with owned(Folder(directory)):
+        (directory / RUNS).mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+        for done, _ in enumerate(map_tasks(run_task, todo), start=1):
+            yield done, len(todo)
+
+
+def _named(item: Hidden) -> dict[str, Any]:
+    scalars = library()[item.name].scalars(JOINT_COUNT)
+    return {
+        scalar.name: {"value": value, "unit": scalar.unit} for scalar, value in zip(scalars, item.values, strict=True)
+    }

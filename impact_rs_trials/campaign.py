@@ -1,0 +1,281 @@
+"""Campaigns: a folder of trials with a manifest, run in parallel, resumed where they stopped.
+
+A trial is a pure function of scenario, key and campaign seed, so it does not matter where or in which order trials run.
+``manifest.yaml`` says what the folder holds; a finished bag is never run again, a half-written one is.
+"""
+
+from __future__ import annotations
+
+import functools
+import shutil
+import socket
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import yaml
+from pydantic import Field
+
+from impact_rs_control.plan import TrialPlan, plan_trial
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.scene import Scene
+from impact_rs_sim.schema import PositiveVector, Schema, parse_yaml, validate
+from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.bags.record import record_trial
+from impact_rs_trials.bags.trial_info import Outcome, TrialInfo, TrialKey
+from impact_rs_trials.bags.writer import partial_path
+from impact_rs_trials.store import Store, open_store, owned
+from impact_rs_trials.workers import SchedulerLost, Workforce, as_they_end, client_of
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+MANIFEST = "manifest.yaml"
+
+
+class Manifest(Schema):
+    """What a campaign folder holds (``manifest.yaml``)."""
+
+    scenario: str = Field(description="name or path of the scenario file")
+    objects: tuple[str, ...] = Field(min_length=1, description="names of the objects")
+    cases: tuple[str, ...] = Field(min_length=1, description="full names of the cases")
+    velocity_scales: PositiveVector = Field(min_length=1, description="post-impact references [-]")
+    trials: int = Field(ge=1, description="repeats of every scale")
+    seed: int = Field(ge=0, description="seed of the campaign")
+    motor_inertia: str = Field("reduced", description="motor-inertia model of the reference")
+
+    @property
+    def keys(self) -> list[TrialKey]:
+        """Every trial of the campaign, in order."""
+        return [
+            TrialKey(name, case, scale, repeat)
+            for name in self.objects
+            for case in self.cases
+            for scale in self.velocity_scales
+            for repeat in range(self.trials)
+        ]
+
+    def trial(self, key: TrialKey) -> Trial:
+        """One trial, with all that is needed to run it anywhere.
+
+        Raises:
+            InputError: There is no such scenario (any more).
+        """
+        scenario = load_scenario(self.scenario).model_dump_json()
+        return Trial(key, key.seed(self.seed), scenario, self.motor_inertia)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One trial, with all that is needed to run it anywhere.
+
+    Attributes:
+        key: Which trial of its campaign.
+        seed: Seed of its random numbers.
+        scenario: Full text of the scenario, JSON.
+        motor_inertia: Motor-inertia model of the reference.
+    """
+
+    key: TrialKey
+    seed: int
+    scenario: str
+    motor_inertia: str
+
+
+@dataclass(frozen=True)
+class TrialReport:
+    """How one trial of a campaign went.
+
+    Attributes:
+        key: Which trial.
+        outcome: OK, NO-IMPACT, DROPPED or ABORTED.
+        message: What went wrong, if anything.
+    """
+
+    key: TrialKey
+    outcome: Outcome
+    message: str = ""
+
+
+def make_manifest(
+    scenario_name: str,
+    objects: list[str] | None = None,
+    cases: list[str] | None = None,
+    scales: list[float] | None = None,
+    trials: int | None = None,
+    seed: int = 0,
+) -> Manifest:
+    """A manifest with the scenario's own values where nothing is given.
+
+    Raises:
+        InputError: Unknown scenario, object or case, a pose that cannot be reached, a set without friction compensation
+            where the scenario has one, a scale that is not positive, or fewer than one trial.
+    """
+    scenario = load_scenario(scenario_name)
+    for name in objects or []:
+        scenario.object(name)
+    for scale in scales or []:
+        if not scale > 0.0:
+            raise InputError(f"velocity scale = {scale!r}: expected a number > 0 [-]")
+    if trials is not None and trials < 1:
+        raise InputError(f"trials = {trials}: expected at least 1")
+    if seed < 0:
+        raise InputError(f"seed = {seed}: expected a whole number >= 0")
+    manifest = Manifest(
+        scenario=scenario_name,
+        objects=tuple(dict.fromkeys(objects or scenario.objects)),
+        cases=tuple(dict.fromkeys(scenario.case_name(case) for case in cases or scenario.cases)),
+        velocity_scales=tuple(dict.fromkeys(scales or scenario.velocity_scales)),
+        trials=trials or scenario.trials,
+        seed=seed,
+        motor_inertia="reduced",
+    )
+    for name in manifest.objects:
+        for case in manifest.cases:
+            Scene.resolve(scenario, name, case)
+            if scenario.friction_compensation is not None:
+                scenario.friction_compensation.arms(name, case)
+    return manifest
+
+
+def open_campaign(place: str | Path | Store, manifest: Manifest) -> list[TrialKey]:
+    """Prepare the place of a campaign, a folder or a URL, and return the trials that are still to be run.
+
+    Raises:
+        InputError: It holds another campaign, or cannot be written.
+    """
+    store = open_store(place)
+    todo = still_to_run(store, manifest)
+    if not store.exists(MANIFEST):
+        store.write(MANIFEST, yaml.safe_dump(manifest.model_dump(mode="json"), sort_keys=False))
+    return todo
+
+
+def still_to_run(store: Store, manifest: Manifest) -> list[TrialKey]:
+    """The trials of a campaign that are not there yet.
+
+    Raises:
+        InputError: The place holds another campaign, or cannot be read.
+    """
+    if store.exists(MANIFEST):
+        path = f"{store}/{MANIFEST}"
+        present = validate(Manifest, parse_yaml(store.read(MANIFEST), path), path)
+        if present != manifest:
+            changed = [name for name in Manifest.model_fields if getattr(present, name) != getattr(manifest, name)]
+            raise InputError(
+                f"this folder holds another campaign (it differs in {', '.join(changed)}); choose another folder",
+                file=path,
+            )
+    names = store.names()
+    return [key for key in manifest.keys if key.name not in names]
+
+
+@functools.lru_cache(maxsize=16)
+def _scene(scenario: str, object_name: str, case_name: str) -> Scene:
+    return Scene.resolve(Scenario.model_validate_json(scenario), object_name, case_name)
+
+
+@functools.lru_cache(maxsize=16)
+def _plan(scenario: str, object_name: str, case_name: str, scale: float, inertia: str) -> TrialPlan:
+    """Repeats of a trial share its plan: inverse kinematics and impact map are solved once per worker.
+
+    The key is the scenario's content, for the file may be edited, or one that it names.
+    """
+    return plan_trial(_scene(scenario, object_name, case_name), scale, inertia)
+
+
+def run_one(directory: Path, trial: Trial) -> TrialReport:
+    """Run one trial in-process and write its bag.
+
+    A half-written bag of it is thrown away first; a finished one stands (a worker can die between writing a bag and
+    telling so).
+    """
+    key = trial.key
+    path = directory / key.name
+    if path.exists():
+        return TrialReport(key, _outcome(path))
+    shutil.rmtree(partial_path(path), ignore_errors=True)
+    plan = _plan(trial.scenario, key.object, key.case, key.scale, trial.motor_inertia)
+    info = TrialInfo.of(plan, key, trial.seed, "inprocess")
+    outcome, _ = record_trial(plan, info, path)
+    return TrialReport(key, outcome)
+
+
+def _outcome(path: Path) -> Outcome:
+    try:
+        found = TrialBag(path).outcome
+    except BagError:
+        return "ABORTED"
+    return found if found in ("OK", "NO-IMPACT", "DROPPED") else "ABORTED"  # type: ignore[return-value]
+
+
+TrialRunner = Callable[[Path, Trial], TrialReport]
+
+
+def run_campaign(
+    place: str | Path | Store, manifest: Manifest, workforce: Workforce | None = None, run: TrialRunner = run_one
+) -> Iterator[TrialReport]:
+    """Run what is missing; yields a report per trial as it ends.
+
+    Stopping the iteration, or an interrupt, leaves a folder in which the campaign can be resumed.
+
+    Args:
+        place: Campaign folder, or its URL.
+        manifest: What to run.
+        workforce: Who runs it; None: this process.
+        run: Runs one trial, and leaves its bag in the folder it is given.
+
+    Raises:
+        InputError: The folder holds another campaign, another process works on it, the scheduler cannot be used, or
+            one of its workers does not see the folder.
+        SchedulerLost: The scheduler went away.
+    """
+    store = open_store(place)
+    with owned(store):
+        todo = still_to_run(store, manifest)
+        workforce = (workforce or Workforce()).at_most(len(todo))
+        if workforce.in_process or not todo:
+            for key in open_campaign(store, manifest):
+                yield run_in(store, run, manifest.trial(key))
+            return
+        with client_of(workforce) as client:
+            open_campaign(store, manifest)  # now that there are workers: without them nothing is left behind
+            yield from _run_on_cluster(client, store, run, map(manifest.trial, todo))
+
+
+def _run_on_cluster(client: Client, store: Store, run: TrialRunner, trials: Iterable[Trial]) -> Iterator[TrialReport]:
+    """Run trials on a cluster; repeats of a trial follow each other and share their plan."""
+    try:
+        for trial, report in as_they_end(client, functools.partial(run_in, store, run), trials):
+            if isinstance(report, TrialReport):
+                yield report
+            else:
+                yield TrialReport(trial.key, "ABORTED", f"its worker process died, again and again ({report})")
+    except SchedulerLost as error:
+        raise SchedulerLost(f"{error}; the same command goes on where it stopped") from None
+
+
+def run_in(store: Store, run: TrialRunner, trial: Trial) -> TrialReport:
+    """Run one trial where it is missing; a broken one does not end a campaign.
+
+    Raises:
+        InputError: This machine does not see the campaign's folder.
+    """
+    if not store.exists(MANIFEST):
+        raise InputError(
+            f"{socket.gethostname()} finds no {MANIFEST} here; expected a folder that all workers share, or a URL",
+            file=str(store),
+        )
+    key = trial.key
+    try:
+        if store.exists(key.name):
+            with store.getting(key.name) as directory:
+                return TrialReport(key, _outcome(directory / key.name))
+        with store.adding(key.name) as directory:
+            return run(directory, trial)
+    except InputError as error:
+        return TrialReport(key, "ABORTED", str(error))
+    except Exception as error:  # whatever it is, it is reported and the other trials go on
+        return TrialReport(key, "ABORTED", f"{type(error).__name__}: {error}")

@@ -1,0 +1,1 @@
+"""Recordings that were not made here, and the mapping files that say where their signals are."""

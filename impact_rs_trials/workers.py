@@ -1,0 +1,232 @@
+"""Who does work that splits into pure tasks: processes of this machine, or the workers of a ``dask`` scheduler."""
+
+from __future__ import annotations
+
+import logging
+import pickle
+import tempfile
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+from impact_rs_sim.errors import InputError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+Map = Callable[[Callable[..., Any], Sequence[Any]], Iterator[Any]]
+
+MEMORY_LIMIT = "1GiB"  # of a worker process here; measured: 0.2 GiB after five trials
+ANSWER_TIMEOUT = 10.0  # s, for a scheduler to answer
+WORKERS_TIMEOUT = 30.0  # s, for its first worker to be there
+ON_THE_WAY = 1000  # tasks that the scheduler knows of at a time, so that its memory does not grow with a campaign
+
+_alone = threading.Lock()  # trials of one process share models that must not be used by two threads at a time
+
+
+class SchedulerLost(RuntimeError):
+    """The scheduler went away while it had work of ours."""
+
+
+@dataclass(frozen=True)
+class Workforce:
+    """Who does the work.
+
+    Attributes:
+        jobs: Worker processes of this machine; 1 works in this process.
+        scheduler: Address of a running ``dask`` scheduler, whose workers are taken instead.
+
+    Raises:
+        InputError: Fewer than one job.
+    """
+
+    jobs: int = 1
+    scheduler: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.jobs < 1:
+            raise InputError(f"jobs = {self.jobs}: expected at least 1 worker process")
+
+    @property
+    def in_process(self) -> bool:
+        """Whether this process does the work itself."""
+        return self.jobs == 1 and self.scheduler is None
+
+    def at_most(self, tasks: int) -> Workforce:
+        """The same with no more processes of this machine than there are tasks."""
+        return Workforce(max(1, min(self.jobs, tasks)), self.scheduler)
+
+
+@contextmanager
+def client_of(workforce: Workforce) -> Iterator[Client]:
+    """A client of the workforce's scheduler; a cluster of this machine is gone when the context is left.
+
+    Raises:
+        InputError: No scheduler answers at that address, or its workers cannot do our work.
+    """
+    from distributed.utils import silence_logging_cmgr
+
+    with silence_logging_cmgr(logging.CRITICAL):
+        if workforce.scheduler is None:
+            with _local_client(workforce.jobs) as client:
+                yield client
+        else:
+            with _connected(workforce.scheduler) as client:
+                _check_workers(client, workforce.scheduler)
+                yield client
+
+
+@contextmanager
+def _local_client(jobs: int) -> Iterator[Client]:
+    """A client of a quiet cluster of ``jobs`` worker processes on this machine."""
+    from distributed import Client, LocalCluster
+
+    with (
+        tempfile.TemporaryDirectory(prefix="impact_rs_") as scratch,
+        LocalCluster(
+            n_workers=jobs,
+            threads_per_worker=1,  # dask sets OMP_NUM_THREADS and its like to 1 in worker processes
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # its status port; a fixed one may be taken
+            memory_limit=MEMORY_LIMIT,
+            local_directory=scratch,
+            preload=["impact_rs_trials.worker"],
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        yield client
+
+
+def _connected(address: str) -> Client:
+    from distributed import Client
+
+    expected = "expected tcp://host:port of a running dask scheduler"
+    if not address:
+        raise InputError(f"--scheduler '': {expected}")
+    try:
+        return Client(address, timeout=ANSWER_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise InputError(f"no scheduler answers at {address!r}: {expected} ({error})") from None
+
+
+def _check_workers(client: Client, address: str) -> None:
+    """There are workers, each with one thread and with this version of the package.
+
+    Raises:
+        InputError: It is not so.
+    """
+    from impact_rs_trials.bags.trial_info import package_version
+
+    try:
+        client.wait_for_workers(1, timeout=WORKERS_TIMEOUT)
+    except TimeoutError:
+        start = f"dask worker {address} --nthreads 1 --nworkers N"
+        raise InputError(
+            f"the scheduler at {address!r} has no workers after {WORKERS_TIMEOUT:g} s; start some: {start}"
+        ) from None
+    for name, worker in client.scheduler_info(n_workers=-1)["workers"].items():
+        if worker["nthreads"] != 1:
+            raise InputError(
+                f"worker {name} has {worker['nthreads']} threads; expected 1, because a trial keeps its process busy: "
+                "dask worker --nthreads 1 --nworkers N"
+            )
+    for name, version in client.run(package_version, on_error="return").items():
+        if isinstance(version, Exception):
+            raise InputError(f"worker {name} cannot run our tasks ({type(version).__name__}: {version})")
+        if version != package_version():
+            raise InputError(f"worker {name} has impact-rs {version}; expected {package_version()}, as here")
+
+
+@contextmanager
+def workers(workforce: Workforce) -> Iterator[Map]:
+    """A ``map`` over the workforce that yields results in order.
+
+    Processes of this machine start when there are two tasks to do for the first time, which takes them some seconds: a
+    mistake that shows before is told at once. A scheduler is connected to at once.
+
+    Raises:
+        InputError: No scheduler answers at that address, or its workers cannot do our work.
+    """
+    if workforce.in_process:
+        yield lambda function, items: map(function, items)
+        return
+    with ExitStack() as held:
+        clients = [] if workforce.scheduler is None else [held.enter_context(client_of(workforce))]
+
+        def distributed_map(function: Callable[..., Any], items: Sequence[Any]) -> Iterator[Any]:
+            if not clients:
+                if len(items) < 2:
+                    yield from map(function, items)
+                    return
+                clients.append(held.enter_context(client_of(workforce)))
+            client = clients[0]
+            futures = client.map(_work, [_packed(function, item) for item in items], pure=False, retries=2)
+            for future in futures:
+                yield _result(client, future)
+
+        yield distributed_map
+
+
+def as_they_end(client: Client, function: Callable[..., Any], items: Iterable[Any]) -> Iterator[tuple[Any, Any]]:
+    """Yields every item with its result in the order in which tasks end; a task whose worker dies is run again.
+
+    Where its workers died again and again, the result is a :class:`distributed.scheduler.KilledWorker`.
+
+    Raises:
+        SchedulerLost: The scheduler went away.
+    """
+    from distributed import as_completed
+    from distributed.scheduler import KilledWorker
+
+    left = iter(items)
+    pending: dict[Any, Any] = {}
+
+    def submit(item: Any) -> Any:
+        future = client.submit(_work, _packed(function, item), pure=False, retries=2)
+        pending[future.key] = item
+        return future
+
+    ended = as_completed([submit(item) for item in islice(left, ON_THE_WAY)], loop=client.loop)
+    for future in ended:
+        item = pending.pop(future.key)
+        try:
+            result = _result(client, future)
+        except KilledWorker as error:
+            result = error
+        for following in islice(left, 1):
+            ended.add(submit(following))
+        yield item, result
+
+
+def _packed(function: Callable[..., Any], item: Any) -> bytes:
+    """A task; what a worker lacks of it fails inside the task and is told, instead of breaking the worker."""
+    from distributed.protocol.pickle import dumps
+
+    return bytes(dumps((function, item)))
+
+
+def _work(packed: bytes) -> Any:
+    function, item = pickle.loads(packed)
+    with _alone:
+        return function(item)
+
+
+def _result(client: Client, future: Any) -> Any:
+    """Result of a task.
+
+    Raises:
+        SchedulerLost: The scheduler went away.
+    """
+    from distributed.client import FutureCancelledError
+
+    try:
+        return future.result()
+    except FutureCancelledError:
+        address = client.scheduler.address if client.scheduler else "its address"
+        raise SchedulerLost(f"the dask scheduler at {address} went away") from None

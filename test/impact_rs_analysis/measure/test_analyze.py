@@ -1,0 +1,166 @@
+"""A folder of trials, whatever state it is in."""
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from impact_rs_analysis.measure.analyze import analyze_campaign
+from impact_rs_analysis.measure.table import paper_row, result_table
+from impact_rs_analysis.report import write_report
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.bags.topics import TRUTH
+
+NAME = "cat_food__case_2__s{:.3f}__r0"
+MODELS = {"reduced", "rotor", "zero"}
+
+
+@pytest.fixture
+def campaign(push_campaign: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(push_campaign, tmp_path / "push"))
+
+
+def test_the_document_has_its_schema(push_campaign: Path) -> None:
+    document = json.loads(json.dumps(analyze_campaign(push_campaign).to_json(), allow_nan=False))
+    assert {"sets", "average_error_percent", "absolute_error_percent", "skipped", "missing", "no_impact"} <= set(
+        document
+    )
+    (entry,) = document["sets"]
+    assert (entry["scenario"], entry["object"], entry["case"], entry["axis"]) == ("push", "cat_food", "case_2", "y")
+    assert entry["trials"] == 3
+    low, high = entry["ci95_m_s"]
+    assert 0.0 < low < entry["estimate_m_s"] < high
+    assert entry["r_squared"] > 0.99
+    assert set(entry["predictions"]) == MODELS
+    for model, prediction in entry["predictions"].items():
+        error = 100.0 * (prediction["v_m_s"] / entry["estimate_m_s"] - 1.0)
+        assert prediction["error_percent"] == pytest.approx(error, abs=1e-9)
+        assert document["average_error_percent"][model] == pytest.approx(error)
+        assert document["absolute_error_percent"][model] == pytest.approx(abs(error))
+
+
+def test_a_plant_without_hidden_effect_agrees_with_the_nominal_prediction(push_campaign: Path) -> None:
+    (entry,) = analyze_campaign(push_campaign).sets
+    errors = {model: prediction.error for model, prediction in entry.predictions.items()}
+    assert abs(errors["reduced"]) < 3.0  # %
+    assert errors["zero"] < errors["reduced"] < errors["rotor"]
+
+
+def test_the_truth_is_never_read(push_campaign: Path, tmp_path: Path, rewrite_bag: Callable) -> None:
+    stripped = tmp_path / push_campaign.name
+    stripped.mkdir()
+    shutil.copy(push_campaign / "manifest.yaml", stripped)
+    for path in push_campaign.glob("cat_food__*"):
+        rewrite_bag(path, stripped / path.name, lambda topic: not topic.startswith(TRUTH))
+        assert not any(topic.startswith(TRUTH) for topic in TrialBag(stripped / path.name).counts)
+    assert analyze_campaign(stripped).to_json() == analyze_campaign(push_campaign).to_json()
+
+
+def test_a_trial_without_impact_never_enters_the_fit(campaign: Path, tmp_path: Path, rewrite_bag: Callable) -> None:
+    name = NAME.format(1.2)
+    shutil.move(campaign / name, tmp_path / "original")
+    rewrite_bag(tmp_path / "original", campaign / name, lambda topic: "impact_event" not in topic)
+    analysis = analyze_campaign(campaign)
+    assert analysis.no_impact == (name,)
+    assert not analysis.sets
+    assert "2 trials with impact" in analysis.incomplete[0].reason
+    assert analysis.average_error == dict.fromkeys(MODELS)
+
+
+def test_broken_and_foreign_bags_are_told_and_skipped(campaign: Path, tmp_path: Path, rewrite_bag: Callable) -> None:
+    whole = campaign / NAME.format(1.0)
+    expected = analyze_campaign(campaign).to_json()["sets"]
+    (campaign / "empty").mkdir()
+    (campaign / "notes").mkdir()
+    (campaign / "notes" / "readme.txt").write_text("no bag")
+    rewrite_bag(whole, campaign / "foreign", lambda topic: topic == "/tf")
+    shutil.copytree(whole, campaign / "truncated")
+    file = next((campaign / "truncated").glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[:100_000])
+    shutil.copytree(whole, campaign / "cut_off")
+    (campaign / "cut_off" / "metadata.yaml").unlink()
+    (campaign / "loose.mcap").write_bytes(b"")
+    analysis = analyze_campaign(campaign)
+    assert {bag.name for bag in analysis.skipped} == {"empty", "foreign", "truncated", "cut_off", "loose.mcap"}
+    assert analysis.to_json()["sets"] == expected
+
+
+def test_missing_trials_of_the_manifest_are_listed(campaign: Path) -> None:
+    shutil.rmtree(campaign / NAME.format(0.8))
+    analysis = analyze_campaign(campaign)
+    assert analysis.missing == (NAME.format(0.8),)
+    assert analysis.incomplete[0].object == "cat_food"
+
+
+def test_a_broken_manifest_stops_nothing(campaign: Path) -> None:
+    (campaign / "manifest.yaml").write_text("scenario: [")
+    analysis = analyze_campaign(campaign)
+    assert len(analysis.sets) == 1
+    assert [entry.name for entry in analysis.skipped] == ["manifest.yaml"]
+
+
+def test_a_folder_without_trials_is_a_mistake(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no trials"):
+        analyze_campaign(tmp_path)
+    with pytest.raises(InputError, match="no such folder"):
+        analyze_campaign(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="none of its 1 bags"):
+        analyze_campaign(tmp_path)
+
+
+def test_the_paper_stands_beside_what_it_names(push_campaign: Path) -> None:
+    row, average, absolute = result_table(analyze_campaign(push_campaign))
+    assert row.paper_estimate == 0.534
+    assert row.paper_errors == {"reduced": 1.82, "rotor": 5.76, "zero": -1.56}
+    assert average.errors == row.errors
+    assert absolute.errors == {model: abs(error) for model, error in row.errors.items()}
+    assert paper_row("push", "cat_food", "case_9") is None
+
+
+@pytest.mark.parametrize(
+    ("scenario", "average", "absolute"),
+    [("push", (1.96, 5.84, -1.89), (3.12, 5.84, 2.62)), ("grab", (1.27, 4.95, -2.57), (3.97, 6.19, 5.88))],
+)
+def test_the_papers_rows_give_the_papers_averages(scenario: str, average: tuple, absolute: tuple) -> None:
+    rows = [
+        paper_row(scenario, thing, case)
+        for thing in ("parcel", "cat_food", "juice")
+        for case in ("case_1", "case_2", "case_3")
+    ]
+    errors = [list(row.errors.values()) for row in rows if row is not None]
+    assert len(errors) == 9
+    assert [sum(column) / 9 for column in zip(*errors, strict=True)] == pytest.approx(average, abs=0.02)
+    assert [sum(map(abs, column)) / 9 for column in zip(*errors, strict=True)] == pytest.approx(absolute, abs=0.02)
+
+
+def test_the_report_is_one_file_that_needs_no_network(push_campaign: Path, tmp_path: Path) -> None:
+    analysis = analyze_campaign(push_campaign)
+    written = write_report(analysis, tmp_path / "report")
+    assert [path.name for path in written] == [
+        "report.html",
+        "analysis.json",
+        "push__cat_food__case_2__signals.png",
+        "push__cat_food__case_2__fit.png",
+    ]
+    assert json.loads(written[1].read_text()) == analysis.to_json()
+    text = written[0].read_text(encoding="utf-8")
+    assert not re.search(r"<(script|link|img)[^>]+(src|href)=", text)
+    assert "Plotly" in text
+    figures = [json.loads(data) for data in re.findall(r'<script type="application/json" id=.*?>(.*?)</script>', text)]
+    assert len(figures) == 2
+    assert all("[m/s" in figure["layout"]["yaxis"]["title"]["text"] for figure in figures)
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in written[2:])
+
+
+def test_html_and_png_are_drawn_from_the_same_numbers(push_campaign: Path) -> None:
+    from impact_rs_analysis.report.figures import figures_of
+    from impact_rs_analysis.report.html import plotly_figure
+
+    for figure in figures_of(analyze_campaign(push_campaign).sets[0]):
+        curves = [curve for panel in figure.panels for curve in panel.curves]
+        assert [trace.name or "" for trace in plotly_figure(figure).data] == [curve.label for curve in curves]

@@ -1,0 +1,98 @@
+"""Export: what a robot would give, with units, complete or not at all."""
+
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_rs_analysis.measure.export import CONTROLLER_UNITS, export, trial_row
+from impact_rs_analysis.measure.net_feedback import net_feedback
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.reader import TrialBag
+
+NAME = "cat_food__case_2__s1.000__r0"
+
+
+def ignored(done: int, total: int) -> None:
+    pass
+
+
+@pytest.fixture
+def campaign(push_campaign: Path, tmp_path: Path) -> Path:
+    """The small campaign and a bag that was cut off."""
+    directory = Path(shutil.copytree(push_campaign, tmp_path / "push"))
+    shutil.copytree(directory / NAME, directory / "cut_off")
+    (directory / "cut_off" / "metadata.yaml").unlink()
+    return directory
+
+
+def test_parquet_has_a_row_per_trial(campaign: Path, tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    found = export(campaign, tmp_path / "new" / "push.parquet", map, ignored)
+    assert (found.trials, [bag.name for bag in found.skipped]) == (3, ["cut_off"])
+    rows = {row["trial"]: row for row in parquet.read_table(tmp_path / "new" / "push.parquet").to_pylist()}
+    assert len(rows) == 3
+    bag, row = TrialBag(campaign / NAME), rows[NAME]
+    assert (row["scenario"], row["object"], row["case"], row["repeat"]) == ("push", "cat_food", "case_2", 0)
+    assert (row["seed"], row["outcome"], row["impact"]) == (bag.info.seed, "OK", True)
+    assert row["net_feedback_m_s"] == net_feedback(bag).net
+    assert row["arm_impact_time_s"] == bag.impact_time("arm")
+    assert row["predicted_post_velocity_m_s"] == bag.info.predicted_post_velocity
+    assert row["reference_post_velocity_m_s"] == bag.info.reference_post_velocity
+
+
+def test_hdf5_has_every_measured_signal_with_its_unit(campaign: Path, tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    assert export(campaign, tmp_path / "push.h5", map, ignored).trials == 3
+    bag = TrialBag(campaign / NAME)
+    with h5py.File(tmp_path / "push.h5") as file:
+        assert len(file) == 3
+        trial = file[NAME]
+        assert trial.attrs["outcome"] == "OK"
+        assert trial.attrs["seed"] == bag.info.seed
+        joints = bag.joints(topics.joint_states("arm"))
+        for name, unit in (("time", "s"), ("position", "rad"), ("velocity", "rad/s"), ("effort", "N m")):
+            dataset = trial[f"arm/joint_states/{name}"]
+            assert dataset.attrs["units"] == unit
+            np.testing.assert_array_equal(dataset[:], getattr(joints, name))
+        assert set(trial["arm/motor_states"]) == {"time", "position", "velocity"}
+        assert set(trial["arm/joint_command"]) == {"time", "effort"}
+        assert set(trial["arm/controller_state"]) == {"time", *CONTROLLER_UNITS}
+        np.testing.assert_array_equal(trial["object/position"][:], bag.poses(topics.OBJECT_POSE).position)
+        names: list[str] = []
+        file.visit(names.append)
+        assert not [name for name in names if "truth" in name]
+        units: list[bool] = []
+        file.visititems(lambda _, item: units.append(not isinstance(item, h5py.Dataset) or "units" in item.attrs))
+        assert all(units)
+
+
+def test_a_trial_that_is_no_measurement_says_why(push_campaign: Path, tmp_path: Path) -> None:
+    bag = Path(shutil.copytree(push_campaign / NAME, tmp_path / NAME))
+    metadata = bag / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("outcome: OK", "outcome: DROPPED"))
+    row = trial_row(bag)
+    assert isinstance(row, dict)
+    assert (row["outcome"], row["net_feedback_m_s"], row["remark"]) == ("DROPPED", None, "the object was dropped")
+
+
+@pytest.mark.parametrize("package", ["pyarrow", "h5py"])
+def test_a_missing_package_is_told_before_anything_is_read(
+    package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    name = {"pyarrow": "push.parquet", "h5py": "push.h5"}[package]
+    with pytest.raises(InputError, match=f"pip install {package}"):
+        export(tmp_path / "nowhere", tmp_path / name, map, ignored)
+
+
+def test_nothing_to_export_leaves_no_file(tmp_path: Path) -> None:
+    pytest.importorskip("h5py")
+    (tmp_path / "push" / "cut_off").mkdir(parents=True)
+    (tmp_path / "push" / "cut_off" / "cut_off.mcap").write_bytes(b"")
+    with pytest.raises(InputError, match="no readable trials here; cut_off"):
+        export(tmp_path / "push", tmp_path / "push.h5", map, ignored)
+    assert [path.name for path in tmp_path.iterdir()] == ["push"]

@@ -1,0 +1,224 @@
+"""The command line: exit codes, one-line errors, and a standard output that is JSON and nothing else."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from impact_rs_cli.commands import campaign
+from impact_rs_cli.main import main, parser
+from impact_rs_cli.terminal import output_folder
+from impact_rs_sim.paths import config_directory
+
+
+def names() -> list[str]:
+    return list(next(action for action in parser()._actions if action.choices).choices)
+
+
+def test_map_prints_the_prediction(capfd: pytest.CaptureFixture) -> None:
+    assert main(["map", "push", "cat_food", "2"]) == 0
+    out, err = capfd.readouterr()
+    assert "m/s" in out
+    assert not err
+
+
+@pytest.mark.parametrize("engine", ["bullet", "pinocchio"])
+@pytest.mark.parametrize("inertia", ["reduced", "rotor", "zero"])
+def test_map_json_is_one_document(capfd: pytest.CaptureFixture, engine: str, inertia: str) -> None:
+    assert main(["map", "push", "cat_food", "2", "--engine", engine, "--motor-inertia", inertia, "--json"]) == 0
+    document = json.loads(capfd.readouterr().out)
+    assert len(document["post"]["end_effector_twist"]["arm"]) == 6
+    assert len(document["post"]["joint_velocity"]["arm"]) == 7
+    assert len(document["post"]["object_twist"]) == 6
+    assert document["contacts"]
+    assert document["residual"]
+    assert document["engine"] == engine
+    assert document["elapsed_ms"] > 0.0
+
+
+def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Path) -> None:
+    """Libraries that print to the C-level standard output must not spoil it."""
+    for arguments in (
+        ["map", "push", "cat_food", "case_2", "--engine", "bullet", "--json"],
+        ["analyze", str(push_campaign), "-o", str(tmp_path / "report"), "--json"],
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", "impact_rs_cli.main", *arguments], capture_output=True, text=True, timeout=120
+        )
+        assert done.returncode == 0, done.stderr
+        assert isinstance(json.loads(done.stdout), dict)
+        assert not done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["map", "pus", "cat_food", "2"], "did you mean 'push'"),
+        (["map", "push", "catfood", "2"], "parcel, cat_food, juice; did you mean 'cat_food'"),
+        (["map", "push", "cat_food", "case_9"], "case_1, case_2, case_3"),
+        (["map", "push", "cat_food", "2", "--json", "--motor-inertia", "rotro"], "did you mean 'rotor'"),
+        (["map", "push", "cat_food", "2", "--engin"], "expected one argument"),
+        (["map", "push", "cat_food", "2", "--enginee", "bullet"], "did you mean '--engine'"),
+        (["map", "push"], "required: OBJECT, CASE"),
+        (["anlyze", "x"], "did you mean 'analyze'"),
+        ([], "required: COMMAND"),
+        (["up", "pus"], "did you mean 'push'"),
+        (["analyze", "/nowhere/at/all"], "no such folder"),
+        (["trial", "push", "cat_food", "2", "--scale", "0", "-o", "{}/new/out"], "velocity scale = 0.0"),
+        (["trial", "push", "cat_food", "2", "--scale", "fast", "-o", "{}/new/out"], "invalid float value"),
+        (["campaign", "push", "-o", "{}/new/out", "--trials", "0"], "trials = 0"),
+        (["campaign", "push", "-o", "{}/new/out", "--seed", "-1"], "seed = -1"),
+        (["campaign", "push", "-o", "{}/new/out", "--jobs", "0"], "jobs = 0"),
+        (["campaign", "push", "-o", "{}/new/out", "--jobs", "2", "--via", "nodes"], "--via inprocess"),
+        (["campaign", "push", "-o", "{}/new/out", "--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"], "--jobs is for"),
+        (["campaign", "push", "-o", "{}/new/out", "--scheduler", "nonsense"], "expected tcp://host:port"),
+        (["campaign", "push", "-o", "nowhere://out"], "this URL cannot be used"),
+        (["campaign", "push", "-o", "memory://out", "--via", "nodes"], "in a folder of this machine"),
+        (["diagnose", "s3://bucket/push", "--scheduler", "tcp://127.0.0.1:1"], "must be a folder that its workers see"),
+        (["analyze", "memory://push"], "expected a folder for the report"),
+        (["export", "{}", "-o", "{}/new/push.txt"], "ends with .parquet"),
+        (["campaign", "push", "-o", "{}/new/out", "--objects", "juce"], "did you mean 'juice'"),
+        (["campaign", "push", "-o", "{}/file/out"], "cannot be written"),
+        (["analyze", "{}"], "holds no trials"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_code_2(
+    capfd: pytest.CaptureFixture, tmp_path: Path, arguments: list[str], message: str
+) -> None:
+    (tmp_path / "file").write_text("in the way")
+    assert main([argument.format(tmp_path) for argument in arguments]) == 2
+    out, err = capfd.readouterr()
+    assert message in err
+    assert err.count("\n") == 1
+    assert not out
+    assert [path.name for path in tmp_path.iterdir()] == ["file"], "something half-written stays behind"
+
+
+@pytest.mark.parametrize("command", names())
+def test_help_teaches(capsys: pytest.CaptureFixture, command: str) -> None:
+    assert main([command, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert f"example:\n  impact-rs {command}" in text
+
+
+def test_every_command_is_in_the_parser() -> None:
+    for name in ("map", "trial", "campaign", "analyze", "up", "demo"):
+        assert name in names()
+        assert name in parser().format_help()
+
+
+def test_help_needs_neither_ros_nor_physics() -> None:
+    code = (
+        "import sys; from impact_rs_cli.main import main; main(['--help']); "
+        "sys.exit(any(name in sys.modules for name in ('rclpy', 'pybullet', 'pinocchio', 'distributed')))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60).returncode == 0
+
+
+def test_an_interrupt_ends_with_130(
+    capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def interrupt(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("impact_rs_trials.campaign.run_campaign", interrupt)
+    assert main(["campaign", "push", "-o", str(tmp_path / "out")]) == 130
+    assert "interrupted" in capfd.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_trial_goes_into_the_folder_and_stands(capfd: pytest.CaptureFixture, tmp_path: Path) -> None:
+    arguments = ["trial", "push", "cat_food", "2", "--seed", "3", "-o", str(tmp_path / "a" / "b"), "--json"]
+    assert main(arguments) == 0
+    document = json.loads(capfd.readouterr().out)
+    assert document["outcome"] == "OK"
+    assert Path(document["bag"]).is_dir()
+    assert main(arguments) == 2
+    out, err = capfd.readouterr()
+    assert "exists already" in err
+    assert not out
+
+
+def test_a_finished_campaign_has_nothing_to_run(
+    push_campaign: Path, tmp_path: Path, capfd: pytest.CaptureFixture
+) -> None:
+    directory = shutil.copytree(push_campaign, tmp_path / "push")
+    scope = ["--objects", "cat_food", "--cases", "case_2", "--scales", "0.8", "1", "1.2", "--trials", "1"]
+    assert main(["campaign", "push", "-o", str(directory), *scope, "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["ran"] == 0
+    assert main(["campaign", "push", "-o", str(directory), *scope, "--seed", "5"]) == 2
+    assert "another campaign" in capfd.readouterr().err
+
+
+def test_analyze_shows_table_and_report(push_campaign: Path, tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+    assert main(["analyze", str(push_campaign), "-o", str(tmp_path / "report")]) == 0
+    out, err = capfd.readouterr()
+    assert "Cat food" in out
+    assert "report.html" in out
+    assert not err
+
+
+def test_a_job_that_was_not_done_is_no_success(
+    push_campaign: Path, tmp_path: Path, capfd: pytest.CaptureFixture
+) -> None:
+    name = "cat_food__case_2__s1.000__r0"
+    shutil.copytree(push_campaign / name, tmp_path / "one" / name)
+    assert main(["analyze", str(tmp_path / "one")]) == 1
+    assert "1 trial with impact" in capfd.readouterr().out
+
+
+def test_a_campaign_with_failures_is_no_success(
+    capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def broken(*arguments: object) -> None:
+        raise ZeroDivisionError("by nothing")
+
+    monkeypatch.setattr("impact_rs_trials.campaign.run_campaign.__defaults__", (None, broken))
+    scope = ["--objects", "cat_food", "--cases", "2", "--trials", "1", "--scales", "1.0"]
+    assert main(["campaign", "push", "-o", str(tmp_path / "out"), *scope]) == 1
+    assert "by nothing" in capfd.readouterr().err
+
+
+def test_a_single_trial_is_no_campaign(push_campaign: Path, capfd: pytest.CaptureFixture) -> None:
+    assert main(["analyze", str(push_campaign / "cat_food__case_2__s1.000__r0")]) == 2
+    assert "give the folder it lies in" in capfd.readouterr().err
+
+
+def test_a_misspelt_key_is_told_by_the_name_that_was_meant(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+    text = (config_directory() / "scenarios" / "push.yaml").read_text()
+    (tmp_path / "mine.yaml").write_text(text.replace("mass: 1.30", "mas: 1.30"))
+    assert main(["map", str(tmp_path / "mine.yaml"), "cat_food", "1"]) == 2
+    assert "objects.cat_food.mas: unknown key; did you mean 'mass'?" in capfd.readouterr().err
+
+
+def test_hints_are_spelled_as_the_user_called_the_command(push_campaign: Path, tmp_path: Path) -> None:
+    directory = shutil.copytree(push_campaign, tmp_path / "push")
+    scope = ["--objects", "cat_food", "--cases", "case_2", "--scales", "0.8", "1", "1.2", "--trials", "1"]
+    done = subprocess.run(
+        [sys.executable, "-m", "impact_rs_cli.main", "campaign", "push", "-o", str(directory), *scope],
+        env={**os.environ, "IMPACT_RS_PROGRAM": "./run impact-rs"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert f"next: ./run impact-rs analyze {directory}" in done.stdout
+
+
+def test_an_output_folder_left_empty_goes_away_with_its_parents(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no"), output_folder(tmp_path / "a" / "b") as folder:
+        folder.mkdir(parents=True)
+        raise ValueError("no")
+    assert not list(tmp_path.iterdir())
+    with output_folder(tmp_path / "a" / "b") as folder:
+        folder.mkdir(parents=True)
+        (folder / "result").write_text("")
+    assert (tmp_path / "a" / "b" / "result").exists()
+
+
+def test_the_command_line_holds_no_logic() -> None:
+    assert Path(campaign.__file__).parent.name == "commands"
+    assert len(Path(sys.modules["impact_rs_cli.main"].__file__ or "").read_text().splitlines()) < 140

@@ -1,0 +1,103 @@
+"""Bags: what goes in comes out, and the columnar way is byte for byte the one of ``rosbags``."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader
+
+from impact_rs_trials.bags import cdr, topics
+from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.bags.types import typestore
+
+STORE = typestore()
+
+
+def joint_state(count: int, names: list[str], stamp: int = 0):
+    types = STORE.types
+    header = types["std_msgs/msg/Header"](
+        stamp=types["builtin_interfaces/msg/Time"](sec=stamp, nanosec=5), frame_id="world"
+    )
+    values = np.arange(count, dtype=float) + stamp
+    return types[topics.JOINT_STATE](header=header, name=names, position=values, velocity=np.zeros(0), effort=-values)
+
+
+def test_every_topic_of_a_trial_is_encoded_as_rosbags_does(push_campaign: Path) -> None:
+    with Reader(push_campaign / "cat_food__case_2__s1.000__r0") as reader:
+        for connection in reader.connections:
+            rows = [bytes(data) for _, _, data in reader.messages(connections=[connection])]
+            messages = [STORE.deserialize_cdr(row, connection.msgtype) for row in rows]
+            if messages:
+                assert [bytes(row) for row in cdr.encode(STORE, connection.msgtype, messages)] == rows
+
+
+def test_every_column_of_a_trial_is_decoded_as_rosbags_does(push_campaign: Path) -> None:
+    path = push_campaign / "cat_food__case_2__s1.000__r0"
+    bag = TrialBag(path)
+    messages = bag.messages(topics.controller_state("arm"))
+    columns = bag.controller("arm")
+    for name in ("mode", "gamma", "twist", "commanded_torque", "qp_iterations", "feedback_acceleration"):
+        np.testing.assert_array_equal(getattr(columns, name), [getattr(m, name) for m in messages])
+    joints = bag.joints(topics.joint_states("arm"))
+    assert joints.position.shape == (joints.time.size, 7)
+    assert bag.joints(topics.motor_states("arm")).effort.size == 0
+    poses = bag.poses(topics.OBJECT_POSE)
+    np.testing.assert_allclose(np.linalg.norm(poses.quaternion, axis=1), 1.0)
+
+
+@pytest.mark.parametrize("names", [["a"], ["a", "bcd", ""], []])
+def test_any_alignment_makes_the_round_trip(names: list[str]) -> None:
+    messages = [joint_state(len(names), names, stamp) for stamp in range(4)]
+    rows = cdr.encode(STORE, topics.JOINT_STATE, messages)
+    assert [bytes(row) for row in rows] == [bytes(STORE.serialize_cdr(m, topics.JOINT_STATE)) for m in messages]
+    columns = cdr.decode(STORE, topics.JOINT_STATE, rows)
+    np.testing.assert_array_equal(columns["header.stamp.sec"], range(4))
+    np.testing.assert_array_equal(columns["position"], [m.position for m in messages])
+
+
+@pytest.mark.parametrize(
+    "odd", [joint_state(3, ["a", "b", "c"]), joint_state(2, ["a", "x"]), joint_state(1, ["a", "b"])]
+)
+def test_messages_of_different_layout_are_encoded_one_by_one(odd) -> None:
+    messages = [joint_state(2, ["a", "b"], stamp) for stamp in range(3)] + [odd] + [joint_state(2, ["a", "b"], 9)]
+    rows = cdr.encode(STORE, topics.JOINT_STATE, messages)
+    assert [bytes(row) for row in rows] == [bytes(STORE.serialize_cdr(m, topics.JOINT_STATE)) for m in messages]
+
+
+def test_columns_survive_strings_that_change() -> None:
+    messages = [joint_state(2, ["a", "b" * n], n) for n in (1, 2, 3, 4)]
+    rows = [bytes(STORE.serialize_cdr(m, topics.JOINT_STATE)) for m in messages]
+    np.testing.assert_array_equal(cdr.decode(STORE, topics.JOINT_STATE, rows)["effort"], [m.effort for m in messages])
+
+
+def test_somebody_elses_reader_reads_our_bag(push_campaign: Path) -> None:
+    from mcap_ros2.reader import read_ros2_messages
+
+    path = next((push_campaign / "cat_food__case_2__s1.000__r0").glob("*.mcap"))
+    states = [m.ros_msg for m in read_ros2_messages(str(path), topics=["/arm/controller_state"])]
+    ours = TrialBag(path.parent).controller("arm")
+    assert len(states) == ours.time.size
+    np.testing.assert_array_equal([m.twist for m in states[::100]], ours.twist[::100])
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (lambda path: path.mkdir(), "empty folder"),
+        (lambda path: (path.mkdir(), (path / "x.mcap").write_bytes(b"")), "cut off"),
+        (lambda path: path.write_bytes(b""), "bare file"),
+        (lambda path: (path.mkdir(), (path / "metadata.yaml").write_text("a: [")), "bag"),
+        (lambda path: (path.mkdir(), (path / "metadata.yaml").write_text("just text")), "bag"),
+    ],
+)
+def test_what_is_no_trial_says_why(tmp_path: Path, make, reason: str) -> None:
+    make(tmp_path / "bag")
+    with pytest.raises(BagError, match=reason):
+        TrialBag(tmp_path / "bag")
+
+
+def test_a_foreign_bag_says_why(push_campaign: Path, tmp_path: Path, rewrite_bag) -> None:
+    source = push_campaign / "cat_food__case_2__s1.000__r0"
+    rewrite_bag(source, tmp_path / "bag", lambda topic: topic != topics.TRIAL_INFO)
+    with pytest.raises(BagError, match="not a trial of impact_rs"):
+        TrialBag(tmp_path / "bag")

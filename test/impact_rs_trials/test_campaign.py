@@ -1,0 +1,146 @@
+"""Campaigns: resumed where they stopped, never mixed, and not stopped by one broken trial."""
+
+import errno
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from rosbags.rosbag2 import Writer
+
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.bags.writer import partial_path
+from impact_rs_trials.campaign import (
+    Manifest,
+    Trial,
+    TrialReport,
+    make_manifest,
+    open_campaign,
+    run_campaign,
+    run_one,
+)
+from impact_rs_trials.workers import Workforce
+
+SCALES = [0.8, 1.0, 1.2]
+
+
+@pytest.fixture
+def manifest() -> Manifest:
+    return make_manifest("push", ["cat_food"], ["2"], SCALES, trials=1)
+
+
+def fake(directory: Path, trial: Trial) -> TrialReport:
+    (directory / trial.key.name).mkdir()
+    return TrialReport(trial.key, "OK")
+
+
+def test_a_campaign_is_resumed_where_it_stopped(tmp_path: Path, manifest: Manifest) -> None:
+    reports = run_campaign(tmp_path, manifest, run=fake)
+    next(reports)
+    reports.close()
+    assert len(open_campaign(tmp_path, manifest)) == 2
+    assert [report.key.scale for report in run_campaign(tmp_path, manifest, run=fake)] == [1.0, 1.2]
+    assert not list(run_campaign(tmp_path, manifest, run=fake))
+
+
+def test_an_interrupt_leaves_a_campaign_that_can_be_resumed(tmp_path: Path, manifest: Manifest) -> None:
+    def interrupted(directory: Path, trial: Trial) -> TrialReport:
+        if trial.key.scale == 1.0:
+            raise KeyboardInterrupt
+        return fake(directory, trial)
+
+    with pytest.raises(KeyboardInterrupt):
+        list(run_campaign(tmp_path, manifest, run=interrupted))
+    assert [key.scale for key in open_campaign(tmp_path, manifest)] == [1.0, 1.2]
+
+
+def test_another_manifest_is_refused(tmp_path: Path, manifest: Manifest) -> None:
+    open_campaign(tmp_path, manifest)
+    with pytest.raises(InputError, match="another campaign .* seed"):
+        open_campaign(tmp_path, manifest.model_copy(update={"seed": 1}))
+
+
+def test_a_half_written_bag_is_run_again_and_gives_the_same_trial(
+    push_campaign: Path, tmp_path: Path, manifest: Manifest
+) -> None:
+    key = manifest.keys[1]
+    hidden = partial_path(tmp_path / key.name)
+    hidden.mkdir(parents=True)
+    (hidden / "half.mcap").write_bytes(b"")
+    assert run_one(tmp_path, manifest.trial(key)).outcome == "OK"
+    assert not hidden.exists()
+    ours, theirs = (TrialBag(folder / key.name).controller("arm") for folder in (tmp_path, push_campaign))
+    assert (ours.feedback_acceleration == theirs.feedback_acceleration).all()
+
+
+def test_a_finished_bag_stands(push_campaign: Path, tmp_path: Path, manifest: Manifest) -> None:
+    directory = Path(shutil.copytree(push_campaign, tmp_path / "push"))
+    before = next((directory / manifest.keys[0].name).glob("*.mcap")).stat().st_mtime_ns
+    assert run_one(directory, manifest.trial(manifest.keys[0])).outcome == "OK"
+    assert next((directory / manifest.keys[0].name).glob("*.mcap")).stat().st_mtime_ns == before
+
+
+def test_one_broken_trial_does_not_end_the_campaign(tmp_path: Path, manifest: Manifest) -> None:
+    def broken(directory: Path, trial: Trial) -> TrialReport:
+        if trial.key.scale == 0.8:
+            raise ZeroDivisionError("by nothing")
+        return fake(directory, trial)
+
+    reports = list(run_campaign(tmp_path, manifest, run=broken))
+    assert [report.outcome for report in reports] == ["ABORTED", "OK", "OK"]
+    assert "by nothing" in reports[0].message
+
+
+def test_a_trial_whose_worker_dies_is_run_again(tmp_path: Path, manifest: Manifest) -> None:
+    def dies_once(directory: Path, trial: Trial) -> TrialReport:
+        marker = directory / "died"
+        if trial.key.scale == 1.0 and not marker.exists():
+            marker.write_text("")
+            os._exit(1)
+        assert os.environ["OMP_NUM_THREADS"] == "1"
+        (directory / trial.key.name).mkdir()  # a worker does not know this module and its functions
+        return TrialReport(trial.key, "OK")
+
+    reports = list(run_campaign(tmp_path, manifest, Workforce(2), run=dies_once))
+    assert (tmp_path / "died").exists()
+    assert sorted((report.key.scale, report.outcome, report.message) for report in reports) == [
+        (scale, "OK", "") for scale in SCALES
+    ]
+
+
+def test_a_full_disk_ends_its_trial_alone_and_leaves_no_half_bag(
+    tmp_path: Path, manifest: Manifest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, written = Writer.write, []
+
+    def full(writer: Writer, *arguments: object) -> None:
+        if "s1.000" in writer.path.name and len(written) == 1000:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        written.append(writer.path.name)
+        write(writer, *arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Writer, "write", full)
+    first = manifest.model_copy(update={"velocity_scales": (1.0, 0.8)})
+    reports = list(run_campaign(tmp_path, first))
+    assert [report.outcome for report in reports] == ["ABORTED", "OK"]
+    assert f"No space left on device: '{tmp_path / reports[0].key.name}'" in reports[0].message
+    assert sorted(path.name for path in tmp_path.iterdir()) == [reports[1].key.name, "manifest.yaml"]
+    monkeypatch.setattr(Writer, "write", write)
+    assert [report.outcome for report in run_campaign(tmp_path, first)] == ["OK"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"scales": [0.0]}, "velocity scale"),
+        ({"scales": [float("nan")]}, "velocity scale"),
+        ({"trials": 0}, "trials = 0"),
+        ({"seed": -1}, "seed = -1"),
+        ({"objects": ["catfood"]}, "did you mean 'cat_food'"),
+        ({"cases": ["case_22"]}, "did you mean 'case_2'"),
+    ],
+)
+def test_mistakes_are_told_before_anything_runs(arguments: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make_manifest("push", **arguments)

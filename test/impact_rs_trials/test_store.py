@@ -1,0 +1,124 @@
+"""Places of campaigns: folders and URLs hold the same, and a folder has one owner at a time."""
+
+import fcntl
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import fsspec
+import pytest
+
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.campaign import Manifest, Trial, TrialReport, make_manifest, run_campaign, run_in
+from impact_rs_trials.store import LOCK, Folder, Remote, Store, local_copy, open_store, owned
+
+
+@pytest.fixture
+def manifest() -> Manifest:
+    return make_manifest("push", ["cat_food"], ["2"], [0.8, 1.0], trials=1)
+
+
+@pytest.fixture
+def memory() -> Iterator[str]:
+    yield "memory://campaigns/push"
+    fsspec.filesystem("memory").rm("/campaigns", recursive=True)
+
+
+def fake(directory: Path, trial: Trial) -> TrialReport:
+    bag = directory / trial.key.name
+    bag.mkdir()
+    (bag / "signals.mcap").write_text(trial.key.name)
+    (bag / "metadata.yaml").write_text("complete")
+    return TrialReport(trial.key, "OK")
+
+
+@pytest.mark.parametrize("place", ["{}/push", "file://{}/push"])
+def test_a_path_and_a_file_url_are_the_same_folder(place: str, tmp_path: Path) -> None:
+    store = open_store(place.format(tmp_path))
+    assert isinstance(store, Folder)
+    assert store.path == tmp_path / "push"
+
+
+def test_a_campaign_at_a_url_is_resumed_and_copied_down(memory: str, manifest: Manifest) -> None:
+    reports = run_campaign(memory, manifest, run=fake)
+    first = next(reports)
+    reports.close()
+    assert open_store(memory).names() == {first.key.name}
+    assert [report.outcome for report in run_campaign(memory, manifest, run=fake)] == ["OK"]
+    assert not list(run_campaign(memory, manifest, run=fake))
+    with local_copy(memory, ("manifest.yaml",)) as directory:
+        assert sorted(path.name for path in directory.iterdir()) == sorted(
+            [*(key.name for key in manifest.keys), "manifest.yaml"]
+        )
+        assert (directory / first.key.name / "signals.mcap").read_text() == first.key.name
+    assert not directory.exists()
+
+
+def test_a_bag_that_was_uploaded_by_half_is_run_again(memory: str, manifest: Manifest) -> None:
+    name = manifest.keys[0].name
+    fsspec.filesystem("memory").pipe(f"/campaigns/push/{name}/signals.mcap", b"half")
+    assert not open_store(memory).exists(name)
+    assert len(list(run_campaign(memory, manifest, run=fake))) == 2
+    assert open_store(memory).exists(name)
+
+
+def test_metadata_is_uploaded_last(memory: str, monkeypatch: pytest.MonkeyPatch, manifest: Manifest) -> None:
+    store = open_store(memory)
+    assert isinstance(store, Remote)
+    uploaded = []
+    monkeypatch.setattr(
+        type(store._files), "put_file", lambda files, source, target: uploaded.append(Path(target).name)
+    )
+    with store.adding("bag") as directory:
+        fake(directory, Trial(manifest.keys[0], 0, "", ""))
+        (directory / manifest.keys[0].name).rename(directory / "bag")
+    assert uploaded == ["signals.mcap", "metadata.yaml"]
+
+
+@pytest.mark.parametrize(("place", "message"), [("nowhere://push", "nowhere"), ("nosuch+s3://bucket", "nosuch")])
+def test_a_url_that_nobody_speaks_is_told(place: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        open_store(place)
+
+
+def test_a_worker_that_does_not_see_the_place_says_so_and_runs_nothing(tmp_path: Path, manifest: Manifest) -> None:
+    with pytest.raises(InputError, match=r"finds no manifest\.yaml here; expected a folder that all workers share"):
+        run_in(Folder(tmp_path), fake, manifest.trial(manifest.keys[0]))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_second_process_on_a_folder_is_refused(tmp_path: Path, manifest: Manifest) -> None:
+    reports = run_campaign(tmp_path, manifest, run=fake)
+    next(reports)
+    with pytest.raises(InputError, match=f"process {os.getpid()} on .* works on this campaign"):
+        next(run_campaign(tmp_path, manifest, run=fake))
+    reports.close()
+    assert len(list(run_campaign(tmp_path, manifest, run=fake))) == 1
+    assert not (tmp_path / LOCK).exists()
+
+
+def test_the_lock_of_a_process_that_was_killed_does_not_count(tmp_path: Path) -> None:
+    code = "import os, sys, pathlib; from impact_rs_trials.store import *; "
+    code += "lock = owned(Folder(sys.argv[1])); lock.__enter__(); os._exit(9)"
+    assert subprocess.run([sys.executable, "-c", code, str(tmp_path)], timeout=60).returncode == 9
+    assert (tmp_path / LOCK).exists()
+    with owned(open_store(tmp_path)):
+        assert str(os.getpid()) in (tmp_path / LOCK).read_text()
+
+
+def test_a_lock_file_that_vanishes_while_we_wait_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lock, calls = fcntl.flock, []
+
+    def late(file: object, how: int) -> None:
+        calls.append(how)
+        if len(calls) == 1:
+            (tmp_path / LOCK).unlink()
+        lock(file, how)  # type: ignore[call-overload]
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    store: Store = Folder(tmp_path)
+    with owned(store):
+        assert (tmp_path / LOCK).exists()
+    assert len(calls) == 2

@@ -1,0 +1,178 @@
+"""Schedulers that run already: used, refused in words, and survived."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from subprocess import DEVNULL
+from typing import TYPE_CHECKING
+
+import pytest
+
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.campaign import Manifest, Trial, TrialReport, make_manifest, run_campaign
+from impact_rs_trials.workers import MEMORY_LIMIT, SchedulerLost, Workforce, as_they_end, client_of, workers
+
+if TYPE_CHECKING:
+    from distributed import LocalCluster
+
+
+@contextmanager
+def cluster(count: int, threads: int = 1) -> Iterator["LocalCluster"]:
+    """A scheduler on a port of this machine, and workers that are threads of this process."""
+    import dask
+    from distributed import LocalCluster
+
+    quick = {"distributed.comm.timeouts.connect": "2s"}  # how long its end waits for a scheduler that is gone already
+    with (
+        dask.config.set(quick),
+        LocalCluster(
+            n_workers=count,
+            threads_per_worker=threads,
+            processes=False,
+            protocol="tcp",
+            host="127.0.0.1",
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+            silence_logs=50,
+        ) as running,
+    ):
+        yield running
+
+
+@contextmanager
+def worker_processes(address: str, count: int, scratch: Path) -> Iterator[list[subprocess.Popen]]:
+    """Workers as a user starts them."""
+    from distributed import Client
+
+    command = [sys.executable, "-m", "dask", "worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+    started = [subprocess.Popen([*command, "--local-directory", str(scratch)], stderr=DEVNULL) for _ in range(count)]
+    try:
+        with Client(address, set_as_default=False) as client:
+            client.wait_for_workers(count, timeout=100)
+        yield started
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def manifest() -> Manifest:
+    return make_manifest("push", ["cat_food"], ["2"], [0.8, 1.0, 1.2], trials=2)
+
+
+def test_a_worker_of_a_scheduler_that_is_killed_loses_no_trial_and_doubles_none(
+    tmp_path: Path, manifest: Manifest
+) -> None:
+    def killed_once(directory: Path, trial: Trial) -> TrialReport:
+        if trial.key.scale == 1.0:
+            with suppress(FileExistsError):
+                (directory / "killed").touch(exist_ok=False)
+                os.kill(os.getpid(), signal.SIGKILL)
+        with (directory / "finished").open("a") as log:
+            log.write(f"{trial.key.name}\n")
+        (directory / trial.key.name).mkdir()
+        return TrialReport(trial.key, "OK")
+
+    with cluster(0) as running, worker_processes(running.scheduler_address, 2, tmp_path / "scratch") as processes:
+        reports = list(run_campaign(tmp_path, manifest, Workforce(scheduler=running.scheduler_address), killed_once))
+        assert sorted(process.poll() or 0 for process in processes) == [-signal.SIGKILL, 0]
+    assert not [report.message for report in reports if report.message]
+    names = sorted(key.name for key in manifest.keys)
+    assert sorted(report.key.name for report in reports) == names
+    assert sorted((tmp_path / "finished").read_text().split()) == names
+
+
+def test_a_scheduler_that_goes_away_is_told_and_the_campaign_can_be_resumed(tmp_path: Path, manifest: Manifest) -> None:
+    def waits_for_the_end(directory: Path, trial: Trial) -> TrialReport:
+        if trial.key != manifest.keys[0]:
+            while not (directory / "gone").exists():
+                pass
+        (directory / trial.key.name).mkdir()
+        return TrialReport(trial.key, "OK")
+
+    with cluster(0) as running, worker_processes(running.scheduler_address, 1, tmp_path / "scratch"):
+        campaign = run_campaign(
+            tmp_path, manifest, Workforce(scheduler=running.scheduler_address), run=waits_for_the_end
+        )
+        assert next(campaign).key == manifest.keys[0]
+        running.sync(running.scheduler.close)
+        with pytest.raises(SchedulerLost, match="went away; the same command goes on where it stopped"):
+            next(campaign)
+        (tmp_path / "gone").write_text("")
+    left = list(run_campaign(tmp_path, manifest, run=waits_for_the_end))
+    assert manifest.keys[0] not in [report.key for report in left]
+    assert all((tmp_path / key.name).is_dir() for key in manifest.keys)
+
+
+def test_no_scheduler_is_told_and_leaves_nothing(
+    tmp_path: Path, manifest: Manifest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("impact_rs_trials.workers.ANSWER_TIMEOUT", 0.5)
+    with socket.socket() as taken:  # nobody listens on a socket that is bound alone
+        taken.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(InputError, match=f"no scheduler answers at '{address}': expected tcp://host:port"):
+            list(run_campaign(tmp_path, manifest, Workforce(scheduler=address)))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("address", ["", "nonsense", "foo://host:1", "tcp://127.0.0.1:port"])
+def test_an_address_that_is_none_is_told(address: str) -> None:
+    with pytest.raises(InputError, match="expected tcp://host:port"), client_of(Workforce(scheduler=address)):
+        pass
+
+
+def test_workers_with_several_threads_are_refused() -> None:
+    with (
+        cluster(1, threads=2) as running,
+        pytest.raises(InputError, match="has 2 threads; expected 1"),
+        client_of(Workforce(scheduler=running.scheduler_address)),
+    ):
+        pass
+
+
+def test_a_scheduler_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("impact_rs_trials.workers.WORKERS_TIMEOUT", 0.1)
+    with (
+        cluster(0) as running,
+        pytest.raises(InputError, match=r"has no workers .* --nthreads 1"),
+        client_of(Workforce(scheduler=running.scheduler_address)),
+    ):
+        pass
+
+
+def test_more_tasks_than_the_scheduler_may_know_at_a_time_all_end_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("impact_rs_trials.workers.ON_THE_WAY", 2)
+    with client_of(Workforce(2)) as client:
+        assert sorted(as_they_end(client, abs, range(-5, 0))) == [(n, -n) for n in range(-5, 0)]
+        limits = {worker["memory_limit"] for worker in client.scheduler_info()["workers"].values()}
+    assert MEMORY_LIMIT == "1GiB"
+    assert limits == {2**30}
+
+
+def test_a_task_that_a_worker_cannot_read_is_an_error_and_breaks_nothing() -> None:
+    with workers(Workforce(2)) as map_tasks:
+        with pytest.raises(ModuleNotFoundError):
+            list(map_tasks(_of_a_module_that_workers_do_not_know, [1, 2]))
+        assert list(map_tasks(abs, [-3, -1, -2])) == [3, 1, 2]
+
+
+def _of_a_module_that_workers_do_not_know(value: int) -> int:
+    return value
+
+
+def test_processes_start_when_there_is_work_to_share() -> None:
+    def process(_: int) -> int:
+        return os.getpid()
+
+    with workers(Workforce(2)) as map_tasks:
+        assert list(map_tasks(process, [])) == []
+        assert list(map_tasks(process, [0])) == [os.getpid()]
+        assert os.getpid() not in map_tasks(process, [0, 1])
+        assert os.getpid() not in map_tasks(process, [0])
