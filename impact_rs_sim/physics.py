@@ -239,3 +239,39 @@ class Physics:
         """Rigid-body model of one arm under these physics."""
         physics = self.arms[arm]
         return RobotModel(physics.facts, physics.end_effector, physics.base, self.gravity)
+
+    def load_torques(
+        self, arm: str, model: RobotModel, time: float, position: Array, velocity: Array
+    ) -> tuple[Array, Array]:
+        """What the loads of one arm do.
+
+        Args:
+            arm: Name of the arm.
+            model: Its rigid-body model.
+            time: Time since the start of the trial [s].
+            position: q, ``(n,)`` [rad].
+            velocity: dq, ``(n,)`` [rad/s].
+
+        Returns:
+            Torque on the links and torque on the motors, ``(n,)`` each [N m].
+        """
+        physics = self.arms[arm]
+        jacobian = model.jacobian(position)[:3]
+        state = LoadState(
+            time=time,
+            joint_position=position,
+            joint_velocity=velocity,
+            position=model.placement(position).translation,
+            velocity=jacobian @ velocity,
+            impact_position=physics.impact_position,
+        )
+        on_links, on_motors = np.zeros_like(position), np.zeros_like(position)
+        for load in physics.loads:
+            torque, force, motor = load.joint_torque(state), load.end_effector_force(state), load.motor_torque(state)
+            if torque is not None:
+                on_links += torque
+            if force is not None:
+                on_links += jacobian.T @ force
+            if motor is not None:
+                on_motors += motor
+        return on_links, on_motors

@@ -15,7 +15,7 @@ import pinocchio as pin
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.drive import Drive
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import LoadState, Physics
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scatter, Scenario
 from impact_rs_sim.scene import ArmState, BodyState
@@ -247,28 +247,12 @@ class Plant:
 
         Held over one control period.
         """
-        arm, model, link = self.physics.arms[name], self._loaded[name], self._links[name]
-        jacobian = model.jacobian(link.position)[:3]
-        state = LoadState(
-            time=self.time,
-            joint_position=link.position,
-            joint_velocity=link.velocity,
-            position=model.placement(link.position).translation,
-            velocity=jacobian @ link.velocity,
-            impact_position=arm.impact_position,
+        link = self._links[name]
+        on_links, on_motors = self.physics.load_torques(
+            name, self._loaded[name], self.time, link.position, link.velocity
         )
-        total, on_motors = np.zeros_like(link.position), None
-        for load in arm.loads:
-            torque, force, motor = load.joint_torque(state), load.end_effector_force(state), load.motor_torque(state)
-            if torque is not None:
-                total += torque
-            if force is not None:
-                total += jacobian.T @ force
-            if motor is not None:
-                on_motors = motor if on_motors is None else on_motors + motor
-        if on_motors is not None:
-            self._drives[name].load(on_motors)
-        return total
+        self._drives[name].load(on_motors)
+        return on_links
 
     def close(self) -> None:
         """Free the Bullet world."""

@@ -15,11 +15,11 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 
+from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_analysis.evidence.signals import ArmSignals, Signals
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.physics import ArmPhysics
@@ -35,27 +35,6 @@ JUMP_WINDOWS = ((0.0, 0.004), (0.004, 0.010), (0.010, 0.020), (0.020, 0.040), (0
 OBJECT_WINDOWS = ((0.006, 0.040), (0.040, 0.100))  # s
 PUSH_AFTER = 0.15  # s, both bodies move together again
 AXES = ("x", "y", "z")
-
-
-@dataclass(frozen=True)
-class Feature:
-    """Where one number of the vector comes from.
-
-    Attributes:
-        phase: ``free``, ``impact`` or ``push``.
-        signal: What it is.
-        index: Joint (``joint1``) or axis (``x``), with the arm's name in front where there are several.
-        bin: Number of the time bin within the phase.
-        unit: Unit.
-        floor: Differences below this are no concern to anyone, in the unit.
-    """
-
-    phase: str
-    signal: str
-    index: str
-    bin: int
-    unit: str
-    floor: float
 
 
 @functools.cache

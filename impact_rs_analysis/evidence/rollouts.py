@@ -7,29 +7,26 @@ comparing, diagnosing and comparing again ask for many of them more than once.
 from __future__ import annotations
 
 import hashlib
-import inspect
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
+from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.features import extract
 from impact_rs_analysis.evidence.runs import Condition, Runs
 from impact_rs_analysis.evidence.twin import Start, observed_until, run_twin
-from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags.trial_info import package_version
 from impact_rs_trials.workers import Map
 
-CACHE_VERSION = 7
+CACHE_VERSION = 8
 
 Progress = Callable[[str, int, int], None]
-Added = tuple[tuple[str, tuple[float, ...]], ...]
 
 
 @dataclass(frozen=True)
@@ -53,21 +50,12 @@ class Rollout:
         """Identity of its result."""
         known = self.model.known_effects
         used = (*(item.name for item in self.model.effects), *(name for name, _ in self.added))
-        code = tuple(_code_of(type(known[name])) for name in used)
+        code = tuple(known[name].identity for name in used)
         start = None if self.start is None else self.start.identity
         text = repr(
             (CACHE_VERSION, package_version(), self.condition, self.model.digest, self.added, code, start),
         )
         return hashlib.sha256(text.encode()).hexdigest()[:32]
-
-
-@lru_cache(maxsize=256)
-def _code_of(kind: type[Effect]) -> str:
-    """Digest of the source of an effect: an effect of one's own changes while it is being written."""
-    try:
-        return hashlib.sha256(inspect.getsource(kind).encode()).hexdigest()
-    except (OSError, TypeError):
-        return ""
 
 
 def run_rollout(rollout: Rollout) -> Array | None:

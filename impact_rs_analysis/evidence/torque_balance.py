@@ -6,8 +6,8 @@ tau is what was recorded; B only where the torque was measured at the motor. Pos
 same zero-phase low-pass (Butterworth, order 4, forwards and backwards), accelerations are central differences of the
 filtered velocity, the prediction passes the low-pass once more and so does the recorded torque; both ends are cut off.
 
-Columns of the regression are differences of the predicted torque with and without an effect, applied through
-:class:`~impact_rs_sim.physics.Physics` as plant and twin apply it. An effect without such a difference is not measured.
+Effects are applied through :class:`~impact_rs_sim.physics.Physics`, as plant and twin apply them. An effect that changes
+no torque is not measured.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ import numpy as np
 import pinocchio as pin
 from scipy.signal import butter, sosfiltfilt, welch
 
-from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import ArmPhysics, JointFriction, LoadState, ObjectPhysics, Physics
+from impact_rs_sim.physics import ArmPhysics, JointFriction, ObjectPhysics, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.mapping import Mapping
@@ -30,8 +29,6 @@ ARM = "arm"
 ORDER = 4
 GRID = 10.0  # samples per period of the cut-off frequency, at most
 EDGE = 2.0  # periods of the cut-off frequency, cut off at both ends
-STRIBECK_VELOCITIES = (0.01, 0.02, 0.035, 0.05, 0.08, 0.12, 0.2, 0.35, 0.5)  # rad/s, profiled
-SIGNIFICANT_TORQUE = 1e-9  # N m; an effect that changes no torque by more than this is not measured
 
 
 @dataclass(frozen=True)
@@ -176,7 +173,7 @@ class TorqueBalance:
             if not arm.friction.is_zero:
                 torque = torque - arm.friction.torque(motion.velocity)
             if arm.loads:
-                torque = torque - _load_torques(physics, motion)
+                torque = torque - self._load_torques(physics, motion)
             torque = (torque - arm.torque_offset) / arm.torque_gain
             rows.append(motion.low_pass(torque)[motion.kept])
         return np.concatenate(rows)
@@ -198,6 +195,13 @@ class TorqueBalance:
             ]
         return self._rigid[key]
 
+    @staticmethod
+    def _load_torques(physics: Physics, motion: Motion) -> Array:
+        """Of everything outside the model on links and motors, ``(k, n)`` [N m]."""
+        model = physics.robot_model(ARM)
+        rows = zip(motion.time, motion.position, motion.velocity, strict=True)
+        return np.array([sum(physics.load_torques(ARM, model, float(time), q, dq)) for time, q, dq in rows])
+
     @property
     def recorded(self) -> Array:
         """Recorded torque between the edges, ``(k, n)`` [N m]."""
@@ -212,121 +216,3 @@ class TorqueBalance:
     def noise(self) -> Array:
         """Noise of the recorded torque below the cut-off, ``(n,)`` [N m]."""
         return np.asarray(np.sqrt(np.mean([np.square(motion.noise) for motion in self.motions], axis=0)))
-
-
-def _load_torques(physics: Physics, motion: Motion) -> Array:
-    arm = physics.arms[ARM]
-    model = physics.robot_model(ARM)
-    torques = np.zeros_like(motion.position)
-    for row, (time, q, dq) in enumerate(zip(motion.time, motion.position, motion.velocity, strict=True)):
-        jacobian = model.jacobian(q)[:3]
-        position = model.placement(q).translation
-        state = LoadState(float(time), q, dq, position, jacobian @ dq, arm.impact_position)
-        for load in arm.loads:
-            if (torque := load.joint_torque(state)) is not None:
-                torques[row] += torque
-            if (force := load.end_effector_force(state)) is not None:
-                torques[row] += jacobian.T @ force
-    return torques
-
-
-@dataclass(frozen=True)
-class Column:
-    """One linear parameter of an effect in the recorded torque.
-
-    Attributes:
-        effect: Its effect.
-        name: Name of the parameter.
-        unit: Unit.
-        joint: Index of the joint it belongs to; None: it acts on all.
-        values: Change of the recorded torque per unit, ``(k, n)`` [N m / unit].
-        nominal, lower, upper, scale: As in :class:`~impact_rs_sim.effects.Parameter`.
-        meaning: What it is.
-        variant: Which of several alternatives it belongs to (Stribeck velocity [rad/s]); None: there is only one.
-    """
-
-    effect: str
-    name: str
-    unit: str
-    joint: int | None
-    values: Array
-    nominal: float
-    lower: float
-    upper: float
-    scale: float
-    meaning: str
-    variant: float | None = None
-
-
-def columns_of(effect: Effect, physics: Physics, balance: TorqueBalance) -> list[Column]:
-    """Linear parameters of an effect; empty where nothing of it is in the recorded torque."""
-    if effect.name == "end_effector_payload":
-        return _payload_columns(effect, physics, balance)
-    if effect.name == "joint_stribeck_friction":
-        return [column for velocity in STRIBECK_VELOCITIES for column in _columns(effect, physics, balance, velocity)]
-    return _columns(effect, physics, balance)
-
-
-def _columns(effect: Effect, physics: Physics, balance: TorqueBalance, variant: float | None = None) -> list[Column]:
-    """Columns by finite differences about the point where the effect does nothing."""
-    count = physics.arms[ARM].facts.joint_count
-    scalars = effect.scalars(count)
-    joints = [
-        index if parameter.per_joint else None
-        for parameter in effect.parameters
-        for index in range(count if parameter.per_joint else 1)
-    ]
-    point = np.array([scalar.nominal for scalar in scalars])
-    if variant is not None:
-        point[-1] = variant
-    before = balance.predict(effect.apply_vector(physics, point))
-    columns = []
-    for index, (scalar, joint) in enumerate(zip(scalars, joints, strict=True)):
-        if variant is not None and index == len(scalars) - 1:
-            continue
-        step = scalar.scale if point[index] + scalar.scale <= scalar.upper else -scalar.scale
-        moved = point.copy()
-        moved[index] += step
-        values = (balance.predict(effect.apply_vector(physics, moved)) - before) / step
-        columns.append(
-            Column(
-                effect.name, scalar.name, scalar.unit, joint, values, scalar.nominal, scalar.lower, scalar.upper,
-                scalar.scale, scalar.meaning, variant,
-            )
-        )  # fmt: skip
-    if all(np.max(np.abs(column.values)) * column.scale < SIGNIFICANT_TORQUE for column in columns):
-        return []
-    return columns
-
-
-def _payload_columns(effect: Effect, physics: Physics, balance: TorqueBalance) -> list[Column]:
-    """Mass and first moments: the torque is linear in them, not in mass and place.
-
-    tau(m, c) = m a + m c . b + m (quadratic in c): differences at +c and -c leave b, at c = 0 they leave a.
-    """
-    mass, lever = 0.1, 0.05  # kg, m; the result does not depend on them
-
-    def torque(added: float, place: Array) -> Array:
-        return balance.predict(effect.apply_vector(physics, np.array([added, *place])))
-
-    base = balance.predict(physics)
-    scalars = {scalar.name: scalar for scalar in effect.scalars(physics.arms[ARM].facts.joint_count)}
-    known = scalars["mass"]
-    columns = [
-        Column(
-            effect.name, "mass", "kg", None, (torque(mass, np.zeros(3)) - base) / mass, 0.0, known.lower, known.upper,
-            known.scale, known.meaning,
-        )
-    ]  # fmt: skip
-    for axis, name in enumerate("xyz"):
-        place = np.zeros(3)
-        place[axis] = lever
-        values = (torque(mass, place) - torque(mass, -place)) / (2.0 * mass * lever)
-        bound = known.upper * scalars[f"com_{name}"].upper
-        columns.append(
-            Column(
-                effect.name, f"first_moment_{name}", "kg m", None, values, 0.0, -bound, bound, 0.01,
-                f"added mass times where it sits, {name} of frame E",
-            )
-        )  # fmt: skip
-    return columns

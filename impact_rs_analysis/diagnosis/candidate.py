@@ -1,0 +1,315 @@
+"""Candidates: effects, alone or together, with their sensitivities, fitted to the evidence.
+
+In scaled coordinates the mean residual of cluster c is
+
+    r_c = J_c (theta - theta_0) + noise,        cov(noise) = (pure error + discrepancy) of c
+
+fitted by bounded least squares with a weak prior of width ``PRIOR`` parameter scales. What a fit is judged by is its
+error on clusters it has not seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from impact_rs_analysis.diagnosis.reference import Reference, combined_half_width
+from impact_rs_analysis.evidence.cluster import Added, Cluster, Source
+from impact_rs_sim.effects import Effect, ScalarParameter
+from impact_rs_sim.robot import Array
+
+PRIOR = 100.0  # parameter scales; only keeps what cannot be seen from running away
+
+Where = Callable[[Effect, Cluster], bool]
+
+
+def concerns(effect: Effect, cluster: Cluster) -> bool:
+    """Whether an effect can be seen in a cluster at all."""
+    return effect.seen_in(cluster.contact)
+
+
+def in_free_motion(effect: Effect, cluster: Cluster) -> bool:
+    """Whether an effect can be seen in a cluster in which nothing is hit."""
+    return not cluster.contact and concerns(effect, cluster)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One or several effects, linearised about ``point``; clusters are those of a :class:`Problem`, in its order.
+
+    Attributes:
+        effects: The effects.
+        sizes: Number of parameters of each.
+        scalars: All their parameters after each other.
+        lower: Bounds of the parameters under the physics at hand, ``(p,)``.
+        upper: The same, ``(p,)``.
+        point: Parameter values of the linearisation, ``(p,)``.
+        offsets: Per cluster, scaled features at ``point`` minus those at ``origin``, ``(F,)`` each.
+        jacobians: Per cluster, scaled features per parameter scale, ``(F, p)`` each.
+        origin: What was switched on, on top of the model, when the residuals were taken.
+    """
+
+    effects: tuple[Effect, ...]
+    sizes: tuple[int, ...]
+    scalars: tuple[ScalarParameter, ...]
+    lower: Array
+    upper: Array
+    point: Array
+    offsets: tuple[Array, ...] = ()
+    jacobians: tuple[Array, ...] = ()
+    origin: Added = ()
+
+    @staticmethod
+    def of(effects: tuple[Effect, ...], source: Source, point: Array | None = None, origin: Added = ()) -> Candidate:
+        """Effects without sensitivities, at ``point`` (None: where they do nothing)."""
+        joints = source.joint_count
+        bounds = [effect.bounds(source.physics) for effect in effects]
+        if point is None:
+            point = np.concatenate([effect.nominal(joints) for effect in effects])
+        return Candidate(
+            effects=effects,
+            sizes=tuple(len(low) for low, _ in bounds),
+            scalars=tuple(scalar for effect in effects for scalar in effect.scalars(joints)),
+            lower=np.concatenate([low for low, _ in bounds]),
+            upper=np.concatenate([high for _, high in bounds]),
+            point=point,
+            origin=origin,
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(effect.name for effect in self.effects)
+
+    @cached_property
+    def scale(self) -> Array:
+        """Scale of each parameter, ``(p,)``."""
+        return np.array([scalar.scale for scalar in self.scalars])
+
+    @cached_property
+    def nominal(self) -> Array:
+        """Values at which nothing happens, ``(p,)``."""
+        return np.array([scalar.nominal for scalar in self.scalars])
+
+    @cached_property
+    def parts(self) -> tuple[tuple[Effect, slice], ...]:
+        """Every effect with the place of its parameters."""
+        ends = np.cumsum(self.sizes).tolist()
+        return tuple(
+            (effect, slice(end - size, end)) for effect, size, end in zip(self.effects, self.sizes, ends, strict=True)
+        )
+
+    def part(self, name: str) -> slice:
+        """Place of the parameters of one effect."""
+        return next(part for effect, part in self.parts if effect.name == name)
+
+    @property
+    def unseen(self) -> bool:
+        """Whether some parameter moves nothing here, like the centre of a payload without mass."""
+        return bool(np.any(np.all([np.all(jacobian == 0.0, axis=0) for jacobian in self.jacobians], axis=0)))
+
+    def only(self, clusters: Sequence[int]) -> Candidate:
+        """The same in some of the clusters, by number."""
+        return replace(
+            self,
+            offsets=tuple(self.offsets[number] for number in clusters),
+            jacobians=tuple(self.jacobians[number] for number in clusters),
+        )
+
+    def split(self, vector: Array) -> Added:
+        """Effect names with their own parameter values."""
+        return tuple((effect.name, tuple(float(value) for value in vector[part])) for effect, part in self.parts)
+
+    def beside(self, other: Candidate) -> Candidate:
+        """Both together, each linearised where it was: exact for small effects, a start for large ones."""
+        return Candidate(
+            effects=self.effects + other.effects,
+            sizes=self.sizes + other.sizes,
+            scalars=self.scalars + other.scalars,
+            lower=np.concatenate((self.lower, other.lower)),
+            upper=np.concatenate((self.upper, other.upper)),
+            point=np.concatenate((self.point, other.point)),
+            offsets=tuple(a + b for a, b in zip(self.offsets, other.offsets, strict=True)),
+            jacobians=tuple(np.hstack((a, b)) for a, b in zip(self.jacobians, other.jacobians, strict=True)),
+            origin=self.origin,
+        )
+
+
+def wanted(candidate: Candidate, numbers: Sequence[int], source: Source, where: Where) -> list[tuple[int, Added]]:
+    """Predictions that :func:`linearise` needs, so that those of many effects can be made in one batch."""
+    joints = source.joint_count
+    at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
+    result: list[tuple[int, Added]] = []
+    for number in numbers:
+        result.append((number, candidate.origin))
+        if not at_nominal:
+            result.append((number, candidate.split(candidate.point)))
+        for effect, part in candidate.parts:
+            if not where(effect, source.clusters[number]):
+                continue
+            for index, step in zip(range(part.start, part.stop), effect.steps(joints, candidate.point[part]), strict=True):
+                moved = candidate.point.copy()
+                moved[index] += step
+                parts = candidate.split(moved)
+                # Where the other effects do nothing they are left out, so that results are shared.
+                result.append((number, tuple(p for p in parts if not at_nominal or p[0] == effect.name)))
+    return result
+
+
+def linearise(
+    candidate: Candidate,
+    clusters: Sequence[Cluster],
+    numbers: Sequence[int],
+    source: Source,
+    what: str = "sensitivities",
+    where: Where = concerns,
+) -> Candidate | None:
+    """Sensitivities about the candidate's point by finite differences; None where nothing is hit.
+
+    Args:
+        candidate: Effects and point.
+        clusters: Evidence, with the scale of the features.
+        numbers: Numbers of these clusters in the source.
+        source: Predicts.
+        what: What it is for, to tell the user.
+        where: In which clusters an effect is looked at; elsewhere its sensitivities are zero.
+    """
+    joints = source.joint_count
+    at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
+    results = iter(source.predict(wanted(candidate, numbers, source, where), what))
+    offsets, jacobians = [], []
+    for item in clusters:
+        base = next(results)
+        here = base if at_nominal else next(results)
+        if base is None or here is None:
+            return None
+        jacobian = np.zeros((base.size, candidate.point.size))
+        for effect, part in candidate.parts:
+            if not where(effect, item):
+                continue
+            for index, step in zip(range(part.start, part.stop), effect.steps(joints, candidate.point[part]), strict=True):
+                there = next(results)
+                if there is None:
+                    return None
+                jacobian[:, index] = (there - here) / item.sigma * candidate.scale[index] / step
+        offsets.append((here - base) / item.sigma)
+        jacobians.append(jacobian)
+    return replace(candidate, offsets=tuple(offsets), jacobians=tuple(jacobians))
+
+
+class Problem:
+    """The least-squares problem of a candidate, ready to leave clusters out.
+
+    Args:
+        candidate: Effects with sensitivities.
+        clusters: Residuals, in the same order.
+        guard: Per cluster, neighbours that are left out together with it without being judged by.
+    """
+
+    def __init__(
+        self, candidate: Candidate, clusters: Sequence[Cluster], guard: Sequence[Sequence[int]] | None = None
+    ) -> None:
+        self.candidate = candidate
+        self.clusters = tuple(clusters)
+        self._guard = guard
+        self.targets = [item.mean - offset for item, offset in zip(clusters, candidate.offsets, strict=True)]
+        self.information = np.array(
+            [item.count * jacobian.T @ jacobian for item, jacobian in zip(clusters, candidate.jacobians, strict=True)]
+        )
+        self.scores = np.array(
+            [
+                item.count * jacobian.T @ target
+                for item, jacobian, target in zip(clusters, candidate.jacobians, self.targets, strict=True)
+            ]
+        )
+        self._powers = np.array([float(np.mean(np.square(target))) for target in self.targets])
+        scale = candidate.scale
+        self._lower = (candidate.lower - candidate.point) / scale
+        self._upper = np.maximum((candidate.upper - candidate.point) / scale, self._lower + 1e-9)
+        self._prior = np.full(scale.size, 1.0 / PRIOR**2)
+        self._pull = (candidate.nominal - candidate.point) / scale * self._prior
+        self.total = self.information.sum(axis=0) + np.diag(self._prior)
+        self._total_score = self.scores.sum(axis=0) + self._pull
+
+    def solve(self, without: Sequence[int] = ()) -> Array:
+        """Change from the candidate's point in parameter scales, ``(p,)``; ``without`` leaves clusters out."""
+        information, score = self.total, self._total_score
+        if len(without) > 0:
+            chosen = list(without)
+            information = information - self.information[chosen].sum(axis=0)
+            score = score - self.scores[chosen].sum(axis=0)
+        return bounded(information, score, self._lower, self._upper)
+
+    def errors(self, change: Array, clusters: Sequence[int] | None = None) -> Array:
+        """Mean square scaled error per cluster at a change from the point, ``(c,)`` [-]."""
+        chosen = np.arange(len(self.clusters)) if clusters is None else np.asarray(clusters)
+        counts = np.array([self.clusters[c].count * self.targets[c].size for c in chosen])
+        gain = self.scores[chosen] @ change * 2.0 - np.einsum("p,cpq,q->c", change, self.information[chosen], change)
+        return np.maximum(self._powers[chosen] - gain / counts, 0.0)
+
+    @cached_property
+    def left_out(self) -> Array:
+        """Estimates without one cluster each, as changes in parameter scales, ``(c, p)``."""
+        guard = self._guard or [()] * len(self.clusters)
+        return np.array([self.solve((c, *guard[c])) for c in range(len(self.clusters))])
+
+    @cached_property
+    def held_out(self) -> Array:
+        """Mean square scaled error of every cluster, predicted from all others, ``(c,)`` [-]."""
+        return np.array([self.errors(change, [c])[0] for c, change in enumerate(self.left_out)])
+
+    def jackknife(self) -> Array:
+        """Standard errors from leaving one cluster out, in parameter scales, ``(p,)``."""
+        count = len(self.clusters)
+        alone = np.array([self.solve((c,)) for c in range(count)]) if self._guard else self.left_out
+        spread = np.square(alone - alone.mean(axis=0)).sum(axis=0)
+        return np.asarray(np.sqrt((count - 1) / count * spread))
+
+    def half_widths(self, change: Array, reference: Reference) -> Array:
+        """Half widths of the 95 % intervals in parameter scales, ``(p,)``."""
+        inverse = np.linalg.inv(self.total)
+        noise = reference.covariance(self.candidate.jacobians, change, inverse)
+        systematic = reference.discrepancy(self.candidate.jacobians, inverse)
+        return combined_half_width(
+            np.sqrt(np.maximum(np.diag(noise), 0.0)),
+            reference.quantile(),
+            self.jackknife(),
+            len(self.clusters),
+            np.sqrt(np.maximum(np.diag(systematic), 0.0)),
+        )
+
+    def p_value(self, reference: Reference, tested: slice | Sequence[int]) -> float:
+        """p of some parameters being nominal, beside all others of the candidate (score test).
+
+        Args:
+            reference: Made of residuals at the best fit without the tested parameters, or of the model's own where
+                nothing else is fitted.
+            tested: Which parameters.
+        """
+        indices = np.arange(self.total.shape[0])
+        picked = indices[tested] if isinstance(tested, slice) else np.asarray(tested)
+        others = np.setdiff1d(indices, picked)
+        jacobians = [jacobian[:, picked] for jacobian in self.candidate.jacobians]
+        information = self.total[np.ix_(picked, picked)]
+        if others.size:
+            projection = np.linalg.solve(self.total[np.ix_(others, others)], self.total[np.ix_(others, picked)])
+            jacobians = [
+                own - jacobian[:, others] @ projection
+                for own, jacobian in zip(jacobians, self.candidate.jacobians, strict=True)
+            ]
+            information = information - self.total[np.ix_(picked, others)] @ projection
+        information = 0.5 * (information + information.T) + 1e-12 * np.eye(picked.size) * np.trace(information)
+        return reference.p_value(jacobians, information)
+
+
+def bounded(information: Array, score: Array, lower: Array, upper: Array) -> Array:
+    """Minimise ``b^T information b / 2 - score^T b`` within bounds, ``(p,)``."""
+    change = np.linalg.solve(information, score)
+    if np.all(change >= lower - 1e-12) and np.all(change <= upper + 1e-12):
+        return np.asarray(change)
+    root = np.linalg.cholesky(information).T
+    return np.asarray(lsq_linear(root, np.linalg.solve(root.T, score), bounds=(lower, upper)).x)

@@ -1,0 +1,278 @@
+"""Fitting a candidate through the model: Gauss-Newton whose sensitivities learn from every step (Broyden)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, linearise
+from impact_rs_analysis.diagnosis.reference import BlockReference, Reference, RotationReference
+from impact_rs_analysis.evidence.cluster import Cluster, Source, size_of
+from impact_rs_sim.robot import Array
+
+STEPS = 4
+ENOUGH = 0.02  # of the error; a fit that gains less in a step is finished
+SHORTEST_LESSON = 0.5  # parameter scales
+NEAR = 0.1  # parameter scales; a correction below this does not depend on where a trial starts
+MOST_LOOKS = 4
+HOPELESS = 3.0  # a fit whose squared error is so many times that of the best is not followed
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Some clusters of a source, with residuals of the model or of the model with effects switched on.
+
+    Attributes:
+        source: Where they come from, and what predicts them.
+        numbers: Their numbers in the source.
+        clusters: Residuals.
+    """
+
+    source: Source
+    numbers: tuple[int, ...]
+    clusters: tuple[Cluster, ...]
+
+    @staticmethod
+    def of(source: Source, numbers: Sequence[int] | None = None) -> Evidence:
+        """Residuals of the model; None: in all clusters."""
+        chosen = tuple(range(len(source.clusters)) if numbers is None else numbers)
+        return Evidence(source, chosen, tuple(source.clusters[number] for number in chosen))
+
+    @cached_property
+    def reference(self) -> Reference:
+        """What is due to chance."""
+        return (RotationReference if self.source.repeated else BlockReference)(self.clusters)
+
+    @cached_property
+    def errors(self) -> Array:
+        """Mean square of the mean residual by cluster, ``(c,)`` [-]."""
+        return np.array([item.error for item in self.clusters])
+
+    @cached_property
+    def expected(self) -> Array:
+        """What :attr:`errors` are by repetition and discrepancy alone, ``(c,)`` [-]."""
+        return np.array([item.expected for item in self.clusters])
+
+    @cached_property
+    def guard(self) -> tuple[tuple[int, ...], ...] | None:
+        """Neighbours of every cluster on the same recording, which know too much of it; None for trials."""
+        if self.source.repeated:
+            return None
+        place = {number: position for position, number in enumerate(self.numbers)}
+        units = [item.unit for item in self.clusters]
+        return tuple(
+            tuple(
+                place[near]
+                for near in (number - 1, number + 1)
+                if near in place and units[place[near]] == units[position]
+            )
+            for position, number in enumerate(self.numbers)
+        )
+
+    def only(self, positions: Sequence[int]) -> Evidence:
+        """The same in some of the clusters, by position."""
+        return Evidence(
+            self.source,
+            tuple(self.numbers[position] for position in positions),
+            tuple(self.clusters[position] for position in positions),
+        )
+
+    def excess(self, errors: Array) -> float:
+        """Mean square error above what repetition and discrepancy explain [-]."""
+        return float(np.mean(np.maximum(errors - self.expected, 0.0)))
+
+    def size(self, errors: Array) -> float:
+        """Mean square errors by cluster on the scale on which 1 is what repetition alone leaves."""
+        return size_of(errors, self.expected)
+
+    def problem(self, candidate: Candidate) -> Problem:
+        """Least squares of a candidate that is linearised in these clusters."""
+        return Problem(candidate, self.clusters, self.guard)
+
+    def shifted(self, changes: Sequence[Array]) -> Evidence:
+        """The same with something taken off the residuals of every cluster, ``(F,)`` each [-]."""
+        clusters = tuple(
+            replace(item, residuals=item.residuals - change)
+            for item, change in zip(self.clusters, changes, strict=True)
+        )
+        return Evidence(self.source, self.numbers, clusters)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A candidate fitted to evidence.
+
+    Attributes:
+        candidate: Linearised near the estimate.
+        evidence: What it was fitted to.
+        problem: Its least-squares problem.
+        change: From the candidate's point to the estimate, in parameter scales, ``(p,)``.
+    """
+
+    candidate: Candidate
+    evidence: Evidence
+    problem: Problem
+    change: Array
+
+    @staticmethod
+    def of(candidate: Candidate, evidence: Evidence) -> Fit:
+        """Fit a candidate where it is linearised."""
+        problem = evidence.problem(candidate)
+        return Fit(candidate, evidence, problem, problem.solve())
+
+    @cached_property
+    def estimate(self) -> Array:
+        """Estimated parameters in their own units, ``(p,)``."""
+        candidate = self.candidate
+        return np.clip(candidate.point + self.change * candidate.scale, candidate.lower, candidate.upper)
+
+    @property
+    def held_out(self) -> Array:
+        """Mean square scaled error per cluster, predicted from all others, ``(c,)`` [-]."""
+        return self.problem.held_out
+
+    @property
+    def score(self) -> float:
+        """Mean over clusters of the held-out error [-]."""
+        return float(self.held_out.mean())
+
+    @cached_property
+    def half_widths(self) -> Array:
+        """Half widths of the 95 % intervals in parameter scales, ``(p,)``."""
+        return self.problem.half_widths(self.change, self.evidence.reference)
+
+    @property
+    def misfit(self) -> float:
+        """Mean square error at the estimate, all clusters [-]."""
+        return float(np.mean(self.problem.errors(self.change)))
+
+    @cached_property
+    def rest(self) -> list[Array]:
+        """What the fit leaves of the mean residuals, ``(F,)`` per cluster [-]."""
+        return [
+            target - jacobian @ self.change
+            for target, jacobian in zip(self.problem.targets, self.candidate.jacobians, strict=True)
+        ]
+
+    @cached_property
+    def left(self) -> Evidence:
+        """The evidence less what the fit explains."""
+        return self.evidence.shifted(
+            [item.mean - rest for item, rest in zip(self.evidence.clusters, self.rest, strict=True)]
+        )
+
+    def lack_of_fit(self) -> float | None:
+        """p of what is left being noise and discrepancy; None where nothing tells."""
+        return self.evidence.reference.lack_of_fit(self.rest)
+
+
+def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf, steps: int = STEPS) -> Fit:
+    """Fit through the model.
+
+    Args:
+        candidate: Where to start, linearised.
+        evidence: What to explain.
+        give_up: After its first step a fit whose held-out error is larger than this ends.
+        steps: Most of them.
+    """
+    best = Fit.of(candidate, evidence)
+    nothing = np.zeros_like(best.change)
+    best_error = float(np.mean(best.problem.errors(nothing)))
+    point, fraction = best.estimate, 1.0
+    for number in range(steps):
+        if number >= 1 and best_error > give_up:
+            break
+        step = fraction * (point - candidate.point)
+        if np.max(np.abs(step / candidate.scale)) < 1e-6:
+            break
+        moved = _at(candidate, candidate.point + step, evidence)
+        if moved is None:
+            fraction /= 3.0
+            continue
+        tried = Fit.of(_broyden(candidate, moved), evidence)
+        error = float(np.mean(tried.problem.errors(nothing)))
+        if error < best_error:
+            gained = best_error - error
+            candidate, best, best_error, fraction = tried.candidate, tried, error, 1.0
+            point = best.estimate
+            if gained < ENOUGH * best_error:
+                break
+        else:
+            candidate = replace(candidate, jacobians=tried.candidate.jacobians)
+            best = Fit.of(candidate, evidence)
+            if fraction < 1.0:
+                break
+            fraction, point = 1.0 / 3.0, best.estimate
+    return best
+
+
+def see_all(fitted: Fit) -> Fit:
+    """Go on with new sensitivities where a parameter could not be seen at the nominal point."""
+    candidate, evidence = fitted.candidate, fitted.evidence
+    if not candidate.unseen:
+        return fitted
+    fresh = linearise(
+        replace(candidate, point=fitted.estimate), evidence.clusters, evidence.numbers, evidence.source
+    )
+    if fresh is None:
+        return fitted
+    again = refine(fresh, evidence)
+    return again if again.score < fitted.score else fitted
+
+
+def measure_again(fitted: Fit) -> Fit:
+    """The fit against residuals taken with its effects switched on, trial by trial.
+
+    Up to here the effects were switched on where a trial should start, not where it did start; the last correction of
+    the estimate, its interval and the lack of fit come from here.
+    """
+    like = fitted.evidence
+    for look in range(MOST_LOOKS):
+        candidate, point = fitted.candidate, fitted.estimate
+        added = candidate.split(point)
+        clusters = like.source.measure_again(added, [like.source.clusters[number] for number in like.numbers])
+        if clusters is None:
+            return fitted
+        evidence = Evidence(like.source, like.numbers, tuple(clusters))
+        nothing = tuple(np.zeros_like(item.sigma) for item in clusters)
+        fresh: Candidate | None = replace(candidate, point=point, origin=added, offsets=nothing)
+        if look == 0:
+            assert fresh is not None
+            fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities") or fresh
+        fitted = refine(fresh, evidence)
+        if np.all(np.abs(fitted.estimate - point) < NEAR * candidate.scale):
+            break
+    return fitted
+
+
+def _at(candidate: Candidate, point: Array, evidence: Evidence) -> Candidate | None:
+    """The candidate with its features evaluated at another point, sensitivities kept."""
+    added = candidate.split(point)
+    numbers = evidence.numbers
+    both = evidence.source.predict(
+        [(number, values) for values in (candidate.origin, added) for number in numbers], "fit of the shortlist"
+    )
+    offsets = []
+    for before, there, item in zip(both[: len(numbers)], both[len(numbers) :], evidence.clusters, strict=True):
+        if before is None or there is None:
+            return None
+        offsets.append((there - before) / item.sigma)
+    return replace(candidate, point=point, offsets=tuple(offsets))
+
+
+def _broyden(before: Candidate, after: Candidate) -> Candidate:
+    """Sensitivities that give the step just made exactly, and change as little as they can otherwise.
+
+    A short step teaches nothing: when an impact falls into another control tick, features jump a little.
+    """
+    step = (after.point - before.point) / before.scale
+    if np.max(np.abs(step)) < SHORTEST_LESSON:
+        return replace(after, jacobians=before.jacobians)
+    jacobians = tuple(
+        jacobian + np.outer(there - here - jacobian @ step, step) / (step @ step)
+        for jacobian, here, there in zip(before.jacobians, before.offsets, after.offsets, strict=True)
+    )
+    return replace(after, jacobians=jacobians)

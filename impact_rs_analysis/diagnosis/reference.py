@@ -1,0 +1,335 @@
+"""What sums of scores would be if nothing were missing: reference distributions with the real degrees of freedom.
+
+An effect with sensitivities J_c in cluster c is judged by its total score and that score's size in the metric of the
+information matrix,
+
+    s = sum_c n_c J_c^T rbar_c,        M = sum_c n_c J_c^T J_c,        T = s^T M^-1 s
+
+which is how much of the squared residual it explains. Two references know what T is by chance.
+
+**Repeats** (:class:`RotationReference`). Repeats of a condition are written as a mean row sqrt(n_c) rbar_c and n_c - 1
+orthonormal contrasts; if nothing is missing, all rows of a layout are independent draws of one normal distribution,
+whatever its covariance. Given their Gram matrix, every rotation of them is then equally likely (Langsrud 2005, *Rotation
+tests*, Statistics and Computing 15), so the distribution of
+
+    (s^T M^-1 s) / (the same of the contrasts)
+
+under random rotations is exact for any number of features, however correlated, and for any number of repeats. With one
+parameter and one condition it is Student's t with n - 1 degrees of freedom.
+
+Where model discrepancy is known, scores have a second cause: d_f a_f in every cluster alike, with a_f standard normal.
+T is then held against draws of noise (normal, with the contrasts' covariance and its Student factor) plus discrepancy as
+well, and the larger p counts.
+
+**Blocks** (:class:`BlockReference`). A recording has no repeats. Stretches longer than its noise remembers are
+independent of each other, and their scores about as likely to point one way as the other: signs are flipped at random
+(wild cluster bootstrap of the score, Cameron, Gelbach and Miller 2008, Review of Economics and Statistics 90).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from functools import cached_property, lru_cache
+
+import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from impact_rs_analysis.diagnosis.thresholds import DRAWS, LEAST_FREEDOM
+from impact_rs_analysis.evidence.cluster import Cluster
+from impact_rs_sim.robot import Array
+
+
+class Reference(ABC):
+    """What is due to chance.
+
+    Args:
+        clusters: Residuals of the model in question.
+    """
+
+    def __init__(self, clusters: Sequence[Cluster]) -> None:
+        self.clusters = tuple(clusters)
+
+    @property
+    @abstractmethod
+    def freedom(self) -> int:
+        """Degrees of freedom of the noise."""
+
+    @property
+    @abstractmethod
+    def shortage(self) -> str | None:
+        """What a design that is too small to decide lacks, for the user; None where it is large enough."""
+
+    @abstractmethod
+    def p_value(self, jacobians: Sequence[Array], information: Array) -> float:
+        """p of an effect doing nothing.
+
+        Args:
+            jacobians: Sensitivities by cluster, ``(F, p)`` each, free of what was fitted before.
+            information: Metric M in which scores are measured, ``(p, p)``.
+        """
+
+    @abstractmethod
+    def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
+        """p of mean residuals ``(F,)`` by cluster being noise and discrepancy; None where nothing tells."""
+
+    @abstractmethod
+    def covariance(self, jacobians: Sequence[Array], change: Array, inverse: Array) -> Array:
+        """Covariance of an estimate due to noise (sandwich), ``(p, p)``.
+
+        Args:
+            jacobians: Sensitivities by cluster, ``(F, p)`` each.
+            change: Estimate, from the point of the residuals, ``(p,)``.
+            inverse: Inverse of the information, ``(p, p)``.
+        """
+
+    def discrepancy(self, jacobians: Sequence[Array], inverse: Array) -> Array:
+        """Covariance of an estimate due to model discrepancy, ``(p, p)``."""
+        factor = self._discrepancy_scores(jacobians) @ inverse
+        return np.asarray(factor.T @ factor)
+
+    def _discrepancy_scores(self, jacobians: Sequence[Array]) -> Array:
+        """Score of one standard deviation of every feature's discrepancy, which all clusters of a layout share."""
+        total: dict[str, Array] = {}
+        for item, jacobian in zip(self.clusters, jacobians, strict=True):
+            part = item.count * jacobian * item.discrepancy[:, None]
+            total[item.layout] = total[item.layout] + part if item.layout in total else part
+        return np.concatenate([part[np.any(part != 0.0, axis=1)] for part in total.values()])
+
+    @cached_property
+    def discrepant(self) -> bool:
+        """Whether a model discrepancy is known."""
+        return any(np.any(item.discrepancy > 0.0) for item in self.clusters)
+
+    def quantile(self) -> float:
+        """Half width of a 95 % interval in standard errors of :meth:`covariance`."""
+        return float(student.ppf(0.975, max(self.freedom, 1)))
+
+
+def rarity(observed: float, null: Array) -> float:
+    """Share of a null distribution, the observation counted in, that is at least as large."""
+    return float((1.0 + np.count_nonzero(null >= observed * (1.0 - 1e-12))) / (1.0 + null.size))
+
+
+@lru_cache(maxsize=32)
+def _frames(rows: int, count: int, seed: int) -> Array:
+    """Random orthonormal frames, uniform over all of them: the first ``count`` rows of rotations, ``(B, count, rows)``."""
+    rng = np.random.default_rng([seed, rows, count])
+    basis, upper = np.linalg.qr(rng.standard_normal((DRAWS, rows, count)))
+    return np.swapaxes(basis * np.sign(np.einsum("bii->bi", upper))[:, None, :], 1, 2)
+
+
+class _Layout:
+    """Rows of the clusters of one layout: first the means, then the contrasts."""
+
+    def __init__(self, numbers: list[int], clusters: Sequence[Cluster]) -> None:
+        self.numbers = numbers
+        self.counts = np.array([clusters[number].count for number in numbers])
+        rows, contrasts = [], []
+        for number in numbers:
+            turned = _contrasts(clusters[number].count) @ clusters[number].residuals
+            rows.append(turned[0])
+            contrasts.extend(turned[1:])
+        self.rows = np.array(rows + contrasts)
+        self.means = len(numbers)
+        self.freedom = len(contrasts)
+
+    def products(self, jacobians: Sequence[Array], root: Array) -> Array:
+        """Scores of every row with every mean's sensitivity in the metric, ``(means, rows, p)``."""
+        return np.array(
+            [
+                np.sqrt(count) * (self.rows @ (jacobians[number] @ root))
+                for number, count in zip(self.numbers, self.counts, strict=True)
+            ]
+        )
+
+
+def _contrasts(count: int) -> Array:
+    """Orthonormal rows, the first one constant (Helmert), ``(n, n)``."""
+    result = np.zeros((count, count))
+    result[0] = 1.0 / np.sqrt(count)
+    for row in range(1, count):
+        result[row, :row], result[row, row] = 1.0, -row
+        result[row] /= np.sqrt(row * (row + 1.0))
+    return result
+
+
+class RotationReference(Reference):
+    """Reference from repeats, see the module; arguments as for :class:`Reference`."""
+
+    @cached_property
+    def _layouts(self) -> list[_Layout]:
+        numbers: dict[str, list[int]] = {}
+        for number, item in enumerate(self.clusters):
+            numbers.setdefault(item.layout, []).append(number)
+        return [_Layout(chosen, self.clusters) for chosen in numbers.values()]
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the pure error: repeats less conditions."""
+        return sum(item.count - 1 for item in self.clusters)
+
+    @property
+    def shortage(self) -> str | None:
+        """See :attr:`Reference.shortage`."""
+        if self.freedom >= LEAST_FREEDOM:
+            return None
+        return (
+            f"{LEAST_FREEDOM - self.freedom} more repeat(s) of any of the {len(self.clusters)} conditions: "
+            f"{self.freedom} degree(s) of freedom of the pure error, at least {LEAST_FREEDOM} are needed"
+        )
+
+    def p_value(self, jacobians: Sequence[Array], information: Array) -> float:
+        """See :meth:`Reference.p_value`."""
+        if self.shortage is not None:
+            return 1.0
+        root = np.linalg.inv(np.linalg.cholesky(information)).T
+        count = root.shape[0]
+        observed, null = np.zeros(count), np.zeros((DRAWS, count))
+        noise, noise_null = 0.0, np.zeros(DRAWS)
+        for number, layout in enumerate(self._layouts):
+            products = layout.products(jacobians, root)
+            gram = np.einsum("cnp,cmp->nm", products, products)
+            frames = _frames(len(layout.rows), layout.means, number)
+            observed += np.einsum("ccp->p", products[:, : layout.means])
+            null += np.einsum("bcn,cnp->bp", frames, products)
+            noise += float(np.trace(gram[layout.means :, layout.means :]))
+            noise_null += np.trace(gram) - np.einsum("bcn,nm,bcm->b", frames, gram, frames, optimize=True)
+        size, sizes = float(observed @ observed), np.einsum("bp,bp->b", null, null)
+        if size <= 0.0:
+            return 1.0
+        p = rarity(size / max(noise, 1e-300), sizes / np.maximum(noise_null, 1e-300))
+        if self.discrepant:
+            p = max(p, rarity(size, self._with_discrepancy(jacobians, root)))
+        return p
+
+    def _with_discrepancy(self, jacobians: Sequence[Array], root: Array) -> Array:
+        """Draws of T from noise and discrepancy together, ``(B,)``."""
+        rng = np.random.default_rng(1)
+        total = np.zeros((DRAWS, root.shape[1]))
+        for layout in self._layouts:
+            if layout.freedom == 0:
+                continue
+            contrasts = layout.products(jacobians, root)[:, layout.means :]
+            total += self._noise(rng, layout).reshape(DRAWS, -1) @ contrasts.reshape(-1, root.shape[1])
+        shared = self._discrepancy_scores(jacobians) @ root
+        total += rng.standard_normal((DRAWS, shared.shape[0])) @ shared
+        return np.asarray(np.einsum("bp,bp->b", total, total))
+
+    @staticmethod
+    def _noise(rng: np.random.Generator, layout: _Layout) -> Array:
+        """Weights of the contrasts in draws of mean rows, ``(B, means, contrasts)``."""
+        weights = rng.standard_normal((DRAWS, layout.means, layout.freedom))
+        return np.asarray(weights / np.sqrt(rng.chisquare(layout.freedom, DRAWS))[:, None, None])
+
+    def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
+        """See :meth:`Reference.lack_of_fit`; as :meth:`p_value`, with every feature a parameter of its own."""
+        if self.shortage is not None:
+            return None
+        rng = np.random.default_rng(2)
+        observed = noise = 0.0
+        null, noise_null, absolute = np.zeros(DRAWS), np.zeros(DRAWS), np.zeros(DRAWS)
+        for number, layout in enumerate(self._layouts):
+            means = np.array([np.sqrt(self.clusters[c].count) * rest[c] for c in layout.numbers])
+            rows = np.vstack((means, layout.rows[layout.means :]))
+            gram = rows @ rows.T
+            frames = _frames(len(rows), layout.means, number)
+            inside = np.einsum("bcn,nm,bcm->b", frames, gram, frames, optimize=True)
+            observed += float(np.trace(gram[: layout.means, : layout.means]))
+            noise += float(np.trace(gram[layout.means :, layout.means :]))
+            null += inside
+            noise_null += np.trace(gram) - inside
+            if self.discrepant:
+                absolute += self._rest_by_chance(rng, layout)
+        p = rarity(observed / max(noise, 1e-300), null / np.maximum(noise_null, 1e-300))
+        return max(p, rarity(observed, absolute)) if self.discrepant else p
+
+    def _rest_by_chance(self, rng: np.random.Generator, layout: _Layout) -> Array:
+        """Squares of mean rows from noise and discrepancy together, ``(B,)``."""
+        contrasts = layout.rows[layout.means :]
+        amplitude = self.clusters[layout.numbers[0]].discrepancy
+        weights = np.sqrt(layout.counts)
+        squares = np.zeros(DRAWS)
+        noise = self._noise(rng, layout) if layout.freedom else np.zeros((DRAWS, layout.means, 0))
+        for start in range(0, DRAWS, 500):
+            rows = slice(start, start + 500)
+            shared = rng.standard_normal((noise[rows].shape[0], amplitude.size)) * amplitude
+            drawn = noise[rows] @ contrasts + weights[None, :, None] * shared[:, None, :]
+            squares[rows] = np.einsum("bcf,bcf->b", drawn, drawn)
+        return squares
+
+    def covariance(self, jacobians: Sequence[Array], change: Array, inverse: Array) -> Array:
+        """See :meth:`Reference.covariance`; trials are independent of each other, their features are not."""
+        del change  # repeats differ from their own mean, whatever was fitted
+        meat = np.zeros_like(inverse)
+        for item, jacobian in zip(self.clusters, jacobians, strict=True):
+            if item.count > 1:
+                scores = (item.residuals - item.mean) @ jacobian * np.sqrt(item.count / (item.count - 1.0))
+                meat += scores.T @ scores
+        return np.asarray(inverse @ meat @ inverse)
+
+
+class BlockReference(Reference):
+    """Reference from stretches of recordings, see the module; arguments as for :class:`Reference`."""
+
+    LEAST = 12  # blocks: two to the power of eleven patterns of signs, so that p = 0.0005 can be told
+
+    @property
+    def freedom(self) -> int:
+        """Blocks less one."""
+        return len(self.clusters) - 1
+
+    @property
+    def shortage(self) -> str | None:
+        """See :attr:`Reference.shortage`."""
+        if len(self.clusters) >= self.LEAST:
+            return None
+        return f"{self.LEAST - len(self.clusters)} more stretches of motion: {len(self.clusters)} of {self.LEAST} needed"
+
+    @cached_property
+    def _signs(self) -> Array:
+        return np.random.default_rng(0).choice([-1.0, 1.0], size=(DRAWS, len(self.clusters)))
+
+    def p_value(self, jacobians: Sequence[Array], information: Array) -> float:
+        """See :meth:`Reference.p_value`."""
+        if self.shortage is not None:
+            return 1.0
+        root = np.linalg.inv(np.linalg.cholesky(information)).T
+        scores = np.array([j.T @ item.mean for item, j in zip(self.clusters, jacobians, strict=True)]) @ root
+        observed = scores.sum(axis=0)
+        size = float(observed @ observed)
+        if size <= 0.0:
+            return 1.0
+        null = self._signs @ scores
+        return rarity(size, np.einsum("bp,bp->b", null, null))
+
+    def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
+        """None: a recording says nothing of what is left, for nothing was repeated."""
+        del rest
+        return None
+
+    def covariance(self, jacobians: Sequence[Array], change: Array, inverse: Array) -> Array:
+        """See :meth:`Reference.covariance`; neighbouring samples are not independent, blocks are."""
+        scores = np.array(
+            [j.T @ (item.mean - j @ change) for item, j in zip(self.clusters, jacobians, strict=True)]
+        )
+        count = len(self.clusters)
+        return np.asarray(inverse @ (scores.T @ scores) @ inverse * count / (count - 1.0))
+
+
+def combined_half_width(noise: Array, quantile: float, jackknife: Array, clusters: int, discrepancy: Array) -> Array:
+    """Half width of 95 % intervals, ``(p,)``.
+
+    The larger of what noise and what disagreement of the clusters explain, each with the quantile of the estimator that
+    made it, and model discrepancy on top, which is neither.
+
+    Args:
+        noise: Standard errors from noise, ``(p,)``.
+        quantile: Of Student's t with the degrees of freedom of the noise.
+        jackknife: Standard errors from leaving one cluster out, ``(p,)``.
+        clusters: Number of clusters left out in turn.
+        discrepancy: Standard errors from model discrepancy, ``(p,)``.
+    """
+    own = np.maximum(quantile * noise, student.ppf(0.975, max(clusters - 1, 1)) * jackknife)
+    return np.asarray(np.hypot(own, norm.ppf(0.975) * discrepancy))

@@ -1,0 +1,172 @@
+"""Evidence: what every source of measurements comes down to before anything is explained.
+
+A *cluster* is what is held out together: the repeats of a condition, or a stretch of a recording. Its residuals are
+measured minus predicted features, each divided by
+
+    sigma_f^2 = s_f^2 + (floor_f / 2)^2 + d_f^2
+
+with s_f the pure error (what repeats of a trial scatter, pooled over clusters of one layout, or the noise of a recorded
+signal), floor_f the difference below which nobody cares, and d_f the model discrepancy: how far equally valid
+simulations of the same parameters differ (:mod:`impact_rs_analysis.evidence.discrepancy`). Repeats share one
+sensitivity; what they average to is what a model has to explain.
+
+Sizes are told on one scale, on which 1 is what repetition alone leaves:
+
+    size^2 = sum_f r_f^2 / sum_f (s_f^2 / n + d_f^2) / sigma_f^2
+
+with r_f the mean residual of n repeats; where nothing is known of repetition, the scaled residual itself is told.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_rs_sim.model import Model
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+
+Added = tuple[tuple[str, tuple[float, ...]], ...]
+"""Effects on top of a model: names with their parameter vectors."""
+
+
+@dataclass(frozen=True)
+class Feature:
+    """Where one number of a feature vector comes from.
+
+    Attributes:
+        phase: ``free``, ``impact`` or ``push``; of a recording ``moving up``, ``moving down`` or ``slow``.
+        signal: What it is.
+        index: Joint (``joint1``) or axis (``x``), with the arm's name in front where there are several.
+        bin: Number of the time bin within the phase.
+        unit: Unit.
+        floor: Differences below this are no concern to anyone, in the unit.
+    """
+
+    phase: str
+    signal: str
+    index: str
+    bin: int
+    unit: str
+    floor: float
+
+    @property
+    def group(self) -> tuple[str, str, str]:
+        """Phase, signal and index: what its time bins have in common."""
+        return self.phase, self.signal, self.index
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Scaled residuals of what is held out together.
+
+    Attributes:
+        name: Short name for tables.
+        place: Scenario, object and case; of a recording its file and the stretch.
+        layout: Clusters of one layout have the same features, and share their pure error.
+        unit: What is held out as a whole: the cluster itself, or the recording that it is a stretch of.
+        contact: Whether something is hit.
+        features: What the entries are.
+        residuals: One row per repeat, ``(n, F)`` [-].
+        sigma: Scale of each feature in its own unit, ``(F,)``.
+        pure: Pure error of each feature over its scale, ``(F,)`` [-].
+        discrepancy: Model discrepancy of each feature over its scale, ``(F,)`` [-].
+    """
+
+    name: str
+    place: tuple[str, str, str]
+    layout: str
+    unit: str
+    contact: bool
+    features: tuple[Feature, ...]
+    residuals: Array
+    sigma: Array
+    pure: Array
+    discrepancy: Array
+
+    @property
+    def count(self) -> int:
+        """Number of repeats."""
+        return int(self.residuals.shape[0])
+
+    @property
+    def mean(self) -> Array:
+        """Mean over the repeats, ``(F,)`` [-]."""
+        return np.asarray(self.residuals.mean(axis=0))
+
+    @property
+    def error(self) -> float:
+        """Mean square of the mean residual [-]."""
+        return float(np.mean(np.square(self.mean)))
+
+    @property
+    def expected(self) -> float:
+        """What :attr:`error` is when only repetition and model discrepancy are left [-]; 0 where nothing is known."""
+        return float(np.mean(np.square(self.pure) / self.count + np.square(self.discrepancy)))
+
+
+class Source(ABC):
+    """Where residuals and sensitivities come from: measurements, and a model that predicts them.
+
+    Attributes:
+        model: What is believed; effects are switched on on top of it.
+        clusters: Residuals of the model.
+        physics: Physics of one cluster under the model, for bounds of parameters and the number of joints.
+        repeated: Whether clusters hold repeats; if not, clusters are stretches of time.
+        cheap: Whether predictions cost so little that several starting points can be tried.
+    """
+
+    model: Model
+    clusters: tuple[Cluster, ...]
+    physics: Physics
+    repeated: bool
+    cheap: bool
+
+    @property
+    def joint_count(self) -> int:
+        """Number of joints of an arm."""
+        return next(iter(self.physics.arms.values())).facts.joint_count
+
+    @abstractmethod
+    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+        """Features, in their units, of clusters (by number) with effects on top of the model.
+
+        Args:
+            wanted: Number of the cluster, and what is switched on.
+            what: What it is for, to tell the user.
+
+        Returns:
+            ``(F,)`` each; None where nothing is hit although it should be, or where the effects leave no body.
+        """
+
+    @abstractmethod
+    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        """Residuals with effects on top of the model, on the scale of ``like``; None where that cannot be simulated."""
+
+
+def size_of(errors: Array | Sequence[float], expected: Array | Sequence[float]) -> float:
+    """Size of mean square residuals on the scale on which 1 is what repetition alone leaves (module text).
+
+    Args:
+        errors: Mean square of the mean residual by cluster, ``(c,)`` [-].
+        expected: What it would be if only repetition and discrepancy were left, ``(c,)`` [-].
+    """
+    unit = float(np.mean(expected))
+    return math.sqrt(float(np.mean(errors)) / (unit if unit > 0.0 else 1.0))
+
+
+def pooled_error(rows: Sequence[Array]) -> Array | None:
+    """Pure error of features that several clusters share, ``(F,)``; None where nothing was repeated.
+
+    Args:
+        rows: Per cluster, residuals of its repeats in their own units, ``(n, F)``.
+    """
+    freedom = sum(values.shape[0] - 1 for values in rows)
+    if freedom < 1:
+        return None
+    squares = sum(((values - values.mean(axis=0)) ** 2).sum(axis=0) for values in rows)
+    return np.asarray(np.sqrt(squares / freedom))

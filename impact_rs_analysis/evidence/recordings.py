@@ -1,0 +1,206 @@
+"""Recordings of free motion as a source of evidence: clusters are stretches of time, a torque balance predicts them.
+
+Stretches are about a second long, longer than the noise of a low-passed torque remembers. Torques are divided by the root
+mean square of what the model leaves in their joint, so that every joint counts alike; the pure error is the noise of the
+recorded torque below the cut-off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature, Source
+from impact_rs_analysis.evidence.torque_balance import ARM, Motion, TorqueBalance, physics_of, prepare
+from impact_rs_sim.errors import InputError, NotABody
+from impact_rs_sim.model import Model
+from impact_rs_sim.robot import Array
+from impact_rs_trials.recordings.mapping import Mapping
+from impact_rs_trials.recordings.recording import Recording
+
+STRETCHES = 24  # at least, if they are not shorter than SHORTEST
+LONGEST, SHORTEST = 2.0, 0.5  # s
+LEAST_STRETCHES = 12
+SLOW = 0.05  # rad/s
+SIGNAL = "torque"
+PHASES = ("moving up", "moving down", "slow")
+
+
+@dataclass(frozen=True)
+class RecordingFacts:
+    """What was read, and how it was filtered.
+
+    Attributes:
+        files: Paths of the recordings.
+        robot: Robot facts that were taken.
+        end_effector_mass_kg: What the mapping says is mounted [kg].
+        samples: Samples read.
+        recorded_s: Their duration [s].
+        used_s: What is left between the edges [s].
+        sampled_Hz: Sampling rate [Hz].
+        low_pass_Hz: Cut-off of the low-pass [Hz].
+        signals: Signals that were found.
+    """
+
+    files: tuple[str, ...]
+    robot: str
+    end_effector_mass_kg: float
+    samples: int
+    recorded_s: float
+    used_s: float
+    sampled_Hz: float
+    low_pass_Hz: float
+    signals: tuple[str, ...]
+
+
+class RecordingSource(Source):
+    """Recordings of free motion against the torque balance of a model.
+
+    Args:
+        recordings: What was recorded.
+        mapping: What is where in it, and what was mounted.
+        model: What is believed.
+
+    Attributes:
+        motions: Filtered recordings.
+        balance: Predicts their torque.
+        rest: Recorded minus predicted torque of the model, ``(k, n)`` [N m].
+        sigma: Scale of every joint, ``(n,)`` [N m].
+
+    Raises:
+        InputError: Sampled too slowly, or too short to hold anything out.
+    """
+
+    repeated = False
+    cheap = True
+
+    def __init__(self, recordings: Sequence[Recording], mapping: Mapping, model: Model) -> None:
+        self.recordings, self.mapping, self.model = tuple(recordings), mapping, model
+        self.motions: tuple[Motion, ...] = tuple(prepare(recording, mapping.low_pass) for recording in recordings)
+        self.physics = model.apply(physics_of(mapping, list(self.motions)))
+        self.balance = TorqueBalance(list(self.motions))
+        self.rest = self.balance.recorded - self.balance.predict(self.physics)
+        self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.rest), axis=0)), 1e-12)
+        self._stretches = _cut(self.recordings, self.motions)
+        self._predicted: dict[Added, Array | None] = {}
+        self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))
+        self.remarks = [
+            "one recording is one condition: stretches of time are held out in its place, and whether the estimates "
+            "hold at other speeds, poses or temperatures is not tested",
+            "nothing was repeated, so there is no pure error: the noise floor is that of the torque signal, and a model "
+            "error larger than it does not have to come from an effect of the library",
+        ]
+        if self.physics.arms[ARM].motor_inertia_reduced.max() == 0.0:
+            self.remarks.append("the torque was measured behind the motors, so their inertia is not in it")
+
+    @property
+    def facts(self) -> RecordingFacts:
+        """What was read."""
+        return RecordingFacts(
+            files=tuple(str(recording.path) for recording in self.recordings),
+            robot=self.mapping.robot,
+            end_effector_mass_kg=self.mapping.end_effector.mass,
+            samples=int(sum(recording.time.size for recording in self.recordings)),
+            recorded_s=float(sum(recording.time[-1] - recording.time[0] for recording in self.recordings)),
+            used_s=float(sum(m.time[m.kept].size / m.rate for m in self.motions)),
+            sampled_Hz=float(1.0 / np.median(np.diff(self.recordings[0].time))),
+            low_pass_Hz=self.motions[0].cut_off,
+            signals=tuple(sorted({"position", "velocity", "torque", *self.recordings[0].others})),
+        )
+
+    @property
+    def stretch_seconds(self) -> float:
+        """Mean length of a stretch [s]."""
+        return self.facts.used_s / len(self._stretches)
+
+    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+        """See :meth:`Source.predict`."""
+        del what
+        found: list[Array | None] = []
+        for number, added in wanted:
+            torque = self._torque(added)
+            found.append(None if torque is None else torque[self._stretches[number].rows].ravel())
+        return found
+
+    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        """See :meth:`Source.measure_again`."""
+        torque = self._torque(added)
+        if torque is None:
+            return None
+        rest = self.balance.recorded - torque
+        numbers = {item.name: number for number, item in enumerate(self.clusters)}
+        return [
+            replace(item, residuals=(rest[self._stretches[numbers[item.name]].rows].ravel() / item.sigma)[None, :])
+            for item in like
+        ]
+
+    def _torque(self, added: Added) -> Array | None:
+        """Predicted torque of all recordings, ``(k, n)`` [N m]; None where the effects leave no body."""
+        if added not in self._predicted:
+            physics = self.physics
+            known = self.model.known_effects
+            try:
+                for name, values in added:
+                    physics = known[name].apply_vector(physics, np.array(values))
+                self._predicted[added] = self.balance.predict(physics)
+            except NotABody:
+                self._predicted[added] = None
+        return self._predicted[added]
+
+    def _cluster(self, number: int) -> Cluster:
+        stretch = self._stretches[number]
+        rest, velocity = self.rest[stretch.rows], self.balance.velocity[stretch.rows]
+        phase = np.where(velocity > SLOW, 0, np.where(velocity < -SLOW, 1, 2))
+        labels = [[_feature(name, joint) for name in PHASES] for joint in range(rest.shape[1])]
+        sigma = np.broadcast_to(self.sigma, rest.shape).ravel()
+        return Cluster(
+            name=stretch.name,
+            place=(stretch.unit, stretch.name, ""),
+            layout=stretch.name,
+            unit=stretch.unit,
+            contact=False,
+            features=tuple(labels[joint][phase[k, joint]] for k in range(len(rest)) for joint in range(rest.shape[1])),
+            residuals=(rest.ravel() / sigma)[None, :],
+            sigma=sigma,
+            pure=np.broadcast_to(self.balance.noise / self.sigma, rest.shape).ravel(),
+            discrepancy=np.zeros(rest.size),
+        )
+
+
+def _feature(phase: str, joint: int) -> Feature:
+    return Feature(phase, SIGNAL, f"joint{joint + 1}", 0, "N m", 0.0)
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    name: str
+    unit: str
+    rows: slice
+
+
+def _cut(recordings: Sequence[Recording], motions: Sequence[Motion]) -> list[_Stretch]:
+    """Cut the motions into stretches of one length.
+
+    Raises:
+        InputError: Too short to hold anything out.
+    """
+    lengths = [(motion.time[motion.kept].size, motion.rate) for motion in motions]
+    total = sum(size / rate for size, rate in lengths)
+    seconds = float(np.clip(total / STRETCHES, SHORTEST, LONGEST))
+    found, first = [], 0
+    for recording, motion, (size, rate) in zip(recordings, motions, lengths, strict=True):
+        parts = max(1, round(size / rate / seconds))
+        edges = np.arange(parts + 1) * size // parts
+        start = float(motion.time[motion.kept][0])
+        for low, high in zip(edges[:-1], edges[1:], strict=True):
+            name = f"{recording.path.name}, {start + low / rate:.1f} to {start + high / rate:.1f} s"
+            found.append(_Stretch(name, str(recording.path), slice(first + int(low), first + int(high))))
+        first += size
+    if len(found) < LEAST_STRETCHES:
+        raise InputError(
+            f"{total:.3g} s of usable motion, at least {LEAST_STRETCHES * SHORTEST:g} s are needed to hold some out",
+            file=recordings[0].path,
+        )
+    return found
