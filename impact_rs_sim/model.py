@@ -2,10 +2,14 @@
 
 A model is a list of effects with their parameters. Adding an effect writes a new file that names its parent, so the way
 from the nominal model to the present one can be read back (``impact-rs history``).
+
+A file says nothing about the robot. Where an effect has a parameter per joint the file names joints 1 to n, and the
+model fits arms with n joints; without such an effect it fits any arm.
 """
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +23,7 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.schema import Schema, load
 
-JOINT_COUNT = 7
+JOINT_COUNT = 7  # until the diagnosis and the command line stop importing it
 
 
 class ParameterValue(Schema):
@@ -61,13 +65,22 @@ class Model(Schema):
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 
     def apply(self, physics: Physics) -> Physics:
-        """Nominal physics with every effect of the model."""
+        """Nominal physics with every effect of the model.
+
+        Raises:
+            InputError: The model is for arms with another number of joints.
+        """
         known = self.known_effects
         for item in self.effects:
             effect = known[item.name]
-            physics = effect.apply_vector(
-                physics, np.array([item.parameters[scalar.name].estimate for scalar in effect.scalars(JOINT_COUNT)])
-            )
+            count = _joint_count(effect, item)
+            if count is not None and count != physics.joint_count:
+                raise InputError(
+                    f"model {self.name!r} is for arms with {count} joints (effect {item.name}), "
+                    f"this arm has {physics.joint_count}"
+                )
+            vector = np.array([item.parameters[scalar.name].estimate for scalar in effect.scalars(count or 0)])
+            physics = effect.apply_vector(physics, vector)
         return physics
 
     def with_effect(self, item: ModelEffect, name: str, parent: str, formulas: tuple[FormulaSpec, ...] = ()) -> Model:
@@ -84,16 +97,27 @@ class Model(Schema):
         )
 
 
+def _joint_count(effect: Effect, item: ModelEffect) -> int | None:
+    """Largest joint that the parameters of an effect name, 1 where they name none; None: it has none per joint."""
+    names = [re.escape(parameter.name) for parameter in effect.parameters if parameter.per_joint]
+    if not names:
+        return None
+    pattern = re.compile(f"(?:{'|'.join(names)})_joint([1-9][0-9]{{0,2}})")
+    return max((int(found[1]) for name in item.parameters if (found := pattern.fullmatch(name))), default=1)
+
+
 def check_model(model: Model, file: str | Path) -> Model:
     """Check a model against the effects it names.
 
     Raises:
-        InputError: An unknown effect or parameter, a missing one, a wrong unit, or a value out of bounds.
+        InputError: An unknown effect or parameter, a missing one, a wrong unit, a value out of bounds, or effects with
+            unequal numbers of joints.
     """
     try:
         known = model.known_effects
     except InputError as error:
         raise InputError(error.message, file=file) from None
+    joints: tuple[str, int] | None = None
     for index, item in enumerate(model.effects):
         key = f"effects.{index}"
         if item.name not in known:
@@ -103,7 +127,8 @@ def check_model(model: Model, file: str | Path) -> Model:
                 key=f"{key}.name",
                 value=item.name,
             )
-        scalars = {scalar.name: scalar for scalar in known[item.name].scalars(JOINT_COUNT)}
+        count = _joint_count(known[item.name], item)
+        scalars = {scalar.name: scalar for scalar in known[item.name].scalars(count or 0)}
         for name in item.parameters:
             if name not in scalars:
                 raise InputError(
@@ -114,7 +139,8 @@ def check_model(model: Model, file: str | Path) -> Model:
         for name, scalar in scalars.items():
             place = f"{key}.parameters.{name}"
             if name not in item.parameters:
-                raise InputError(f"this key is missing ({scalar.meaning} [{scalar.unit}])", file=file, key=place)
+                last = f"; joint {count} is here" if scalar.joint is not None and count != scalar.joint + 1 else ""
+                raise InputError(f"this key is missing ({scalar.meaning} [{scalar.unit}]){last}", file=file, key=place)
             value = item.parameters[name]
             if value.unit != scalar.unit:
                 raise InputError(f"expected the unit {scalar.unit!r}", file=file, key=f"{place}.unit", value=value.unit)
@@ -124,6 +150,14 @@ def check_model(model: Model, file: str | Path) -> Model:
                     file=file,
                     key=f"{place}.estimate",
                     value=value.estimate,
+                )
+        if count is not None:
+            joints = joints or (item.name, count)
+            if count != joints[1]:
+                raise InputError(
+                    f"has {count} joints, but {joints[0]} has {joints[1]}; a model is for arms of one kind",
+                    file=file,
+                    key=f"{key}.parameters",
                 )
     return model
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pinocchio as pin
 
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts, SigmoidFriction
 from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.scenario import Scenario
@@ -234,6 +235,19 @@ class Physics:
             pad_friction=scenario.contact.friction,
             restitution=scenario.contact.restitution,
         )
+
+    @property
+    def joint_count(self) -> int:
+        """Number of joints of an arm.
+
+        Raises:
+            InputError: The arms have unequal numbers of joints.
+        """
+        counts = {name: arm.facts.joint_count for name, arm in self.arms.items()}
+        if len(set(counts.values())) != 1:
+            found = ", ".join(f"{name} {count}" for name, count in counts.items())
+            raise InputError(f"arms with one number of joints are expected, found: {found}")
+        return next(iter(counts.values()))
 
     def robot_model(self, arm: str) -> RobotModel:
         """Rigid-body model of one arm under these physics."""

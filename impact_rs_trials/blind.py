@@ -17,7 +17,6 @@ import numpy as np
 from impact_rs_control.plan import plan_trial
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.model import JOINT_COUNT
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
@@ -64,24 +63,27 @@ SIZES = {
 }
 
 
-def draw(name: str, magnitude: float, rng: np.random.Generator) -> Hidden:
+def draw(name: str, magnitude: float, rng: np.random.Generator, joint_count: int) -> Hidden:
     """Parameter values of an effect, ``magnitude`` parameter scales away from nominal, in a random direction.
 
     Where the nominal value is a bound (friction cannot be negative) the effect goes the only way it can; values beyond
-    a bound stop 10 % short of it.
+    a bound stop 10 % short of it. An effect with a shape drawn from a range of its own only ever adds: what is taken
+    away from a place drawn at random need not be there.
     """
-    effect = library()[name]
+    scalars = library()[name].scalars(joint_count)
     values = []
-    for scalar in effect.scalars(JOINT_COUNT):
+    for scalar in scalars:
         size = magnitude * scalar.scale * rng.uniform(0.7, 1.3)
         up = scalar.upper - scalar.nominal > 0.0 and (scalar.nominal <= scalar.lower or rng.random() < 0.5)
         room = 0.9 * (scalar.upper - scalar.nominal if up else scalar.nominal - scalar.lower)
         values.append(scalar.nominal + (1.0 if up else -1.0) * min(size, room))
-    if name == "joint_stribeck_friction":
-        values[-1] = float(rng.uniform(0.03, 0.15))
-    if name == "end_effector_payload":
-        values[0] = min(magnitude * 0.1 * rng.uniform(0.7, 1.3), 2.7)
-        values[1:] = [float(rng.uniform(low, high)) for low, high in ((-0.04, 0.04), (-0.04, 0.04), (-0.1, 0.02))]
+    if any(scalar.hidden is not None for scalar in scalars):
+        for index, scalar in enumerate(scalars):
+            if scalar.hidden is not None:
+                values[index] = rng.uniform(*scalar.hidden)
+            elif scalar.lower < scalar.nominal < scalar.upper:
+                size = magnitude * scalar.scale * rng.uniform(0.7, 1.3)
+                values[index] = scalar.nominal + min(size, 0.9 * (scalar.upper - scalar.nominal))
     return Hidden(name, tuple(float(value) for value in values), magnitude)
 
 
@@ -99,10 +101,11 @@ def draw_truth(seed: int, kind: str, effect: str | None, magnitude: float | None
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     count = {"single": 1, "pair": 2}.get(kind, 0)
     chosen = [effect] if effect is not None and count == 1 else list(rng.choice(names, size=count, replace=False))
-    return [
-        draw(str(name), magnitude if magnitude is not None else float(np.exp(rng.uniform(0.0, np.log(10.0)))), rng)
-        for name in chosen
-    ]
+    hidden = []
+    for name in chosen:
+        size = magnitude if magnitude is not None else float(np.exp(rng.uniform(0.0, np.log(10.0))))
+        hidden.append(draw(str(name), size, rng, _joint_count()))
+    return hidden
 
 
 def draw_outside(seed: int, name: str | None, magnitude: float | None) -> tuple[str, float]:
@@ -223,8 +226,13 @@ def make(
             yield done, len(todo)
 
 
+def _joint_count() -> int:
+    """Joints of the arms of these campaigns."""
+    return next(iter(load_scenario("push").robots.values())).robot_facts.joint_count
+
+
 def _named(item: Hidden) -> dict[str, Any]:
-    scalars = library()[item.name].scalars(JOINT_COUNT)
+    scalars = library()[item.name].scalars(_joint_count())
     return {
         scalar.name: {"value": value, "unit": scalar.unit} for scalar, value in zip(scalars, item.values, strict=True)
     }

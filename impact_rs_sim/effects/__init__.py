@@ -1,7 +1,7 @@
 """The library of physical effects, and the way to add one's own.
 
 A Python package adds effects by an entry point in the group ``impact_rs.effects`` that names a subclass of
-:class:`~impact_rs_sim.effects.base.Effect`; a YAML file adds them as formulas
+:class:`~impact_rs_sim.effects.base.Effect`, or an instance of one; a YAML file adds them as formulas
 (:mod:`impact_rs_sim.effects.formula`).
 """
 
@@ -10,47 +10,37 @@ from __future__ import annotations
 import functools
 from importlib.metadata import entry_points
 
-from impact_rs_sim.effects.actuation_delay import ActuationDelay
-from impact_rs_sim.effects.base import Effect, Parameter, ScalarParameter
-from impact_rs_sim.effects.base_tilt import BaseTilt
-from impact_rs_sim.effects.end_effector_payload import EndEffectorPayload
-from impact_rs_sim.effects.external_spring import ExternalSpring
-from impact_rs_sim.effects.joint_coulomb_friction import JointCoulombFriction
-from impact_rs_sim.effects.joint_stiffness import JointStiffness
-from impact_rs_sim.effects.joint_stribeck_friction import JointStribeckFriction
-from impact_rs_sim.effects.joint_viscous_friction import JointViscousFriction
-from impact_rs_sim.effects.motor_inertia_scale import MotorInertiaScale
-from impact_rs_sim.effects.object_com_offset import ObjectComOffset
-from impact_rs_sim.effects.object_mass import ObjectMass
-from impact_rs_sim.effects.pad_compliance import PadCompliance
-from impact_rs_sim.effects.pad_friction import PadFriction
-from impact_rs_sim.effects.restitution import Restitution
-from impact_rs_sim.effects.support_friction import SupportFriction
-from impact_rs_sim.effects.torque_gain import TorqueGain
-from impact_rs_sim.effects.torque_offset import TorqueOffset
+from impact_rs_sim.effects.actuation import ACTUATION_DELAY, TORQUE_GAIN, TORQUE_OFFSET
+from impact_rs_sim.effects.base import ArmEffect, Effect, Parameter, ScalarParameter, SceneEffect
+from impact_rs_sim.effects.contact import PAD_COMPLIANCE, PAD_FRICTION, RESTITUTION, SUPPORT_FRICTION
+from impact_rs_sim.effects.joint import JOINT_STIFFNESS
+from impact_rs_sim.effects.link import END_EFFECTOR_PAYLOAD
+from impact_rs_sim.effects.motor import COULOMB_FRICTION, MOTOR_INERTIA_SCALE, STRIBECK_FRICTION, VISCOUS_FRICTION
+from impact_rs_sim.effects.object import OBJECT_COM_OFFSET, OBJECT_MASS
+from impact_rs_sim.effects.scene import BASE_TILT, EXTERNAL_SPRING
 from impact_rs_sim.errors import InputError
 
-__all__ = ["Effect", "Parameter", "ScalarParameter", "library"]
+__all__ = ["ArmEffect", "Effect", "Parameter", "ScalarParameter", "SceneEffect", "library"]
 
 ENTRY_POINT_GROUP = "impact_rs.effects"
-BUILT_IN: tuple[type[Effect], ...] = (
-    JointCoulombFriction,
-    JointViscousFriction,
-    JointStribeckFriction,
-    TorqueOffset,
-    TorqueGain,
-    ActuationDelay,
-    MotorInertiaScale,
-    JointStiffness,
-    EndEffectorPayload,
-    Restitution,
-    PadCompliance,
-    PadFriction,
-    SupportFriction,
-    ObjectMass,
-    ObjectComOffset,
-    BaseTilt,
-    ExternalSpring,
+BUILT_IN: tuple[Effect, ...] = (
+    COULOMB_FRICTION,
+    VISCOUS_FRICTION,
+    STRIBECK_FRICTION,
+    TORQUE_OFFSET,
+    TORQUE_GAIN,
+    ACTUATION_DELAY,
+    MOTOR_INERTIA_SCALE,
+    JOINT_STIFFNESS,
+    END_EFFECTOR_PAYLOAD,
+    RESTITUTION,
+    PAD_COMPLIANCE,
+    PAD_FRICTION,
+    SUPPORT_FRICTION,
+    OBJECT_MASS,
+    OBJECT_COM_OFFSET,
+    BASE_TILT,
+    EXTERNAL_SPRING,
 )
 
 
@@ -61,15 +51,16 @@ def library() -> dict[str, Effect]:
     Raises:
         InputError: An entry point that is no effect, or that takes a name that is taken.
     """
-    effects: dict[str, Effect] = {effect.name: effect() for effect in BUILT_IN}
+    effects = {effect.name: effect for effect in BUILT_IN}
     for entry in entry_points(group=ENTRY_POINT_GROUP):
         try:
             loaded = entry.load()
+            effect = loaded() if isinstance(loaded, type) and issubclass(loaded, Effect) else loaded
         except Exception as error:  # somebody else's package can fail in any way
             raise InputError(f"entry point {entry.value!r} of {ENTRY_POINT_GROUP} cannot be loaded: {error}") from None
-        if not (isinstance(loaded, type) and issubclass(loaded, Effect)):
-            raise InputError(f"entry point {entry.value!r} of {ENTRY_POINT_GROUP} is no subclass of Effect")
-        if loaded.name in effects:
-            raise InputError(f"entry point {entry.value!r}: there is already an effect called {loaded.name!r}")
-        effects[loaded.name] = loaded()
+        if not isinstance(effect, Effect):
+            raise InputError(f"entry point {entry.value!r} of {ENTRY_POINT_GROUP} is no subclass or instance of Effect")
+        if effect.name in effects:
+            raise InputError(f"entry point {entry.value!r}: there is already an effect called {effect.name!r}")
+        effects[effect.name] = effect
     return effects

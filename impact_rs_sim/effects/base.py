@@ -1,21 +1,29 @@
 """What a physical effect is: a few parameters, and what they do to the physics.
 
-One class serves three: the plant hides the effect, twin and impact map predict with it, the diagnosis fits it. All
+One object serves three: the plant hides the effect, twin and impact map predict with it, the diagnosis fits it. All
 three call :meth:`Effect.apply` and nothing else.
+
+Most effects change every arm by itself (:class:`ArmEffect`) or the scene around the arms (:class:`SceneEffect`); such a
+one is a parameter list and a function. Whatever fits neither derives from :class:`Effect`.
 """
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import inspect
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array
+
+Values = dict[str, Array]  # by parameter name: (n,) for a parameter per joint, (1,) otherwise, in its unit
 
 
 @dataclass(frozen=True)
@@ -32,6 +40,9 @@ class Parameter:
         meaning: What it is, for tables.
         per_joint: Whether there is one per joint.
         step: First change that is tried when looking for its influence; None: its scale.
+        shape: Whether it moves nothing while the effect is off (Stribeck velocity; where a payload sits).
+        grid: Starting values of a shape parameter, where trying them is cheap.
+        hidden: Range from which a blind campaign draws it; None: some scales away from nominal.
     """
 
     name: str
@@ -43,17 +54,39 @@ class Parameter:
     meaning: str
     per_joint: bool = False
     step: float | None = None
+    shape: bool = False
+    grid: tuple[float, ...] = ()
+    hidden: tuple[float, float] | None = None
 
-    def names(self, joint_count: int) -> list[str]:
-        """Names of the scalars: ``coulomb_joint1`` ... for a parameter per joint."""
-        if not self.per_joint:
-            return [self.name]
-        return [f"{self.name}_joint{index + 1}" for index in range(joint_count)]
+    def scalars(self, joint_count: int) -> list[ScalarParameter]:
+        """One scalar, or one per joint: ``coulomb_joint1`` ... for a parameter per joint."""
+        return [
+            ScalarParameter(
+                name=self.name if joint is None else f"{self.name}_joint{joint + 1}",
+                unit=self.unit,
+                nominal=self.nominal,
+                lower=self.lower,
+                upper=self.upper,
+                scale=self.scale,
+                meaning=self.meaning,
+                step=self.scale if self.step is None else self.step,
+                joint=joint,
+                shape=self.shape,
+                grid=self.grid,
+                hidden=self.hidden,
+            )
+            for joint in (range(joint_count) if self.per_joint else (None,))
+        ]
 
 
 @dataclass(frozen=True)
 class ScalarParameter:
-    """One scalar of an effect, spelled out for one arm; fields as in :class:`Parameter`."""
+    """One scalar of an effect, spelled out for one arm; fields as in :class:`Parameter`.
+
+    Attributes:
+        step: First change that is tried when looking for its influence.
+        joint: Joint it belongs to, counted from 0; None: the effect as a whole.
+    """
 
     name: str
     unit: str
@@ -63,12 +96,18 @@ class ScalarParameter:
     scale: float
     meaning: str
     step: float
+    joint: int | None = None
+    shape: bool = False
+    grid: tuple[float, ...] = ()
+    hidden: tuple[float, float] | None = None
 
 
 class Effect(ABC):
     """A physical effect.
 
-    Class attributes:
+    An effect of one's own derives from here and sets the attributes below in its class.
+
+    Attributes:
         name: Name in model files and on the command line.
         acts_on: Where it acts: motor side, actuation, joint torque, link inertia, contact, object, scene.
         sentence: One sentence that a user understands.
@@ -76,14 +115,14 @@ class Effect(ABC):
         phases: Where it can be seen at all: ``free`` motion, ``contact``, or both.
     """
 
-    name: ClassVar[str]
-    acts_on: ClassVar[str]
-    sentence: ClassVar[str]
-    parameters: ClassVar[tuple[Parameter, ...]]
-    phases: ClassVar[tuple[str, ...]] = ("free", "contact")
+    name: str
+    acts_on: str
+    sentence: str
+    parameters: tuple[Parameter, ...]
+    phases: tuple[str, ...] = ("free", "contact")
 
     @abstractmethod
-    def apply(self, physics: Physics, values: dict[str, Array]) -> Physics:
+    def apply(self, physics: Physics, values: Values) -> Physics:
         """Physics with the effect.
 
         Args:
@@ -93,40 +132,134 @@ class Effect(ABC):
 
     def scalars(self, joint_count: int) -> list[ScalarParameter]:
         """The parameters, joint by joint."""
-        return [
-            ScalarParameter(
-                name,
-                parameter.unit,
-                parameter.nominal,
-                parameter.lower,
-                parameter.upper,
-                parameter.scale,
-                parameter.meaning,
-                parameter.scale if parameter.step is None else parameter.step,
-            )
-            for parameter in self.parameters
-            for name in parameter.names(joint_count)
-        ]
+        return [scalar for parameter in self.parameters for scalar in parameter.scalars(joint_count)]
 
     def apply_vector(self, physics: Physics, vector: Array) -> Physics:
         """As :meth:`apply`, with all scalars in one vector ordered as :meth:`scalars`.
 
         Raises:
-            InputError: Wrong length or not finite.
+            InputError: Wrong length or not finite; or one parameter per joint, and arms with unequal joint counts.
         """
-        joint_count = next(iter(physics.arms.values())).facts.joint_count
-        scalars = self.scalars(joint_count)
+        joint_count = self._joint_count(physics)
+        count = len(self.scalars(joint_count))
         vector = np.asarray(vector, dtype=float)
-        if vector.shape != (len(scalars),) or not np.isfinite(vector).all():
-            raise InputError(f"effect {self.name!r} needs {len(scalars)} finite numbers, got {vector.tolist()}")
+        if vector.shape != (count,) or not np.isfinite(vector).all():
+            raise InputError(f"effect {self.name!r} needs {count} finite numbers, got {vector.tolist()}")
         values, start = {}, 0
         for parameter in self.parameters:
-            count = joint_count if parameter.per_joint else 1
-            values[parameter.name] = vector[start : start + count]
-            start += count
+            end = start + len(parameter.scalars(joint_count))
+            values[parameter.name] = vector[start:end]
+            start = end
         return self.apply(physics, values)
 
+    def nominal(self, joint_count: int) -> Array:
+        """Values of all scalars at which the effect does nothing, ``(p,)``."""
+        return np.array([scalar.nominal for scalar in self.scalars(joint_count)])
 
-def change_arms(physics: Physics, change: Callable[[ArmPhysics], ArmPhysics]) -> Physics:
-    """Physics with every arm changed in the same way."""
-    return replace(physics, arms={name: change(arm) for name, arm in physics.arms.items()})
+    def steps(self, joint_count: int, at: Array) -> Array:
+        """Finite-difference steps from ``at`` ``(p,)``, the other way where a bound is in the way, ``(p,)``."""
+        return np.array(
+            [
+                scalar.step if scalar.lower <= value + scalar.step <= scalar.upper else -scalar.step
+                for scalar, value in zip(self.scalars(joint_count), at, strict=True)
+            ]
+        )
+
+    def bounds(self, physics: Physics) -> tuple[Array, Array]:
+        """Lower and upper bound of every scalar under ``physics`` (without the effect), ``(p,)`` each."""
+        scalars = self.scalars(self._joint_count(physics))
+        return np.array([scalar.lower for scalar in scalars]), np.array([scalar.upper for scalar in scalars])
+
+    def complexity(self, joint_count: int) -> int:
+        """Number of scalars that are no shape: of two effects that look alike, the one with fewer is preferred."""
+        return sum(not scalar.shape for scalar in self.scalars(joint_count))
+
+    def seen_in(self, contact: bool) -> bool:
+        """Whether it can be seen in a motion with (``contact``) or without contact; the former has a free part too."""
+        return contact or "free" in self.phases
+
+    @property
+    def identity(self) -> str:
+        """Digest of what the effect computes: its name, its parameters and the source of its module.
+
+        Kept results of twin runs go by it, since an effect of one's own changes while it is being written.
+        """
+        return digest(self.name, repr(self.parameters), _source(type(self).__module__))
+
+    def _joint_count(self, physics: Physics) -> int:
+        """Joints that the parameters per joint count; 0 where there is no such parameter."""
+        return physics.joint_count if any(parameter.per_joint for parameter in self.parameters) else 0
+
+
+@dataclass(frozen=True)
+class ArmEffect(Effect):
+    """An effect that changes every arm by itself; attributes as in :class:`Effect`.
+
+    Attributes:
+        law: The arm with the effect, from the arm without it and the values as in :meth:`Effect.apply`.
+    """
+
+    name: str
+    acts_on: str
+    sentence: str
+    parameters: tuple[Parameter, ...]
+    law: Callable[[ArmPhysics, Values], ArmPhysics]
+    phases: tuple[str, ...] = ("free", "contact")
+
+    def apply(self, physics: Physics, values: Values) -> Physics:
+        """See :meth:`Effect.apply`."""
+        return replace(physics, arms={name: self.law(arm, values) for name, arm in physics.arms.items()})
+
+    @property
+    def identity(self) -> str:
+        """See :attr:`Effect.identity`; the law counts with the module it stands in."""
+        return digest(super().identity, self.law.__qualname__, _source(self.law.__module__))
+
+
+@dataclass(frozen=True)
+class SceneEffect(Effect):
+    """An effect that changes what is around the arms; attributes as in :class:`Effect`.
+
+    Attributes:
+        law: The physics with the effect, from the physics without it and the values as in :meth:`Effect.apply`.
+    """
+
+    name: str
+    acts_on: str
+    sentence: str
+    parameters: tuple[Parameter, ...]
+    law: Callable[[Physics, Values], Physics]
+    phases: tuple[str, ...] = ("free", "contact")
+
+    def apply(self, physics: Physics, values: Values) -> Physics:
+        """See :meth:`Effect.apply`."""
+        return self.law(physics, values)
+
+    @property
+    def identity(self) -> str:
+        """See :attr:`Effect.identity`; the law counts with the module it stands in."""
+        return digest(super().identity, self.law.__qualname__, _source(self.law.__module__))
+
+
+def number(values: Values, name: str) -> float:
+    """Value of a parameter that there is one of."""
+    return float(values[name][0])
+
+
+def vector3(values: Values, names: tuple[str, str, str]) -> Array:
+    """Values of three such parameters, ``(3,)``."""
+    return np.array([number(values, name) for name in names])
+
+
+@functools.cache
+def _source(module: str) -> str:
+    """Source of a module; empty where there is none to read."""
+    try:
+        return inspect.getsource(sys.modules[module])
+    except (KeyError, OSError, TypeError):
+        return ""
+
+
+def digest(*parts: str) -> str:
+    """Digest of some texts."""
+    return hashlib.sha256(repr(parts).encode()).hexdigest()

@@ -13,7 +13,8 @@ as friction of a gear does. Both are evaluated at every control tick, with posit
 
 Symbols: ``t`` [s]; ``q1`` ... ``dq1`` ... [rad, rad/s]; ``x y z`` and ``vx vy vz`` of frame E [m, m/s]; ``pi``; and the
 named parameters. Functions: see :data:`FUNCTIONS`. The text is parsed into a syntax tree of which only arithmetic is
-accepted; nothing is ever evaluated as Python.
+accepted; nothing is ever evaluated as Python. Whether an arm has the joints that a formula names is known when the
+effect meets the arm, not before.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from __future__ import annotations
 import ast
 import math
 import operator
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,9 +30,9 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from impact_rs_sim.effects.base import Effect, Parameter, change_arms
+from impact_rs_sim.effects.base import Effect, Parameter, Values, digest, number
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import ArmPhysics, Load, LoadState, Physics
+from impact_rs_sim.physics import Load, LoadState, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import Schema, load
 
@@ -55,6 +57,9 @@ _BINARY: dict[type[ast.operator], Callable[[float, float], float]] = {
     ast.Pow: operator.pow,
 }
 AXES = ("x", "y", "z")
+SPEEDS = tuple(f"v{axis}" for axis in AXES)
+JOINT = re.compile(r"joint([1-9][0-9]{0,2})")
+JOINT_SYMBOL = re.compile(r"\bd?q([1-9][0-9]{0,2})\b")
 LONGEST = 400  # characters; a physical law is shorter
 
 Symbols = Mapping[str, float]
@@ -143,7 +148,6 @@ class FormulaEffect(Effect):
 
     Args:
         spec: The formulas.
-        joint_count: Number of joints of the arms it may act on.
 
     Raises:
         InputError: A formula does not parse or names something unknown.
@@ -151,40 +155,71 @@ class FormulaEffect(Effect):
 
     acts_on = "joint torque"
 
-    def __init__(self, spec: FormulaSpec, joint_count: int = 7) -> None:
+    def __init__(self, spec: FormulaSpec) -> None:
         self.spec = spec
-        self.name = spec.name  # type: ignore[misc]
-        self.sentence = spec.sentence  # type: ignore[misc]
-        self.parameters = tuple(  # type: ignore[misc]
+        self.name = spec.name
+        self.sentence = spec.sentence
+        self.parameters = tuple(
             Parameter(name, p.unit, p.nominal, p.lower, p.upper, p.scale, p.meaning)
             for name, p in spec.parameters.items()
         )
-        joints = [f"joint{index + 1}" for index in range(joint_count)]
-        symbols = {"t", *AXES, *(f"v{axis}" for axis in AXES), *spec.parameters}
-        symbols |= {f"{kind}{index + 1}" for kind in ("q", "dq") for index in range(joint_count)}
-        clash = set(spec.parameters) & (FUNCTIONS.keys() | {"t", "pi", *AXES})
+        taken = FUNCTIONS.keys() | {"t", "pi", *AXES, *SPEEDS}
+        clash = [name for name in spec.parameters if name in taken or JOINT_SYMBOL.fullmatch(name)]
         if clash:
             raise InputError(f"effect {spec.name!r}: {sorted(clash)} cannot be parameter names")
-        axes = list(AXES)
-        for table, known in ((spec.joint_torque, joints), (spec.motor_torque, joints), (spec.end_effector_force, axes)):
-            for key in table:
-                if key not in known:
-                    raise InputError(f"effect {spec.name!r}: unknown {key!r}; known: {', '.join(known)}")
         if not (spec.joint_torque or spec.motor_torque or spec.end_effector_force):
             raise InputError(f"effect {spec.name!r} needs joint_torque, motor_torque or end_effector_force")
-        self._torque = {joints.index(key): parse(text, symbols) for key, text in spec.joint_torque.items()}
-        self._motor = {joints.index(key): parse(text, symbols) for key, text in spec.motor_torque.items()}
-        self._force = {AXES.index(key): parse(text, symbols) for key, text in spec.end_effector_force.items()}
+        self._torque = {self._joint(key): self._parse(text) for key, text in spec.joint_torque.items()}
+        self._motor = {self._joint(key): self._parse(text) for key, text in spec.motor_torque.items()}
+        self._force = {self._axis(key): self._parse(text) for key, text in spec.end_effector_force.items()}
 
-    def apply(self, physics: Physics, values: dict[str, Array]) -> Physics:
-        """See :meth:`Effect.apply`."""
-        numbers = {name: float(value[0]) for name, value in values.items()}
+    def _joint(self, key: str) -> int:
+        found = JOINT.fullmatch(key)
+        if found is None:
+            raise InputError(f"effect {self.name!r}: unknown {key!r}; expected joint1, joint2, ...")
+        return int(found[1]) - 1
+
+    def _axis(self, key: str) -> int:
+        if key not in AXES:
+            raise InputError(f"effect {self.name!r}: unknown {key!r}; known: {', '.join(AXES)}")
+        return AXES.index(key)
+
+    def _parse(self, text: str) -> Expression:
+        named = {found[0] for found in JOINT_SYMBOL.finditer(text)}
+        return parse(text, {"t", "q1", "dq1", *AXES, *SPEEDS, *self.spec.parameters, *named})
+
+    def apply(self, physics: Physics, values: Values) -> Physics:
+        """See :meth:`Effect.apply`.
+
+        Raises:
+            InputError: A formula names a joint that an arm does not have.
+        """
+        for name, arm in physics.arms.items():
+            self._check_joints(name, arm.facts.joint_count)
+        numbers = {parameter.name: number(values, parameter.name) for parameter in self.parameters}
         formula_load = FormulaLoad(self.name, self._torque, self._motor, self._force, numbers)
+        arms = {name: replace(arm, loads=(*arm.loads, formula_load)) for name, arm in physics.arms.items()}
+        return replace(physics, arms=arms)
 
-        def change(arm: ArmPhysics) -> ArmPhysics:
-            return replace(arm, loads=(*arm.loads, formula_load))
+    def _check_joints(self, arm: str, joint_count: int) -> None:
+        spec = self.spec
+        for table in (spec.joint_torque, spec.motor_torque):
+            for key in table:
+                if self._joint(key) >= joint_count:
+                    raise InputError(f"effect {self.name!r}: unknown {key!r}; arm {arm!r} has {joint_count} joints")
+        for table in (spec.joint_torque, spec.motor_torque, spec.end_effector_force):
+            for text in table.values():
+                for symbol in JOINT_SYMBOL.finditer(text):
+                    if int(symbol[1]) > joint_count:
+                        raise InputError(
+                            f"effect {self.name!r}: formula {text!r}: unknown symbol {symbol[0]!r}; "
+                            f"arm {arm!r} has {joint_count} joints"
+                        )
 
-        return change_arms(physics, change)
+    @property
+    def identity(self) -> str:
+        """See :attr:`Effect.identity`; the formulas count."""
+        return digest(super().identity, self.spec.model_dump_json())
 
 
 @dataclass(frozen=True)
@@ -202,7 +237,7 @@ class FormulaLoad(Load):
         values |= {f"q{i + 1}": value for i, value in enumerate(state.joint_position.tolist())}
         values |= {f"dq{i + 1}": value for i, value in enumerate(state.joint_velocity.tolist())}
         values |= dict(zip(AXES, state.position.tolist(), strict=True))
-        values |= {f"v{axis}": value for axis, value in zip(AXES, state.velocity.tolist(), strict=True)}
+        values |= dict(zip(SPEEDS, state.velocity.tolist(), strict=True))
         result = np.zeros(size)
         for index, expression in table.items():
             try:

@@ -108,14 +108,32 @@ def test_formula_that_blows_up_says_when():
     ("changes", "complaint"),
     [
         ({"end_effector_force": {"w": "drag"}}, "unknown 'w'"),
-        ({"joint_torque": {"joint9": "drag"}}, "unknown 'joint9'"),
+        ({"joint_torque": {"joint0": "drag"}}, "unknown 'joint0'"),
+        ({"joint_torque": {"elbow": "drag"}}, "unknown 'elbow'"),
+        ({"end_effector_force": {"y": "drag * q0"}}, "unknown symbol 'q0'"),
         ({"end_effector_force": {}}, "needs joint_torque, motor_torque or end_effector_force"),
         ({"end_effector_force": {"y": "t"}, "parameters": {"t": PARAMETER}}, "cannot be parameter names"),
+        ({"end_effector_force": {"y": "q12"}, "parameters": {"q12": PARAMETER}}, "cannot be parameter names"),
     ],
 )
 def test_formula_effect_that_makes_no_sense_is_refused(changes, complaint):
     with pytest.raises(InputError, match=complaint):
         FormulaEffect(spec(**changes))
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"joint_torque": {"joint9": "drag"}}, r"cable_drag.*'joint9'.*7 joints"),
+        ({"motor_torque": {"joint8": "drag"}}, r"cable_drag.*'joint8'.*7 joints"),
+        ({"end_effector_force": {"y": "drag * dq8"}}, r"'drag \* dq8'.*'dq8'.*7 joints"),
+    ],
+)
+def test_a_joint_that_the_arm_does_not_have_is_refused_when_the_effect_meets_the_arm(changes, complaint):
+    effect = FormulaEffect(spec(**changes))
+    physics = Physics.nominal(load_scenario("push"), "juice")
+    with pytest.raises(InputError, match=complaint):
+        effect.apply_vector(physics, np.array([1.0]))
 
 
 def test_file_and_place_are_named(tmp_path):

@@ -1,0 +1,47 @@
+"""Effects between the desired torque and the motors: ``delivered(t) = gain * desired(t - delay) + offset``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from impact_rs_sim.effects.base import ArmEffect, Parameter, Values, number
+from impact_rs_sim.physics import ArmPhysics
+
+
+def _offset(arm: ArmPhysics, values: Values) -> ArmPhysics:
+    return replace(arm, torque_offset=arm.torque_offset + values["offset"])
+
+
+def _gain(arm: ArmPhysics, values: Values) -> ArmPhysics:
+    return replace(arm, torque_gain=arm.torque_gain * values["gain"])
+
+
+def _delay(arm: ArmPhysics, values: Values) -> ArmPhysics:
+    return replace(arm, actuation_delay=arm.actuation_delay + number(values, "delay"))
+
+
+TORQUE_OFFSET = ArmEffect(
+    name="torque_offset",
+    acts_on="actuation",
+    sentence=(
+        "Each joint delivers a constant torque that nobody asked for, for example a torque sensor that is not zeroed."
+    ),
+    parameters=(Parameter("offset", "N m", 0.0, -5.0, 5.0, 0.1, "added torque", per_joint=True),),
+    law=_offset,
+)
+
+TORQUE_GAIN = ArmEffect(
+    name="torque_gain",
+    acts_on="actuation",
+    sentence="Each joint delivers a few percent more or less torque than asked for.",
+    parameters=(Parameter("gain", "-", 1.0, 0.7, 1.3, 0.01, "delivered over desired torque", per_joint=True),),
+    law=_gain,
+)
+
+ACTUATION_DELAY = ArmEffect(
+    name="actuation_delay",
+    acts_on="actuation",
+    sentence="Torque commands reach the joints some milliseconds late.",
+    parameters=(Parameter("delay", "s", 0.0, 0.0, 0.02, 0.001, "delay of the desired torque"),),
+    law=_delay,
+)

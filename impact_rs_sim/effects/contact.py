@@ -1,0 +1,83 @@
+"""Effects at the contacts: how the pad bounces, yields and grips, and how the object slides on its support."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from impact_rs_sim.effects.base import ArmEffect, Parameter, SceneEffect, Values, number
+from impact_rs_sim.physics import ArmPhysics, Physics
+
+REDUCED_MASS = 1.0  # kg, of arm and object together; turns a coefficient into a damping
+
+
+def _restitution(arm: ArmPhysics, values: Values) -> ArmPhysics:
+    """Damping for more restitution.
+
+    A spring-damper with damping ratio z throws a mass back with e = exp(-pi z / sqrt(1 - z^2)); the pad's damping is
+    set so that a reduced mass of 1 kg would leave with ``restitution``. The rigid impact map keeps e = 0: a
+    series of bounces under a constant push ends where a single inelastic impact ends (paper sec. Single-arm
+    hit-and-push scenario).
+    """
+    more = number(values, "restitution")
+    if arm.pad_stiffness is None or more == 0.0:
+        return arm
+    root = 2.0 * np.sqrt(arm.pad_stiffness * REDUCED_MASS)
+    present = np.clip(arm.pad_damping / root, 0.0, 0.999)
+    assumed = np.exp(-np.pi * present / np.sqrt(1.0 - present**2))
+    logarithm = np.log(np.clip(assumed + more, 1e-6, 0.999))
+    ratio = -logarithm / np.hypot(np.pi, logarithm)
+    return replace(arm, pad_damping=float(ratio * root))
+
+
+def _pad_compliance(arm: ArmPhysics, values: Values) -> ArmPhysics:
+    if arm.pad_stiffness is None:
+        return arm
+    return replace(arm, pad_stiffness=arm.pad_stiffness * number(values, "scale"))
+
+
+def _pad_friction(physics: Physics, values: Values) -> Physics:
+    return replace(physics, pad_friction=physics.pad_friction * number(values, "scale"))
+
+
+def _support_friction(physics: Physics, values: Values) -> Physics:
+    return replace(physics, support_friction=physics.support_friction * number(values, "scale"))
+
+
+RESTITUTION = ArmEffect(
+    name="restitution",
+    acts_on="contact",
+    sentence="The object bounces off the pad more or less than assumed before both move together.",
+    parameters=(Parameter("restitution", "-", 0.0, 0.0, 0.9, 0.1, "restitution of pad and object beyond the assumed"),),
+    law=_restitution,
+    phases=("contact",),
+)
+
+PAD_COMPLIANCE = ArmEffect(
+    name="pad_compliance",
+    acts_on="contact",
+    sentence="The silicone cover of the pad is softer or stiffer than assumed.",
+    parameters=(Parameter("scale", "-", 1.0, 0.1, 10.0, 0.2, "pad stiffness over its assumed value"),),
+    law=_pad_compliance,
+    phases=("contact",),
+)
+
+PAD_FRICTION = SceneEffect(
+    name="pad_friction",
+    acts_on="contact",
+    sentence="The pad grips the object more or less than assumed.",
+    # A pad that sticks does not tell how much better it might stick: only a far step towards slipping shows anything.
+    parameters=(Parameter("scale", "-", 1.0, 0.0, 4.0, 0.2, "friction coefficient over its assumed value", step=-0.8),),
+    law=_pad_friction,
+    phases=("contact",),
+)
+
+SUPPORT_FRICTION = SceneEffect(
+    name="support_friction",
+    acts_on="contact",
+    sentence="The object slides on its support with more or less friction than assumed.",
+    parameters=(Parameter("scale", "-", 1.0, 0.0, 4.0, 0.1, "friction coefficient over its assumed value"),),
+    law=_support_friction,
+    phases=("contact",),
+)

@@ -1,0 +1,41 @@
+"""Effects on the manipulated object: its mass, and where its centre of mass is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from impact_rs_sim.effects.base import Parameter, SceneEffect, Values, number, vector3
+from impact_rs_sim.physics import Physics
+
+
+def _mass(physics: Physics, values: Values) -> Physics:
+    scale, thing = number(values, "scale"), physics.object
+    return replace(physics, object=replace(thing, mass=thing.mass * scale, inertia=thing.inertia * scale))
+
+
+def _com_offset(physics: Physics, values: Values) -> Physics:
+    thing = physics.object
+    return replace(physics, object=replace(thing, com_offset=thing.com_offset + vector3(values, ("x", "y", "z"))))
+
+
+OBJECT_MASS = SceneEffect(
+    name="object_mass",
+    acts_on="object",
+    sentence="The object is heavier or lighter than its label says.",
+    parameters=(Parameter("scale", "-", 1.0, 0.2, 4.0, 0.05, "mass over its assumed value"),),
+    law=_mass,
+    phases=("contact",),
+)
+
+OBJECT_COM_OFFSET = SceneEffect(
+    name="object_com_offset",
+    acts_on="object",
+    sentence="The weight of the object is not in its middle.",
+    parameters=(
+        Parameter("x", "m", 0.0, -0.08, 0.08, 0.01, "offset along the object's x axis"),
+        Parameter("y", "m", 0.0, -0.08, 0.08, 0.01, "offset along the object's y axis"),
+        Parameter("z", "m", 0.0, -0.08, 0.08, 0.01, "offset along the object's z axis"),
+    ),
+    law=_com_offset,
+    phases=("contact",),
+)
