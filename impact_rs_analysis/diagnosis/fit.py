@@ -188,7 +188,7 @@ def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf, st
         step = fraction * (point - candidate.point)
         if np.max(np.abs(step / candidate.scale)) < 1e-6:
             break
-        moved = _at(candidate, candidate.point + step, evidence)
+        moved = evaluate_at(candidate, candidate.point + step, evidence)
         if moved is None:
             fraction /= 3.0
             continue
@@ -248,7 +248,7 @@ def measure_again(fitted: Fit) -> Fit:
     return fitted
 
 
-def _at(candidate: Candidate, point: Array, evidence: Evidence) -> Candidate | None:
+def evaluate_at(candidate: Candidate, point: Array, evidence: Evidence) -> Candidate | None:
     """The candidate with its features evaluated at another point, sensitivities kept."""
     added = candidate.split(point)
     numbers = evidence.numbers

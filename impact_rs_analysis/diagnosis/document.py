@@ -1,0 +1,330 @@
+"""The diagnosis as a file (``diagnosis.json``): one typed document, whatever was measured.
+
+Written by ``impact-rs diagnose``, read by ``add``, ``blind score``, ``history`` and the report. Files of version 0.1.0, of
+trials and of recordings, are still read.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field
+
+from impact_rs_sim.effects.formula import FormulaSpec
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.schema import Schema, validate
+
+NOTHING = "NOTHING-MISSING"
+NONE = "NONE-EXPLAINS"
+SMALL = "PRESENT-BUT-SMALL"
+TOO_FEW = "TOO-FEW-REPEATS"
+PARTLY = "PARTLY"
+CONFIRMED = "CONFIRMED"
+CONFUSABLE = "CONFUSABLE-WITH"
+UNIDENTIFIABLE = "NOT-IDENTIFIABLE"
+NO_IMPROVEMENT = "NO-IMPROVEMENT"
+AT_BOUND = "AT-BOUND"
+
+TIMES = "times what repetition alone gives"
+
+
+class EstimateDocument(Schema):
+    """One estimated number."""
+
+    estimate: float = Field(description="estimate, in its unit")
+    ci95: tuple[float, float] | None = Field(description="95 % interval, in its unit; null: known without one")
+    unit: str = Field(description="unit, '-' where it has none")
+    meaning: str = Field("", description="what it is")
+    joint: str | None = Field(None, description="joint it belongs to; null: the effect as a whole")
+    verdict: str | None = Field(None, description="what is said of this joint alone; null: nothing")
+    p_value: float | None = Field(None, description="of this joint's parameter being nominal, beside all others")
+    error_before: float | None = Field(None, description="held-out error of the joint without it, in the joint's unit")
+    error_after: float | None = Field(None, description="held-out error of the joint with it, in the joint's unit")
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval, in its unit; everything where none is known."""
+        return (-math.inf, math.inf) if self.ci95 is None else self.ci95
+
+
+class SizeDocument(Schema):
+    """How much of one signal something moves."""
+
+    phase: str = Field(description="phase of the motion")
+    signal: str = Field(description="what it is")
+    value: float = Field(description="largest change of the signal that it causes, in the unit")
+    unit: str = Field(description="unit")
+    floor: float = Field(description="difference below which nobody cares, in the unit")
+
+
+class EffectDocument(Schema):
+    """What the diagnosis says of one effect."""
+
+    name: str = Field(description="effect")
+    sentence: str = Field("", description="what it is")
+    verdict: str = Field(
+        description="CONFIRMED, CONFUSABLE-WITH{...}, PRESENT-BUT-SMALL, NOT-IDENTIFIABLE, NO-IMPROVEMENT, AT-BOUND or "
+        "TOO-FEW-REPEATS"
+    )
+    reason: str = Field("", description="why, in words")
+    rivals: tuple[str, ...] = Field((), description="effects that these measurements cannot tell from it")
+    measured: bool = Field(True, description="whether anything that was measured depends on it")
+    parameters: dict[str, EstimateDocument] = Field(description="estimates by name")
+    held_out_error_before: float | None = Field(description="error on unseen clusters without it; null: not measured")
+    held_out_error_after: float | None = Field(description="error on unseen clusters with it; null: not measured")
+    p_value: float | None = Field(description="adjusted for looking at all effects; null: not measured")
+    sizes: tuple[SizeDocument, ...] = Field((), description="what it does to the signals, the most noticeable first")
+    chosen_in_folds: int | None = Field(None, description="folds of the hold-out whose search found it, too")
+
+
+class ModelIdentity(Schema):
+    """Which model was diagnosed."""
+
+    name: str = Field(description="name of the model")
+    digest: str = Field(description="digest of what it says about the physics")
+
+
+class RunsIdentity(Schema):
+    """Which measurements were read."""
+
+    digest: str = Field(description="digest of the bags' names, scenarios and seeds; empty for recordings")
+    trials: int = Field(description="usable trials, or recordings")
+    conditions: tuple[str, ...] = Field(description="conditions that were measured, or files")
+
+
+class RestDocument(Schema):
+    """One place where a difference stays."""
+
+    phase: str = Field(description="phase of the motion")
+    signal: str = Field(description="what it is")
+    index: str = Field(description="joint or axis")
+    value: float = Field(0.0, description="root mean square that noise does not explain, in the unit")
+    unit: str = Field("", description="unit")
+    floor: float = Field(0.0, description="difference below which nobody cares, in the unit")
+    share: float = Field(description="share of all squares that are left")
+    times_noise: float = Field(description="root mean square in multiples of what repetition alone gives")
+
+
+class UnexplainedDocument(Schema):
+    """What stays unexplained."""
+
+    share_of_excess: float | None = Field(None, description="of what noise does not explain, what is left")
+    where: tuple[RestDocument, ...] = Field((), description="where the largest remaining differences sit")
+
+
+class NextExperiment(Schema):
+    """What would split a tie."""
+
+    advice: str = Field(description="what to do, in words")
+    splits: tuple[str, ...] = Field((), description="effects that it tells apart")
+    scenario: str | None = Field(None, description="scenario to run")
+    object: str | None = Field(None, description="its object")
+    case: str | None = Field(None, description="its case")
+    expected_information: float | None = Field(
+        None, description="squared distance of the two predictions in units of the noise, one more trial [-]"
+    )
+    already_measured: bool | None = Field(None, description="whether it was measured before")
+
+
+class CorrelatedPair(Schema):
+    """Two estimates that move together."""
+
+    first: str = Field(description="parameter")
+    second: str = Field(description="parameter")
+    correlation: float = Field(description="correlation of their estimates [-]")
+
+
+class Identifiability(Schema):
+    """How well the chosen parameters are determined."""
+
+    singular_values: tuple[float, ...] = Field((), description="of the sensitivities, in parameter scales [-]")
+    condition_number: float | None = Field(None, description="largest over smallest [-]")
+    correlated: tuple[CorrelatedPair, ...] = Field((), description="pairs with a correlation above 0.8")
+
+
+class LackOfFit(Schema):
+    """p of the residuals being noise."""
+
+    before: float | None = Field(None, description="of the model; null: nothing was repeated")
+    after: float | None = Field(None, description="with the chosen effects; null: nothing was repeated")
+
+
+class HoldOutDocument(Schema):
+    """How unseen data were predicted."""
+
+    what: str = Field("", description="what was held out, in words")
+    folds: int = Field(0, description="how many times the search was run without some of the data")
+
+
+class DiscrepancyDocument(Schema):
+    """Model discrepancy that was allowed for."""
+
+    used: bool = Field(False, description="whether it is part of sigma, intervals and verdicts")
+    provenance: str = Field("", description="how it was measured")
+
+
+class DesignDocument(Schema):
+    """What the measurements can decide."""
+
+    clusters: int = Field(0, description="conditions, or stretches of recordings")
+    freedom: int = Field(0, description="degrees of freedom of the noise")
+    least_p: float = Field(0.0005, description="smallest p that is told")
+    shortage: str | None = Field(None, description="what is lacking for a verdict; null: nothing")
+
+
+class JointError(Schema):
+    """Held-out error of one joint."""
+
+    joint: str = Field(description="joint")
+    before: float = Field(description="of the model [N m]")
+    after: float = Field(description="with the chosen effects [N m]")
+    noise: float = Field(description="noise of the recorded torque [N m]")
+
+
+class RecordingDocument(Schema):
+    """What was read of recordings, and how it was filtered."""
+
+    files: tuple[str, ...] = Field(description="paths")
+    robot: str = Field(description="robot facts that were taken")
+    end_effector_mass_kg: float = Field(description="what the mapping says is mounted [kg]")
+    samples: int = Field(description="samples read")
+    recorded_s: float = Field(description="their duration [s]")
+    used_s: float = Field(description="what is left between the edges of the low-pass [s]")
+    sampled_Hz: float = Field(description="sampling rate [Hz]")
+    low_pass_Hz: float = Field(description="cut-off of the zero-phase low-pass [Hz]")
+    signals: tuple[str, ...] = Field((), description="signals that were found")
+
+
+class DiagnosisDocument(Schema):
+    """``diagnosis.json``."""
+
+    format: int = Field(2, description="version of this format")
+    source: Literal["trials", "recordings"] = Field("trials", description="what was diagnosed")
+    verdict: str = Field(
+        description="NOTHING-MISSING, NONE-EXPLAINS, PRESENT-BUT-SMALL, TOO-FEW-REPEATS, PARTLY{...}, or the missing "
+        "effects joined by +"
+    )
+    summary: str = Field("", description="the verdict in words, with what is left in units")
+    named: tuple[str, ...] = Field((), description="effects that the diagnosis chose")
+    effects: tuple[EffectDocument, ...] = Field(description="all effects, best first")
+    confusable: tuple[tuple[str, ...], ...] = Field(description="effects that the data cannot tell apart")
+    unexplained: UnexplainedDocument = Field(default_factory=UnexplainedDocument, description="what stays")
+    next_experiment: NextExperiment | None = Field(None, description="what would split a tie")
+    model: ModelIdentity = Field(description="diagnosed model")
+    runs: RunsIdentity = Field(description="measurements")
+    error_unit: str = Field(TIMES, description="unit of all held-out errors")
+    noise_floor: float = Field(description="held-out error that noise alone would give")
+    held_out_error_before: float = Field(description="error of the model on clusters that no search has seen")
+    held_out_error_after: float = Field(description="the same with what a search on the other clusters found")
+    held_out_change_ci95: tuple[float, float] | None = Field(
+        None, description="95 % interval of after minus before over the clusters"
+    )
+    hold_out: HoldOutDocument = Field(default_factory=HoldOutDocument, description="how unseen data were predicted")
+    lack_of_fit: LackOfFit = Field(default_factory=LackOfFit, description="p of the residuals being noise")
+    design: DesignDocument = Field(default_factory=DesignDocument, description="what the measurements can decide")
+    discrepancy: DiscrepancyDocument = Field(default_factory=DiscrepancyDocument, description="of the twin itself")
+    identifiability: Identifiability = Field(default_factory=Identifiability, description="how well it is determined")
+    joints: tuple[JointError, ...] = Field((), description="held-out error by joint, of recordings")
+    recording: RecordingDocument | None = Field(None, description="what was read of recordings")
+    remarks: tuple[str, ...] = Field((), description="what a reader should know")
+    formulas: tuple[FormulaSpec, ...] = Field((), description="user-defined effects that were considered")
+
+    def effect(self, name: str) -> EffectDocument | None:
+        """What is said of one effect."""
+        return next((effect for effect in self.effects if effect.name == name), None)
+
+
+def write_document(document: DiagnosisDocument, path: Path) -> None:
+    """Write ``diagnosis.json``, at once or not at all; an earlier one is replaced.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(
+            json.dumps(document.model_dump(mode="json"), indent=2, allow_nan=False) + "\n", encoding="utf-8"
+        )
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise InputError(f"cannot be written: {error.strerror}", file=path) from None
+
+
+def read_document(path: Path) -> DiagnosisDocument:
+    """Read ``diagnosis.json``.
+
+    Raises:
+        InputError: It is missing or no diagnosis.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read: {error}", file=path) from None
+    except json.JSONDecodeError as error:
+        raise InputError(f"not valid JSON at line {error.lineno}: {error.msg}", file=path) from None
+    if not isinstance(data, dict):
+        raise InputError("no diagnosis", file=path)
+    if "format" not in data:
+        data = _of_first_format(data, path)
+    return validate(DiagnosisDocument, data, path)
+
+
+def _of_first_format(data: dict[str, Any], path: Path) -> dict[str, Any]:
+    """A diagnosis of version 0.1.0 in the words of this one; its errors are on the scale of its time.
+
+    Raises:
+        InputError: It breaks off.
+    """
+    recording = data.get("kind") == "recording"
+    known = set(DiagnosisDocument.model_fields)
+    try:
+        result = {key: value for key, value in data.items() if key in known and value is not None}
+        result["effects"] = [_effect_of_first_format(effect) for effect in data["effects"]]
+        result["unexplained"] = {
+            "where": [
+                {key: cell[key] for key in ("phase", "signal", "index", "share", "times_noise")}
+                for cell in data["unexplained"].get("where", ())
+            ]
+        }
+        result["error_unit"] = "N m" if recording else "times the noise"
+        if recording:
+            files = [Path(name).name for name in data["recording"]["files"]]
+            result |= {"source": "recordings", "runs": {"digest": "", "trials": len(files), "conditions": files}}
+            fields = set(RecordingDocument.model_fields)
+            result["recording"] = {key: value for key, value in data["recording"].items() if key in fields}
+        return result
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"not a whole diagnosis ({type(error).__name__}: {error})", file=path) from None
+
+
+def _effect_of_first_format(effect: dict[str, Any]) -> dict[str, Any]:
+    fields = ("name", "sentence", "verdict", "held_out_error_before", "held_out_error_after", "p_value")
+    return {key: effect[key] for key in fields if key in effect} | {
+        "parameters": _centre_of_mass(effect["parameters"]),
+        "measured": effect["p_value"] is not None,
+        "reason": effect.get("reason") or "",
+    }
+
+
+def _centre_of_mass(parameters: dict[str, Any]) -> dict[str, Any]:
+    """First moments of a payload, as version 0.1.0 told them of recordings, as its centre of mass; others as they are."""
+    moments = {name: value for name, value in parameters.items() if name.startswith("first_moment_")}
+    if not moments:
+        return parameters
+    mass = parameters["mass"]["estimate"]
+    centre = {
+        name.replace("first_moment_", "com_"): {
+            "estimate": value["estimate"] / mass if mass > 0.0 else 0.0,
+            "ci95": None,
+            "unit": "m",
+            "meaning": "first moment over mass",
+        }
+        for name, value in moments.items()
+    }
+    return {name: value for name, value in parameters.items() if name not in moments} | centre

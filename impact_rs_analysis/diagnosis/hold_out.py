@@ -1,0 +1,104 @@
+"""Hold-out: every cluster predicted by a search that has not seen it.
+
+What is held out sees neither the linearisation point, nor the shortlist, nor the choice: for every fold the whole search
+(:mod:`impact_rs_analysis.diagnosis.search`) is run on the other clusters, and the model with what it found is run in the
+fold. Conditions are held out with all their repeats; whole recordings, where there are several; stretches of neighbours
+with a guard on either side, where there is one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_rs_analysis.diagnosis.fit import Evidence
+from impact_rs_analysis.diagnosis.search import Search
+from impact_rs_analysis.diagnosis.thresholds import FOLDS, LEAST_CLUSTERS, SHORTLIST_OF_FOLD
+from impact_rs_analysis.evidence.cluster import Source
+from impact_rs_sim.effects import Effect
+from impact_rs_sim.robot import Array
+
+
+@dataclass(frozen=True)
+class Fold:
+    """What is held out together, and what it is predicted from.
+
+    Attributes:
+        held: Numbers of the clusters that are predicted.
+        training: Numbers of those that are looked at.
+    """
+
+    held: tuple[int, ...]
+    training: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class HoldOut:
+    """Errors on clusters that nothing of the search has seen.
+
+    Attributes:
+        folds: What was held out.
+        errors: Mean square scaled error by cluster, ``(c,)`` [-].
+        rest: What is left of the mean residuals, ``(F,)`` per cluster [-].
+        chosen: Names of the effects that every fold's search found.
+    """
+
+    folds: tuple[Fold, ...]
+    errors: Array
+    rest: tuple[Array, ...]
+    chosen: tuple[tuple[str, ...], ...]
+
+
+def folds_of(source: Source) -> list[Fold]:
+    """Folds of a source; empty where too little is there to hold anything out."""
+    units: dict[str, list[int]] = {}
+    for number, item in enumerate(source.clusters):
+        units.setdefault(item.unit, []).append(number)
+    groups: list[list[int]]
+    if len(units) >= LEAST_CLUSTERS:
+        owners = list(units.values())
+        count = min(FOLDS, len(owners))
+        groups = [[number for owner in owners[start::count] for number in owner] for start in range(count)]
+    elif source.repeated:
+        return []
+    else:
+        numbers = np.arange(len(source.clusters))
+        groups = [part.tolist() for part in np.array_split(numbers, FOLDS)]
+    result = []
+    for held in groups:
+        guard = set() if source.repeated or len(units) >= LEAST_CLUSTERS else _neighbours(source, held)
+        training = tuple(n for n in range(len(source.clusters)) if n not in held and n not in guard)
+        result.append(Fold(tuple(held), training))
+    return result
+
+
+def _neighbours(source: Source, held: Sequence[int]) -> set[int]:
+    """Stretches that touch those that are held out, on the same recording."""
+    near = {number + step for number in held for step in (-1, 1)} - set(held)
+    units = {source.clusters[number].unit for number in held}
+    return {n for n in near if 0 <= n < len(source.clusters) and source.clusters[n].unit in units}
+
+
+def hold_out(source: Source, effects: Sequence[Effect]) -> HoldOut | None:
+    """Run the search on all but one fold in turn; None where too little is there to hold anything out."""
+    folds = folds_of(source)
+    if not folds:
+        return None
+    rest: dict[int, Array] = {}
+    names = []
+    for fold in folds:
+        evidence = Evidence.of(source, fold.training)
+        found = Search(effects, evidence, SHORTLIST_OF_FOLD).choose(thrifty=True)
+        added = () if found is None else found.candidate.split(found.estimate)
+        names.append(() if found is None else found.candidate.names)
+        both = source.predict([(n, what) for n in fold.held for what in ((), added)], "hold-out")
+        for number, before, after in zip(fold.held, both[::2], both[1::2], strict=True):
+            item = source.clusters[number]
+            # Where the found effects cannot be simulated they predict nothing.
+            change = 0.0 if before is None or after is None else (after - before) / item.sigma
+            rest[number] = item.mean - change
+    ordered = tuple(rest[number] for number in range(len(source.clusters)))
+    errors = np.array([float(np.mean(np.square(values))) for values in ordered])
+    return HoldOut(tuple(folds), errors, ordered, tuple(names))

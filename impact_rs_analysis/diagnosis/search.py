@@ -1,0 +1,340 @@
+"""Choosing effects: screen all, fit a shortlist through the model, accept what predicts unseen clusters better.
+
+The search sees the clusters it is given and nothing else: the hold-out (:mod:`impact_rs_analysis.diagnosis.hold_out`)
+runs it again without every cluster that it shall predict.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+
+import numpy as np
+from scipy.stats import false_discovery_control
+
+from impact_rs_analysis.diagnosis.candidate import Candidate, Where, concerns, in_free_motion, linearise, wanted
+from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit, evaluate_at, measure_again, refine, see_all
+from impact_rs_analysis.diagnosis.thresholds import (
+    LEAST_FREEDOM,
+    LEAST_GAIN,
+    LEAST_GAIN_OF_FIRST,
+    LEAST_REST,
+    MOST_EFFECTS,
+    NOTHING,
+    SHORTLIST,
+    SIGNIFICANT,
+    TIE,
+    WIDE_TIE,
+)
+from impact_rs_sim.effects import Effect
+from impact_rs_sim.robot import Array
+
+PAIRS = 2  # tried where effects were found one by one
+AMONG = 10  # effects that pairs are made of
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An effect in the place of a chosen one.
+
+    Attributes:
+        name: The effect.
+        instead_of: The chosen one.
+        fit: All other chosen effects and this one, fitted together.
+        tied: Whether it predicts unseen clusters as well.
+    """
+
+    name: str
+    instead_of: str
+    fit: Fit
+    tied: bool
+
+
+class Search:
+    """Search over effects.
+
+    Args:
+        effects: Effects to consider.
+        evidence: Residuals of the model in the clusters that may be looked at.
+        shortlist: Candidates that are fitted through the model in every round.
+
+    Attributes:
+        singles: Every effect alone, linearised where it does nothing; not those that are never measured.
+        unmeasured: Effects that change nothing that was measured.
+        ruled_out: Effects that free motion rules out, which are not looked for in contact.
+    """
+
+    def __init__(self, effects: Sequence[Effect], evidence: Evidence, shortlist: int = SHORTLIST) -> None:
+        self.evidence, self._shortlist = evidence, shortlist
+        self.source = evidence.source
+        self.singles: dict[str, Candidate] = {}
+        self.unmeasured: set[str] = set()
+        absent = self._absent(effects)
+        self.ruled_out = set(absent)
+        self._prefetch([effect for effect in effects if effect.name not in self.ruled_out], concerns)
+        for effect in effects:
+            known = absent.get(effect.name)
+            candidate = self._linearised(effect) if known is None else known
+            if candidate is None:
+                continue
+            if all(np.all(jacobian == 0.0) for jacobian in candidate.jacobians):
+                self.unmeasured.add(effect.name)
+            else:
+                self.singles[effect.name] = candidate
+        self._starts = {name: self._start(candidate) for name, candidate in self.singles.items()}
+
+    def _linearised(self, effect: Effect, where: Where = concerns) -> Candidate | None:
+        candidate = Candidate.of((effect,), self.source)
+        return linearise(candidate, self.evidence.clusters, self.evidence.numbers, self.source, where=where)
+
+    def _start(self, candidate: Candidate) -> Candidate:
+        """Where to begin to fit: of the starting values of shape parameters those that fit best, if trying is cheap."""
+        shapes = [index for index, scalar in enumerate(candidate.scalars) if scalar.grid]
+        if not (self.source.cheap and shapes):
+            return candidate
+        tried = [candidate]
+        for values in product(*(candidate.scalars[index].grid for index in shapes)):
+            point = candidate.point.copy()
+            point[shapes] = values
+            # Where the effect is off its shape moves nothing, so the features are those of the nominal point.
+            moved = linearise(
+                replace(candidate, point=point), self.evidence.clusters, self.evidence.numbers, self.source
+            )
+            if moved is not None:
+                tried.append(moved)
+        return min(tried, key=lambda entry: Fit.of(entry, self.evidence).misfit)
+
+    def _absent(self, effects: Sequence[Effect]) -> dict[str, Candidate]:
+        """Effects that free motion there and back rules out, with their sensitivities there.
+
+        Those with several parameters, up to two for every joint, are dear to look at in every push as well. What shows
+        nothing in free motion is not there. Nor is what cannot explain it, where a single other effect does.
+        """
+        if self.source.cheap or not any(item.contact for item in self.evidence.clusters):
+            return {}
+        free = [number for number, item in enumerate(self.evidence.clusters) if not item.contact]
+        evidence = self.evidence.only(free)
+        if evidence.reference.freedom < LEAST_FREEDOM:
+            return {}
+        seen = [effect for effect in effects if any(in_free_motion(effect, item) for item in evidence.clusters)]
+        dear = {effect.name for effect in seen if len(effect.scalars(self.source.joint_count)) > 1}
+        if not dear:
+            return {}
+        self._prefetch(seen, in_free_motion)
+        alone: dict[str, Candidate] = {}
+        for effect in seen:
+            candidate = self._linearised(effect, in_free_motion)
+            if candidate is not None:
+                alone[effect.name] = candidate
+        absent = {
+            name
+            for name in dear & alone.keys()
+            if evidence.problem(alone[name].only(free)).p_value(evidence.reference, slice(None)) > NOTHING
+        }
+        rest = {name: alone[name].only(free) for name in alone.keys() - absent}
+        if dear & rest.keys():
+            absent |= dear & self._cannot_explain(rest, evidence)
+        return {name: alone[name] for name in absent}
+
+    @staticmethod
+    def _cannot_explain(candidates: dict[str, Candidate], evidence: Evidence) -> set[str]:
+        """Candidates that are far from explaining some clusters, where one of them does."""
+        enough = 2.0 * float(evidence.expected.mean())
+        if evidence.excess(evidence.errors) < enough:
+            return set()
+        fits = {name: see_all(refine(candidate, evidence)) for name, candidate in sorted(candidates.items())}
+        errors = {name: float(np.mean(fitted.problem.errors(fitted.change))) for name, fitted in fits.items()}
+        best = min(errors.values(), default=np.inf)
+        if best > 2.0 * enough:
+            return set()
+        return {name for name, error in errors.items() if error > HOPELESS * max(best, enough)}
+
+    def _prefetch(self, effects: Sequence[Effect], where: Where) -> None:
+        """Make the predictions of the screening in one parallel batch."""
+        batch = [
+            item
+            for effect in effects
+            for item in wanted(Candidate.of((effect,), self.source), self.evidence.numbers, self.source, where)
+        ]
+        self.source.predict(batch, "sensitivities of all effects")
+
+    def p_values(self, chosen: Fit | None) -> dict[str, float]:
+        """p per effect beside those already chosen, adjusted for looking at all (Benjamini and Hochberg)."""
+        raw = {}
+        for name, candidate in self.singles.items():
+            if chosen is None:
+                problem, tested, evidence = self.evidence.problem(candidate), slice(None), self.evidence
+            elif name in chosen.candidate.names:
+                continue
+            else:
+                joined = chosen.candidate.beside(candidate)
+                count = chosen.candidate.point.size
+                problem, tested = chosen.evidence.problem(joined), slice(count, joined.point.size)
+                evidence = chosen.left
+            raw[name] = problem.p_value(evidence.reference, tested)
+        return adjusted(raw)
+
+    def choose(self, thrifty: bool = False) -> Fit | None:
+        """Forward selection; None where nothing is accepted.
+
+        Args:
+            thrifty: Leave out what only sharpens the last digits: residuals trial by trial, and pairs.
+        """
+        chosen: Fit | None = None
+        first = self.evidence.excess(self.evidence.errors)
+        decidable = self.evidence.reference.shortage is None
+        for _ in range(MOST_EFFECTS):
+            p_values = self.p_values(chosen)
+            evidence = self.evidence if chosen is None else chosen.evidence
+            errors = self.evidence.errors if chosen is None else chosen.held_out
+            excess = evidence.excess(errors)
+            needed = LEAST_GAIN * excess if self.source.repeated else max(LEAST_GAIN * excess, LEAST_GAIN_OF_FIRST * first)
+            likely = [n for n, p in p_values.items() if n not in self.ruled_out and (p < SIGNIFICANT or not decidable)]
+            linear = sorted((self._joined(chosen, name) for name in likely), key=lambda entry: entry.score)
+            # What is small is linear: a proposal that gains nothing there will not gain by being fitted properly.
+            if chosen is not None:
+                linear = [entry for entry in linear if excess - evidence.excess(entry.held_out) > 0.5 * needed]
+            best = self._best(linear[: self._shortlist], chosen)
+            if best is None or excess - evidence.excess(best.held_out) <= needed or excess <= LEAST_REST * first:
+                break
+            chosen = best if thrifty else measure_again(best)
+            left = chosen.lack_of_fit()
+            if left is not None and left > SIGNIFICANT:
+                break
+        if chosen is not None:
+            chosen = self._without_the_superfluous(chosen)
+            if not thrifty and self.source.repeated and len(chosen.candidate.effects) >= 2:
+                chosen = self._try_pairs(chosen)
+        return chosen
+
+    def _joined(self, chosen: Fit | None, name: str) -> Fit:
+        """Linear fit of one more effect."""
+        if chosen is None:
+            return Fit.of(self._starts[name], self.evidence)
+        return Fit.of(chosen.candidate.beside(self._starts[name]), chosen.evidence)
+
+    def _best(self, shortlist: Sequence[Fit], chosen: Fit | None) -> Fit | None:
+        """The shortlist fitted through the model: the best, and of those as good the one with the fewest parameters."""
+        found: list[Fit] = []
+        for entry in shortlist:
+            beat = min((proposal.score for proposal in found), default=np.inf)
+            found.append(refine(entry.candidate, entry.evidence, HOPELESS * beat))
+        if not found:
+            return None
+        top = min(proposal.score for proposal in found)
+        found = [see_all(proposal) if proposal.score <= HOPELESS * top else proposal for proposal in found]
+        if not self.source.repeated:
+            found = [proposal for proposal in found if noticeable(proposal, 0 if chosen is None else chosen.change.size)]
+        if not found:
+            return None
+        best = min(found, key=lambda proposal: proposal.score)
+        joints = self.source.joint_count
+        alike = [entry for entry in found if entry.score <= best.score * math.exp(TIE)]
+        return min(alike, key=lambda entry: (entry.candidate.effects[-1].complexity(joints), entry.score))
+
+    def _without_the_superfluous(self, chosen: Fit) -> Fit:
+        """Without effects that later ones made superfluous."""
+        for effect, part in chosen.candidate.parts:
+            if len(chosen.candidate.effects) == 1:
+                break
+            keep = np.setdiff1d(np.arange(chosen.change.size), np.arange(part.start, part.stop))
+            others = self._others(chosen, effect.name)
+            reduced = evaluate_at(others, others.point, chosen.evidence)
+            if reduced is None or keep.size == 0:
+                continue
+            fitted = refine(reduced, chosen.evidence)
+            if fitted.score <= chosen.score:
+                return self._without_the_superfluous(fitted)
+        return chosen
+
+    @staticmethod
+    def _others(chosen: Fit, name: str) -> Candidate:
+        """The chosen effects but one, at their estimates, with the sensitivities they have."""
+        candidate = chosen.candidate
+        part = candidate.part(name)
+        keep = np.setdiff1d(np.arange(candidate.point.size), np.arange(part.start, part.stop))
+        kept = [number for number, effect in enumerate(candidate.effects) if effect.name != name]
+        return replace(
+            candidate,
+            effects=tuple(candidate.effects[number] for number in kept),
+            sizes=tuple(candidate.sizes[number] for number in kept),
+            scalars=tuple(candidate.scalars[index] for index in keep),
+            lower=candidate.lower[keep],
+            upper=candidate.upper[keep],
+            point=chosen.estimate[keep],
+            jacobians=tuple(jacobian[:, keep] for jacobian in candidate.jacobians),
+        )
+
+    def _try_pairs(self, chosen: Fit) -> Fit:
+        """A pair found together may beat one found step by step."""
+        likely = [name for name in self.singles if name not in self.ruled_out]
+        linear = {name: Fit.of(self._starts[name], self.evidence).score for name in likely}
+        names = sorted(likely, key=lambda name: linear[name])[:AMONG]
+        ranked = []
+        for first, second in combinations(names, 2):
+            if not {first, second} <= set(chosen.candidate.names):
+                joined = self._starts[first].beside(self._starts[second])
+                ranked.append((Fit.of(joined, self.evidence).score, joined))
+        for _, joined in sorted(ranked, key=lambda entry: entry[0])[:PAIRS]:
+            pair = refine(joined, self.evidence, HOPELESS * chosen.score)
+            if pair.score < (1.0 - LEAST_GAIN) * chosen.score:
+                chosen = measure_again(pair)
+        return chosen
+
+    def rivals(self, chosen: Fit, count: int = 3) -> list[Rival]:
+        """What could stand in the place of every chosen effect, fitted beside the others that are chosen."""
+        found = []
+        for name in chosen.candidate.names:
+            others = self._others(chosen, name)
+            proposals = []
+            for other, single in self.singles.items():
+                if other in chosen.candidate.names or other in self.ruled_out:
+                    continue
+                start = self._starts[other]
+                swapped = replace(others, offsets=tuple(np.zeros(o.shape) for o in single.offsets)).beside(start)
+                moved = evaluate_at(replace(swapped, origin=chosen.candidate.origin), swapped.point, chosen.evidence)
+                if moved is not None:
+                    proposals.append((other, Fit.of(moved, chosen.evidence)))
+            proposals.sort(key=lambda entry: entry[1].score)
+            for other, linear in proposals[:count]:
+                if linear.score > HOPELESS**2 * chosen.score:
+                    continue
+                fitted = see_all(refine(linear.candidate, chosen.evidence, HOPELESS * chosen.score))
+                found.append(Rival(other, name, fitted, tied(chosen, fitted)))
+        return found
+
+
+def tied(chosen: Fit, rival: Fit) -> bool:
+    """Whether a rival predicts unseen clusters as well: mean log ratio of errors within two standard errors of 0.
+
+    Clusters in which the two do the same say nothing about it.
+    """
+    floor = chosen.evidence.expected / 2.0 + 1e-12
+    ratio = np.log((rival.held_out + floor) / (chosen.held_out + floor))
+    moved = np.abs(ratio) > 1e-3
+    if not np.any(moved):
+        return True
+    ratio = ratio[moved]
+    spread = float(ratio.std(ddof=1) / math.sqrt(ratio.size)) if ratio.size > 1 else math.inf
+    return float(ratio.mean()) < max(TIE, min(2.0 * spread, WIDE_TIE))
+
+
+def noticeable(fitted: Fit, first: int = 0) -> bool:
+    """Whether the interval of some parameter, from number ``first`` on, lies wholly beyond a noticeable change.
+
+    Parameters that stop at a bound do not count: there the interval means nothing.
+    """
+    candidate = fitted.candidate
+    distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale - fitted.half_widths
+    free = (fitted.estimate > candidate.lower) & (fitted.estimate < candidate.upper)
+    own = np.array([not scalar.shape for scalar in candidate.scalars])
+    return bool(np.any((distance > 1.0)[first:] & free[first:] & own[first:]))
+
+
+def adjusted(p_values: dict[str, float]) -> dict[str, float]:
+    """Benjamini and Hochberg's adjustment."""
+    if not p_values:
+        return {}
+    return dict(zip(p_values, false_discovery_control(list(p_values.values())).tolist(), strict=True))
