@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impact_rs_analysis.evidence.clusters import ConditionEvidence
-from impact_rs_analysis.evidence.runs import Condition, MeasuredTrial
+from impact_rs_analysis.evidence.cluster import Cluster
+from impact_rs_analysis.evidence.runs import Condition, MeasuredTrial, Runs
 from impact_rs_analysis.measure.fit import FitError, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, compute_impact_map
@@ -64,49 +64,41 @@ class JumpEntry:
         return abs(self.error) / self.noise
 
 
-def jump_entries(
-    trials: Sequence[MeasuredTrial], evidence: Sequence[ConditionEvidence], model: Model
-) -> tuple[list[JumpEntry], list[str]]:
+def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple[list[JumpEntry], list[str]]:
     """Predicted against measured jumps of every object and case, and what could not be said.
 
     Args:
-        trials: All usable trials.
-        evidence: Their measured features by condition, with the scale that their own scatter gives.
+        runs: All usable trials.
+        measured: Their features themselves by condition, with the scale that their own scatter gives.
         model: What we believe.
     """
-    sets: dict[tuple[str, str, str], list[ConditionEvidence]] = {}
-    for item in evidence:
-        condition = item.condition
-        if condition.plan.expects_impact:
-            sets.setdefault((condition.scenario, condition.object, condition.case), []).append(item)
+    sets: dict[tuple[str, str, str], list[tuple[Condition, Cluster]]] = {}
+    for condition, item in zip(runs.conditions, measured, strict=True):
+        if item.contact:
+            sets.setdefault(item.place, []).append((condition, item))
     entries: list[JumpEntry] = []
     remarks: list[str] = []
     for key, items in sets.items():
-        item = min(items, key=lambda entry: abs(entry.condition.scale - 1.0))
+        condition, item = min(items, key=lambda entry: abs(entry[0].scale - 1.0))
         try:
-            predicted = _predict(item.condition, model)
+            predicted = _predict(condition, model)
         except ImpactMapError as error:
-            remarks.append(f"impact map of {item.condition.label}: {error}")
+            remarks.append(f"impact map of {item.name}: {error}")
             continue
-        own = [trial for trial in trials if trial.condition == item.condition]
-        measured = np.mean([trial.features for trial in own], axis=0)
-        for number, feature in enumerate(item.condition.features):
+        for feature, value, sigma in zip(item.features, item.mean, item.sigma, strict=True):
             known = predicted.get((feature.signal, feature.index, feature.bin))
             if feature.phase != "impact" or known is None:
                 continue
-            name, value = known
+            name, expected = known
             entries.append(
-                JumpEntry(
-                    *key, name, feature.index, float(measured[number]), value, feature.unit, float(item.sigma[number])
-                )
+                JumpEntry(*key, name, feature.index, float(value * sigma), expected, feature.unit, float(sigma))
             )
-        scales = {entry.condition.scale for entry in items}
-        if len(scales) > 1:
-            conditions = {entry.condition for entry in items}
-            estimate = _estimate([trial for trial in trials if trial.condition in conditions])
+        if len({entry.scale for entry, _ in items}) > 1:
+            conditions = {entry for entry, _ in items}
+            estimate = _estimate([trial for trial in runs.trials if trial.condition in conditions])
             if estimate is not None:
                 value, noise = estimate
-                axis = item.condition.plan.scene.scenario.axis
+                axis = condition.plan.scene.scenario.axis
                 after = predicted[("post-impact velocity", axis, 0)][1]
                 entries.append(JumpEntry(*key, "post-impact velocity (net feedback)", axis, value, after, "m/s", noise))
     return entries, remarks
@@ -153,9 +145,3 @@ def _estimate(trials: Sequence[MeasuredTrial]) -> tuple[float, float] | None:
     if fitted.interval is None:
         return None
     return fitted.estimate, max((fitted.interval[1] - fitted.interval[0]) / 4.0, 1e-6)
-
-
-def root_mean_square(values: Sequence[float] | Array) -> float:
-    """Root mean square; 0 of nothing."""
-    array = np.asarray(values, dtype=float)
-    return float(np.sqrt(np.mean(np.square(array)))) if array.size else 0.0

@@ -90,6 +90,8 @@ class TrialSource(Source):
         discrepancy: Of the twin; None: as measured.
 
     Attributes:
+        discrepancy: Of the twin.
+        conditions: What was measured, in the order of the clusters.
         remarks: What a reader should know.
 
     Raises:
@@ -101,9 +103,10 @@ class TrialSource(Source):
 
     def __init__(self, runs: Runs, model: Model, store: RolloutStore, discrepancy: Discrepancy | None = None) -> None:
         self.runs, self.model, self.store = runs, model, store
+        self.discrepancy = measured_discrepancy() if discrepancy is None else discrepancy
         self.conditions = runs.conditions
         self.physics = model.apply(self.conditions[0].plan.scene.physics)
-        self.clusters, self.remarks = clusters_of(runs, residuals(runs, model, store), discrepancy)
+        self.clusters, self.remarks = clusters_of(runs, residuals(runs, model, store), self.discrepancy)
 
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         """See :meth:`Source.predict`; every condition starts where its plan says."""

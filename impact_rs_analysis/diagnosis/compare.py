@@ -1,0 +1,364 @@
+"""Where a model fails: measurement against model, and one number per model.
+
+Trials are compared on three levels:
+
+* **jump**: the impact map with the model's physics against the measured velocity jump,
+* **free motion**: torque balances and deflections in windows without contact,
+* **trial**: the twin in closed loop, through impact and push;
+
+recordings on one, the torque balance of free motion. Every difference is given in its unit and in multiples of what
+repetition explains, so that torques and velocities can be ranked together. The score of trials is the one the diagnosis
+lowers: the size of the mean residuals (:func:`impact_rs_analysis.evidence.cluster.size_of`), 1 being what repetition
+alone leaves. That of recordings is the root mean square torque that is not explained [N m].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from impact_rs_analysis.diagnosis.document import TIMES, DiscrepancyDocument, ModelIdentity, RecordingDocument
+from impact_rs_analysis.diagnosis.jump import JOINTS, JumpEntry, jump_entries
+from impact_rs_analysis.evidence.cluster import Cluster, Source, size_of
+from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.evidence.trials import TrialSource, clusters_of
+from impact_rs_sim.robot import Array
+from impact_rs_sim.schema import Schema
+
+LEVEL_PHASES = {"free_motion": ("free",), "trial": ("impact", "push")}
+LEVEL_TEXT = {
+    "jump": "velocity jump of the impact map against the one measured 20 to 40 ms after the impact, when the controller "
+    "has already begun to turn the joints (which are listed, and not in the number), or against the net-feedback estimate",
+    "free_motion": "torque balances and deflection in windows without contact",
+    "trial": "the twin in closed loop: velocity, contact force, feedback and object motion",
+    "recording": "torque balance of the arm while it touches nothing, both sides low-passed",
+}
+
+
+class Cell(Schema):
+    """One place where a model may fail."""
+
+    scenario: str = Field(description="scenario, or file of a recording")
+    object: str = Field(description="object; empty of a recording")
+    case: str = Field(description="case; empty of a recording")
+    phase: str = Field(description="free, impact or push; of a recording moving up, moving down or slow")
+    signal: str = Field(description="what was compared")
+    index: str = Field(description="joint or axis")
+    error: float = Field(description="measured minus model where it is largest, or mean of a recording, in the unit")
+    unit: str = Field(description="unit")
+    floor: float = Field(description="difference below which nobody cares, in the unit")
+    share: float = Field(description="share of all squares")
+    times_noise: float = Field(description="root mean square in multiples of what repetition alone gives")
+
+
+class SignalLevel(Schema):
+    """How far one signal is off."""
+
+    phase: str = Field(description="phase of the motion")
+    signal: str = Field(description="what it is")
+    index: str = Field("", description="joint, where joints are told one by one")
+    error: float = Field(description="root mean square difference, in the unit")
+    mean: float | None = Field(None, description="mean difference, in the unit")
+    noise_floor: float = Field(description="what repetition, or noise, alone gives, in the unit")
+    discrepancy: float = Field(0.0, description="how far equally valid simulations differ, in the unit")
+    floor: float = Field(0.0, description="difference below which nobody cares, in the unit")
+    unit: str = Field(description="unit")
+    times_noise: float = Field(description="the difference in multiples of what repetition alone gives")
+
+
+class JumpLevel(Schema):
+    """One predicted and measured jump."""
+
+    scenario: str = Field(description="scenario")
+    object: str = Field(description="object")
+    case: str = Field(description="case")
+    signal: str = Field(description="what it is")
+    index: str = Field(description="joint or axis")
+    measured: float = Field(description="mean over the repeats, in the unit")
+    predicted: float = Field(description="by the impact map, in the unit")
+    error: float = Field(description="measured minus predicted, in the unit")
+    unit: str = Field(description="unit")
+    times_noise: float = Field(description="the difference in multiples of what repetition alone gives")
+
+
+class Level(Schema):
+    """One level of the comparison."""
+
+    what: str = Field(description="what is compared")
+    times_noise: float = Field(description="root mean square difference in multiples of what repetition alone gives")
+    signals: tuple[SignalLevel, ...] = Field((), description="by signal")
+    entries: tuple[JumpLevel, ...] = Field((), description="by jump")
+
+
+class ConditionScore(Schema):
+    """Score of one condition or recording."""
+
+    name: str = Field(description="condition, or file")
+    repeats: int = Field(description="trials, or stretches of time")
+    score: float = Field(description="its score, in the unit of the whole")
+
+
+class Skipped(Schema):
+    """A bag that was left out."""
+
+    name: str = Field(description="path below the folder")
+    reason: str = Field(description="why")
+
+
+class ComparisonDocument(Schema):
+    """``compare --json``."""
+
+    source: Literal["trials", "recordings"] = Field(description="what was compared")
+    model: ModelIdentity = Field(description="compared model")
+    trials: int = Field(description="trials, or recordings")
+    conditions: tuple[ConditionScore, ...] = Field(description="by condition or recording")
+    score: float = Field(description="one number for the model")
+    score_is: str = Field(description="what the number is")
+    score_unit: str = Field(description="its unit")
+    noise_floor: float | None = Field(description="what the score is if only noise is left; null: nothing was repeated")
+    levels: dict[str, Level] = Field(description="jump, free_motion and trial; of a recording: recording")
+    where: tuple[Cell, ...] = Field(description="places by size")
+    not_measured: tuple[str, ...] = Field((), description="what the measurements say nothing of")
+    skipped: tuple[Skipped, ...] = Field((), description="bags that were left out")
+    recording: RecordingDocument | None = Field(None, description="what was read of recordings")
+    discrepancy: DiscrepancyDocument = Field(default_factory=DiscrepancyDocument, description="of the twin itself")
+    remarks: tuple[str, ...] = Field((), description="what a reader should know")
+
+
+def compare(source: Source) -> ComparisonDocument:
+    """Compare a model with measurements.
+
+    Args:
+        source: Measurements with the model's predictions.
+    """
+    if isinstance(source, RecordingSource):
+        return _of_recordings(source)
+    assert isinstance(source, TrialSource)
+    return _of_trials(source)
+
+
+def score_of(clusters: Sequence[Cluster]) -> float:
+    """Size of mean residuals, 1 being what repetition alone leaves [-]."""
+    return size_of([item.error for item in clusters], [item.expected for item in clusters])
+
+
+def noise_floor_of(clusters: Sequence[Cluster]) -> float | None:
+    """What :func:`score_of` is if only repetition is left [-]; None if nothing was repeated."""
+    return 1.0 if any(np.any(item.pure > 0.0) for item in clusters) else None
+
+
+def _of_trials(source: TrialSource) -> ComparisonDocument:
+    clusters, runs = source.clusters, source.runs
+    # The map knows no trial's own start: repetition is what the measured numbers themselves scatter, for every model.
+    measured, _ = clusters_of(runs, [trial.features for trial in runs.trials], source.discrepancy)
+    entries, remarks = jump_entries(runs, measured, source.model)
+    repeated = noise_floor_of(clusters) is not None
+    score_is = (
+        "size of the difference between measurement and twin over all features and conditions, 1 being what repetition "
+        "alone gives"
+        if repeated
+        else "size of the difference between measurement and twin over all features and conditions, in multiples of what "
+        "nobody cares about"
+    )
+    levels = {"jump": _jump(entries)}
+    levels |= {name: _level(name, clusters, phases) for name, phases in LEVEL_PHASES.items()}
+    return ComparisonDocument(
+        source="trials",
+        model=ModelIdentity(name=source.model.name, digest=source.model.digest),
+        trials=len(runs.trials),
+        conditions=tuple(
+            ConditionScore(name=item.name, repeats=item.count, score=rounded(score_of([item]))) for item in clusters
+        ),
+        score=rounded(score_of(clusters)),
+        score_is=score_is,
+        score_unit=TIMES if repeated else "-",
+        noise_floor=noise_floor_of(clusters),
+        levels=levels,
+        where=tuple(_where(clusters)),
+        skipped=tuple(Skipped(name=path.removeprefix(f"{runs.directory}/"), reason=why) for path, why in runs.skipped),
+        discrepancy=discrepancy_of(source),
+        remarks=(*source.remarks, *remarks),
+    )
+
+
+def discrepancy_of(source: Source) -> DiscrepancyDocument:
+    """What is allowed for the twin itself."""
+    if not isinstance(source, TrialSource):
+        return DiscrepancyDocument()
+    return DiscrepancyDocument(used=bool(source.discrepancy.entries), provenance=source.discrepancy.provenance)
+
+
+def _jump(entries: Sequence[JumpEntry]) -> Level:
+    return Level(
+        what=LEVEL_TEXT["jump"],
+        times_noise=rounded(root_mean_square([entry.times_noise for entry in entries if entry.signal != JOINTS])),
+        entries=tuple(
+            JumpLevel(
+                scenario=entry.scenario,
+                object=entry.object,
+                case=entry.case,
+                signal=entry.signal,
+                index=entry.index,
+                measured=rounded(entry.measured),
+                predicted=rounded(entry.predicted),
+                error=rounded(entry.error),
+                unit=entry.unit,
+                times_noise=rounded(entry.times_noise),
+            )
+            for entry in entries
+        ),
+    )
+
+
+def _level(name: str, clusters: Sequence[Cluster], phases: tuple[str, ...]) -> Level:
+    """Root mean square differences of the signals of some phases, over all conditions."""
+    found: dict[tuple[str, str, str], list[tuple[float, float, float, float, float]]] = {}
+    for item in clusters:
+        for feature, mean, sigma, pure, own in zip(
+            item.features, item.mean, item.sigma, item.pure, item.discrepancy, strict=True
+        ):
+            if feature.phase in phases:
+                noise = float(np.sqrt(pure**2 / item.count + own**2))
+                key = (feature.phase, feature.signal, feature.unit)
+                row = (float(mean * sigma), float(pure * sigma) / item.count**0.5, float(own * sigma), feature.floor)
+                found.setdefault(key, []).append((*row, float(mean) / max(noise, 1e-12) if noise else float(mean)))
+    signals = []
+    for (phase, signal, unit), rows in found.items():
+        error, noise, own, floor, scaled = (root_mean_square(column) for column in zip(*rows, strict=True))
+        signals.append(
+            SignalLevel(
+                phase=phase,
+                signal=signal,
+                error=rounded(error),
+                noise_floor=rounded(noise),
+                discrepancy=rounded(own),
+                floor=rounded(floor),
+                unit=unit,
+                times_noise=rounded(scaled),
+            )
+        )
+    every = [row[-1] for rows in found.values() for row in rows]
+    return Level(what=LEVEL_TEXT[name], times_noise=rounded(root_mean_square(every)), signals=tuple(signals))
+
+
+def _where(clusters: Sequence[Cluster]) -> list[Cell]:
+    """Every object x case x phase x signal x index, largest first."""
+    total = sum(float(np.sum(np.square(item.mean))) for item in clusters)
+    found: dict[tuple[str, ...], list[tuple[float, float, float, str, float]]] = {}
+    for item in clusters:
+        noise = np.sqrt(np.square(item.pure) / item.count + np.square(item.discrepancy))
+        noise = np.where(noise > 0.0, noise, 1.0)
+        for feature, mean, sigma, own in zip(item.features, item.mean, item.sigma, noise, strict=True):
+            row = (float(mean / own), float(mean * sigma), float(mean), feature.unit, feature.floor)
+            found.setdefault((*item.place, *feature.group), []).append(row)
+    cells = []
+    for (scenario, thing, case, phase, signal, index), rows in found.items():
+        worst = max(rows, key=lambda row: abs(row[0]))
+        cells.append(
+            Cell(
+                scenario=scenario,
+                object=thing,
+                case=case,
+                phase=phase,
+                signal=signal,
+                index=index,
+                error=rounded(worst[1]),
+                unit=worst[3],
+                floor=worst[4],
+                share=rounded(sum(row[2] ** 2 for row in rows) / max(total, 1e-300)),
+                times_noise=rounded(root_mean_square([row[0] for row in rows])),
+            )
+        )
+    return sorted(cells, key=lambda cell: (-cell.times_noise, cell.scenario, cell.object, cell.case, cell.signal, cell.index))
+
+
+def _of_recordings(source: RecordingSource) -> ComparisonDocument:
+    rest, noise = source.rest, np.maximum(source.balance.noise, 1e-12)
+    labels = np.array([[feature.phase for feature in item.features] for item in source.clusters], dtype=object)
+    phases = np.concatenate([np.array(row, dtype=object).reshape(-1, rest.shape[1]) for row in labels])
+    total = float(np.sum(np.square(rest)))
+    files = ", ".join(str(recording.path.name) for recording in source.recordings)
+    cells, signals = [], []
+    for joint in range(rest.shape[1]):
+        own = rest[:, joint]
+        signals.append(
+            SignalLevel(
+                phase="free",
+                signal="torque",
+                index=f"joint{joint + 1}",
+                error=rounded(root_mean_square(own)),
+                mean=rounded(float(own.mean())),
+                noise_floor=rounded(float(noise[joint])),
+                unit="N m",
+                times_noise=rounded(root_mean_square(own) / float(noise[joint])),
+            )
+        )
+        for phase in dict.fromkeys(phases[:, joint]):
+            part = own[phases[:, joint] == phase]
+            if part.size < LEAST_SAMPLES:
+                continue
+            cells.append(
+                Cell(
+                    scenario=files,
+                    object="",
+                    case="",
+                    phase=phase,
+                    signal="torque",
+                    index=f"joint{joint + 1}",
+                    error=rounded(float(part.mean())),
+                    unit="N m",
+                    floor=0.0,
+                    share=rounded(float(np.sum(np.square(part))) / max(total, 1e-300)),
+                    times_noise=rounded(root_mean_square(part) / float(noise[joint])),
+                )
+            )
+    by_file = {
+        str(recording.path): [item for item in source.clusters if item.unit == str(recording.path)]
+        for recording in source.recordings
+    }
+    return ComparisonDocument(
+        source="recordings",
+        model=ModelIdentity(name=source.model.name, digest=source.model.digest),
+        trials=len(source.recordings),
+        conditions=tuple(
+            ConditionScore(
+                name=name,
+                repeats=len(items),
+                score=rounded(root_mean_square(np.concatenate([item.mean * item.sigma for item in items]))),
+            )
+            for name, items in by_file.items()
+        ),
+        score=rounded(root_mean_square(rest)),
+        score_is="root mean square of recorded minus predicted joint torque over all joints and samples",
+        score_unit="N m",
+        noise_floor=rounded(root_mean_square(noise)),
+        levels={
+            "recording": Level(
+                what=LEVEL_TEXT["recording"],
+                times_noise=rounded(root_mean_square(np.sqrt(np.mean(np.square(rest), axis=0)) / noise)),
+                signals=tuple(signals),
+            )
+        },
+        where=tuple(sorted(cells, key=lambda cell: -cell.share)),
+        not_measured=("velocity jump", "contact and impulses", "object", "controller and its references"),
+        recording=RecordingDocument(**asdict(source.facts)),
+        remarks=(),
+    )
+
+
+LEAST_SAMPLES = 5  # of a phase of one joint; fewer say nothing
+
+
+def root_mean_square(values: Sequence[float] | Array) -> float:
+    """Root mean square; 0 of nothing."""
+    array = np.asarray(values, dtype=float)
+    return float(np.sqrt(np.mean(np.square(array)))) if array.size else 0.0
+
+
+def rounded(value: float) -> float:
+    """Nine digits: more than anyone can measure."""
+    return float(f"{value:.9g}")
