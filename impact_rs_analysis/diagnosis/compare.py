@@ -273,7 +273,9 @@ def _where(clusters: Sequence[Cluster]) -> list[Cell]:
                 times_noise=rounded(root_mean_square([row[0] for row in rows])),
             )
         )
-    return sorted(cells, key=lambda cell: (-cell.times_noise, cell.scenario, cell.object, cell.case, cell.signal, cell.index))
+    return sorted(
+        cells, key=lambda cell: (-cell.times_noise, cell.scenario, cell.object, cell.case, cell.signal, cell.index)
+    )
 
 
 def _of_recordings(source: RecordingSource) -> ComparisonDocument:

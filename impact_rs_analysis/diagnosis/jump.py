@@ -18,7 +18,6 @@ from impact_rs_analysis.measure.fit import FitError, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, compute_impact_map
 from impact_rs_sim.model import Model
-from impact_rs_sim.robot import Array
 from impact_rs_trials.bags.reader import BagError, TrialBag
 
 ENGINE = "pinocchio"

@@ -285,7 +285,9 @@ class BlockReference(Reference):
         """See :attr:`Reference.shortage`."""
         if len(self.clusters) >= self.LEAST:
             return None
-        return f"{self.LEAST - len(self.clusters)} more stretches of motion: {len(self.clusters)} of {self.LEAST} needed"
+        return (
+            f"{self.LEAST - len(self.clusters)} more stretches of motion: {len(self.clusters)} of {self.LEAST} needed"
+        )
 
     @cached_property
     def _signs(self) -> Array:
@@ -311,9 +313,7 @@ class BlockReference(Reference):
 
     def covariance(self, jacobians: Sequence[Array], change: Array, inverse: Array) -> Array:
         """See :meth:`Reference.covariance`; neighbouring samples are not independent, blocks are."""
-        scores = np.array(
-            [j.T @ (item.mean - j @ change) for item, j in zip(self.clusters, jacobians, strict=True)]
-        )
+        scores = np.array([j.T @ (item.mean - j @ change) for item, j in zip(self.clusters, jacobians, strict=True)])
         count = len(self.clusters)
         return np.asarray(inverse @ (scores.T @ scores) @ inverse * count / (count - 1.0))
 

@@ -136,6 +136,17 @@ class RecordingSource(Source):
             for item in like
         ]
 
+    def rest_with(self, added: Added) -> Array:
+        """Recorded minus predicted torque with effects on top of the model, ``(k, n)`` [N m].
+
+        Raises:
+            InputError: The effects leave no body.
+        """
+        torque = self._torque(added)
+        if torque is None:
+            raise InputError("with these effects the arm is no body")
+        return np.asarray(self.balance.recorded - torque)
+
     def _torque(self, added: Added) -> Array | None:
         """Predicted torque of all recordings, ``(k, n)`` [N m]; None where the effects leave no body."""
         if added not in self._predicted:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -154,3 +155,16 @@ def read_runs(directory: Path, map_tasks: Map) -> Runs:
         reason = f"; {len(skipped)} bag(s) cannot be used, the first because: {skipped[0][1]}" if skipped else ""
         raise InputError(f"no usable trials here{reason}", file=directory)
     return Runs(directory, trials, skipped)
+
+
+def runs_digest(directory: Path) -> str:
+    """Identity of the trials in a folder: names, scenarios and seeds; where the folder lies does not count."""
+    rows = []
+    for path in find_bags(directory):
+        try:
+            info = TrialBag(path).info
+        except BagError:
+            continue
+        scenario = hashlib.sha256(info.scenario_yaml.encode()).hexdigest()
+        rows.append(f"{path.name} {scenario} {info.seed}")
+    return hashlib.sha256("\n".join(sorted(rows)).encode()).hexdigest()[:16]
