@@ -53,12 +53,13 @@ class BagWriter:
     Args:
         path: Folder of the bag; must not exist yet.
         arms: Names of the arms.
+        truth: Whether the bag has topics for the truth.
 
     Raises:
         InputError: The folder exists already or cannot be made.
     """
 
-    def __init__(self, path: Path, arms: list[str]) -> None:
+    def __init__(self, path: Path, arms: list[str], truth: bool = True) -> None:
         self.path = path
         self.messages = 0
         self._store = typestore()
@@ -80,7 +81,7 @@ class BagWriter:
             topic: self._writer.add_connection(
                 topic, kind, typestore=self._store, offered_qos_profiles=[_latched()] if topic in LATCHED else []
             )
-            for topic, kind in topics.recorded(arms).items()
+            for topic, kind in topics.recorded(arms, truth).items()
         }
 
     def describe(self, info: TrialInfo) -> None:
