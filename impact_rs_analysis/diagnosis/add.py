@@ -66,7 +66,8 @@ def add_effect(
     }
     item = ModelEffect(name=name, parameters={**nominal, **estimated})
     child = model.with_effect(item, output.stem, _parent_name(model_file, output), formulas)
-    note = f"{name}: {found.verdict}; held-out error {before:.3g} -> {after:.3g} {document.error_unit} in {document.runs.trials} {document.source}"
+    note = f"{name}: {found.verdict}; held-out error {before:.3g} -> {after:.3g} {document.error_unit} in "
+        f"{document.runs.trials} {document.source}"
     return check_model(child.model_copy(update={"note": note}), source)
 
 

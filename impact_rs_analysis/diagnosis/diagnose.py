@@ -166,8 +166,8 @@ def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
         what = f"whole recordings, in {count} folds"
     else:
         what = (
-            f"{len(source.clusters)} stretches of time in {count} folds of neighbours; every fold is predicted from the "
-            "others without the stretches that touch it"
+            f"{len(source.clusters)} stretches of time in {count} folds of neighbours; every fold is predicted from "
+            "the others without the stretches that touch it"
         )
     return HoldOutDocument(what=f"{what}; the whole search is run again without what it shall predict", folds=count)
 

@@ -263,7 +263,7 @@ class Search:
 
     @staticmethod
     def left_without(chosen: Fit, name: str) -> Evidence:
-        """What the chosen effects but one explain least of all, taken off the evidence: residuals to test that one by."""
+        """The evidence less what the other chosen effects explain of it: residuals to test one effect by."""
         part = chosen.candidate.part(name)
         evidence = chosen.evidence
         reduced = evidence.problem(chosen.candidate.fixed(*range(part.start, part.stop)))

@@ -227,7 +227,7 @@ def headline(found: Findings) -> Headline:
 
 def effect_documents(found: Findings, known: dict[str, Effect]) -> list[EffectDocument]:
     """What is said of every effect: chosen ones, then the others by their error, then those that nothing measured."""
-    search, chosen = found.search, found.chosen
+    search = found.search
     reports = [_chosen_document(found, known[name]) for name in found.names]
     others = []
     for name in search.singles:
@@ -300,10 +300,7 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
     own = [rival for rival in found.rivals if rival.name == name]
     tied = [rival for rival in own if rival.tied]
     best = min(tied or own, key=lambda rival: rival.fit.score, default=None)
-    if best is not None:
-        fitted = best.fit
-    else:
-        fitted = search.beside(found.chosen, name)
+    fitted = search.beside(found.chosen, name) if best is None else best.fit
     part = fitted.candidate.part(name)
     shown = np.array([not scalar.shape for scalar in fitted.candidate.scalars[part]])
     p = found.p_values.get(name, 1.0)
@@ -375,7 +372,7 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
 
 
 def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float | None, float | None]:
-    """Verdict on one joint's parameter, everything else as chosen; p; held-out error of the joint without and with it."""
+    """Verdict on one joint's parameter beside all others; p; held-out error of the joint without and with it."""
     candidate, evidence = fitted.candidate, fitted.evidence
     joint = f"joint{(candidate.scalars[index].joint or 0) + 1}"
     seen = any(np.any(jacobian[:, index]) for jacobian in candidate.jacobians)

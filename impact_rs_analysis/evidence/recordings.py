@@ -1,8 +1,8 @@
 """Recordings of free motion as a source of evidence: clusters are stretches of time, a torque balance predicts them.
 
-Stretches are about a second long, longer than the noise of a low-passed torque remembers. Torques are divided by the root
-mean square of what the model leaves in their joint, so that every joint counts alike; the pure error is the noise of the
-recorded torque below the cut-off.
+Stretches are about a second long, longer than the noise of a low-passed torque remembers. Torques are divided by the
+root mean square of what the model leaves in their joint, so that every joint counts alike; the pure error is the noise
+of the recorded torque below the cut-off.
 """
 
 from __future__ import annotations
@@ -89,8 +89,8 @@ class RecordingSource(Source):
         self.remarks = [
             "one recording is one condition: stretches of time are held out in its place, and whether the estimates "
             "hold at other speeds, poses or temperatures is not tested",
-            "nothing was repeated, so there is no pure error: the noise floor is that of the torque signal, and a model "
-            "error larger than it does not have to come from an effect of the library",
+            "nothing was repeated, so there is no pure error: the noise floor is that of the torque signal, and a "
+            "model error larger than it does not have to come from an effect of the library",
         ]
         if self.physics.arms[ARM].motor_inertia_reduced.max() == 0.0:
             self.remarks.append("the torque was measured behind the motors, so their inertia is not in it")

@@ -35,8 +35,8 @@ Find out which physical effect is missing in a model.
 
 Every effect of the library ({PROGRAM} effects lists them) and of your own formulas is fitted to the measurements, and
 judged by how well it predicts conditions that no part of the search has seen. Says CONFIRMED, CONFUSABLE-WITH{{...}},
-PRESENT-BUT-SMALL, NOT-IDENTIFIABLE, NO-IMPROVEMENT or AT-BOUND of each, and NOTHING-MISSING, NONE-EXPLAINS, PARTLY{{...}}
-or TOO-FEW-REPEATS of all where that is the answer.
+PRESENT-BUT-SMALL, NOT-IDENTIFIABLE, NO-IMPROVEMENT or AT-BOUND of each, and NOTHING-MISSING, NONE-EXPLAINS,
+PARTLY{{...}} or TOO-FEW-REPEATS of all where that is the answer.
 
 Needs at least three conditions (object x case) and three repeats in all; a free motion there and back (scenario excite)
 tells friction, offset and gain of the torque apart.
