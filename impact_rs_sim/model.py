@@ -93,7 +93,7 @@ def check_model(model: Model, file: str | Path) -> Model:
     try:
         known = model.known_effects
     except InputError as error:
-        raise InputError(error.message, file=file) from None
+        raise error.in_file(file) from None
     for index, item in enumerate(model.effects):
         key = f"effects.{index}"
         if item.name not in known:

@@ -91,7 +91,7 @@ def recorded_scenario(text: str, file: str | Path) -> Scenario:
     try:
         return _scenario(text)
     except InputError as error:
-        raise InputError(error.message, file=file, key=error.key, value=error.value) from None
+        raise error.in_file(file) from None
 
 
 @functools.lru_cache(maxsize=KEPT)
