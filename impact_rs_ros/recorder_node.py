@@ -136,7 +136,7 @@ class RecorderNode(NodeProgram):
             self._connect(list(info.robots))
             self._await_publishers()
             self._inbox.clear()
-            bag = self._open.enter_context(BagWriter(Path(request.bag_path), self._arms))
+            bag = self._open.enter_context(BagWriter.create(Path(request.bag_path), self._arms))
             bag.describe(info)
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
             bag.write_raw(topics.ROBOT_DESCRIPTION, 0, serialize_message(String(data=request.robot_description)))

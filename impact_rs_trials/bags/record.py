@@ -127,7 +127,7 @@ def record_trial(
     frames = FrameSource(plan.scene)
     plant = make_plant(plan, info.seed, physics, extension)
     try:
-        with without_garbage_collection(), BagWriter(path, list(plan.arms)) as bag:
+        with without_garbage_collection(), BagWriter.create(path, list(plan.arms)) as bag:
             bag.describe(info)
             bag.write(topics.TRIAL_INFO, 0, maker.trial_info(info))
             bag.write(topics.ROBOT_DESCRIPTION, 0, maker.robot_description(scene_urdf(plan)))

@@ -21,7 +21,7 @@ def random_configurations(model, count, seed=0):
 
 def test_pinocchio_and_bullet_agree_on_mass_matrix_and_gravity_torque(scene):
     model = scene.models["arm"]
-    world = BulletWorld(
+    world = BulletWorld.load(
         scene.physics, time_step=1e-3, gravity=True, compliant_pads=False, iterations=50, residual_threshold=0.0
     )
     still = [0.0] * model.joint_count
