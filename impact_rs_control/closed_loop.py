@@ -64,7 +64,7 @@ def make_plant(
         extension: What the physics cannot say.
     """
     scene = plan.scene
-    return Plant(
+    return Plant.for_trial(
         scene.scenario,
         scene.physics if physics is None else physics,
         {name: arm.initial for name, arm in plan.arms.items()},

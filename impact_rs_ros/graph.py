@@ -23,8 +23,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
 from impact_rs_ros.process import SUPERVISOR
-from impact_rs_ros.trials import model_text
-from impact_rs_sim.model import Model
+from impact_rs_sim.model import Model, model_text
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenario import load_scenario, scenario_path
 from impact_rs_trials.bags.trial_info import TrialKey

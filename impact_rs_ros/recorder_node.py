@@ -24,7 +24,6 @@ from impact_rs_ros.message_types import available
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_ros.qos import RECORD
 from impact_rs_ros.transforms import Transforms
-from impact_rs_ros.trials import plan_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
@@ -131,13 +130,13 @@ class RecorderNode(NodeProgram):
         self._abort()
         try:
             info = TrialInfo.from_message(request.trial)
-            plan = plan_of(info) if info.scenario_yaml else None
+            plan = info.spec.plan if info.scenario_yaml else None
             if not request.bag_path:
                 raise InputError("ConfigureTrial.bag_path is empty; the recorder needs to know where to write")
             self._connect(list(info.robots))
             self._await_publishers()
             self._inbox.clear()
-            bag = self._open.enter_context(BagWriter(Path(request.bag_path), self._arms))
+            bag = self._open.enter_context(BagWriter.create(Path(request.bag_path), self._arms))
             bag.describe(info)
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
             bag.write_raw(topics.ROBOT_DESCRIPTION, 0, serialize_message(String(data=request.robot_description)))

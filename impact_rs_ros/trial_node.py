@@ -14,7 +14,6 @@ from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.process import NodeProgram
 from impact_rs_ros.qos import AWAITED, STREAM
 from impact_rs_ros.streams import Stream, StreamMaker
-from impact_rs_ros.trials import plan_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.messages import MessageMaker
@@ -105,7 +104,7 @@ class TrialNode(NodeProgram):
             if self.plan is not None:
                 self._leave()
             info = TrialInfo.from_message(request.trial)
-            plan = plan_of(info)
+            plan = info.spec.plan
             self._connect(list(plan.arms))
             self.inbox.clear()
             self.outbox.reset(self.streams(StreamMaker(plan), list(plan.arms)))

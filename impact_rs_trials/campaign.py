@@ -17,15 +17,14 @@ from typing import TYPE_CHECKING
 import yaml
 from pydantic import Field
 
-from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenario import Scenario, load_scenario
-from impact_rs_sim.scene import Scene
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import PositiveVector, Schema, parse_yaml, validate
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import Outcome, TrialInfo, TrialKey
 from impact_rs_trials.bags.writer import partial_path
+from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.store import Store, open_store, owned
 from impact_rs_trials.workers import SchedulerLost, Workforce, as_they_end, client_of
 
@@ -61,10 +60,10 @@ class Manifest(Schema):
         """One trial, with all that is needed to run it anywhere.
 
         Raises:
-            InputError: There is no such scenario (any more).
+            InputError: There is no such scenario (any more), or it has lost this object or case.
         """
-        scenario = load_scenario(self.scenario).model_dump_json()
-        return Trial(key, key.seed(self.seed), scenario, self.motor_inertia)
+        spec = TrialSpec.of(load_scenario(self.scenario), key.object, key.case, key.scale, self.motor_inertia)
+        return Trial.of(spec, key.repeat, self.seed)
 
 
 @dataclass(frozen=True)
@@ -72,16 +71,24 @@ class Trial:
     """One trial, with all that is needed to run it anywhere.
 
     Attributes:
-        key: Which trial of its campaign.
+        spec: What it has in common with its repeats.
+        repeat: Number of the repeat, from 0.
         seed: Seed of its random numbers.
-        scenario: Full text of the scenario, JSON.
-        motor_inertia: Motor-inertia model of the reference.
     """
 
-    key: TrialKey
+    spec: TrialSpec
+    repeat: int
     seed: int
-    scenario: str
-    motor_inertia: str
+
+    @classmethod
+    def of(cls, spec: TrialSpec, repeat: int, campaign_seed: int) -> Trial:
+        """The trial of a campaign with this seed."""
+        return cls(spec, repeat, TrialKey(spec.object, spec.case, spec.scale, repeat).seed(campaign_seed))
+
+    @property
+    def key(self) -> TrialKey:
+        """Which trial of its campaign."""
+        return TrialKey(self.spec.object, self.spec.case, self.spec.scale, self.repeat)
 
 
 @dataclass(frozen=True)
@@ -134,7 +141,7 @@ def make_manifest(
     )
     for name in manifest.objects:
         for case in manifest.cases:
-            Scene.resolve(scenario, name, case)
+            _ = TrialSpec.of(scenario, name, case).scene  # its pose can be reached
             if scenario.friction_compensation is not None:
                 scenario.friction_compensation.arms(name, case)
     return manifest
@@ -172,20 +179,6 @@ def still_to_run(store: Store, manifest: Manifest) -> list[TrialKey]:
     return [key for key in manifest.keys if key.name not in names]
 
 
-@functools.lru_cache(maxsize=16)
-def _scene(scenario: str, object_name: str, case_name: str) -> Scene:
-    return Scene.resolve(Scenario.model_validate_json(scenario), object_name, case_name)
-
-
-@functools.lru_cache(maxsize=16)
-def _plan(scenario: str, object_name: str, case_name: str, scale: float, inertia: str) -> TrialPlan:
-    """Repeats of a trial share its plan: inverse kinematics and impact map are solved once per worker.
-
-    The key is the scenario's content, for the file may be edited, or one that it names.
-    """
-    return plan_trial(_scene(scenario, object_name, case_name), scale, inertia)
-
-
 def run_one(directory: Path, trial: Trial) -> TrialReport:
     """Run one trial in-process and write its bag.
 
@@ -197,7 +190,7 @@ def run_one(directory: Path, trial: Trial) -> TrialReport:
     if path.exists():
         return TrialReport(key, _outcome(path))
     shutil.rmtree(partial_path(path), ignore_errors=True)
-    plan = _plan(trial.scenario, key.object, key.case, key.scale, trial.motor_inertia)
+    plan = trial.spec.plan
     info = TrialInfo.of(plan, key, trial.seed, "inprocess")
     outcome, _ = record_trial(plan, info, path)
     return TrialReport(key, outcome)

@@ -14,9 +14,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from impact_rs_sim.errors import InputError
+
+if TYPE_CHECKING:
+    from fsspec import AbstractFileSystem
 
 COMPLETE = "metadata.yaml"
 LOCK = ".lock"
@@ -123,17 +126,26 @@ class Remote(Store):
 
     Args:
         url: Its URL, for example ``s3://bucket/push``.
-
-    Raises:
-        InputError: fsspec does not know the protocol, or lacks the package that speaks it.
+        files: The file system it is on.
+        root: Its path there.
     """
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, files: AbstractFileSystem, root: str) -> None:
+        self.url = url
+        self._files = files
+        self._root = root
+
+    @classmethod
+    def at(cls, url: str) -> Remote:
+        """The place of a URL.
+
+        Raises:
+            InputError: fsspec does not know the protocol, or lacks the package that speaks it.
+        """
         from fsspec.core import url_to_fs
 
-        self.url = url.rstrip("/")
         try:
-            self._files, self._root = url_to_fs(self.url)
+            return cls(url.rstrip("/"), *url_to_fs(url.rstrip("/")))
         except (ImportError, ValueError) as error:
             raise InputError(f"this URL cannot be used: {error}", file=url) from None
 
@@ -207,7 +219,7 @@ def open_store(place: str | Path | Store) -> Store:
     if not is_url(place):
         return Folder(place)
     protocol, _, rest = str(place).partition("://")
-    return Folder(rest) if protocol in ("file", "local") else Remote(str(place))
+    return Folder(rest) if protocol in ("file", "local") else Remote.at(str(place))
 
 
 @contextmanager

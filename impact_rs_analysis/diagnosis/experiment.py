@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +16,8 @@ from impact_rs_analysis.evidence.trials import TrialSource
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.spec import TrialSpec
 
 COMPANION = "excite"
 
@@ -58,18 +60,17 @@ def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment
 
 def _possible(runs: Runs) -> list[Condition]:
     """Every condition of the measured scenarios, and of the free-motion companion."""
-    found: dict[Condition, None] = {}
-    template = runs.conditions[0]
-    texts = {condition.scenario: condition.scenario_json for condition in runs.conditions}
-    if COMPANION not in texts:
+    specs = {condition.scenario: condition.spec for condition in runs.conditions}
+    if COMPANION not in specs:
         with suppress(InputError):
-            texts[COMPANION] = load_scenario(COMPANION).model_dump_json()
-    for name, text in texts.items():
-        scenario = Scenario.model_validate_json(text)
-        for thing in scenario.objects:
-            for case in scenario.cases:
-                found[Condition(text, name, thing, case, 1.0, template.motor_inertia)] = None
-    return list(found)
+            scenario = load_scenario(COMPANION)
+            specs[COMPANION] = TrialSpec.of(scenario, next(iter(scenario.objects)), next(iter(scenario.cases)))
+    return [
+        Condition(replace(spec, object=thing, case=case, scale=1.0))
+        for spec in specs.values()
+        for thing in spec.scenario.objects
+        for case in spec.scenario.cases
+    ]
 
 
 def _sigma(source: TrialSource, condition: Condition) -> Array:

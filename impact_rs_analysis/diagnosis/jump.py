@@ -107,7 +107,7 @@ def _predict(condition: Condition, model: Model) -> dict[tuple[str, str, int], t
     """Name and value of each predicted number, by signal, index and time window of the measured feature."""
     plan = condition.plan
     scene = replace(plan.scene, physics=model.apply(plan.scene.physics))
-    problem = ImpactProblem.at_nominal_impact(scene, condition.motor_inertia)
+    problem = ImpactProblem.at_nominal_impact(scene, condition.spec.motor_inertia)
     result = compute_impact_map(problem, ENGINE)
     numbers: dict[tuple[str, str, int], tuple[str, float]] = {}
     along: list[float] = []

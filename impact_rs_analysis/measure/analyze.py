@@ -16,12 +16,13 @@ import numpy as np
 
 from impact_rs_analysis.measure.fit import FitError, LineFit, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import TrialFeedback, net_feedback
-from impact_rs_analysis.measure.predictions import predict, recorded_scenario
+from impact_rs_analysis.measure.predictions import predict
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.schema import load
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.campaign import MANIFEST, Manifest
+from impact_rs_trials.spec import recorded_scenario
 
 LARGEST_SPREAD = 0.05  # s between the impacts of two arms; later, velocity feedback fights the second one
 

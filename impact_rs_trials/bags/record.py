@@ -147,7 +147,7 @@ def record_cell(
     """
     try:
         maker, frames = MessageMaker(RosbagsTypes(), plan), FrameSource(plan.scene)
-        with without_garbage_collection(), BagWriter(path, list(plan.arms), truth is not None) as bag:
+        with without_garbage_collection(), BagWriter.create(path, list(plan.arms), truth is not None) as bag:
             bag.describe(info)
             bag.write(topics.TRIAL_INFO, 0, maker.trial_info(info))
             bag.write(topics.ROBOT_DESCRIPTION, 0, maker.robot_description(scene_urdf(plan)))

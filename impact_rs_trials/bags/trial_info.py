@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.seeds import seed_of
+from impact_rs_trials.spec import TrialSpec
 
 Outcome = Literal["OK", "NO-IMPACT", "DROPPED", "ABORTED"]
 
@@ -100,6 +101,11 @@ class TrialInfo:
     def key(self) -> TrialKey:
         """Which trial of its campaign this is."""
         return TrialKey(self.object, self.case_name, self.velocity_scale, self.repeat)
+
+    @property
+    def spec(self) -> TrialSpec:
+        """What its repeats have in common with it; references and physics follow from it."""
+        return TrialSpec(self.scenario_yaml, self.object, self.case_name, self.velocity_scale, self.motor_inertia)
 
     @staticmethod
     def from_message(message: Any) -> TrialInfo:

@@ -11,7 +11,6 @@ from impact_rs_control.controller import Controller
 from impact_rs_control.friction import identify_arm, run_free_motion
 from impact_rs_control.plan import plan_trial
 from impact_rs_control.references import run_up_path
-from impact_rs_ros.trials import plan_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.friction_compensation import FrictionCompensation
 from impact_rs_sim.model import JOINT_COUNT, Model, ModelEffect, ParameterValue
@@ -179,7 +178,7 @@ def test_compensated_friction_leaves_no_task_any_feedback_in_free_motion(smooth,
 def test_the_nodes_plan_the_same_compensation(compensated):
     plan = plan_trial(compensated)
     info = TrialInfo.of(plan, TrialKey("cat_food", "case_2", 1.0, 0), 0, "nodes")
-    again = plan_of(info).arms["arm"]
+    again = info.spec.plan.arms["arm"]
     assert np.array_equal(again.ante_friction, plan.arms["arm"].ante_friction)
     assert np.array_equal(again.post_friction, plan.arms["arm"].post_friction)
     assert np.any(again.post_friction)

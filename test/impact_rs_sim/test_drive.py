@@ -96,7 +96,7 @@ def test_delay_between_two_periods_is_the_mean_of_both(arm):
 def energy_defect(physics: Physics, period: float, duration: float) -> float:
     """Largest |energy - work put in| over a free motion, relative to the largest kinetic energy."""
     arm, model = physics.arms["arm"], physics.robot_model("arm")
-    world = BulletWorld(
+    world = BulletWorld.load(
         physics, time_step=period, gravity=True, compliant_pads=True, iterations=20, residual_threshold=0.0
     )
     q = np.array([-0.3, -0.3, 0.5, -2.2, -1.2, 1.5, -0.6])
