@@ -131,7 +131,7 @@ class RecorderNode(NodeProgram):
         self._abort()
         try:
             info = TrialInfo.from_message(request.trial)
-            plan = plan_of(info) if info.scenario_yaml else None
+            plan = plan_of(info) if info.scenario_json else None
             if not request.bag_path:
                 raise InputError("ConfigureTrial.bag_path is empty; the recorder needs to know where to write")
             self._connect(list(info.robots))

@@ -22,7 +22,7 @@ def plan_of(info: TrialInfo) -> TrialPlan:
     Raises:
         InputError: The identity is not one of a trial that can be run.
     """
-    return _plan(info.scenario_yaml, info.object, info.case_name, info.velocity_scale, info.motor_inertia)
+    return _plan(info.scenario_json, info.object, info.case_name, info.velocity_scale, info.motor_inertia)
 
 
 def model_of(text: str, source: str) -> Model:
@@ -49,5 +49,5 @@ def _scene(scenario: str, object_name: str, case: str) -> Scene:
     try:
         parsed = Scenario.model_validate_json(scenario)
     except ValidationError as error:
-        raise InputError(f"TrialInfo.scenario_yaml is no scenario: {error}") from None
+        raise InputError(f"TrialInfo.scenario_json is no scenario: {error}") from None
     return Scene.resolve(parsed, object_name, case)

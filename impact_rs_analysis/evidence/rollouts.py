@@ -23,7 +23,7 @@ from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
-from impact_rs_trials.bags.trial_info import package_version
+from impact_rs_sim.version import package_version
 from impact_rs_trials.workers import Map
 
 CACHE_VERSION = 7

@@ -127,7 +127,7 @@ def read_trial(path: Path) -> MeasuredTrial | tuple[str, str]:
             return str(path), f"{bag.outcome}: the trial did not end"
         info = bag.info
         condition = Condition(
-            info.scenario_yaml, info.scenario, info.object, info.case_name, info.velocity_scale, info.motor_inertia
+            info.scenario_json, info.scenario, info.object, info.case_name, info.velocity_scale, info.motor_inertia
         )
         plan = condition.plan
         signals = signals_of_bag(bag)

@@ -23,7 +23,7 @@ MODEL_LABELS = {
 
 
 def recorded_scenario(text: str, file: str | Path) -> Scenario:
-    """The scenario that a bag carries (``scenario_yaml`` of its trial_info, JSON being YAML).
+    """The scenario that a bag carries (``scenario_json`` of its trial_info).
 
     Raises:
         InputError: It is no scenario.
