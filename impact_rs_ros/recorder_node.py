@@ -25,7 +25,7 @@ from impact_rs_ros.process import NodeProgram, run
 from impact_rs_ros.qos import RECORD
 from impact_rs_ros.transforms import Transforms
 from impact_rs_ros.trials import plan_of
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.outcome import outcome_of
@@ -146,7 +146,7 @@ class RecorderNode(NodeProgram):
             return response
         except Exception as error:  # a node outlives every trial
             self._open.close()
-            self.node.get_logger().error(f"cannot open the bag: {type(error).__name__}: {error}")
+            self.node.get_logger().error(f"cannot open the bag: {full_traceback(error)}")
             response.message = f"recorder: {type(error).__name__}: {error}"
             return response
         self._bag = bag

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,8 @@ from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import ArmState, BodyState
+
+logger = logging.getLogger(__name__)
 
 _ATTEMPTS = 100  # most samples fail at the reach of the arm or at a joint velocity limit; one in two passes
 
@@ -35,7 +38,8 @@ def random_problem(
         try:
             problem = _sample(scenario, rng, restitution, misalignment)
             check_problem(problem)
-        except InputError:
+        except InputError as error:
+            logger.debug("sample rejected: %s", error)
             continue
         return problem
     raise InputError(f"scenario {scenario.name!r}: no feasible problem in {_ATTEMPTS} samples")
