@@ -16,7 +16,7 @@ from rclpy.executors import Executor, MultiThreadedExecutor
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_ros.trial_session import Progress, TrialResult, TrialSession
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.trial_info import TrialKey
 from impact_rs_trials.campaign import make_manifest, open_campaign
@@ -157,8 +157,9 @@ class ExperimentNode(NodeProgram):
         return answer
 
     def _failed(self, handle: Any, answer: Any, error: Exception) -> Any:
-        answer.message = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-        self.node.get_logger().error(answer.message)
+        expected = isinstance(error, InputError)
+        answer.message = str(error) if expected else f"{type(error).__name__}: {error}"
+        self.node.get_logger().error(answer.message if expected else full_traceback(error))
         _close(handle, False)
         return answer
 

@@ -20,7 +20,7 @@ from impact_msgs_py.conversions import (
     vector_to_message,
 )
 from impact_rs_ros.process import NodeProgram, run
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.impact_map import ImpactMapError, compute_impact_map
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, ObjectPhysics, Physics
@@ -59,7 +59,7 @@ class ImpactMapNode(NodeProgram):
             response.message = str(error)
             self._refused += 1
         except Exception as error:  # whatever was asked, the node goes on
-            self.node.get_logger().error(f"{type(error).__name__}: {error}")
+            self.node.get_logger().error(full_traceback(error))
             response.message = f"the impact map failed: {type(error).__name__}: {error}"
             self._refused += 1
         response.engine = engine

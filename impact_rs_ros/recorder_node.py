@@ -24,7 +24,7 @@ from impact_rs_ros.message_types import available
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_ros.qos import RECORD
 from impact_rs_ros.transforms import Transforms
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.outcome import outcome_of
@@ -130,7 +130,7 @@ class RecorderNode(NodeProgram):
         self._abort()
         try:
             info = TrialInfo.from_message(request.trial)
-            plan = info.spec.plan if info.scenario_yaml else None
+            plan = info.spec.plan if info.scenario_json else None
             if not request.bag_path:
                 raise InputError("ConfigureTrial.bag_path is empty; the recorder needs to know where to write")
             self._connect(list(info.robots))
@@ -145,7 +145,7 @@ class RecorderNode(NodeProgram):
             return response
         except Exception as error:  # a node outlives every trial
             self._open.close()
-            self.node.get_logger().error(f"cannot open the bag: {type(error).__name__}: {error}")
+            self.node.get_logger().error(f"cannot open the bag: {full_traceback(error)}")
             response.message = f"recorder: {type(error).__name__}: {error}"
             return response
         self._bag = bag

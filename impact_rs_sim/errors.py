@@ -10,6 +10,7 @@ There is a class for every case that some caller treats in its own way, and for 
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
@@ -67,3 +68,12 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """``; did you mean 'x'?`` where ``name`` looks like a slip of the pen, else nothing."""
     close = get_close_matches(name, list(known), n=1)
     return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def full_traceback(error: BaseException) -> str:
+    """Traceback of an error and of all that lay behind it, also where its message stands for that (``from None``)."""
+    link: BaseException | None = error
+    while link is not None:
+        link.__suppress_context__ = False
+        link = link.__cause__ or link.__context__
+    return "".join(traceback.format_exception(error)).rstrip()

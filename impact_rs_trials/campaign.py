@@ -1,12 +1,14 @@
 """Campaigns: a folder of trials with a manifest, run in parallel, resumed where they stopped.
 
 A trial is a pure function of scenario, key and campaign seed, so it does not matter where or in which order trials run.
-``manifest.yaml`` says what the folder holds; a finished bag is never run again, a half-written one is.
+``manifest.yaml`` says what the folder holds; a finished bag is never run again, a half-written one is. Why a trial was
+aborted stands in ``.failures/TRIAL.txt``, with the traceback of the process that ran it, until the trial is there.
 """
 
 from __future__ import annotations
 
 import functools
+import logging
 import shutil
 import socket
 from collections.abc import Callable, Iterable, Iterator
@@ -17,7 +19,7 @@ from typing import TYPE_CHECKING
 import yaml
 from pydantic import Field
 
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import PositiveVector, Schema, parse_yaml, validate
 from impact_rs_trials.bags.reader import BagError, TrialBag
@@ -32,6 +34,9 @@ if TYPE_CHECKING:
     from distributed import Client
 
 MANIFEST = "manifest.yaml"
+FAILURES = ".failures"
+
+logger = logging.getLogger(__name__)
 
 
 class Manifest(Schema):
@@ -98,12 +103,14 @@ class TrialReport:
     Attributes:
         key: Which trial.
         outcome: OK, NO-IMPACT, DROPPED or ABORTED.
-        message: What went wrong, if anything.
+        message: What went wrong, if anything, in one line.
+        trace: Traceback of the process that ran it, or what its nodes wrote, where there is one.
     """
 
     key: TrialKey
     outcome: Outcome
     message: str = ""
+    trace: str = ""
 
 
 def make_manifest(
@@ -199,9 +206,27 @@ def run_one(directory: Path, trial: Trial) -> TrialReport:
 def _outcome(path: Path) -> Outcome:
     try:
         found = TrialBag(path).outcome
-    except BagError:
+    except BagError as error:
+        logger.info("a finished bag counts as ABORTED: %s", error)
         return "ABORTED"
     return found if found in ("OK", "NO-IMPACT", "DROPPED") else "ABORTED"  # type: ignore[return-value]
+
+
+def keep_failure(store: Store, report: TrialReport) -> TrialReport:
+    """Keep why a trial was aborted in ``.failures``; of a trial that is there, take away what an earlier run left.
+
+    Returns:
+        The report, as it came.
+    """
+    name = f"{FAILURES}/{report.key.name}.txt"
+    try:
+        if report.outcome == "ABORTED":
+            store.write(name, f"{report.message or 'aborted'}\n\n{report.trace}".rstrip() + "\n")
+        else:
+            store.remove(name)
+    except InputError as error:  # a full disk is why many a trial fails
+        logger.warning("%s", error)
+    return report
 
 
 TrialRunner = Callable[[Path, Trial], TrialReport]
@@ -231,11 +256,12 @@ def run_campaign(
         workforce = (workforce or Workforce()).at_most(len(todo))
         if workforce.in_process or not todo:
             for key in open_campaign(store, manifest):
-                yield run_in(store, run, manifest.trial(key))
+                yield keep_failure(store, run_in(store, run, manifest.trial(key)))
             return
         with client_of(workforce) as client:
             open_campaign(store, manifest)  # now that there are workers: without them nothing is left behind
-            yield from _run_on_cluster(client, store, run, map(manifest.trial, todo))
+            for report in _run_on_cluster(client, store, run, map(manifest.trial, todo)):
+                yield keep_failure(store, report)
 
 
 def _run_on_cluster(client: Client, store: Store, run: TrialRunner, trials: Iterable[Trial]) -> Iterator[TrialReport]:
@@ -269,6 +295,6 @@ def run_in(store: Store, run: TrialRunner, trial: Trial) -> TrialReport:
         with store.adding(key.name) as directory:
             return run(directory, trial)
     except InputError as error:
-        return TrialReport(key, "ABORTED", str(error))
+        return TrialReport(key, "ABORTED", str(error), full_traceback(error))
     except Exception as error:  # whatever it is, it is reported and the other trials go on
-        return TrialReport(key, "ABORTED", f"{type(error).__name__}: {error}")
+        return TrialReport(key, "ABORTED", f"{type(error).__name__}: {error}", full_traceback(error))

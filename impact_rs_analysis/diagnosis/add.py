@@ -57,7 +57,7 @@ def add_effect(
         )
     formulas = tuple(spec for spec in document.formulas if spec.name == name)
     effect = model.model_copy(update={"formulas": (*model.formulas, *formulas)}).known_effects.get(name)
-    joints = sum(value.joint is not None for value in found.parameters.values())
+    joints = len({value.joint for value in found.parameters.values()} - {None})
     scalars = [] if effect is None else effect.scalars(joints)
     nominal = {scalar.name: ParameterValue(estimate=scalar.nominal, unit=scalar.unit) for scalar in scalars}
     estimated = {
@@ -66,8 +66,10 @@ def add_effect(
     }
     item = ModelEffect(name=name, parameters={**nominal, **estimated})
     child = model.with_effect(item, output.stem, _parent_name(model_file, output), formulas)
-    note = f"{name}: {found.verdict}; held-out error {before:.3g} -> {after:.3g} {document.error_unit} in "
+    note = (
+        f"{name}: {found.verdict}; held-out error {before:.3g} -> {after:.3g} {document.error_unit} in "
         f"{document.runs.trials} {document.source}"
+    )
     return check_model(child.model_copy(update={"note": note}), source)
 
 

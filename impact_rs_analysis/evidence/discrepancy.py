@@ -3,8 +3,8 @@
 Nobody's simulator is exactly right. Contact settings, the regularisation of friction, the step and the physics engine
 are choices that no measurement made; what changes with them cannot be blamed on the robot. ``config/discrepancy.yaml``
 holds what was measured, per phase, signal and index, with its provenance (``benchmarks/foreign/discrepancy.py`` makes
-it). It points the same way in all conditions and not in all time bins, so every feature has an amplitude of its own that
-all clusters of a layout share.
+it). It points the same way in all conditions and not in all time bins, so every feature has an amplitude of its own
+that all clusters of a layout share.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class DiscrepancyEntry(Schema):
     shared_over_bins: float = Field(float("nan"), description="share of the square common to all bins [-]")
 
     def of_bin(self, number: int) -> float:
-        """Discrepancy of one time bin, in the unit: half of the signal's own, half of the bin's, for few define a bin."""
+        """Discrepancy of one time bin, in the unit: half the signal's, half the bin's, which few trials define."""
         own = self.by_bin[number] if number < len(self.by_bin) else self.value
         return float(np.sqrt(0.5 * (self.value**2 + own**2)))
 

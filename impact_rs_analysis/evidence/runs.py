@@ -157,6 +157,6 @@ def runs_digest(directory: Path) -> str:
             info = TrialBag(path).info
         except BagError:
             continue
-        scenario = hashlib.sha256(info.scenario_yaml.encode()).hexdigest()
+        scenario = hashlib.sha256(info.scenario_json.encode()).hexdigest()
         rows.append(f"{path.name} {scenario} {info.seed}")
     return hashlib.sha256("\n".join(sorted(rows)).encode()).hexdigest()[:16]

@@ -269,11 +269,11 @@ def _one_scenario_each(trials: list[TrialFeedback], skipped: list[Skipped]) -> l
     """Leave out trials recorded with another version of the scenario than most others of that name."""
     versions: dict[str, Counter[str]] = defaultdict(Counter)
     for trial in trials:
-        versions[trial.info.scenario][trial.info.scenario_yaml] += 1
+        versions[trial.info.scenario][trial.info.scenario_json] += 1
     common = {name: counter.most_common(1)[0][0] for name, counter in versions.items()}
     kept = []
     for trial in trials:
-        if trial.info.scenario_yaml == common[trial.info.scenario]:
+        if trial.info.scenario_json == common[trial.info.scenario]:
             kept.append(trial)
         else:
             reason = f"recorded with another version of scenario {trial.info.scenario!r} than most trials of the folder"
@@ -286,7 +286,7 @@ def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedba
     fit = fit_zero_crossing(
         np.array([trial.info.reference_post_velocity for trial in trials]), np.array([trial.net for trial in trials])
     )
-    scenario = recorded_scenario(info.scenario_yaml, directory / example.name)
+    scenario = recorded_scenario(info.scenario_json, directory / example.name)
     velocities = predict(scenario, info.object, info.case_name)
     return ExperimentSet(
         scenario=info.scenario,
@@ -306,7 +306,7 @@ def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedba
 def _in_order(sets: list[ExperimentSet], trials: list[TrialFeedback]) -> list[ExperimentSet]:
     """Sets as the scenario lists its objects and cases, not as folders sort."""
     order: dict[tuple[str, str, str], tuple[str, int, int]] = {}
-    for text, name in {(trial.info.scenario_yaml, trial.info.scenario) for trial in trials}:
+    for text, name in {(trial.info.scenario_json, trial.info.scenario) for trial in trials}:
         scenario = recorded_scenario(text, name)
         for i, thing in enumerate(scenario.objects):
             for j, case in enumerate(scenario.cases):

@@ -20,7 +20,7 @@ from impact_rs_trials.bags.trial_info import Outcome, TrialInfo
 from impact_rs_trials.bags.types import typestore
 
 LATCHED = (topics.TRIAL_INFO, topics.ROBOT_DESCRIPTION)
-FILES = ("scenario_yaml", "model_yaml")  # with a friction compensation 200 kB, which YAML takes a second for
+FILES = ("scenario_json", "model_yaml")  # with a friction compensation 200 kB, which YAML takes a second for
 LARGEST_BLOCK = 100_000  # messages kept in memory; several trials' worth
 
 
