@@ -34,6 +34,7 @@ MOTOR_INERTIA = 0.15  # kg m^2, B_theta
 FIRST_MOMENT = LINK_MASS * LINK_COM + TOOL_MASS * REACH  # kg m
 STIFFNESS = 14000.0  # N m/rad
 BOX = 0.1  # m, edge of the object
+PAD = 0.6  # m, edge of the pad
 
 
 def bench(axis: tuple[float, float, float] = UP) -> Physics:
@@ -53,7 +54,7 @@ def bench(axis: tuple[float, float, float] = UP) -> Physics:
             "links": [{"mass": LINK_MASS, "com": (LINK_COM, 0.0, 0.0), "inertia": sphere}],
         }
     )
-    tool = EndEffector(TOOL_MASS, np.zeros(3), TOOL_INERTIA * np.eye(3), 0.0, 0.0, (0.6, 0.6, 0.02))
+    tool = EndEffector(TOOL_MASS, np.zeros(3), TOOL_INERTIA * np.eye(3), 0.0, 0.0, (PAD, PAD, 0.02))
     arm = ArmPhysics(
         facts=facts,
         base=pin.SE3.Identity(),

@@ -14,8 +14,8 @@ def test_torque_offset_moves_a_joint_that_nobody_asked_to_move(offset):
 
 
 def test_torque_gain_of_1_01_delivers_1_percent_more():
-    asked, more = (run(physics, lambda time: 2.0) for physics in (bench(), switched_on(bench(), "torque_gain",
-                                                                                      gain_joint1=1.01)))  # fmt: skip
+    asked = run(bench(), lambda time: 2.0)
+    more = run(switched_on(bench(), "torque_gain", gain_joint1=1.01), lambda time: 2.0)
     assert asked.momentum[-1] == pytest.approx(2.0 * asked.time[-1], rel=1e-6)
     assert more.momentum[-1] / asked.momentum[-1] == pytest.approx(1.01, rel=1e-6)
 

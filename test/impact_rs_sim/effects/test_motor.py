@@ -29,8 +29,8 @@ def test_coulomb_friction_slows_a_free_joint_by_its_torque_over_the_inertia(dire
 def test_viscous_friction_lets_the_speed_decay_with_the_inertia_over_the_coefficient(direction):
     motion = run(switched_on(bench(), "joint_viscous_friction", viscous_joint1=0.5), pushed(direction))
     assert direction * motion.velocity[-1] > 0.1
-    decay = slope(motion.time, np.log(direction * motion.velocity.clip(*sorted((direction * 1e-6, direction * 9.0)))),
-                  0.25, 0.39)  # fmt: skip
+    later = motion.time > 0.2
+    decay = slope(motion.time[later], np.log(np.abs(motion.velocity[later])), 0.25, 0.39)
     assert decay == pytest.approx(-0.5 / INERTIA, rel=0.01)
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bench import BOX, GRAVITY, REACH, bench, run, switched_on
+from bench import BOX, GRAVITY, PAD, REACH, bench, run, switched_on, with_support
 
 from impact_rs_sim.effects import library
 
@@ -36,8 +36,20 @@ def test_a_spinning_box_turns_about_the_place_where_its_centre_of_mass_is(axis):
     assert np.abs(motion.box - start)[-1, :2].max() > 0.02
 
 
+@pytest.mark.parametrize("offset", [0.03, -0.03])
+def test_a_box_stands_on_its_sides_wherever_its_centre_of_mass_is(offset):
+    """Upright on a table it stays where it is; laid over the edge of the pad it falls only with its weight outside."""
+    table = with_support(switched_on(bench(), "object_com_offset", z=offset), -1.0)
+    start = (1.0, 0.0, -1.0 + BOX / 2.0)
+    np.testing.assert_allclose(run(table, seconds=0.2, box=start).box[-1], start, atol=1e-3)
+    physics = switched_on(bench(), "object_com_offset", x=offset)
+    motion = run(physics, seconds=0.2, box=(REACH + PAD / 2.0, 0.0, BOX / 2.0))
+    fallen = BOX / 2.0 - motion.box[-1, 2]
+    assert fallen > 0.02 if offset > 0.0 else fallen == pytest.approx(GRAVITY / 2.0e4, abs=1e-3)
+
+
 def test_offsets_along_all_three_axes_add_to_what_is_there():
     effect = library()["object_com_offset"]
     once = effect.apply_vector(bench(), np.array([0.01, 0.02, 0.03]))
-    np.testing.assert_allclose(effect.apply_vector(once, np.array([0.01, 0.0, -0.01])).object.com_offset,
-                               [0.02, 0.02, 0.02])  # fmt: skip
+    twice = effect.apply_vector(once, np.array([0.01, 0.0, -0.01]))
+    np.testing.assert_allclose(twice.object.com_offset, [0.02, 0.02, 0.02])
