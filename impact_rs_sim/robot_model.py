@@ -82,7 +82,7 @@ class RobotModel:
         """All terms at joint positions ``q`` ``(n,)`` [rad] and velocities ``dq`` ``(n,)`` [rad/s]."""
         model, data, frame = self.pinocchio, self.data, self._frame
         pin.computeAllTerms(model, data, q, dq)
-        jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED).reshape(6, self.joint_count)
         pin.forwardKinematics(model, data, q, dq, self._zero)
         placement = pin.updateFramePlacement(model, data, frame)
         drift = pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
@@ -107,7 +107,8 @@ class RobotModel:
 
     def jacobian(self, q: Array) -> Array:
         """J(q) of frame E in E[A], ``(6, n)``."""
-        return np.array(pin.computeFrameJacobian(self.pinocchio, self.data, q, self._frame, pin.LOCAL_WORLD_ALIGNED))
+        jacobian = pin.computeFrameJacobian(self.pinocchio, self.data, q, self._frame, pin.LOCAL_WORLD_ALIGNED)
+        return np.array(jacobian).reshape(6, self.joint_count)  # of one joint Pinocchio makes a vector
 
     def placement(self, q: Array) -> pin.SE3:
         """Placement of frame E in A."""

@@ -23,6 +23,7 @@ from impact_rs_ros.graph import NODES, Graph, GraphError, run_trial, run_trials_
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import Model, ModelEffect
 from impact_rs_sim.model import ParameterValue as ParameterBelief
+from impact_rs_sim.robot import load_facts
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
@@ -174,7 +175,7 @@ def hidden_model() -> Model:
     name, effect = next((name, effect) for name, effect in library().items() if "friction" in name)
     parameters = {
         scalar.name: ParameterBelief(estimate=0.9 * scalar.nominal + 0.1 * scalar.upper, unit=scalar.unit)
-        for scalar in effect.scalars(7)
+        for scalar in effect.scalars(load_facts("franka_fer").joint_count)
     }
     return Model(name="hidden", effects=(ModelEffect(name=name, parameters=parameters),))
 
