@@ -189,7 +189,7 @@ def grid(corners: Sequence[ContactPoint], count: int) -> list[ContactPoint]:
 
 def _exact(system: System, contacts: Sequence[ContactPoint]) -> Array:
     """u^+ by Newton's method on the laws, with the contact modes of a first answer by our solver."""
-    terms = ContactTerms(system, contacts, 0.0)
+    terms = ContactTerms.of(system, contacts, 0.0)
     guess, _ = solve_contacts(terms, GUESS)
     residuals = []
     for slowest in SLOWEST_SLIDING:

@@ -14,10 +14,11 @@ limits, solved as equations, leave no limit broken and no multiplier of the wron
 from __future__ import annotations
 
 import argparse
+import copy
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from importlib.util import find_spec
 from typing import Any
 
@@ -30,7 +31,7 @@ from scipy.linalg.lapack import dposv
 
 from impact_rs_control.closed_loop import make_plant, run_closed_loop, without_garbage_collection
 from impact_rs_control.plan import plan_trial
-from impact_rs_control.qp import ACCURACY, AccelerationQp, QpSolution, QpStatus
+from impact_rs_control.qp import ACCURACY, AccelerationProblem, AccelerationQp, QpSolution, QpStatus, QuadraticProgram
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
@@ -45,34 +46,26 @@ console = Console(width=130)
 
 
 @dataclass(frozen=True)
-class Program:
-    """``min 1/2 x^T H x + g^T x`` with ``lower <= x <= upper`` and ``low <= C x <= high``, and the tick it is from.
+class Program(QuadraticProgram):
+    """A program and what it is made from.
 
     Attributes:
-        tick: Arguments of :meth:`AccelerationQp.solve`.
-        hessian: H, ``(n, n)``.
-        gradient: g, ``(n,)``.
-        lower: ``(n,)`` [rad/s^2].
-        upper: ``(n,)`` [rad/s^2].
-        inertia: C, ``(n, n)`` [kg m^2].
-        low: ``(n,)`` [N m].
-        high: ``(n,)`` [N m].
+        problem: What the controller asked.
     """
 
-    tick: tuple[Array, ...]
-    hessian: Array
-    gradient: Array
-    lower: Array
-    upper: Array
-    inertia: Array
-    low: Array
-    high: Array
+    problem: AccelerationProblem
+
+    @classmethod
+    def of(cls, qp: AccelerationQp, problem: AccelerationProblem) -> Program:
+        """What :meth:`AccelerationQp.solve` makes of a problem."""
+        made = qp.program(problem)
+        return cls(**{field.name: getattr(made, field.name) for field in fields(made)}, problem=problem)
 
     @property
     def rows(self) -> tuple[Array, Array, Array]:
         """All limits as one: matrix ``(2 n, n)`` and its lower and upper limits ``(2 n,)``."""
         matrix = np.vstack((np.eye(self.gradient.size), self.inertia))
-        return matrix, np.concatenate((self.lower, self.low)), np.concatenate((self.upper, self.high))
+        return matrix, np.concatenate((self.lower, self.torque_lower)), np.concatenate((self.upper, self.torque_upper))
 
     def violation(self, answer: Array) -> float:
         """Largest violation of a limit [rad/s^2, N m]."""
@@ -108,36 +101,6 @@ class Program:
         raise ArithmeticError("no exact solution of a program")
 
 
-class Limits:
-    """The arm's limits, as :class:`AccelerationQp` takes them."""
-
-    def __init__(self, qp: AccelerationQp, torque_max: Array | None = None) -> None:
-        self.qp = qp
-        self.torque_max = qp._torque_max if torque_max is None else torque_max
-
-    def controller(self) -> AccelerationQp:
-        """The controller's own solver under these limits."""
-        qp = self.qp
-        arguments = (qp._count, qp._position_min, qp._position_max, qp._velocity_max, self.torque_max, qp._period)
-        return AccelerationQp(*arguments)
-
-    def program(self, tick: tuple[Array, ...]) -> Program:
-        """What :meth:`AccelerationQp.solve` makes of its arguments."""
-        tasks, targets, weights, inertia, bias, q, dq = tick
-        weighted = tasks.T * weights
-        lower, upper = self.qp._acceleration_bounds(q, dq)
-        return Program(
-            tick=tick,
-            hessian=weighted @ tasks + self.qp._damping,
-            gradient=-(weighted @ targets),
-            lower=lower,
-            upper=upper,
-            inertia=inertia,
-            low=-self.torque_max - bias,
-            high=self.torque_max - bias,
-        )
-
-
 class Solver(ABC):
     """One solver, warm from program to program."""
 
@@ -149,12 +112,12 @@ class Solver(ABC):
 class Ours(Solver):
     """The controller's solver, which also makes the program out of the tick."""
 
-    def __init__(self, limits: Limits) -> None:
-        self._qp = limits.controller()
+    def __init__(self, qp: AccelerationQp) -> None:
+        self._qp = AccelerationQp(qp.limits, qp.period)
 
     def solve(self, program: Program) -> Array:
         """Cholesky, and ProxQP where a limit is near."""
-        solution = self._qp.solve(*program.tick)
+        solution = self._qp.solve(program.problem)
         if solution.status is not QpStatus.SOLVED:
             raise ArithmeticError(solution.status.name)
         return solution.acceleration
@@ -182,7 +145,7 @@ class ProxQp(Solver):
     def solve(self, program: Program) -> Array:
         """Warm."""
         p = program
-        self._set(p.hessian, p.gradient, None, None, p.inertia, p.low, p.high, p.lower, p.upper)
+        self._set(p.hessian, p.gradient, None, None, p.inertia, p.torque_lower, p.torque_upper, p.lower, p.upper)
         self._set = self._qp.update
         self._qp.solve()
         return np.array(self._qp.results.x)
@@ -200,7 +163,7 @@ class Quadprog(Solver):
         """Cold."""
         p, identity = program, np.eye(program.gradient.size)
         matrix = np.hstack((identity, -identity, p.inertia.T, -p.inertia.T))
-        limits = np.concatenate((p.lower, -p.upper, p.low, -p.high))
+        limits = np.concatenate((p.lower, -p.upper, p.torque_lower, -p.torque_upper))
         return np.asarray(self._solve(p.hessian, -p.gradient, matrix, limits)[0])
 
 
@@ -217,7 +180,7 @@ class Daqp(Solver):
     def solve(self, program: Program) -> Array:
         """Warm."""
         p = program
-        upper, lower = np.concatenate((p.upper, p.high)), np.concatenate((p.lower, p.low))
+        upper, lower = np.concatenate((p.upper, p.torque_upper)), np.concatenate((p.lower, p.torque_lower))
         if self._ready:
             self._model.update(H=p.hessian, f=p.gradient, A=p.inertia, bupper=upper, blower=lower)
         else:
@@ -250,8 +213,8 @@ class Piqp(Solver):
             P=np.asfortranarray(p.hessian),
             c=p.gradient,
             G=np.asfortranarray(p.inertia),
-            h_l=p.low,
-            h_u=p.high,
+            h_l=p.torque_lower,
+            h_u=p.torque_upper,
             x_l=p.lower,
             x_u=p.upper,
         )
@@ -298,18 +261,18 @@ class Osqp(Solver):
         return np.asarray(result.x)
 
 
-def record() -> tuple[list[tuple[Array, ...]], AccelerationQp]:
-    """Arguments of every solve of a trial, and the solver that met them."""
-    ticks: list[tuple[Array, ...]] = []
+def record() -> tuple[list[AccelerationProblem], AccelerationQp]:
+    """Every problem of a trial, and the solver that met them."""
+    problems: list[AccelerationProblem] = []
     solvers: list[AccelerationQp] = []
     solve = AccelerationQp.solve
 
-    def listen(qp: AccelerationQp, *arguments: Array) -> QpSolution:
-        ticks.append(tuple(np.array(argument) for argument in arguments))
+    def listen(qp: AccelerationQp, problem: AccelerationProblem) -> QpSolution:
+        problems.append(copy.deepcopy(problem))  # its arrays are reused in the next tick
         solvers.append(qp)
-        return solve(qp, *arguments)
+        return solve(qp, problem)
 
-    AccelerationQp.solve = listen  # type: ignore[method-assign, assignment]
+    AccelerationQp.solve = listen  # type: ignore[method-assign]
     try:
         plan = plan_trial(Scene.resolve(load_scenario("push"), "cat_food", "case_2"))
         plant = make_plant(plan, seed=0)
@@ -318,7 +281,7 @@ def record() -> tuple[list[tuple[Array, ...]], AccelerationQp]:
         plant.close()
     finally:
         AccelerationQp.solve = solve  # type: ignore[method-assign]
-    return ticks, solvers[0]
+    return problems, solvers[0]
 
 
 def row(name: str, make: Any, programs: Sequence[Program], best: Sequence[Array]) -> list[str]:
@@ -344,19 +307,19 @@ def row(name: str, make: Any, programs: Sequence[Program], best: Sequence[Array]
     return [name, *cells, str(failures)]
 
 
-def compare(table: Table, title: str, limits: Limits, ticks: Sequence[tuple[Array, ...]]) -> None:
+def compare(table: Table, title: str, qp: AccelerationQp, problems: Sequence[AccelerationProblem]) -> None:
     """One section of the table."""
     making, programs = [], []
-    for tick in ticks:
+    for problem in problems:
         start = time.perf_counter()
-        programs.append(limits.program(tick))
+        programs.append(Program.of(qp, problem))
         making.append(1e6 * (time.perf_counter() - start))
     count = programs[0].gradient.size
     finder = ProxQp(count)
     solutions = [program.best(finder.solve(program)) for program in programs]
     best, active = [exact for exact, _ in solutions], sum(number > 0 for _, number in solutions)
     makers = {
-        "ours, making included": lambda: Ours(limits),
+        "ours, making included": lambda: Ours(qp),
         "Cholesky without limits": Cholesky,
         "ProxQP for all": lambda: ProxQp(count),
         "quadprog": Quadprog,
@@ -381,16 +344,16 @@ def main() -> None:
     )
     parser.add_argument("--every", type=int, default=1, help="take every so many-th tick only")
     options = parser.parse_args()
-    ticks, qp = record()
-    free = Limits(qp).controller()
-    torques = [abs(tick[3] @ free.solve(*tick).acceleration + tick[4]) for tick in ticks]
-    tight = Limits(qp, options.tighten * np.max(torques, axis=0))
+    problems, qp = record()
+    free = AccelerationQp(qp.limits, qp.period)
+    torques = [abs(one.inertia @ free.solve(one).acceleration + one.bias) for one in problems]
+    tight = AccelerationQp(replace(qp.limits, torque_max=options.tighten * np.max(torques, axis=0)), qp.period)
     for name in PEERS:
         if find_spec(name) is None:
             console.print(f"{name} is not installed and skipped: ./run python -m pip install {name}")
     table = Table("solver", "median, us", "10 .. 90 %, us", "max violation", "max distance", "failures")
-    compare(table, "limits of the trial", Limits(qp), ticks[:: options.every])
-    compare(table, f"torque limits x {options.tighten:g}", tight, ticks[:: options.every])
+    compare(table, "limits of the trial", qp, problems[:: options.every])
+    compare(table, f"torque limits x {options.tighten:g}", tight, problems[:: options.every])
     console.print(table)
     console.print("violation in rad/s^2 or N m, distance from the best solution in rad/s^2; all at 1e-9 where they can")
 

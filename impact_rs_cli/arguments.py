@@ -8,15 +8,11 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from impact_rs_cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
-    from impact_rs_analysis.diagnosis.document import EstimateDocument
-    from impact_rs_analysis.evidence.runs import Runs
     from impact_rs_trials.workers import Map, Workforce
 
 MOST_SHOWN = 5
@@ -101,23 +97,6 @@ def started(args: argparse.Namespace) -> Iterator[Map]:
         yield map_tasks
 
 
-def read(directory: Path, map_tasks: Map, terminal: Terminal) -> Runs:
-    """Read RUNS and tell what was left out."""
-    from impact_rs_analysis.evidence.runs import read_runs
-
-    directory = directory.absolute()  # a worker process may stand elsewhere
-    with terminal.progress("reading bags") as tell:
-
-        def counted(function: Any, items: Any) -> Iterator[Any]:
-            for number, result in enumerate(map_tasks(function, items), start=1):
-                tell(number, len(items))
-                yield result
-
-        runs = read_runs(directory, counted)
-    warn_skipped(runs.skipped, terminal)
-    return runs
-
-
 def warn_skipped(skipped: Sequence[tuple[str, str]], terminal: Terminal) -> None:
     """Tell which bags were left out, by path and reason."""
     for path, reason in skipped[:MOST_SHOWN]:
@@ -129,22 +108,3 @@ def warn_skipped(skipped: Sequence[tuple[str, str]], terminal: Terminal) -> None
 def number(value: float) -> str:
     """Three significant digits."""
     return f"{value:.3g}"
-
-
-def estimates_table(effect: str, rows: list[tuple[str, EstimateDocument, str]]) -> Table:
-    """Estimates of one effect with their intervals: parameter, estimate, and a verdict on it or ``""``."""
-    from rich.table import Table
-
-    table = Table(title=effect, title_justify="left")
-    table.add_column("parameter", no_wrap=True)
-    table.add_column("estimate", justify="right", no_wrap=True)
-    table.add_column("95 % interval", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
-    told = any(verdict for *_, verdict in rows)
-    if told:
-        table.add_column("verdict", overflow="fold")
-    for name, value, verdict in rows:
-        interval = "" if value.ci95 is None else f"{number(value.ci95[0])} ... {number(value.ci95[1])}"
-        cells = [name, number(value.estimate), interval, value.unit.strip("-")]
-        table.add_row(*cells, *([verdict] if told else []))
-    return table

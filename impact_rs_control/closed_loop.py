@@ -9,11 +9,26 @@ import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Protocol
 
 from impact_rs_control.controller import ArmCommand, Controller
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant import Measurement, Plant, PlantExtension
+from impact_rs_sim.robot import Array
+
+
+class RobotCell(Protocol):
+    """What a closed loop needs of a plant; :class:`~impact_rs_sim.plant.Plant` is one, another simulator may be too."""
+
+    def measure(self) -> Measurement:
+        """What the sensors say now; calling it twice gives the same answer."""
+
+    def step(self, desired: dict[str, Array]) -> None:
+        """Advance by one control period with desired torques ``(n,)`` [N m] by arm."""
+
+    def close(self) -> None:
+        """Free what it holds."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +64,7 @@ def make_plant(
         extension: What the physics cannot say.
     """
     scene = plan.scene
-    return Plant(
+    return Plant.for_trial(
         scene.scenario,
         scene.physics if physics is None else physics,
         {name: arm.initial for name, arm in plan.arms.items()},
@@ -59,7 +74,7 @@ def make_plant(
     )
 
 
-def run_closed_loop(plan: TrialPlan, plant: Plant) -> Iterator[Tick]:
+def run_closed_loop(plan: TrialPlan, plant: RobotCell) -> Iterator[Tick]:
     """Run a trial from the plant's start to the scenario's end, tick by tick."""
     controller = Controller(plan)
     last = plan.scene.scenario.timing.ticks

@@ -20,7 +20,7 @@ from scipy.linalg.lapack import dposv
 
 from impact_rs_control.detection import ImpactDetector
 from impact_rs_control.plan import ArmPlan, TrialPlan
-from impact_rs_control.qp import AccelerationQp, QpStatus
+from impact_rs_control.qp import AccelerationProblem, AccelerationQp, JointLimits, QpStatus
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RigidTerms, RobotModel
 from impact_rs_sim.scenario import Scenario
@@ -52,6 +52,19 @@ class ImpactDetection:
     threshold: float
     wrench: Array
     twist: Array
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What the first half of a control tick found.
+
+    Attributes:
+        terms: Rigid-body terms at the measured state; they hold until the next tick.
+        detection: The impact, in the tick it is detected.
+    """
+
+    terms: RigidTerms
+    detection: ImpactDetection | None
 
 
 @dataclass(frozen=True)
@@ -120,14 +133,8 @@ class ArmController:
         self._posture_rate = 2.0 * math.sqrt(gains.posture)
         self._weights = np.array([gains.position_weight] * 3 + [gains.orientation_weight] * 3 + [gains.posture_weight])
         self._motor_inertia = np.diag(motor_inertia)
-        self._qp = AccelerationQp(
-            model.joint_count,
-            model.position_min,
-            model.position_max,
-            model.velocity_max,
-            model.torque_max,
-            timing.control_period,
-        )
+        limits = JointLimits(model.position_min, model.position_max, model.velocity_max, model.torque_max)
+        self._qp = AccelerationQp(limits, timing.control_period)
         self._detector = ImpactDetector(model, control.detection, plan.approach_direction, timing.control_period)
         self._tasks = np.zeros((7, model.joint_count))
         self._tasks[6, 0] = 1.0
@@ -135,28 +142,27 @@ class ArmController:
         self._net = np.zeros(3)
         self.detection: ImpactDetection | None = None
 
-    def watch(self, tick: int, measured: ArmMeasurement) -> ImpactDetection | None:
+    def watch(self, tick: int, measured: ArmMeasurement) -> Watched:
         """First half of a control tick: look for the impact of this arm.
 
         Args:
             tick: Number of the tick since the start of the trial.
             measured: Measured state of the arm.
         """
-        self._terms = self._model.terms(measured.position, measured.velocity)
-        self._detected = self._detect(tick * self._period, measured, self._terms)
-        return self._detected
+        terms = self._model.terms(measured.position, measured.velocity)
+        return Watched(terms, self._detect(tick * self._period, measured, terms))
 
     def begin_interim(self, tick: int) -> None:
         """Leave the ante mode: some arm has hit; later calls change nothing."""
         if self._interim_from is None:
             self._interim_from = tick
 
-    def command(self, tick: int, measured: ArmMeasurement) -> ArmCommand:
-        """Second half of a control tick: decide; arguments as for :meth:`watch`, which comes first."""
+    def command(self, tick: int, measured: ArmMeasurement, watched: Watched) -> ArmCommand:
+        """Second half of a control tick: decide; arguments as for :meth:`watch`, and what it answered."""
         now = tick * self._period
         index = min(tick, self._last_tick)
         q, dq = measured.position, measured.velocity
-        terms, detected = self._terms, self._detected
+        terms = watched.terms
         mode, gamma = self._mode(tick)
         after = mode is not Mode.ANTE
         plan = self._plan
@@ -188,7 +194,7 @@ class ArmController:
             targets[6] += push[0]  # the same torque moves joint 1 as well: no posture feedback shall fight it
         targets[:6] -= terms.drift
         self._tasks[:6] = jacobian
-        solution = self._qp.solve(self._tasks, targets, self._weights, inertia, terms.bias, q, dq)
+        solution = self._qp.solve(AccelerationProblem(self._tasks, targets, self._weights, inertia, terms.bias, q, dq))
         torque = inertia @ solution.acceleration + terms.bias
         if solution.status is not QpStatus.SOLVED:
             torque = np.clip(torque, -self._model.torque_max, self._model.torque_max)
@@ -206,7 +212,7 @@ class ArmController:
             qp_status=solution.status,
             qp_iterations=solution.iterations,
             qp_solve_time=solution.solve_time,
-            detection=detected,
+            detection=watched.detection,
         )
 
     def _detect(self, now: float, measured: ArmMeasurement, terms: RigidTerms) -> ImpactDetection | None:
@@ -251,8 +257,8 @@ class Controller:
 
     def update(self, tick: int, measured: dict[str, ArmMeasurement]) -> dict[str, ArmCommand]:
         """One control tick; the first impact of any arm ends the ante mode of all (paper sec. Interim mode)."""
-        detections = [controller.watch(tick, measured[name]) for name, controller in self.arms.items()]
-        if any(detection is not None for detection in detections):
+        watched = {name: controller.watch(tick, measured[name]) for name, controller in self.arms.items()}
+        if any(one.detection is not None for one in watched.values()):
             for controller in self.arms.values():
                 controller.begin_interim(tick)
-        return {name: controller.command(tick, measured[name]) for name, controller in self.arms.items()}
+        return {name: controller.command(tick, measured[name], watched[name]) for name, controller in self.arms.items()}

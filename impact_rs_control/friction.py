@@ -107,8 +107,7 @@ def run_free_motion(plan: TrialPlan, arm: str, phase: Phase, physics: Physics, s
         with without_garbage_collection():
             for tick in range(feedback.shape[0]):
                 measured = plant.measure().arms[arm]
-                controller.watch(tick, measured)
-                command = controller.command(tick, measured)
+                command = controller.command(tick, measured, controller.watch(tick, measured))
                 feedback[tick] = command.task_feedback
                 if tick < scenario.timing.ticks:
                     plant.step({arm: command.torque})

@@ -15,7 +15,7 @@ from impact_rs_control.references import (
     there_and_back_path,
 )
 from impact_rs_sim.clearance import check_clearance
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, UnreachablePose
 from impact_rs_sim.friction_compensation import TASKS
 from impact_rs_sim.impact_map import compute_impact_map
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
@@ -125,8 +125,9 @@ def plan_trial(
         engine: Engine of the impact map.
 
     Raises:
-        InputError: A scale or motor-inertia model that is none, a start that cannot be reached, arms that collide, or a
-            friction compensation that was not identified for this object and case.
+        InputError: A scale or motor-inertia model that is none, or a friction compensation that was not identified for
+            this object and case.
+        Infeasible: A start that cannot be reached, or arms that collide.
     """
     if not 0.0 < velocity_scale <= LARGEST_SCALE:
         raise InputError(f"velocity scale = {velocity_scale!r}: expected a number > 0 and <= {LARGEST_SCALE:g} [-]")
@@ -224,13 +225,13 @@ def initial_position(scene: Scene, name: str, rotation: Array, position: Sampled
         posture: Path of joint 1.
 
     Raises:
-        InputError: The start cannot be reached.
+        UnreachablePose: The start cannot be reached.
     """
     start = pin.SE3(rotation, position.position[0])
     try:
         return scene.models[name].inverse_kinematics(start, float(posture.position[0, 0]), scene.arms[name].position)
-    except InputError as error:
-        raise InputError(f"arm {name!r}, start of the motion: {error}") from None
+    except UnreachablePose as error:
+        raise UnreachablePose(f"arm {name!r}, start of the motion: {error}") from None
 
 
 def _friction(scene: Scene, name: str, times: Array) -> tuple[Array, Array]:

@@ -34,6 +34,58 @@ class QpStatus(IntEnum):
     FAILED = 2
 
 
+@dataclass(frozen=True, slots=True)
+class AccelerationProblem:
+    """What one control tick asks: k tasks of n joints, and the state that the limits are reckoned from.
+
+    Attributes:
+        tasks: A, ``(k, n)``.
+        targets: b, ``(k,)``, in the units of the tasks.
+        weights: Diagonal of W, ``(k,)``.
+        inertia: M + B_theta, ``(n, n)`` [kg m^2].
+        bias: h, ``(n,)`` [N m].
+        position: q, ``(n,)`` [rad].
+        velocity: dq, ``(n,)`` [rad/s].
+    """
+
+    tasks: Array
+    targets: Array
+    weights: Array
+    inertia: Array
+    bias: Array
+    position: Array
+    velocity: Array
+
+
+@dataclass(frozen=True, slots=True)
+class QuadraticProgram:
+    """``min 1/2 x^T H x + g^T x`` with ``lower <= x <= upper`` and ``torque_lower <= C x <= torque_upper``.
+
+    Attributes:
+        hessian: H, ``(n, n)``.
+        gradient: g, ``(n,)``.
+        lower: ``(n,)`` [rad/s^2].
+        upper: ``(n,)`` [rad/s^2].
+        inertia: C = M + B_theta, ``(n, n)`` [kg m^2].
+        torque_lower: ``(n,)`` [N m].
+        torque_upper: ``(n,)`` [N m].
+    """
+
+    hessian: Array
+    gradient: Array
+    lower: Array
+    upper: Array
+    inertia: Array
+    torque_lower: Array
+    torque_upper: Array
+
+    def allows(self, acceleration: Array) -> bool:
+        """Whether an acceleration ``(n,)`` [rad/s^2] keeps every limit; one with a NaN does not."""
+        return _within(acceleration, self.lower, self.upper) and _within(
+            self.inertia @ acceleration, self.torque_lower, self.torque_upper
+        )
+
+
 @dataclass(frozen=True)
 class QpSolution:
     """Answer of one solve.
@@ -51,35 +103,36 @@ class QpSolution:
     solve_time: float
 
 
-class AccelerationQp:
-    """QP over joint accelerations with warm start.
+@dataclass(frozen=True)
+class JointLimits:
+    """What the joints of an arm can do.
 
-    Args:
-        joint_count: Number of joints n.
+    Attributes:
         position_min: Lower joint limits, ``(n,)`` [rad].
         position_max: Upper joint limits, ``(n,)`` [rad].
         velocity_max: Joint velocity limits, ``(n,)`` [rad/s].
         torque_max: Joint torque limits, ``(n,)`` [N m].
+    """
+
+    position_min: Array
+    position_max: Array
+    velocity_max: Array
+    torque_max: Array
+
+
+class AccelerationQp:
+    """QP over joint accelerations with warm start.
+
+    Args:
+        limits: Limits of the n joints.
         period: Control period Delta t [s].
         regularisation: Added to the diagonal of the Hessian; keeps a singular pose solvable.
     """
 
-    def __init__(
-        self,
-        joint_count: int,
-        position_min: Array,
-        position_max: Array,
-        velocity_max: Array,
-        torque_max: Array,
-        period: float,
-        regularisation: float = 1e-9,
-    ) -> None:
-        self._count = joint_count
-        self._position_min = position_min
-        self._position_max = position_max
-        self._velocity_max = velocity_max
-        self._torque_max = torque_max
-        self._period = period
+    def __init__(self, limits: JointLimits, period: float, regularisation: float = 1e-9) -> None:
+        self.limits = limits
+        self.period = period
+        self._count = joint_count = limits.torque_max.size
         self._damping = regularisation * np.eye(joint_count)
         self._qp = proxqp.dense.QP(joint_count, 0, joint_count, True)
         self._qp.settings.eps_abs = ACCURACY
@@ -90,96 +143,90 @@ class AccelerationQp:
         # Bounds of eqs. const_q and const_dq are linear in q and dq; their constants are worked out once.
         self._per_period = 1.0 / period
         self._per_square = 2.0 / period**2
-        self._position_high = position_max * self._per_square
-        self._position_low = position_min * self._per_square
-        self._velocity_bound = velocity_max * self._per_period
+        self._position_high = limits.position_max * self._per_square
+        self._position_low = limits.position_min * self._per_square
+        self._velocity_bound = limits.velocity_max * self._per_period
+        self._torque_max = limits.torque_max
 
-    def solve(
-        self, tasks: Array, targets: Array, weights: Array, inertia: Array, bias: Array, q: Array, dq: Array
-    ) -> QpSolution:
-        """Solve for one tick.
+    def program(self, problem: AccelerationProblem) -> QuadraticProgram:
+        """The quadratic program of a problem."""
+        weighted = problem.tasks.T * problem.weights
+        lower, upper = self._acceleration_bounds(problem.position, problem.velocity)
+        return QuadraticProgram(
+            hessian=weighted @ problem.tasks + self._damping,
+            gradient=-(weighted @ problem.targets),
+            lower=lower,
+            upper=upper,
+            inertia=problem.inertia,
+            torque_lower=-self._torque_max - problem.bias,
+            torque_upper=self._torque_max - problem.bias,
+        )
 
-        Args:
-            tasks: A, ``(k, n)``.
-            targets: b, ``(k,)``.
-            weights: Diagonal of W, ``(k,)``.
-            inertia: M + B_theta, ``(n, n)`` [kg m^2].
-            bias: h, ``(n,)`` [N m].
-            q: Joint positions, ``(n,)`` [rad].
-            dq: Joint velocities, ``(n,)`` [rad/s].
-        """
+    def solve(self, problem: AccelerationProblem) -> QpSolution:
+        """Solve for one tick; the status tells where limits had to give way."""
         started = time.perf_counter()
-        weighted = tasks.T * weights
-        hessian = weighted @ tasks + self._damping
-        gradient = -(weighted @ targets)
-        lower, upper = self._acceleration_bounds(q, dq)
-        torque_lower = -self._torque_max - bias
-        torque_upper = self._torque_max - bias
-        free, failed = dposv(hessian, -gradient)[1:]
-        if not failed and self._within(free, lower, upper) and self._within(inertia @ free, torque_lower, torque_upper):
+        program = self.program(problem)
+        free, failed = dposv(program.hessian, -program.gradient)[1:]
+        if not failed and program.allows(free):
             return QpSolution(free, QpStatus.SOLVED, 0, time.perf_counter() - started)
-        consistent = bool((lower <= upper).all())
-        if consistent:
-            qp = self._qp
-            if self._ready:
-                qp.update(hessian, gradient, None, None, inertia, torque_lower, torque_upper, lower, upper)
-            else:
-                qp.init(hessian, gradient, None, None, inertia, torque_lower, torque_upper, lower, upper)
-                self._ready = True
-            qp.solve()
-            result = qp.results
-            answer = result.x.copy()
-            if result.info.status == proxqp.QPSolverOutput.PROXQP_SOLVED and math.isfinite(answer.sum()):
-                return QpSolution(answer, QpStatus.SOLVED, result.info.iter, time.perf_counter() - started)
+        if (program.lower <= program.upper).all():
+            answer, iterations, solved = self._solve_exactly(program)
+            if solved:
+                return QpSolution(answer, QpStatus.SOLVED, iterations, time.perf_counter() - started)
         self._ready = False  # a failed solve is no warm start
-        return self._solve_relaxed(hessian, gradient, inertia, torque_lower, torque_upper, lower, upper, started)
-
-    @staticmethod
-    def _within(values: Array, lower: Array, upper: Array) -> bool:
-        """Whether values keep their limits; a NaN does not."""
-        return bool(((values >= lower) & (values <= upper)).all())
+        answer, iterations, status = self._solve_relaxed(program)
+        return QpSolution(answer, status, iterations, time.perf_counter() - started)
 
     def _acceleration_bounds(self, q: Array, dq: Array) -> tuple[Array, Array]:
         """Bounds on ddq that paper eqs. const_q and const_dq imply."""
-        position = q * self._per_square + dq * (self._per_square * self._period)
+        position = q * self._per_square + dq * (self._per_square * self.period)
         velocity = dq * self._per_period
         upper = np.minimum(self._position_high - position, self._velocity_bound - velocity)
         lower = np.maximum(self._position_low - position, -self._velocity_bound - velocity)
         return lower, upper
 
-    def _solve_relaxed(
-        self,
-        hessian: Array,
-        gradient: Array,
-        inertia: Array,
-        torque_lower: Array,
-        torque_upper: Array,
-        lower: Array,
-        upper: Array,
-        started: float,
-    ) -> QpSolution:
+    def _solve_exactly(self, program: QuadraticProgram) -> tuple[Array, int, bool]:
+        """Acceleration, iterations, and whether they ended well."""
+        p, qp = program, self._qp
+        matrices = (p.hessian, p.gradient, None, None, p.inertia, p.torque_lower, p.torque_upper, p.lower, p.upper)
+        if self._ready:
+            qp.update(*matrices)
+        else:
+            qp.init(*matrices)
+            self._ready = True
+        qp.solve()
+        result = qp.results
+        answer = result.x.copy()
+        solved = result.info.status == proxqp.QPSolverOutput.PROXQP_SOLVED and math.isfinite(answer.sum())
+        return answer, result.info.iter, solved
+
+    def _solve_relaxed(self, program: QuadraticProgram) -> tuple[Array, int, QpStatus]:
         """The same program with a slack per constraint row, scaled so that rows are comparable."""
         count = self._count
-        period = self._period
-        middle = (lower + upper) / 2.0
-        box_lower, box_upper = np.minimum(lower, middle), np.maximum(upper, middle)
-        rows = np.vstack((np.eye(count) * period, inertia / self._torque_max[:, None]))
-        row_lower = np.concatenate((box_lower * period, torque_lower / self._torque_max))
-        row_upper = np.concatenate((box_upper * period, torque_upper / self._torque_max))
+        period = self.period
+        middle = (program.lower + program.upper) / 2.0
+        box_lower, box_upper = np.minimum(program.lower, middle), np.maximum(program.upper, middle)
+        rows = np.vstack((np.eye(count) * period, program.inertia / self._torque_max[:, None]))
+        row_lower = np.concatenate((box_lower * period, program.torque_lower / self._torque_max))
+        row_upper = np.concatenate((box_upper * period, program.torque_upper / self._torque_max))
         qp = proxqp.dense.QP(3 * count, 0, 2 * count)
         qp.settings.eps_abs = 1e-7
         qp.settings.max_iter = 2000
         cost = np.zeros((3 * count, 3 * count))
-        cost[:count, :count] = hessian
+        cost[:count, :count] = program.hessian
         cost[count:, count:] = SLACK_WEIGHT * np.eye(2 * count)
-        linear = np.concatenate((gradient, np.zeros(2 * count)))
+        linear = np.concatenate((program.gradient, np.zeros(2 * count)))
         qp.init(cost, linear, None, None, np.hstack((rows, np.eye(2 * count))), row_lower, row_upper)
         qp.solve()
         acceleration = qp.results.x[:count]
         status = QpStatus.RELAXED
         if not np.isfinite(acceleration).all():
-            acceleration = np.linalg.solve(hessian, -gradient)
+            acceleration = np.linalg.solve(program.hessian, -program.gradient)
             status = QpStatus.FAILED
         if not np.isfinite(acceleration).all():
             acceleration = np.zeros(count)
-        return QpSolution(np.array(acceleration), status, int(qp.results.info.iter), time.perf_counter() - started)
+        return np.array(acceleration), int(qp.results.info.iter), status
+
+
+def _within(values: Array, lower: Array, upper: Array) -> bool:
+    return bool(((values >= lower) & (values <= upper)).all())

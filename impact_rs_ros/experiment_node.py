@@ -13,14 +13,14 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import Executor, MultiThreadedExecutor
 
-from impact_rs_control.plan import TrialPlan, plan_trial
+from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_ros.trial_session import Progress, TrialResult, TrialSession
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags.trial_info import TrialKey
 from impact_rs_trials.campaign import make_manifest, open_campaign
+from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.store import open_store, owned
 
 
@@ -138,15 +138,13 @@ class ExperimentNode(NodeProgram):
                 held.enter_context(owned(open_store(directory)))
                 todo = open_campaign(directory, manifest)
                 answer.skipped = len(manifest.keys) - len(todo)
-                scenario = load_scenario(manifest.scenario)
                 for number, key in enumerate(todo):
                     if handle.is_cancel_requested or self._cancelling.is_set():
                         answer.message = "cancelled"
                         break
                     handle.publish_feedback(RunCampaign.Feedback(finished=number, total=len(todo), current=key.name))
-                    scene = Scene.resolve(scenario, key.object, key.case)
-                    plan = plan_trial(scene, key.scale, manifest.motor_inertia)
-                    result = self._one(plan, key, key.seed(manifest.seed), directory, handle)
+                    trial = manifest.trial(key)
+                    result = self._one(trial.spec.plan, key, trial.seed, directory, handle)
                     if result.outcome == "ABORTED":
                         answer.failed += 1
                         answer.message = f"{key.name}: {result.message}"
@@ -159,8 +157,9 @@ class ExperimentNode(NodeProgram):
         return answer
 
     def _failed(self, handle: Any, answer: Any, error: Exception) -> Any:
-        answer.message = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-        self.node.get_logger().error(answer.message)
+        expected = isinstance(error, InputError)
+        answer.message = str(error) if expected else f"{type(error).__name__}: {error}"
+        self.node.get_logger().error(answer.message if expected else full_traceback(error))
         _close(handle, False)
         return answer
 
@@ -175,11 +174,9 @@ def _close(handle: Any, success: bool) -> None:
 
 
 def _planned(goal: Any, name: str) -> tuple[TrialPlan, TrialKey]:
-    scenario = load_scenario(name)
-    case = scenario.case_name(goal.case_name)
-    scene = Scene.resolve(scenario, goal.object_name, case)
-    plan = plan_trial(scene, goal.velocity_scale, goal.motor_inertia or "reduced")
-    return plan, TrialKey(goal.object_name, case, goal.velocity_scale, goal.repeat)
+    inertia = goal.motor_inertia or "reduced"
+    spec = TrialSpec.of(load_scenario(name), goal.object_name, goal.case_name, goal.velocity_scale, inertia)
+    return spec.plan, TrialKey(spec.object, spec.case, spec.scale, goal.repeat)
 
 
 def main() -> None:

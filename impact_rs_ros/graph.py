@@ -23,12 +23,12 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
 from impact_rs_ros.process import SUPERVISOR
-from impact_rs_ros.trials import model_text
-from impact_rs_sim.model import Model
+from impact_rs_sim.model import Model, model_text
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenario import load_scenario, scenario_path
 from impact_rs_trials.bags.trial_info import TrialKey
-from impact_rs_trials.campaign import Manifest, TrialReport
+from impact_rs_trials.campaign import Manifest, TrialReport, keep_failure
+from impact_rs_trials.store import open_store
 
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
 START_TIMEOUT = 60.0  # s, for all nodes to answer; imports take some seconds on a busy machine
@@ -200,6 +200,11 @@ class Graph:
         """What a quiet node wrote."""
         return self._log(name).read_text(errors="replace")
 
+    def outputs(self) -> str:
+        """What quiet nodes wrote, warnings and tracebacks, node by node."""
+        written = {name: self.output(name).strip() for name in self.processes}
+        return "\n\n".join(f"node {name} wrote:\n{text}" for name, text in written.items() if text)
+
     def last_words(self, name: str) -> str:
         """Last line that a quiet node wrote."""
         lines = self.output(name).strip().splitlines()
@@ -357,7 +362,9 @@ def run_trial(
             graph.wait_until_ready()
         if len(revived) > len(hung) or outcome != "ABORTED":
             break
-    return TrialReport(key, outcome, "; ".join(filter(None, (message, *ended))))
+    trace = graph.outputs() if outcome == "ABORTED" else ""
+    report = TrialReport(key, outcome, "; ".join(filter(None, (message, *ended))), trace)
+    return keep_failure(open_store(directory), report)
 
 
 def up(scenario: str, domain_id: int | None = None) -> int:

@@ -20,15 +20,14 @@ from impact_msgs_py.conversions import (
     vector_to_message,
 )
 from impact_rs_ros.process import NodeProgram, run
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.impact_map import ImpactMapError, compute_impact_map
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, ObjectPhysics, Physics
 from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import Scenario, load_scenario
-from impact_rs_sim.scene import ArmState, BodyState, Scene
-
-SCENES_KEPT = 8  # each keeps an engine warm
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_trials.spec import TrialSpec
 
 
 class ImpactMapNode(NodeProgram):
@@ -38,7 +37,6 @@ class ImpactMapNode(NodeProgram):
 
     def __init__(self) -> None:
         super().__init__()
-        self._scenes: dict[tuple[int, str, str], Scene] = {}
         self._answered = 0
         self._refused = 0
         self.node.create_service(ComputeImpactMap, "compute_impact_map", self._on_request)
@@ -61,27 +59,17 @@ class ImpactMapNode(NodeProgram):
             response.message = str(error)
             self._refused += 1
         except Exception as error:  # whatever was asked, the node goes on
-            self.node.get_logger().error(f"{type(error).__name__}: {error}")
+            self.node.get_logger().error(full_traceback(error))
             response.message = f"the impact map failed: {type(error).__name__}: {error}"
             self._refused += 1
         response.engine = engine
         response.elapsed = time.perf_counter() - started
         return response
 
-    def _scene(self, scenario: Scenario, object_name: str, case_name: str) -> Scene:
-        """The same scene for the same question, so that its engine stays warm."""
-        key = (id(scenario), object_name, case_name)  # the scene holds its scenario, so the id stays its own
-        if key not in self._scenes:
-            while len(self._scenes) >= SCENES_KEPT:
-                del self._scenes[next(iter(self._scenes))]
-            self._scenes[key] = Scene.resolve(scenario, object_name, case_name)
-        return self._scenes[key]
-
     def _problem(self, request: ComputeImpactMap.Request) -> ImpactProblem:
         scenario = load_scenario(request.scenario or self.parameter("scenario"))
         known = request.object_name or (next(iter(scenario.objects)) if request.use_object_description else "")
-        scenario.object(known)
-        scene = self._scene(scenario, known, scenario.case_name(request.case_name))
+        scene = TrialSpec.of(scenario, known, request.case_name).scene  # the same one every time: its engine stays warm
         physics, thing = scene.physics, scene.object
         if request.use_object_description:
             physics, thing = _described(physics, request.object_description)

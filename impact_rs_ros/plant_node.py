@@ -20,8 +20,8 @@ from impact_rs_ros.exchange import joint_signals
 from impact_rs_ros.process import run
 from impact_rs_ros.streams import Stream, StreamMaker
 from impact_rs_ros.trial_node import TrialNode
-from impact_rs_ros.trials import model_of
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import parse_model
 from impact_rs_sim.plant import Plant
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
@@ -70,7 +70,7 @@ class PlantNode(TrialNode):
         self._close_plant()
         physics = plan.scene.physics
         if info.model_yaml:
-            physics = model_of(info.model_yaml, "TrialInfo.model_yaml").apply(physics)
+            physics = parse_model(info.model_yaml, "TrialInfo.model_yaml").apply(physics)
             self.outbox.later(topics.TRUTH_MODEL, String(data=info.model_yaml))
         self._plant = make_plant(plan, info.seed, physics)
         self._frames = FrameSource(plan.scene)

@@ -24,8 +24,7 @@ from impact_rs_ros.message_types import available
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_ros.qos import RECORD
 from impact_rs_ros.transforms import Transforms
-from impact_rs_ros.trials import plan_of
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.outcome import outcome_of
@@ -131,13 +130,13 @@ class RecorderNode(NodeProgram):
         self._abort()
         try:
             info = TrialInfo.from_message(request.trial)
-            plan = plan_of(info) if info.scenario_yaml else None
+            plan = info.spec.plan if info.scenario_json else None
             if not request.bag_path:
                 raise InputError("ConfigureTrial.bag_path is empty; the recorder needs to know where to write")
             self._connect(list(info.robots))
             self._await_publishers()
             self._inbox.clear()
-            bag = self._open.enter_context(BagWriter(Path(request.bag_path), self._arms))
+            bag = self._open.enter_context(BagWriter.create(Path(request.bag_path), self._arms))
             bag.describe(info)
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
             bag.write_raw(topics.ROBOT_DESCRIPTION, 0, serialize_message(String(data=request.robot_description)))
@@ -146,7 +145,7 @@ class RecorderNode(NodeProgram):
             return response
         except Exception as error:  # a node outlives every trial
             self._open.close()
-            self.node.get_logger().error(f"cannot open the bag: {type(error).__name__}: {error}")
+            self.node.get_logger().error(f"cannot open the bag: {full_traceback(error)}")
             response.message = f"recorder: {type(error).__name__}: {error}"
             return response
         self._bag = bag

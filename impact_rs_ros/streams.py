@@ -62,7 +62,7 @@ class Stream:
         fields: Mapping[str, str | Callable[[Any], Any]],
         tables: Mapping[str, Array] | None = None,
     ) -> None:
-        self._template = Template(typestore(), kind, example)
+        self._template = Template.of(typestore(), kind, example)
         self._period_ns = period_ns
         self._fields = {path: attrgetter(get) if isinstance(get, str) else get for path, get in fields.items()}
         self._tables = tables or {}

@@ -14,8 +14,7 @@ from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.process import NodeProgram
 from impact_rs_ros.qos import AWAITED, STREAM
 from impact_rs_ros.streams import Stream, StreamMaker
-from impact_rs_ros.trials import plan_of
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.messages import MessageMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
@@ -105,7 +104,7 @@ class TrialNode(NodeProgram):
             if self.plan is not None:
                 self._leave()
             info = TrialInfo.from_message(request.trial)
-            plan = plan_of(info)
+            plan = info.spec.plan
             self._connect(list(plan.arms))
             self.inbox.clear()
             self.outbox.reset(self.streams(StreamMaker(plan), list(plan.arms)))
@@ -117,7 +116,7 @@ class TrialNode(NodeProgram):
             response.message = str(error)
             return response
         except Exception as error:  # a node outlives every trial
-            self.node.get_logger().error(f"cannot prepare the trial: {type(error).__name__}: {error}")
+            self.node.get_logger().error(f"cannot prepare the trial: {full_traceback(error)}")
             response.message = f"{self.kind}: {type(error).__name__}: {error}"
             return response
         gc.collect()

@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import NotABody
-from impact_rs_sim.physics import Physics
+from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, EndEffector
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.urdf import joint_names, write_urdf
@@ -50,23 +50,39 @@ PAD_CONTACT_POINTS = 4  # Bullet keeps four points of a face contact; each gets 
 
 
 class BulletWorld:
-    """Arms, object and support in a Bullet world of its own.
+    """Arms, object and support in a Bullet world of its own; :meth:`load` makes one.
 
     Args:
         physics: Parameters of the scene.
-        time_step: Step [s].
-        gravity: Whether gravity acts.
-        compliant_pads: Whether pads have their stiffness and damping; otherwise they are rigid.
-        iterations: Largest number of solver iterations in a step.
-        residual_threshold: The solver stops when the largest squared change of a row is below this.
-        contact_erp: Share of a penetration that a rigid contact removes in one step.
-
-    Raises:
-        NotABody: Mass and inertia of an end effector are those of no body; Bullet would go on with an inertia of zero.
+        client: Connection to the world.
+        arms: Body of every arm in Bullet, by name.
+        thing: Body of the object.
+        support: Body of the support; None: there is none.
     """
 
     def __init__(
-        self,
+        self, physics: Physics, client: BulletClient, arms: dict[str, int], thing: int, support: int | None
+    ) -> None:
+        self.physics = physics
+        self.client = client
+        self.arms = arms
+        counts = {name: arm.facts.joint_count for name, arm in physics.arms.items()}
+        self.joints = {name: list(range(count)) for name, count in counts.items()}
+        self.end_effector_link = counts
+        self.object = thing
+        self.support = support
+        self._com_is_offset = bool(np.any(physics.object.com_offset))
+        # Bound once: the wrapper's attribute look-up would cost more than some of the calls in the inner loop.
+        self._step = client.stepSimulation
+        self._get_joints = client.getJointStates
+        self._set_torques = client.setJointMotorControlArray
+        self._get_pose = client.getBasePositionAndOrientation
+        self._get_velocity = client.getBaseVelocity
+        self._get_contacts = client.getContactPoints
+
+    @classmethod
+    def load(
+        cls,
         physics: Physics,
         *,
         time_step: float,
@@ -75,14 +91,26 @@ class BulletWorld:
         iterations: int,
         residual_threshold: float,
         contact_erp: float = 0.2,
-    ) -> None:
-        self.physics = physics
+    ) -> BulletWorld:
+        """A world with everything in it.
+
+        Args:
+            physics: Parameters of the scene.
+            time_step: Step [s].
+            gravity: Whether gravity acts.
+            compliant_pads: Whether pads have their stiffness and damping; otherwise they are rigid.
+            iterations: Largest number of solver iterations in a step.
+            residual_threshold: The solver stops when the largest squared change of a row is below this.
+            contact_erp: Share of a penetration that a rigid contact removes in one step.
+
+        Raises:
+            NotABody: Mass and inertia of an end effector are those of no body; Bullet would go on with an inertia of
+                zero.
+        """
         for name, arm in physics.arms.items():
             _check_body(name, arm.end_effector)
-        self._com_is_offset = bool(np.any(physics.object.com_offset))
         with _quiet():
-            self.client = BulletClient(connection_mode=pybullet.DIRECT)
-        client = self.client
+            client = BulletClient(connection_mode=pybullet.DIRECT)
         client.setPhysicsEngineParameter(
             fixedTimeStep=time_step,
             numSubSteps=0,
@@ -100,112 +128,14 @@ class BulletWorld:
             constraintSolverType=pybullet.CONSTRAINT_SOLVER_LCP_SI,
         )
         client.setGravity(*(physics.gravity if gravity else np.zeros(3)))
-        self.arms = {name: self._load_arm(name, compliant_pads) for name in physics.arms}
-        counts = {name: arm.facts.joint_count for name, arm in physics.arms.items()}
-        self.joints = {name: list(range(count)) for name, count in counts.items()}
-        self.end_effector_link = dict(counts)
-        self.object = self._make_object()
-        self.support = self._make_support()
-        # Bound once: the wrapper's attribute look-up would cost more than some of the calls in the inner loop.
-        self._step = client.stepSimulation
-        self._get_joints = client.getJointStates
-        self._set_torques = client.setJointMotorControlArray
-        self._get_pose = client.getBasePositionAndOrientation
-        self._get_velocity = client.getBaseVelocity
-        self._get_contacts = client.getContactPoints
+        arms = {name: _load_arm(client, physics, name, compliant_pads) for name in physics.arms}
+        return cls(physics, client, arms, _make_object(client, physics.object), _make_support(client, physics, arms))
 
     def close(self) -> None:
         """Disconnect from Bullet."""
         if self.client._client >= 0:
             self.client.disconnect()
             self.client._client = -1
-
-    def _load_arm(self, name: str, compliant: bool) -> int:
-        client, physics = self.client, self.physics.arms[name]
-        with tempfile.TemporaryDirectory(prefix="impact_rs_") as folder:
-            path = Path(folder) / "arm.urdf"
-            path.write_text(write_urdf(physics.facts, physics.end_effector), encoding="utf-8")
-            body = client.loadURDF(
-                str(path),
-                basePosition=physics.base.translation.tolist(),
-                baseOrientation=_quaternion(physics.base.rotation),
-                useFixedBase=1,
-                flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
-            )
-        joints = list(range(len(joint_names(physics.facts))))
-        client.setJointMotorControlArray(body, joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(joints))
-        for link in range(-1, client.getNumJoints(body)):
-            client.changeDynamics(
-                body,
-                link,
-                linearDamping=0.0,
-                angularDamping=0.0,
-                jointDamping=0.0,
-                spinningFriction=0.0,
-                rollingFriction=0.0,
-                restitution=0.0,
-                maxJointVelocity=1e3,
-                jointLowerLimit=1.0,  # an empty interval switches Bullet's own joint stops off
-                jointUpperLimit=-1.0,
-                activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
-            )
-            # A call of its own: beside maxJointVelocity or activationState Bullet drops it without a word.
-            client.changeDynamics(body, link, lateralFriction=self.physics.pad_friction)
-        if compliant and physics.pad_stiffness is not None:
-            client.changeDynamics(
-                body,
-                len(joints),
-                contactStiffness=physics.pad_stiffness / PAD_CONTACT_POINTS,
-                contactDamping=physics.pad_damping / PAD_CONTACT_POINTS,
-            )
-        return int(body)
-
-    def _make_object(self) -> int:
-        client, thing = self.client, self.physics.object
-        shape = client.createCollisionShape(
-            pybullet.GEOM_BOX,
-            halfExtents=(thing.size / 2.0).tolist(),
-            collisionFramePosition=(-thing.com_offset).tolist(),
-        )
-        body = client.createMultiBody(baseMass=thing.mass, baseCollisionShapeIndex=shape)
-        client.changeDynamics(
-            body,
-            -1,
-            localInertiaDiagonal=thing.inertia.tolist(),
-            linearDamping=0.0,
-            angularDamping=0.0,
-            lateralFriction=1.0,
-            spinningFriction=0.0,
-            rollingFriction=0.0,
-            restitution=0.0,
-            activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
-        )
-        return int(body)
-
-    def _make_support(self) -> int | None:
-        physics, client = self.physics, self.client
-        if physics.support_height is None:
-            return None
-        thickness = 0.1
-        half = (physics.support_size[0] / 2.0, physics.support_size[1] / 2.0, thickness / 2.0)
-        shape = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half)
-        body = client.createMultiBody(
-            baseMass=0.0,
-            baseCollisionShapeIndex=shape,
-            basePosition=[0.0, 0.0, physics.support_height - thickness / 2.0],
-        )
-        client.changeDynamics(
-            body,
-            -1,
-            lateralFriction=physics.support_friction,
-            spinningFriction=0.0,
-            rollingFriction=0.0,
-            restitution=0.0,
-        )
-        for arm in self.arms.values():
-            for link in range(-1, client.getNumJoints(arm)):
-                client.setCollisionFilterPair(arm, body, link, -1, 0)
-        return int(body)
 
     def set_arm(self, name: str, state: ArmState) -> None:
         """Put an arm into a joint state."""
@@ -264,6 +194,94 @@ class BulletWorld:
         sizes = np.array([(point[9], point[10], point[12]) for point in points])  # normal and both tangents
         directions = np.array([(point[7], point[11], point[13]) for point in points])
         return np.asarray(sizes.ravel() @ directions.reshape(-1, 3))
+
+
+def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool) -> int:
+    physics = scene.arms[name]
+    with tempfile.TemporaryDirectory(prefix="impact_rs_") as folder:
+        path = Path(folder) / "arm.urdf"
+        path.write_text(write_urdf(physics.facts, physics.end_effector), encoding="utf-8")
+        body = client.loadURDF(
+            str(path),
+            basePosition=physics.base.translation.tolist(),
+            baseOrientation=_quaternion(physics.base.rotation),
+            useFixedBase=1,
+            flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+        )
+    joints = list(range(len(joint_names(physics.facts))))
+    client.setJointMotorControlArray(body, joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(joints))
+    for link in range(-1, client.getNumJoints(body)):
+        client.changeDynamics(
+            body,
+            link,
+            linearDamping=0.0,
+            angularDamping=0.0,
+            jointDamping=0.0,
+            spinningFriction=0.0,
+            rollingFriction=0.0,
+            restitution=0.0,
+            maxJointVelocity=1e3,
+            jointLowerLimit=1.0,  # an empty interval switches Bullet's own joint stops off
+            jointUpperLimit=-1.0,
+            activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+        )
+        # A call of its own: beside maxJointVelocity or activationState Bullet drops it without a word.
+        client.changeDynamics(body, link, lateralFriction=scene.pad_friction)
+    if compliant and physics.pad_stiffness is not None:
+        client.changeDynamics(
+            body,
+            len(joints),
+            contactStiffness=physics.pad_stiffness / PAD_CONTACT_POINTS,
+            contactDamping=physics.pad_damping / PAD_CONTACT_POINTS,
+        )
+    return int(body)
+
+
+def _make_object(client: BulletClient, thing: ObjectPhysics) -> int:
+    shape = client.createCollisionShape(
+        pybullet.GEOM_BOX,
+        halfExtents=(thing.size / 2.0).tolist(),
+        collisionFramePosition=(-thing.com_offset).tolist(),
+    )
+    body = client.createMultiBody(baseMass=thing.mass, baseCollisionShapeIndex=shape)
+    client.changeDynamics(
+        body,
+        -1,
+        localInertiaDiagonal=thing.inertia.tolist(),
+        linearDamping=0.0,
+        angularDamping=0.0,
+        lateralFriction=1.0,
+        spinningFriction=0.0,
+        rollingFriction=0.0,
+        restitution=0.0,
+        activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+    )
+    return int(body)
+
+
+def _make_support(client: BulletClient, physics: Physics, arms: dict[str, int]) -> int | None:
+    if physics.support_height is None:
+        return None
+    thickness = 0.1
+    half = (physics.support_size[0] / 2.0, physics.support_size[1] / 2.0, thickness / 2.0)
+    shape = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half)
+    body = client.createMultiBody(
+        baseMass=0.0,
+        baseCollisionShapeIndex=shape,
+        basePosition=[0.0, 0.0, physics.support_height - thickness / 2.0],
+    )
+    client.changeDynamics(
+        body,
+        -1,
+        lateralFriction=physics.support_friction,
+        spinningFriction=0.0,
+        rollingFriction=0.0,
+        restitution=0.0,
+    )
+    for arm in arms.values():
+        for link in range(-1, client.getNumJoints(arm)):
+            client.setCollisionFilterPair(arm, body, link, -1, 0)
+    return int(body)
 
 
 def _check_body(name: str, end_effector: EndEffector) -> None:

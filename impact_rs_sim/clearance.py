@@ -11,7 +11,7 @@ from itertools import combinations
 import coal
 import numpy as np
 
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 
@@ -53,7 +53,7 @@ def check_clearance(models: dict[str, RobotModel], positions: dict[str, Array], 
         when: What moment this is, for the message.
 
     Raises:
-        InputError: Two arms touch; names their links and by how much they overlap.
+        Infeasible: Two arms touch; names their links and by how much they overlap.
     """
     hulls = {name: capsules(model, positions[name]) for name, model in models.items()}
     for first, second in combinations(hulls, 2):
@@ -63,7 +63,7 @@ def check_clearance(models: dict[str, RobotModel], positions: dict[str, Array], 
                     shape, place, other_shape, other_place, coal.DistanceRequest(), coal.DistanceResult()
                 )
                 if gap < 0.0:
-                    raise InputError(
+                    raise Infeasible(
                         f"arms {first!r} and {second!r} collide {when}: {name} and {other} overlap by {-gap:.3f} m; "
                         "move their bases apart or choose other impact poses"
                     )

@@ -1,10 +1,20 @@
-"""The one exception that means: the user's input is wrong, and this is what to change."""
+"""The one exception that means: the user's input is wrong, and this is what to change.
+
+    InputError
+    +-- NotABody              mass and inertia of no body; a fit that asked for it tries a smaller step
+    +-- Infeasible            a state that arms or object cannot be in; a search tries another one
+        +-- UnreachablePose   no joint positions within the limits lead there
+
+There is a class for every case that some caller treats in its own way, and for no other.
+"""
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Self
 
 
 class InputError(ValueError):
@@ -37,12 +47,33 @@ class InputError(ValueError):
             place.append(f"{key} = {value!r}" if value is not None else key)
         super().__init__(": ".join([*place, message]))
 
+    def in_file(self, file: str | Path) -> Self:
+        """The same mistake, with the file it is in."""
+        return type(self)(self.message, file=file, key=self.key, value=self.value)
+
 
 class NotABody(InputError):
     """Mass and inertia that no rigid body has, for example because more was taken away than was there."""
+
+
+class Infeasible(InputError):
+    """A state that cannot be: beyond a joint limit, out of reach, or with two bodies in one place."""
+
+
+class UnreachablePose(Infeasible):
+    """A pose of the end effector that no joint positions within the limits reach."""
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """``; did you mean 'x'?`` where ``name`` looks like a slip of the pen, else nothing."""
     close = get_close_matches(name, list(known), n=1)
     return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def full_traceback(error: BaseException) -> str:
+    """Traceback of an error and of all that lay behind it, also where its message stands for that (``from None``)."""
+    link: BaseException | None = error
+    while link is not None:
+        link.__suppress_context__ = False
+        link = link.__cause__ or link.__context__
+    return "".join(traceback.format_exception(error)).rstrip()

@@ -21,9 +21,7 @@ from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.schema import Schema, load
-
-JOINT_COUNT = 7  # until the diagnosis and the command line stop importing it
+from impact_rs_sim.schema import Schema, load, parse_yaml, validate
 
 
 class ParameterValue(Schema):
@@ -116,7 +114,7 @@ def check_model(model: Model, file: str | Path) -> Model:
     try:
         known = model.known_effects
     except InputError as error:
-        raise InputError(error.message, file=file) from None
+        raise error.in_file(file) from None
     joints: tuple[str, int] | None = None
     for index, item in enumerate(model.effects):
         key = f"effects.{index}"
@@ -176,6 +174,20 @@ def load_model(path: str | Path) -> Model:
     return check_model(load(Model, file), file)
 
 
+def parse_model(text: str, source: str) -> Model:
+    """A model from the text of a model file.
+
+    Raises:
+        InputError: It is none; the error names ``source``.
+    """
+    return check_model(validate(Model, parse_yaml(text, source), source), source)
+
+
+def model_text(model: Model) -> str:
+    """Text of a model file, as :func:`parse_model` reads it."""
+    return yaml.safe_dump(model.model_dump(mode="json", exclude_none=True), sort_keys=False, width=100)
+
+
 def save_model(model: Model, path: str | Path) -> None:
     """Write a model file that :func:`load_model` reads back.
 
@@ -185,9 +197,8 @@ def save_model(model: Model, path: str | Path) -> None:
     file = Path(path)
     if file.exists():
         raise InputError("this file exists already; model files are never overwritten", file=file)
-    content = model.model_dump(mode="json", exclude_none=True)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(yaml.safe_dump(content, sort_keys=False, width=100), encoding="utf-8")
+        file.write_text(model_text(model), encoding="utf-8")
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror}", file=file) from None

@@ -85,14 +85,16 @@ class PlantExtension:
 
 
 class Plant:
-    """Flexible-joint arms, object and support, for one trial.
+    """Flexible-joint arms, object and support, for one trial; :meth:`for_trial` puts one together.
 
     Args:
-        scenario: Times, sensors and scatter.
-        physics: The true physics, possibly with effects that nobody else knows.
-        initial: Initial joint positions by arm, ``(n,)`` [rad].
-        object_state: Nominal pose of the object; the scatter comes on top.
-        seed: Seed of scatter and noise. Same seed, same trial, bit by bit.
+        scenario: Times and sensors.
+        physics: The true physics of this trial.
+        world: Its Bullet world; arms and object are in place.
+        drives: Drives by arm, in equilibrium.
+        links: True joint state by arm.
+        sensors: Sensors by arm.
+        tracker: Tracker of the object.
         extension: Something that the physics cannot say.
     """
 
@@ -100,19 +102,56 @@ class Plant:
         self,
         scenario: Scenario,
         physics: Physics,
+        world: BulletWorld,
+        drives: dict[str, Drive],
+        links: dict[str, ArmState],
+        sensors: dict[str, ArmSensors],
+        tracker: ObjectTracker,
+        extension: PlantExtension | None = None,
+    ) -> None:
+        self.physics = physics
+        self._timing = scenario.timing
+        self._substeps = scenario.timing.substeps
+        self._samples = scenario.timing.ticks + 1
+        self._tick = 0
+        self._world = world
+        self._drives = drives
+        self._links = links
+        self._loaded = {name: physics.robot_model(name) for name, arm in physics.arms.items() if arm.loads}
+        self._arm_sensors = sensors
+        self._tracker = tracker
+        self._tracker_ticks = _tracker_ticks(scenario)
+        self._extension = extension
+
+    @classmethod
+    def for_trial(
+        cls,
+        scenario: Scenario,
+        physics: Physics,
         initial: dict[str, Array],
         object_state: BodyState,
         seed: int,
         extension: PlantExtension | None = None,
-    ) -> None:
-        timing = scenario.timing
-        self._timing = timing
-        scatter_seed, *sensor_seeds = np.random.SeedSequence(seed).spawn(2 + len(physics.arms))
+    ) -> Plant:
+        """The plant of one trial, at rest where the trial starts.
+
+        Args:
+            scenario: Times, sensors and scatter.
+            physics: The true physics, possibly with effects that nobody else knows.
+            initial: Initial joint positions by arm, ``(n,)`` [rad].
+            object_state: Nominal pose of the object; the scatter comes on top.
+            seed: Seed of scatter and noise. Same seed, same trial, bit by bit.
+            extension: Something that the physics cannot say.
+
+        Raises:
+            NotABody: Mass and inertia of an end effector are those of no body.
+        """
+        timing, samples = scenario.timing, scenario.timing.ticks + 1
+        scatter_seed, tracker_seed, *arm_seeds = np.random.SeedSequence(seed).spawn(2 + len(physics.arms))
         physics, initial, object_state = _scatter(
             scenario.scatter, physics, initial, object_state, np.random.default_rng(scatter_seed)
         )
-        self.physics = physics
-        self._world = BulletWorld(
+        world = BulletWorld.load(
             physics,
             time_step=timing.drive_period,
             gravity=True,
@@ -120,37 +159,23 @@ class Plant:
             iterations=SOLVER_ITERATIONS,
             residual_threshold=SOLVER_RESIDUAL,
         )
-        self._world.set_object(object_state)
+        world.set_object(object_state)
         if extension is None and _rests(physics, object_state):
-            self._world.rest_object()
-        self._tick = 0
-        self._samples = timing.ticks + 1
-        self._drives: dict[str, Drive] = {}
-        self._links: dict[str, ArmState] = {}
-        self._arm_sensors: dict[str, ArmSensors] = {}
-        self._loaded = {name: physics.robot_model(name) for name, arm in physics.arms.items() if arm.loads}
-        for (name, arm), sensor_seed in zip(physics.arms.items(), sensor_seeds[1:], strict=True):
+            world.rest_object()
+        drives, links, sensors = {}, {}, {}
+        for (name, arm), arm_seed in zip(physics.arms.items(), arm_seeds, strict=True):
             q = initial[name]
-            load = physics.robot_model(name).gravity_torque(q)
-            drive = Drive(arm, timing.drive_period)
-            drive.reset(q, load)
-            state = ArmState(q, np.zeros_like(q))
-            self._world.set_arm(name, state)
-            self._drives[name] = drive
-            self._links[name] = state
-            self._arm_sensors[name] = ArmSensors(
-                scenario.sensors, q.size, self._samples, np.random.default_rng(sensor_seed)
-            )
-        self._extension = extension
+            drives[name] = Drive(arm, timing.drive_period)
+            drives[name].reset(q, physics.robot_model(name).gravity_torque(q))
+            links[name] = ArmState(q, np.zeros_like(q))
+            world.set_arm(name, links[name])
+            sensors[name] = ArmSensors(scenario.sensors, q.size, samples, np.random.default_rng(arm_seed))
+        tracked = samples // _tracker_ticks(scenario) + 1
+        tracker = ObjectTracker(scenario.sensors, tracked, np.random.default_rng(tracker_seed))
+        plant = cls(scenario, physics, world, drives, links, sensors, tracker, extension)
         if extension is not None:
-            extension.begin(self)
-        self._substeps = timing.substeps
-        self._tracker_ticks = max(1, round(scenario.sensors.object_period / timing.control_period))
-        self._tracker = ObjectTracker(
-            scenario.sensors,
-            self._samples // self._tracker_ticks + 1,
-            np.random.default_rng(sensor_seeds[0]),
-        )
+            extension.begin(plant)
+        return plant
 
     @property
     def world(self) -> BulletWorld:
@@ -257,6 +282,11 @@ class Plant:
     def close(self) -> None:
         """Free the Bullet world."""
         self._world.close()
+
+
+def _tracker_ticks(scenario: Scenario) -> int:
+    """Control ticks from one sample of the object tracker to the next."""
+    return max(1, round(scenario.sensors.object_period / scenario.timing.control_period))
 
 
 def _rests(physics: Physics, state: BodyState) -> bool:

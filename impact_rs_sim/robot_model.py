@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.optimize import least_squares
 
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import UnreachablePose
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts
 from impact_rs_sim.urdf import write_urdf
 
@@ -138,7 +138,7 @@ class RobotModel:
             tolerance: Largest accepted residual [m, rad].
 
         Raises:
-            InputError: The pose cannot be reached within the joint limits.
+            UnreachablePose: The pose cannot be reached within the joint limits.
         """
 
         def error(rest: Array) -> Array:
@@ -148,12 +148,14 @@ class RobotModel:
 
         lower, upper = self.position_min, self.position_max
         if not lower[0] <= joint_1 <= upper[0]:
-            raise InputError(f"joint 1 at {joint_1:.4g} rad is outside its limits [{lower[0]:.4g}, {upper[0]:.4g}] rad")
+            raise UnreachablePose(
+                f"joint 1 at {joint_1:.4g} rad is outside its limits [{lower[0]:.4g}, {upper[0]:.4g}] rad"
+            )
         start = np.clip(guess, lower + 1e-6, upper - 1e-6)[1:]
         solution = least_squares(error, start, bounds=(lower[1:], upper[1:]), xtol=1e-15, ftol=1e-15, gtol=1e-15)
         residual = float(np.max(np.abs(solution.fun)))
         if residual > tolerance:
-            raise InputError(
+            raise UnreachablePose(
                 f"pose {np.round(target.translation, 4).tolist()} m with joint 1 at {joint_1:.4g} rad is unreachable: "
                 f"nearest miss {residual:.3g} (m or rad)"
             )

@@ -494,7 +494,7 @@ def _compensated(path: Path, modified: int, compensation_path: Path, compensatio
     try:
         _check_compensation(compensation, scenario)
     except InputError as error:
-        raise InputError(error.message, file=compensation_path, key=error.key, value=error.value) from None
+        raise error.in_file(compensation_path) from None
     return scenario.model_copy(update={"friction_compensation": compensation})
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -72,7 +72,8 @@ class Scene:
         """Solve the inverse kinematics of the impact pose and place the object.
 
         Raises:
-            InputError: No such object or case, an unreachable pose, or a joint velocity beyond its limit.
+            InputError: No such object or case.
+            Infeasible: The pose cannot be reached, or a joint velocity is beyond its limit.
         """
         physics = Physics.nominal(scenario, object_name)
         case_name = scenario.case_name(case_name)
@@ -86,7 +87,7 @@ class Scene:
             dq = _impact_velocity(model, q, np.array(wanted.ante_velocity), wanted.joint_1_velocity)
             if np.any(np.abs(dq) > model.velocity_max):
                 joint = int(np.argmax(np.abs(dq) / model.velocity_max))
-                raise InputError(
+                raise Infeasible(
                     f"cases.{case_name}: arm {name!r} needs {dq[joint]:.3g} rad/s in joint {joint + 1}, "
                     f"its limit is {model.velocity_max[joint]:.3g} rad/s"
                 )

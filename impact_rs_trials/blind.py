@@ -7,6 +7,7 @@ it, which ``blind score`` alone reads.
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from impact_rs_control.plan import plan_trial
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import Scene
 from impact_rs_sim.unmodelled import OUTSIDE
 from impact_rs_trials.bags.record import record_trial
-from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
+from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.writer import partial_path
+from impact_rs_trials.campaign import Trial
+from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.store import Folder, owned
 from impact_rs_trials.workers import Map
 
@@ -133,9 +134,7 @@ class BlindTask:
     """One trial of a blind campaign; everything a worker needs."""
 
     directory: str
-    scenario: str
-    key: TrialKey
-    seed: int
+    trial: Trial
     hidden: tuple[Hidden, ...]
     outside: str | None
     magnitude: float
@@ -147,19 +146,17 @@ def run_task(task: BlindTask) -> str:
     Raises:
         InputError: This machine does not see the campaign's folder.
     """
-    import shutil
-
-    path = Path(task.directory) / task.scenario / task.key.name
+    trial = task.trial
+    path = Path(task.directory) / trial.spec.scenario.name / trial.key.name
     if not Path(task.directory).is_dir():
         raise InputError("a worker does not find this folder; expected one that all workers share", file=task.directory)
     if path.exists():
         return "OK"
     shutil.rmtree(partial_path(path), ignore_errors=True)
-    scene = Scene.resolve(load_scenario(task.scenario), task.key.object, task.key.case)
-    plan = plan_trial(scene, task.key.scale)
-    info = TrialInfo.of(plan, task.key, task.key.seed(task.seed), "inprocess")
-    physics = hide(scene.physics, list(task.hidden))
-    extension = None if task.outside is None else OUTSIDE[task.outside](task.magnitude, task.key.repeat)
+    plan = trial.spec.plan
+    info = TrialInfo.of(plan, trial.key, trial.seed, "inprocess")
+    physics = hide(plan.scene.physics, list(task.hidden))
+    extension = None if task.outside is None else OUTSIDE[task.outside](task.magnitude, trial.repeat)
     outcome, _ = record_trial(plan, info, path, physics, extension)
     return outcome
 
@@ -175,19 +172,12 @@ def tasks(
     if size not in SIZES:
         raise InputError(f"no size {size!r}; known: {', '.join(SIZES)}")
     plan = SIZES[size]
-    keys = [
-        ("push", TrialKey(name, case, 1.0, repeat))
-        for name in plan.objects
-        for case in plan.cases
-        for repeat in range(plan.repeats)
-    ]
-    keys += [
-        ("excite", TrialKey("none", case, 1.0, repeat))
-        for case in load_scenario("excite").cases
-        for repeat in range(plan.excite_repeats)
-    ]
+    push, excite = load_scenario("push"), load_scenario("excite")
+    specs = [(TrialSpec.of(push, name, case), plan.repeats) for name in plan.objects for case in plan.cases]
+    specs += [(TrialSpec.of(excite, "none", case), plan.excite_repeats) for case in excite.cases]
     runs = str((directory / RUNS).absolute())  # a worker process may stand elsewhere
-    return [BlindTask(runs, scenario, key, seed, tuple(hidden), outside, magnitude) for scenario, key in keys]
+    trials = [Trial.of(spec, repeat, seed) for spec, repeats in specs for repeat in range(repeats)]
+    return [BlindTask(runs, trial, tuple(hidden), outside, magnitude) for trial in trials]
 
 
 def make(

@@ -1,12 +1,14 @@
 """Campaigns: a folder of trials with a manifest, run in parallel, resumed where they stopped.
 
 A trial is a pure function of scenario, key and campaign seed, so it does not matter where or in which order trials run.
-``manifest.yaml`` says what the folder holds; a finished bag is never run again, a half-written one is.
+``manifest.yaml`` says what the folder holds; a finished bag is never run again, a half-written one is. Why a trial was
+aborted stands in ``.failures/TRIAL.txt``, with the traceback of the process that ran it, until the trial is there.
 """
 
 from __future__ import annotations
 
 import functools
+import logging
 import shutil
 import socket
 from collections.abc import Callable, Iterable, Iterator
@@ -17,15 +19,14 @@ from typing import TYPE_CHECKING
 import yaml
 from pydantic import Field
 
-from impact_rs_control.plan import TrialPlan, plan_trial
-from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenario import Scenario, load_scenario
-from impact_rs_sim.scene import Scene
+from impact_rs_sim.errors import InputError, full_traceback
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import PositiveVector, Schema, parse_yaml, validate
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import Outcome, TrialInfo, TrialKey
 from impact_rs_trials.bags.writer import partial_path
+from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.store import Store, open_store, owned
 from impact_rs_trials.workers import SchedulerLost, Workforce, as_they_end, client_of
 
@@ -33,6 +34,9 @@ if TYPE_CHECKING:
     from distributed import Client
 
 MANIFEST = "manifest.yaml"
+FAILURES = ".failures"
+
+logger = logging.getLogger(__name__)
 
 
 class Manifest(Schema):
@@ -61,10 +65,10 @@ class Manifest(Schema):
         """One trial, with all that is needed to run it anywhere.
 
         Raises:
-            InputError: There is no such scenario (any more).
+            InputError: There is no such scenario (any more), or it has lost this object or case.
         """
-        scenario = load_scenario(self.scenario).model_dump_json()
-        return Trial(key, key.seed(self.seed), scenario, self.motor_inertia)
+        spec = TrialSpec.of(load_scenario(self.scenario), key.object, key.case, key.scale, self.motor_inertia)
+        return Trial.of(spec, key.repeat, self.seed)
 
 
 @dataclass(frozen=True)
@@ -72,16 +76,24 @@ class Trial:
     """One trial, with all that is needed to run it anywhere.
 
     Attributes:
-        key: Which trial of its campaign.
+        spec: What it has in common with its repeats.
+        repeat: Number of the repeat, from 0.
         seed: Seed of its random numbers.
-        scenario: Full text of the scenario, JSON.
-        motor_inertia: Motor-inertia model of the reference.
     """
 
-    key: TrialKey
+    spec: TrialSpec
+    repeat: int
     seed: int
-    scenario: str
-    motor_inertia: str
+
+    @classmethod
+    def of(cls, spec: TrialSpec, repeat: int, campaign_seed: int) -> Trial:
+        """The trial of a campaign with this seed."""
+        return cls(spec, repeat, TrialKey(spec.object, spec.case, spec.scale, repeat).seed(campaign_seed))
+
+    @property
+    def key(self) -> TrialKey:
+        """Which trial of its campaign."""
+        return TrialKey(self.spec.object, self.spec.case, self.spec.scale, self.repeat)
 
 
 @dataclass(frozen=True)
@@ -91,12 +103,14 @@ class TrialReport:
     Attributes:
         key: Which trial.
         outcome: OK, NO-IMPACT, DROPPED or ABORTED.
-        message: What went wrong, if anything.
+        message: What went wrong, if anything, in one line.
+        trace: Traceback of the process that ran it, or what its nodes wrote, where there is one.
     """
 
     key: TrialKey
     outcome: Outcome
     message: str = ""
+    trace: str = ""
 
 
 def make_manifest(
@@ -134,7 +148,7 @@ def make_manifest(
     )
     for name in manifest.objects:
         for case in manifest.cases:
-            Scene.resolve(scenario, name, case)
+            _ = TrialSpec.of(scenario, name, case).scene  # its pose can be reached
             if scenario.friction_compensation is not None:
                 scenario.friction_compensation.arms(name, case)
     return manifest
@@ -172,20 +186,6 @@ def still_to_run(store: Store, manifest: Manifest) -> list[TrialKey]:
     return [key for key in manifest.keys if key.name not in names]
 
 
-@functools.lru_cache(maxsize=16)
-def _scene(scenario: str, object_name: str, case_name: str) -> Scene:
-    return Scene.resolve(Scenario.model_validate_json(scenario), object_name, case_name)
-
-
-@functools.lru_cache(maxsize=16)
-def _plan(scenario: str, object_name: str, case_name: str, scale: float, inertia: str) -> TrialPlan:
-    """Repeats of a trial share its plan: inverse kinematics and impact map are solved once per worker.
-
-    The key is the scenario's content, for the file may be edited, or one that it names.
-    """
-    return plan_trial(_scene(scenario, object_name, case_name), scale, inertia)
-
-
 def run_one(directory: Path, trial: Trial) -> TrialReport:
     """Run one trial in-process and write its bag.
 
@@ -197,7 +197,7 @@ def run_one(directory: Path, trial: Trial) -> TrialReport:
     if path.exists():
         return TrialReport(key, _outcome(path))
     shutil.rmtree(partial_path(path), ignore_errors=True)
-    plan = _plan(trial.scenario, key.object, key.case, key.scale, trial.motor_inertia)
+    plan = trial.spec.plan
     info = TrialInfo.of(plan, key, trial.seed, "inprocess")
     outcome, _ = record_trial(plan, info, path)
     return TrialReport(key, outcome)
@@ -206,9 +206,27 @@ def run_one(directory: Path, trial: Trial) -> TrialReport:
 def _outcome(path: Path) -> Outcome:
     try:
         found = TrialBag(path).outcome
-    except BagError:
+    except BagError as error:
+        logger.info("a finished bag counts as ABORTED: %s", error)
         return "ABORTED"
     return found if found in ("OK", "NO-IMPACT", "DROPPED") else "ABORTED"  # type: ignore[return-value]
+
+
+def keep_failure(store: Store, report: TrialReport) -> TrialReport:
+    """Keep why a trial was aborted in ``.failures``; of a trial that is there, take away what an earlier run left.
+
+    Returns:
+        The report, as it came.
+    """
+    name = f"{FAILURES}/{report.key.name}.txt"
+    try:
+        if report.outcome == "ABORTED":
+            store.write(name, f"{report.message or 'aborted'}\n\n{report.trace}".rstrip() + "\n")
+        else:
+            store.remove(name)
+    except InputError as error:  # a full disk is why many a trial fails
+        logger.warning("%s", error)
+    return report
 
 
 TrialRunner = Callable[[Path, Trial], TrialReport]
@@ -238,11 +256,12 @@ def run_campaign(
         workforce = (workforce or Workforce()).at_most(len(todo))
         if workforce.in_process or not todo:
             for key in open_campaign(store, manifest):
-                yield run_in(store, run, manifest.trial(key))
+                yield keep_failure(store, run_in(store, run, manifest.trial(key)))
             return
         with client_of(workforce) as client:
             open_campaign(store, manifest)  # now that there are workers: without them nothing is left behind
-            yield from _run_on_cluster(client, store, run, map(manifest.trial, todo))
+            for report in _run_on_cluster(client, store, run, map(manifest.trial, todo)):
+                yield keep_failure(store, report)
 
 
 def _run_on_cluster(client: Client, store: Store, run: TrialRunner, trials: Iterable[Trial]) -> Iterator[TrialReport]:
@@ -276,6 +295,6 @@ def run_in(store: Store, run: TrialRunner, trial: Trial) -> TrialReport:
         with store.adding(key.name) as directory:
             return run(directory, trial)
     except InputError as error:
-        return TrialReport(key, "ABORTED", str(error))
+        return TrialReport(key, "ABORTED", str(error), full_traceback(error))
     except Exception as error:  # whatever it is, it is reported and the other trials go on
-        return TrialReport(key, "ABORTED", f"{type(error).__name__}: {error}")
+        return TrialReport(key, "ABORTED", f"{type(error).__name__}: {error}", full_traceback(error))

@@ -14,7 +14,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.friction_compensation import ArmFriction, FrictionCompensation
 from impact_rs_sim.model import Model
 from impact_rs_sim.scenario import Scenario, load_scenario, scenario_path
-from impact_rs_sim.scene import Scene
+from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.workers import Map
 
 KEY = "friction_compensation"
@@ -24,9 +24,7 @@ KEY = "friction_compensation"
 class ArmTask:
     """Identification of one arm in one set; everything a worker needs."""
 
-    scenario: Scenario
-    object: str
-    case: str
+    spec: TrialSpec
     arm: str
     runs: int
     seed: int
@@ -34,8 +32,7 @@ class ArmTask:
 
     def run(self) -> ArmFriction:
         """Run it."""
-        scene = Scene.resolve(self.scenario, self.object, self.case)
-        return identify_arm(scene, self.arm, self.runs, self.seed, self.effects)
+        return identify_arm(self.spec.scene, self.arm, self.runs, self.seed, self.effects)
 
 
 def identify(
@@ -68,7 +65,7 @@ def identify(
     for name in objects or []:
         scenario.object(name)
     tasks = [
-        ArmTask(scenario, name, case, arm, runs, seed, effects)
+        ArmTask(TrialSpec.of(scenario, name, case), arm, runs, seed, effects)
         for name in dict.fromkeys(objects or scenario.objects)
         for case in dict.fromkeys(scenario.case_name(case) for case in cases or scenario.cases)
         for arm in scenario.robots
@@ -76,7 +73,7 @@ def identify(
     sets: dict[str, dict[str, dict[str, ArmFriction]]] = {}
     progress(0, len(tasks))
     for number, (task, found) in enumerate(zip(tasks, map_tasks(ArmTask.run, tasks), strict=True), start=1):
-        sets.setdefault(task.object, {}).setdefault(task.case, {})[task.arm] = found
+        sets.setdefault(task.spec.object, {}).setdefault(task.spec.case, {})[task.arm] = found
         progress(number, len(tasks))
     return FrictionCompensation(
         scenario=scenario.name,

@@ -14,9 +14,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from impact_rs_sim.errors import InputError
+
+if TYPE_CHECKING:
+    from fsspec import AbstractFileSystem
 
 COMPLETE = "metadata.yaml"
 LOCK = ".lock"
@@ -52,10 +55,18 @@ class Store(ABC):
 
     @abstractmethod
     def write(self, name: str, text: str) -> None:
-        """Write a file of text; makes the place.
+        """Write a file of text; makes the place and the folder of the file.
 
         Raises:
             InputError: It cannot be written.
+        """
+
+    @abstractmethod
+    def remove(self, name: str) -> None:
+        """Remove a file, where it is there.
+
+        Raises:
+            InputError: It cannot be removed.
         """
 
     @abstractmethod
@@ -98,12 +109,23 @@ class Folder(Store):
     def write(self, name: str, text: str) -> None:
         """Write a file of text."""
         try:
-            self.path.mkdir(parents=True, exist_ok=True)
+            (self.path / name).parent.mkdir(parents=True, exist_ok=True)
             (self.path / name).write_text(text, encoding="utf-8")
         except OSError as error:
             with suppress(OSError):
                 (self.path / name).unlink()
             raise InputError(f"cannot be written: {error.strerror}", file=self.path / name) from None
+
+    def remove(self, name: str) -> None:
+        """Remove a file, and its folder where that is empty then."""
+        path = self.path / name
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise InputError(f"cannot be removed: {error.strerror}", file=path) from None
+        if path.parent != self.path:
+            with suppress(OSError):  # something else is in there
+                path.parent.rmdir()
 
     @contextmanager
     def adding(self, name: str) -> Iterator[Path]:
@@ -123,17 +145,26 @@ class Remote(Store):
 
     Args:
         url: Its URL, for example ``s3://bucket/push``.
-
-    Raises:
-        InputError: fsspec does not know the protocol, or lacks the package that speaks it.
+        files: The file system it is on.
+        root: Its path there.
     """
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, files: AbstractFileSystem, root: str) -> None:
+        self.url = url
+        self._files = files
+        self._root = root
+
+    @classmethod
+    def at(cls, url: str) -> Remote:
+        """The place of a URL.
+
+        Raises:
+            InputError: fsspec does not know the protocol, or lacks the package that speaks it.
+        """
         from fsspec.core import url_to_fs
 
-        self.url = url.rstrip("/")
         try:
-            self._files, self._root = url_to_fs(self.url)
+            return cls(url.rstrip("/"), *url_to_fs(url.rstrip("/")))
         except (ImportError, ValueError) as error:
             raise InputError(f"this URL cannot be used: {error}", file=url) from None
 
@@ -161,10 +192,19 @@ class Remote(Store):
     def write(self, name: str, text: str) -> None:
         """Write a file of text."""
         try:
-            self._files.makedirs(self._root, exist_ok=True)
+            self._files.makedirs(f"{self._root}/{name}".rsplit("/", 1)[0], exist_ok=True)
             self._files.pipe_file(f"{self._root}/{name}", text.encode("utf-8"))
         except Exception as error:  # as above
             raise InputError(f"cannot be written: {type(error).__name__}: {error}", file=f"{self.url}/{name}") from None
+
+    def remove(self, name: str) -> None:
+        """Remove a file, where it is there."""
+        try:
+            self._files.invalidate_cache()
+            if self._files.isfile(f"{self._root}/{name}"):
+                self._files.rm_file(f"{self._root}/{name}")
+        except Exception as error:  # as above
+            raise InputError(f"cannot be removed: {type(error).__name__}: {error}", file=f"{self.url}/{name}") from None
 
     @contextmanager
     def adding(self, name: str) -> Iterator[Path]:
@@ -207,7 +247,7 @@ def open_store(place: str | Path | Store) -> Store:
     if not is_url(place):
         return Folder(place)
     protocol, _, rest = str(place).partition("://")
-    return Folder(rest) if protocol in ("file", "local") else Remote(str(place))
+    return Folder(rest) if protocol in ("file", "local") else Remote.at(str(place))
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.version import package_version
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -121,8 +122,6 @@ def _check_workers(client: Client, address: str) -> None:
     Raises:
         InputError: It is not so.
     """
-    from impact_rs_trials.bags.trial_info import package_version
-
     try:
         client.wait_for_workers(1, timeout=WORKERS_TIMEOUT)
     except TimeoutError:

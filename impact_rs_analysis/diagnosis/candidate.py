@@ -120,6 +120,36 @@ class Candidate:
             jacobians=tuple(self.jacobians[number] for number in clusters),
         )
 
+    def without(self, name: str) -> Candidate:
+        """The same without one of several effects."""
+        part = self.part(name)
+        kept = [number for number, effect in enumerate(self.effects) if effect.name != name]
+        keep = np.setdiff1d(np.arange(self.point.size), np.arange(part.start, part.stop))
+        return replace(
+            self,
+            effects=tuple(self.effects[number] for number in kept),
+            sizes=tuple(self.sizes[number] for number in kept),
+            scalars=tuple(self.scalars[index] for index in keep),
+            lower=self.lower[keep],
+            upper=self.upper[keep],
+            point=self.point[keep],
+            jacobians=tuple(jacobian[:, keep] for jacobian in self.jacobians),
+        )
+
+    def fixed(self, *indices: int) -> Candidate:
+        """The same with some parameters held where they do nothing, as far as sensitivities know."""
+        chosen = list(indices)
+        off = ((self.nominal - self.point) / self.scale)[chosen]
+        frozen = []
+        for jacobian in self.jacobians:
+            copy = jacobian.copy()
+            copy[:, chosen] = 0.0
+            frozen.append(copy)
+        offsets = tuple(
+            offset + jacobian[:, chosen] @ off for offset, jacobian in zip(self.offsets, self.jacobians, strict=True)
+        )
+        return replace(self, offsets=offsets, jacobians=tuple(frozen))
+
     def split(self, vector: Array) -> Added:
         """Effect names with their own parameter values."""
         return tuple((effect.name, tuple(float(value) for value in vector[part])) for effect, part in self.parts)
@@ -151,7 +181,9 @@ def wanted(candidate: Candidate, numbers: Sequence[int], source: Source, where: 
         for effect, part in candidate.parts:
             if not where(effect, source.clusters[number]):
                 continue
-            for index, step in zip(range(part.start, part.stop), effect.steps(joints, candidate.point[part]), strict=True):
+            for index, step in zip(
+                range(part.start, part.stop), effect.steps(joints, candidate.point[part]), strict=True
+            ):
                 moved = candidate.point.copy()
                 moved[index] += step
                 parts = candidate.split(moved)
@@ -191,7 +223,9 @@ def linearise(
         for effect, part in candidate.parts:
             if not where(effect, item):
                 continue
-            for index, step in zip(range(part.start, part.stop), effect.steps(joints, candidate.point[part]), strict=True):
+            for index, step in zip(
+                range(part.start, part.stop), effect.steps(joints, candidate.point[part]), strict=True
+            ):
                 there = next(results)
                 if there is None:
                     return None
@@ -250,6 +284,18 @@ class Problem:
         counts = np.array([self.clusters[c].count * self.targets[c].size for c in chosen])
         gain = self.scores[chosen] @ change * 2.0 - np.einsum("p,cpq,q->c", change, self.information[chosen], change)
         return np.maximum(self._powers[chosen] - gain / counts, 0.0)
+
+    def rest(self, change: Array) -> list[Array]:
+        """What a change from the point leaves of the mean residuals, ``(F,)`` per cluster [-]."""
+        return [t - j @ change for t, j in zip(self.targets, self.candidate.jacobians, strict=True)]
+
+    @cached_property
+    def left_out_rest(self) -> list[Array]:
+        """What the estimates without one cluster each leave of it, ``(F,)`` per cluster [-]."""
+        return [
+            target - jacobian @ change
+            for target, jacobian, change in zip(self.targets, self.candidate.jacobians, self.left_out, strict=True)
+        ]
 
     @cached_property
     def left_out(self) -> Array:

@@ -31,8 +31,9 @@ from impact_rs_sim.schema import Schema
 
 LEVEL_PHASES = {"free_motion": ("free",), "trial": ("impact", "push")}
 LEVEL_TEXT = {
-    "jump": "velocity jump of the impact map against the one measured 20 to 40 ms after the impact, when the controller "
-    "has already begun to turn the joints (which are listed, and not in the number), or against the net-feedback estimate",
+    "jump": "velocity jump of the impact map against the one measured 20 to 40 ms after the impact, when the "
+    "controller has already begun to turn the joints (which are listed, and not in the number), or against the "
+    "net-feedback estimate",
     "free_motion": "torque balances and deflection in windows without contact",
     "trial": "the twin in closed loop: velocity, contact force, feedback and object motion",
     "recording": "torque balance of the arm while it touches nothing, both sides low-passed",
@@ -161,8 +162,8 @@ def _of_trials(source: TrialSource) -> ComparisonDocument:
         "size of the difference between measurement and twin over all features and conditions, 1 being what repetition "
         "alone gives"
         if repeated
-        else "size of the difference between measurement and twin over all features and conditions, in multiples of what "
-        "nobody cares about"
+        else "size of the difference between measurement and twin over all features and conditions, in multiples of "
+        "what nobody cares about"
     )
     levels = {"jump": _jump(entries)}
     levels |= {name: _level(name, clusters, phases) for name, phases in LEVEL_PHASES.items()}
@@ -189,7 +190,7 @@ def discrepancy_of(source: Source) -> DiscrepancyDocument:
     """What is allowed for the twin itself."""
     if not isinstance(source, TrialSource):
         return DiscrepancyDocument()
-    return DiscrepancyDocument(used=bool(source.discrepancy.entries), provenance=source.discrepancy.provenance)
+    return DiscrepancyDocument(used=bool(source.discrepancy.entries), provenance=source.discrepancy.in_words)
 
 
 def _jump(entries: Sequence[JumpEntry]) -> Level:
@@ -273,7 +274,9 @@ def _where(clusters: Sequence[Cluster]) -> list[Cell]:
                 times_noise=rounded(root_mean_square([row[0] for row in rows])),
             )
         )
-    return sorted(cells, key=lambda cell: (-cell.times_noise, cell.scenario, cell.object, cell.case, cell.signal, cell.index))
+    return sorted(
+        cells, key=lambda cell: (-cell.times_noise, cell.scenario, cell.object, cell.case, cell.signal, cell.index)
+    )
 
 
 def _of_recordings(source: RecordingSource) -> ComparisonDocument:

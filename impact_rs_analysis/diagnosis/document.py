@@ -1,7 +1,7 @@
 """The diagnosis as a file (``diagnosis.json``): one typed document, whatever was measured.
 
-Written by ``impact-rs diagnose``, read by ``add``, ``blind score``, ``history`` and the report. Files of version 0.1.0, of
-trials and of recordings, are still read.
+Written by ``impact-rs diagnose``, read by ``add``, ``blind score``, ``history`` and the report. Files of version 0.1.0,
+of trials and of recordings, are still read.
 """
 
 from __future__ import annotations
@@ -313,7 +313,7 @@ def _effect_of_first_format(effect: dict[str, Any]) -> dict[str, Any]:
 
 
 def _centre_of_mass(parameters: dict[str, Any]) -> dict[str, Any]:
-    """First moments of a payload, as version 0.1.0 told them of recordings, as its centre of mass; others as they are."""
+    """First moments of a payload, as version 0.1.0 told them, as its centre of mass; others as they are."""
     moments = {name: value for name, value in parameters.items() if name.startswith("first_moment_")}
     if not moments:
         return parameters

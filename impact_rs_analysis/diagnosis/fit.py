@@ -152,10 +152,7 @@ class Fit:
     @cached_property
     def rest(self) -> list[Array]:
         """What the fit leaves of the mean residuals, ``(F,)`` per cluster [-]."""
-        return [
-            target - jacobian @ self.change
-            for target, jacobian in zip(self.problem.targets, self.candidate.jacobians, strict=True)
-        ]
+        return self.problem.rest(self.change)
 
     @cached_property
     def left(self) -> Evidence:
@@ -214,9 +211,7 @@ def see_all(fitted: Fit) -> Fit:
     candidate, evidence = fitted.candidate, fitted.evidence
     if not candidate.unseen:
         return fitted
-    fresh = linearise(
-        replace(candidate, point=fitted.estimate), evidence.clusters, evidence.numbers, evidence.source
-    )
+    fresh = linearise(replace(candidate, point=fitted.estimate), evidence.clusters, evidence.numbers, evidence.source)
     if fresh is None:
         return fitted
     again = refine(fresh, evidence)

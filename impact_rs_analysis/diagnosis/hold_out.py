@@ -1,9 +1,9 @@
 """Hold-out: every cluster predicted by a search that has not seen it.
 
-What is held out sees neither the linearisation point, nor the shortlist, nor the choice: for every fold the whole search
-(:mod:`impact_rs_analysis.diagnosis.search`) is run on the other clusters, and the model with what it found is run in the
-fold. Conditions are held out with all their repeats; whole recordings, where there are several; stretches of neighbours
-with a guard on either side, where there is one.
+What is held out sees neither the linearisation point, nor the shortlist, nor the choice: for every fold the whole
+search (:mod:`impact_rs_analysis.diagnosis.search`) is run on the other clusters, and the model with what it found is
+run in the fold. Conditions are held out with all their repeats; whole recordings, where there are several; stretches of
+neighbours with a guard on either side, where there is one.
 """
 
 from __future__ import annotations

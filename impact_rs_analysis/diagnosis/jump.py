@@ -18,7 +18,6 @@ from impact_rs_analysis.measure.fit import FitError, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, compute_impact_map
 from impact_rs_sim.model import Model
-from impact_rs_sim.robot import Array
 from impact_rs_trials.bags.reader import BagError, TrialBag
 
 ENGINE = "pinocchio"
@@ -108,7 +107,7 @@ def _predict(condition: Condition, model: Model) -> dict[tuple[str, str, int], t
     """Name and value of each predicted number, by signal, index and time window of the measured feature."""
     plan = condition.plan
     scene = replace(plan.scene, physics=model.apply(plan.scene.physics))
-    problem = ImpactProblem.at_nominal_impact(scene, condition.motor_inertia)
+    problem = ImpactProblem.at_nominal_impact(scene, condition.spec.motor_inertia)
     result = compute_impact_map(problem, ENGINE)
     numbers: dict[tuple[str, str, int], tuple[str, float]] = {}
     along: list[float] = []

@@ -9,8 +9,8 @@ which is how much of the squared residual it explains. Two references know what 
 
 **Repeats** (:class:`RotationReference`). Repeats of a condition are written as a mean row sqrt(n_c) rbar_c and n_c - 1
 orthonormal contrasts; if nothing is missing, all rows of a layout are independent draws of one normal distribution,
-whatever its covariance. Given their Gram matrix, every rotation of them is then equally likely (Langsrud 2005, *Rotation
-tests*, Statistics and Computing 15), so the distribution of
+whatever its covariance. Given their Gram matrix, every rotation of them is then equally likely (Langsrud 2005,
+*Rotation tests*, Statistics and Computing 15), so the distribution of
 
     (s^T M^-1 s) / (the same of the contrasts)
 
@@ -18,8 +18,8 @@ under random rotations is exact for any number of features, however correlated, 
 parameter and one condition it is Student's t with n - 1 degrees of freedom.
 
 Where model discrepancy is known, scores have a second cause: d_f a_f in every cluster alike, with a_f standard normal.
-T is then held against draws of noise (normal, with the contrasts' covariance and its Student factor) plus discrepancy as
-well, and the larger p counts.
+T is then held against draws of noise (normal, with the contrasts' covariance and its Student factor) plus discrepancy
+as well, and the larger p counts.
 
 **Blocks** (:class:`BlockReference`). A recording has no repeats. Stretches longer than its noise remembers are
 independent of each other, and their scores about as likely to point one way as the other: signs are flipped at random
@@ -114,7 +114,7 @@ def rarity(observed: float, null: Array) -> float:
 
 @lru_cache(maxsize=32)
 def _frames(rows: int, count: int, seed: int) -> Array:
-    """Random orthonormal frames, uniform over all of them: the first ``count`` rows of rotations, ``(B, count, rows)``."""
+    """Random orthonormal frames, uniform over all: the first ``count`` rows of rotations, ``(B, count, rows)``."""
     rng = np.random.default_rng([seed, rows, count])
     basis, upper = np.linalg.qr(rng.standard_normal((DRAWS, rows, count)))
     return np.swapaxes(basis * np.sign(np.einsum("bii->bi", upper))[:, None, :], 1, 2)
@@ -285,7 +285,9 @@ class BlockReference(Reference):
         """See :attr:`Reference.shortage`."""
         if len(self.clusters) >= self.LEAST:
             return None
-        return f"{self.LEAST - len(self.clusters)} more stretches of motion: {len(self.clusters)} of {self.LEAST} needed"
+        return (
+            f"{self.LEAST - len(self.clusters)} more stretches of motion: {len(self.clusters)} of {self.LEAST} needed"
+        )
 
     @cached_property
     def _signs(self) -> Array:
@@ -311,9 +313,7 @@ class BlockReference(Reference):
 
     def covariance(self, jacobians: Sequence[Array], change: Array, inverse: Array) -> Array:
         """See :meth:`Reference.covariance`; neighbouring samples are not independent, blocks are."""
-        scores = np.array(
-            [j.T @ (item.mean - j @ change) for item, j in zip(self.clusters, jacobians, strict=True)]
-        )
+        scores = np.array([j.T @ (item.mean - j @ change) for item, j in zip(self.clusters, jacobians, strict=True)])
         count = len(self.clusters)
         return np.asarray(inverse @ (scores.T @ scores) @ inverse * count / (count - 1.0))
 

@@ -162,6 +162,10 @@ class Search:
 
     def p_values(self, chosen: Fit | None) -> dict[str, float]:
         """p per effect beside those already chosen, adjusted for looking at all (Benjamini and Hochberg)."""
+        return adjusted(self.raw_p_values(chosen))
+
+    def raw_p_values(self, chosen: Fit | None) -> dict[str, float]:
+        """p per effect beside those already chosen, as if it were the only one that was looked at."""
         raw = {}
         for name, candidate in self.singles.items():
             if chosen is None:
@@ -174,7 +178,7 @@ class Search:
                 problem, tested = chosen.evidence.problem(joined), slice(count, joined.point.size)
                 evidence = chosen.left
             raw[name] = problem.p_value(evidence.reference, tested)
-        return adjusted(raw)
+        return raw
 
     def choose(self, thrifty: bool = False) -> Fit | None:
         """Forward selection; None where nothing is accepted.
@@ -190,9 +194,11 @@ class Search:
             evidence = self.evidence if chosen is None else chosen.evidence
             errors = self.evidence.errors if chosen is None else chosen.held_out
             excess = evidence.excess(errors)
-            needed = LEAST_GAIN * excess if self.source.repeated else max(LEAST_GAIN * excess, LEAST_GAIN_OF_FIRST * first)
+            needed = (
+                LEAST_GAIN * excess if self.source.repeated else max(LEAST_GAIN * excess, LEAST_GAIN_OF_FIRST * first)
+            )
             likely = [n for n, p in p_values.items() if n not in self.ruled_out and (p < SIGNIFICANT or not decidable)]
-            linear = sorted((self._joined(chosen, name) for name in likely), key=lambda entry: entry.score)
+            linear = sorted((self.beside(chosen, name) for name in likely), key=lambda entry: entry.score)
             # What is small is linear: a proposal that gains nothing there will not gain by being fitted properly.
             if chosen is not None:
                 linear = [entry for entry in linear if excess - evidence.excess(entry.held_out) > 0.5 * needed]
@@ -209,7 +215,7 @@ class Search:
                 chosen = self._try_pairs(chosen)
         return chosen
 
-    def _joined(self, chosen: Fit | None, name: str) -> Fit:
+    def beside(self, chosen: Fit | None, name: str) -> Fit:
         """Linear fit of one more effect."""
         if chosen is None:
             return Fit.of(self._starts[name], self.evidence)
@@ -226,7 +232,9 @@ class Search:
         top = min(proposal.score for proposal in found)
         found = [see_all(proposal) if proposal.score <= HOPELESS * top else proposal for proposal in found]
         if not self.source.repeated:
-            found = [proposal for proposal in found if noticeable(proposal, 0 if chosen is None else chosen.change.size)]
+            found = [
+                proposal for proposal in found if noticeable(proposal, 0 if chosen is None else chosen.change.size)
+            ]
         if not found:
             return None
         best = min(found, key=lambda proposal: proposal.score)
@@ -236,13 +244,12 @@ class Search:
 
     def _without_the_superfluous(self, chosen: Fit) -> Fit:
         """Without effects that later ones made superfluous."""
-        for effect, part in chosen.candidate.parts:
+        for name in chosen.candidate.names:
             if len(chosen.candidate.effects) == 1:
                 break
-            keep = np.setdiff1d(np.arange(chosen.change.size), np.arange(part.start, part.stop))
-            others = self._others(chosen, effect.name)
+            others = self._others(chosen, name)
             reduced = evaluate_at(others, others.point, chosen.evidence)
-            if reduced is None or keep.size == 0:
+            if reduced is None:
                 continue
             fitted = refine(reduced, chosen.evidence)
             if fitted.score <= chosen.score:
@@ -252,20 +259,29 @@ class Search:
     @staticmethod
     def _others(chosen: Fit, name: str) -> Candidate:
         """The chosen effects but one, at their estimates, with the sensitivities they have."""
-        candidate = chosen.candidate
-        part = candidate.part(name)
-        keep = np.setdiff1d(np.arange(candidate.point.size), np.arange(part.start, part.stop))
-        kept = [number for number, effect in enumerate(candidate.effects) if effect.name != name]
-        return replace(
-            candidate,
-            effects=tuple(candidate.effects[number] for number in kept),
-            sizes=tuple(candidate.sizes[number] for number in kept),
-            scalars=tuple(candidate.scalars[index] for index in keep),
-            lower=candidate.lower[keep],
-            upper=candidate.upper[keep],
-            point=chosen.estimate[keep],
-            jacobians=tuple(jacobian[:, keep] for jacobian in candidate.jacobians),
-        )
+        return replace(chosen.candidate, point=chosen.estimate).without(name)
+
+    @staticmethod
+    def left_without(chosen: Fit, name: str) -> Evidence:
+        """The evidence less what the other chosen effects explain of it: residuals to test one effect by."""
+        part = chosen.candidate.part(name)
+        evidence = chosen.evidence
+        reduced = evidence.problem(chosen.candidate.fixed(*range(part.start, part.stop)))
+        rest = reduced.rest(reduced.solve())
+        return evidence.shifted([item.mean - left for item, left in zip(evidence.clusters, rest, strict=True)])
+
+    def joint_alternatives(self, chosen: Candidate, index: int) -> list[tuple[str, Candidate]]:
+        """The chosen effects with one joint's parameter exchanged for that joint's parameter of another effect."""
+        joint = chosen.scalars[index].joint
+        found = []
+        for name, single in self._starts.items():
+            if name in chosen.names or name in self.ruled_out:
+                continue
+            own = [number for number, scalar in enumerate(single.scalars) if scalar.joint == joint]
+            others = [number for number in range(single.point.size) if number not in own]
+            if own and len(own) < single.point.size:
+                found.append((name, chosen.fixed(index).beside(single.fixed(*others))))
+        return found
 
     def _try_pairs(self, chosen: Fit) -> Fit:
         """A pair found together may beat one found step by step."""
@@ -311,8 +327,18 @@ def tied(chosen: Fit, rival: Fit) -> bool:
 
     Clusters in which the two do the same say nothing about it.
     """
-    floor = chosen.evidence.expected / 2.0 + 1e-12
-    ratio = np.log((rival.held_out + floor) / (chosen.held_out + floor))
+    return tied_errors(chosen.held_out, rival.held_out, chosen.evidence.expected / 2.0 + 1e-12)
+
+
+def tied_errors(own: Array, other: Array, floor: Array | float) -> bool:
+    """Whether held-out errors by cluster ``(c,)`` of two explanations are the same, see :func:`tied`.
+
+    Args:
+        own: Of the one that was chosen.
+        other: Of the one that could stand in its place.
+        floor: Errors below which a ratio says nothing.
+    """
+    ratio = np.log((other + floor) / (own + floor))
     moved = np.abs(ratio) > 1e-3
     if not np.any(moved):
         return True

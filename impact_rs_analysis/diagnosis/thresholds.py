@@ -7,8 +7,11 @@ LEAST_FREEDOM = 3  # degrees of freedom of the pure error; with fewer a factor o
 LEAST_CLUSTERS = 3  # that can be held out: with two, one point decides about the other
 FOLDS = 6  # of the outer hold-out, at most: from five on, an error on unseen clusters changes little with their number
 NOTHING = 0.1  # p in free motion above which an effect of several parameters is not looked for in contact
-LEAST_GAIN = 0.10  # share of the excess error on unseen clusters that an accepted effect removes; less is no explanation
+LEAST_GAIN = (
+    0.10  # share of the excess error on unseen clusters that an accepted effect removes; less is no explanation
+)
 LEAST_GAIN_OF_FIRST = 0.05  # the same of the first excess, for recordings, where no lack of fit ends the search
+LEAST_GAIN_OF_JOINT = 0.05  # the same of one joint's whole error, for a verdict on that joint alone
 MOST = 0.5  # share of the excess that an answer explains if "most" is said of it
 LEAST_REST = 0.02  # share of the excess below which a rest is that of the fit: steps of finite differences, last digits
 TIE = 0.05  # log error on unseen clusters; explanations that are closer than 5 % are equally good

@@ -1,8 +1,8 @@
 """Recordings of free motion as a source of evidence: clusters are stretches of time, a torque balance predicts them.
 
-Stretches are about a second long, longer than the noise of a low-passed torque remembers. Torques are divided by the root
-mean square of what the model leaves in their joint, so that every joint counts alike; the pure error is the noise of the
-recorded torque below the cut-off.
+Stretches are about a second long, longer than the noise of a low-passed torque remembers. Torques are divided by the
+root mean square of what the model leaves in their joint, so that every joint counts alike; the pure error is the noise
+of the recorded torque below the cut-off.
 """
 
 from __future__ import annotations
@@ -89,8 +89,8 @@ class RecordingSource(Source):
         self.remarks = [
             "one recording is one condition: stretches of time are held out in its place, and whether the estimates "
             "hold at other speeds, poses or temperatures is not tested",
-            "nothing was repeated, so there is no pure error: the noise floor is that of the torque signal, and a model "
-            "error larger than it does not have to come from an effect of the library",
+            "nothing was repeated, so there is no pure error: the noise floor is that of the torque signal, and a "
+            "model error larger than it does not have to come from an effect of the library",
         ]
         if self.physics.arms[ARM].motor_inertia_reduced.max() == 0.0:
             self.remarks.append("the torque was measured behind the motors, so their inertia is not in it")
@@ -135,6 +135,17 @@ class RecordingSource(Source):
             replace(item, residuals=(rest[self._stretches[numbers[item.name]].rows].ravel() / item.sigma)[None, :])
             for item in like
         ]
+
+    def rest_with(self, added: Added) -> Array:
+        """Recorded minus predicted torque with effects on top of the model, ``(k, n)`` [N m].
+
+        Raises:
+            InputError: The effects leave no body.
+        """
+        torque = self._torque(added)
+        if torque is None:
+            raise InputError("with these effects the arm is no body")
+        return np.asarray(self.balance.recorded - torque)
 
     def _torque(self, added: Added) -> Array | None:
         """Predicted torque of all recordings, ``(k, n)`` [N m]; None where the effects leave no body."""

@@ -21,7 +21,7 @@ from impact_rs_analysis.evidence.twin import Start, observed_until, run_twin
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
-from impact_rs_trials.bags.trial_info import package_version
+from impact_rs_sim.version import package_version
 from impact_rs_trials.workers import Map
 
 CACHE_VERSION = 8

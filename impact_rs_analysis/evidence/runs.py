@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-import json
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,12 +11,11 @@ import numpy as np
 from impact_rs_analysis.evidence.features import Feature, extract, layout
 from impact_rs_analysis.evidence.signals import signals_of_bag
 from impact_rs_analysis.evidence.twin import Start
-from impact_rs_control.plan import TrialPlan, plan_trial
+from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import Scenario
-from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.workers import Map
 
 
@@ -26,20 +24,30 @@ class Condition:
     """What repeats have in common.
 
     Attributes:
-        scenario_json: The scenario, as stored in the bag.
-        scenario: Its name.
-        object: Name of the object.
-        case: Full name of the case.
-        scale: Post-impact reference velocity over predicted velocity [-].
-        motor_inertia: Motor-inertia model of the reference.
+        spec: What was run.
     """
 
-    scenario_json: str
-    scenario: str
-    object: str
-    case: str
-    scale: float
-    motor_inertia: str
+    spec: TrialSpec
+
+    @property
+    def scenario(self) -> str:
+        """Name of the scenario."""
+        return self.spec.scenario.name
+
+    @property
+    def object(self) -> str:
+        """Name of the object."""
+        return self.spec.object
+
+    @property
+    def case(self) -> str:
+        """Full name of the case."""
+        return self.spec.case
+
+    @property
+    def scale(self) -> float:
+        """Post-impact reference velocity over predicted velocity [-]."""
+        return self.spec.scale
 
     @property
     def label(self) -> str:
@@ -50,7 +58,7 @@ class Condition:
     @property
     def plan(self) -> TrialPlan:
         """References and nominal physics; the same for all repeats."""
-        return _plan(self)
+        return self.spec.plan
 
     @property
     def features(self) -> tuple[Feature, ...]:
@@ -58,18 +66,6 @@ class Condition:
         plan = self.plan
         joint_count = next(iter(plan.arms.values())).initial.size
         return layout(tuple(plan.arms), joint_count, plan.expects_impact)
-
-
-@functools.lru_cache(maxsize=64)
-def _plan(condition: Condition) -> TrialPlan:
-    scenario = _scenario(condition.scenario_json)
-    scene = Scene.resolve(scenario, condition.object, condition.case)
-    return plan_trial(scene, condition.scale, condition.motor_inertia)
-
-
-@functools.lru_cache(maxsize=8)
-def _scenario(text: str) -> Scenario:
-    return Scenario.model_validate(json.loads(text))
 
 
 @dataclass(frozen=True)
@@ -125,10 +121,7 @@ def read_trial(path: Path) -> MeasuredTrial | tuple[str, str]:
             return str(path), "NO-IMPACT: nothing was hit"
         if bag.outcome not in ("OK", "DROPPED"):
             return str(path), f"{bag.outcome}: the trial did not end"
-        info = bag.info
-        condition = Condition(
-            info.scenario_yaml, info.scenario, info.object, info.case_name, info.velocity_scale, info.motor_inertia
-        )
+        condition = Condition(bag.info.spec)
         plan = condition.plan
         signals = signals_of_bag(bag)
         features = extract(signals, plan)
@@ -154,3 +147,16 @@ def read_runs(directory: Path, map_tasks: Map) -> Runs:
         reason = f"; {len(skipped)} bag(s) cannot be used, the first because: {skipped[0][1]}" if skipped else ""
         raise InputError(f"no usable trials here{reason}", file=directory)
     return Runs(directory, trials, skipped)
+
+
+def runs_digest(directory: Path) -> str:
+    """Identity of the trials in a folder: names, scenarios and seeds; where the folder lies does not count."""
+    rows = []
+    for path in find_bags(directory):
+        try:
+            info = TrialBag(path).info
+        except BagError:
+            continue
+        scenario = hashlib.sha256(info.scenario_json.encode()).hexdigest()
+        rows.append(f"{path.name} {scenario} {info.seed}")
+    return hashlib.sha256("\n".join(sorted(rows)).encode()).hexdigest()[:16]

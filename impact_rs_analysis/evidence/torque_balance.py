@@ -6,8 +6,8 @@ tau is what was recorded; B only where the torque was measured at the motor. Pos
 same zero-phase low-pass (Butterworth, order 4, forwards and backwards), accelerations are central differences of the
 filtered velocity, the prediction passes the low-pass once more and so does the recorded torque; both ends are cut off.
 
-Effects are applied through :class:`~impact_rs_sim.physics.Physics`, as plant and twin apply them. An effect that changes
-no torque is not measured.
+Effects are applied through :class:`~impact_rs_sim.physics.Physics`, as plant and twin apply them. An effect that
+changes no torque is not measured.
 """
 
 from __future__ import annotations

@@ -93,7 +93,7 @@ def run_twin(plan: TrialPlan, physics: Physics, start: Start, until: float | Non
     """
     state = BodyState(start.object_position, pin.rpy.rpyToMatrix(0.0, 0.0, start.object_yaw), np.zeros(6))
     scene = replace(plan.scene, scenario=quiet(plan.scene.scenario), object=state)
-    plant = Plant(scene.scenario, physics, start.joints, state, seed=0)
+    plant = Plant.for_trial(scene.scenario, physics, start.joints, state, seed=0)
     collector = SignalCollector(plan)
     try:
         with without_garbage_collection():

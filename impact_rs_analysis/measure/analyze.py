@@ -16,12 +16,13 @@ import numpy as np
 
 from impact_rs_analysis.measure.fit import FitError, LineFit, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import TrialFeedback, net_feedback
-from impact_rs_analysis.measure.predictions import predict, recorded_scenario
+from impact_rs_analysis.measure.predictions import predict
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.schema import load
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.campaign import MANIFEST, Manifest
+from impact_rs_trials.spec import recorded_scenario
 
 LARGEST_SPREAD = 0.05  # s between the impacts of two arms; later, velocity feedback fights the second one
 
@@ -268,11 +269,11 @@ def _one_scenario_each(trials: list[TrialFeedback], skipped: list[Skipped]) -> l
     """Leave out trials recorded with another version of the scenario than most others of that name."""
     versions: dict[str, Counter[str]] = defaultdict(Counter)
     for trial in trials:
-        versions[trial.info.scenario][trial.info.scenario_yaml] += 1
+        versions[trial.info.scenario][trial.info.scenario_json] += 1
     common = {name: counter.most_common(1)[0][0] for name, counter in versions.items()}
     kept = []
     for trial in trials:
-        if trial.info.scenario_yaml == common[trial.info.scenario]:
+        if trial.info.scenario_json == common[trial.info.scenario]:
             kept.append(trial)
         else:
             reason = f"recorded with another version of scenario {trial.info.scenario!r} than most trials of the folder"
@@ -285,7 +286,7 @@ def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedba
     fit = fit_zero_crossing(
         np.array([trial.info.reference_post_velocity for trial in trials]), np.array([trial.net for trial in trials])
     )
-    scenario = recorded_scenario(info.scenario_yaml, directory / example.name)
+    scenario = recorded_scenario(info.scenario_json, directory / example.name)
     velocities = predict(scenario, info.object, info.case_name)
     return ExperimentSet(
         scenario=info.scenario,
@@ -305,7 +306,7 @@ def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedba
 def _in_order(sets: list[ExperimentSet], trials: list[TrialFeedback]) -> list[ExperimentSet]:
     """Sets as the scenario lists its objects and cases, not as folders sort."""
     order: dict[tuple[str, str, str], tuple[str, int, int]] = {}
-    for text, name in {(trial.info.scenario_yaml, trial.info.scenario) for trial in trials}:
+    for text, name in {(trial.info.scenario_json, trial.info.scenario) for trial in trials}:
         scenario = recorded_scenario(text, name)
         for i, thing in enumerate(scenario.objects):
             for j, case in enumerate(scenario.cases):

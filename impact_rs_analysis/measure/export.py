@@ -20,9 +20,10 @@ from impact_rs_analysis.measure.analyze import Skipped
 from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
+from impact_rs_sim.version import package_version
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import BagError, TrialBag
-from impact_rs_trials.bags.trial_info import TrialInfo, package_version
+from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.workers import Map
 
 NEEDS = {".parquet": "pyarrow", ".h5": "h5py", ".hdf5": "h5py"}

@@ -2,37 +2,19 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
 
 from impact_rs_control.plan import REFERENCE_ENGINE
-from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import Scene
-from impact_rs_sim.schema import validate
 
 MODEL_LABELS = {
     "reduced": "reduced motor inertia B_θ (nominal)",
     "rotor": "rotor motor inertia B_ρ",
     "zero": "no motor inertia, B = 0",
 }
-
-
-def recorded_scenario(text: str, file: str | Path) -> Scenario:
-    """The scenario that a bag carries (``scenario_yaml`` of its trial_info, JSON being YAML).
-
-    Raises:
-        InputError: It is no scenario.
-    """
-    try:
-        data = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"the recorded scenario cannot be read: {error}", file=file) from None
-    return validate(Scenario, data, file)
 
 
 def predict(scenario: Scenario, object_name: str, case_name: str, engine: str = REFERENCE_ENGINE) -> dict[str, float]:

@@ -6,8 +6,11 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from impact_rs_analysis.diagnosis.add import add_effect
+from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_cli.arguments import add_model, number
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
+from impact_rs_sim.model import load_model, save_model
 
 TEXT = f"""\
 Write a new model file: the old model and one effect with the parameters of a diagnosis.
@@ -38,9 +41,6 @@ def add(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    from impact_rs_analysis.diagnosis.document import add_effect, read_document
-    from impact_rs_sim.model import load_model, save_model
-
     model = load_model(args.model)
     document = read_document(args.source)
     child = add_effect(model, args.model, document, args.source, args.effect, args.output, args.force)

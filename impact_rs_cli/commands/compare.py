@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from impact_rs_cli.arguments import add_jobs, add_runs, number, on_local_runs, read, started
-from impact_rs_cli.commands.recordings import add_mapping, mapping_of, run_compare
+from rich.table import Table
+
+from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
+from impact_rs_analysis.diagnosis.history import history
+from impact_rs_analysis.diagnosis.jump import JOINTS
+from impact_rs_analysis.evidence.aligned import aligned_trials, check_free, write_aligned
+from impact_rs_analysis.report.comparison import write_comparison
+from impact_rs_cli.arguments import add_jobs, add_runs, number, on_local_runs
+from impact_rs_cli.measurements import Measurements, add_source, measured, only_trials
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
-
-if TYPE_CHECKING:
-    from impact_rs_analysis.diagnosis.compare import Comparison
-    from impact_rs_analysis.evidence.runs import Runs
-    from impact_rs_sim.model import Model
-    from impact_rs_trials.workers import Map
+from impact_rs_sim.model import Model, load_model
 
 TEXT = f"""\
 Compare a model with measurements, and show where it fails.
 
 On three levels: the velocity jump of the impact map, free motion, and the whole trial with the model's twin in closed
 loop. Differences are given in their units and in multiples of what repeating a trial explains; one score stands for
-all. Only measured signals are read.
+all, and 1 is what repetition alone gives. Only measured signals are read.
 
 example:
   {PROGRAM} compare campaigns/blind/runs --model config/models/nominal.yaml -o report
@@ -30,14 +32,14 @@ example:
 A recording of a real robot in free motion (a bag with sensor_msgs/JointState, CSV or NPZ) is compared on joint torque:
   {PROGRAM} compare recording.db3 --mapping joint_state
 
-Units: each difference says its own; scores are multiples of what repetition explains."""
+Units: each difference says its own; scores are multiples of what repetition alone gives, of recordings N m."""
 
 
 def add(subparsers: Any) -> None:
     """Declare the command."""
     parser = add_command(subparsers, "compare", run, "show where a model fails against trials", TEXT)
     add_runs(parser)
-    add_mapping(parser)
+    add_source(parser)
     parser.add_argument("-o", dest="output", type=Path, metavar="REPORT_DIR", help="folder for an HTML report")
     parser.add_argument(
         "--mcap", type=Path, metavar="DIR", help="folder for aligned bags: measured, predicted and residual signals"
@@ -49,95 +51,99 @@ def add(subparsers: Any) -> None:
 @on_local_runs
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    if (mapping := mapping_of(args)) is not None:
-        return run_compare(args, mapping, terminal)
-    from impact_rs_sim.model import load_model
-
     model = load_model(args.model)
-    with started(args) as map_tasks:
-        runs = read(args.runs, map_tasks, terminal)
-        comparison = comparison_of(runs, model, map_tasks, terminal)
-        if args.output is not None or args.mcap is not None:
-            _write(args, runs, model, comparison, map_tasks, terminal)
-    terminal.result(comparison.to_json())
+    with measured(args, terminal) as measurements:
+        if args.mcap is not None:
+            check_free(only_trials(measurements, "--mcap"), args.mcap)
+        document = comparison_of(measurements, model, terminal)
+        if args.mcap is not None:
+            _write_bags(args.mcap, measurements, model, terminal)
+        if args.output is not None:
+            versions = None
+            if model.parent is not None:
+                with measurements.progress():
+                    versions = history(args.model, measurements.against)
+            with output_folder(args.output):
+                path = write_comparison(document, measurements.tracks(model), versions, args.output)
+            terminal.say(f"report: {path.resolve()}")
+    terminal.result(document.model_dump(mode="json"))
     return 0
 
 
-def comparison_of(runs: Runs, model: Model, map_tasks: Map, terminal: Terminal) -> Comparison:
+def comparison_of(measurements: Measurements, model: Model, terminal: Terminal) -> ComparisonDocument:
     """Compare, and show the result."""
-    from impact_rs_analysis.diagnosis.compare import compare
-
-    with terminal.stages() as tell:
-        comparison = compare(runs, model, map_tasks, tell)
-    _show(comparison, terminal)
-    return comparison
+    with measurements.progress():
+        document = compare(measurements.against(model))
+    _show(document, terminal)
+    return document
 
 
-def _write(
-    args: argparse.Namespace, runs: Runs, model: Model, comparison: Comparison, map_tasks: Map, terminal: Terminal
-) -> None:
-    from impact_rs_analysis.diagnosis.history import history
-    from impact_rs_analysis.evidence.aligned import aligned_trials, check_free, write_aligned
-    from impact_rs_analysis.report.loop import write_comparison
-
-    if args.mcap is not None:
-        check_free(runs, args.mcap)
-    aligned = aligned_trials(runs, model, map_tasks)
-    if args.mcap is not None:
-        with output_folder(args.mcap), terminal.progress("aligned bags") as tell:
-            for count, trial in enumerate(aligned, start=1):
-                write_aligned(trial, args.mcap)
-                tell(count, len(aligned))
-        terminal.say(f"aligned bags: {len(aligned)} in {args.mcap.resolve()}")
-    if args.output is not None:
-        versions = None
-        if model.parent is not None:
-            with terminal.stages() as stage:
-                versions = history(args.model, runs, map_tasks, stage, [comparison])
-        with output_folder(args.output):
-            path = write_comparison(comparison, aligned, versions, args.output)
-        terminal.say(f"report: {path.resolve()}")
+def _write_bags(directory: Path, measurements: Measurements, model: Model, terminal: Terminal) -> None:
+    runs = only_trials(measurements, "--mcap")
+    with output_folder(directory), terminal.progress("aligned bags") as tell:
+        aligned = aligned_trials(runs, model, map)
+        for count, trial in enumerate(aligned, start=1):
+            write_aligned(trial, directory)
+            tell(count, len(aligned))
+    terminal.say(f"aligned bags: {len(aligned)} in {directory.resolve()}")
 
 
-def _show(comparison: Comparison, terminal: Terminal) -> None:
-    from rich.table import Table
-
-    from impact_rs_analysis.diagnosis.jump import JOINTS
-
-    document = comparison.to_json()
-    floor = comparison.noise_floor
+def _show(document: ComparisonDocument, terminal: Terminal) -> None:
+    floor = document.noise_floor
+    alone = "" if floor is None else f", noise alone gives {number(floor)}"
     terminal.say(
-        f"Model {comparison.model!r} against {len(comparison.runs.trials)} trials in "
-        f"{len(comparison.evidence)} conditions: score {number(comparison.score)}"
-        + ("" if floor is None else f", repetition alone would give {number(floor)}")
+        f"Model {document.model.name!r} against {document.trials} {document.source} in {len(document.conditions)} "
+        f"{'conditions' if document.source == 'trials' else 'files'}: score {number(document.score)}"
+        + (" N m" if document.score_unit == "N m" else "")
+        + alone
     )
-    table = Table(title="How large the differences are [multiples of what repetition explains]")
+    if (facts := document.recording) is not None:
+        terminal.say(
+            f"{facts.samples} samples at {number(facts.sampled_Hz)} Hz, {number(facts.used_s)} s used, {facts.robot}, "
+            f"{facts.end_effector_mass_kg:g} kg on the flange; low-pass {facts.low_pass_Hz:g} Hz"
+        )
+        _show_joints(document, terminal)
+    else:
+        _show_levels(document, terminal)
+    for remark in document.remarks:
+        terminal.say(f"note: {remark}")
+    if document.not_measured:
+        terminal.say(f"not measured: {', '.join(document.not_measured)}")
+
+
+def _show_joints(document: ComparisonDocument, terminal: Terminal) -> None:
+    table = Table(title="Torque that the model does not explain")
+    for heading in ("joint", "rms [N m]", "mean [N m]", "noise [N m]"):
+        table.add_column(heading, justify="left" if heading == "joint" else "right")
+    for row in document.levels["recording"].signals:
+        table.add_row(row.index, f"{row.error:.3f}", f"{row.mean or 0.0:+.3f}", f"{row.noise_floor:.3f}")
+    terminal.say(table)
+    for cell in document.where[:4]:
+        terminal.say(f"  {100 * cell.share:.0f} %: {cell.index} {cell.phase}, mean {cell.error:+.2f} N m")
+
+
+def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
+    table = Table(title="How large the differences are [times what repetition alone gives]")
     table.add_column("level")
     table.add_column("difference", justify="right")
     table.add_column("worst signal")
-    for level, content in document["levels"].items():
-        rows = content.get("signals") or [row for row in content["entries"] if row["signal"] != JOINTS]
-        if not rows:
+    for name, level in document.levels.items():
+        if level.signals:
+            row = max(level.signals, key=lambda row: row.times_noise)
+            worst = f"{row.signal}: {number(row.error)} {row.unit} rms"
+        elif entries := [entry for entry in level.entries if entry.signal != JOINTS]:
+            entry = max(entries, key=lambda entry: entry.times_noise)
+            worst = f"{entry.signal} {entry.index}: {entry.error:+.3g} {entry.unit}"
+        else:
             continue
-        worst = max(rows, key=lambda row: float(row["times_noise"]))
-        name = " ".join(filter(None, (worst["signal"], worst.get("index"))))
-        table.add_row(
-            level.replace("_", " "),
-            number(content["times_noise"]),
-            f"{name}: {worst['error']:+.3g} {worst['unit']}" if "index" in worst else
-            f"{name}: {number(worst['error'])} {worst['unit']} rms",
-        )  # fmt: skip
+        table.add_row(name.replace("_", " "), number(level.times_noise), worst)
     terminal.say(table)
     places = Table(title="Where it fails (measured minus model)")
     for heading in ("object", "case", "phase", "signal", ""):
         places.add_column(heading)
     places.add_column("error", justify="right")
     places.add_column("x noise", justify="right")
-    for cell in comparison.where[:8]:
-        places.add_row(
-            cell.object, cell.case, cell.phase, cell.signal, cell.index, f"{cell.error:+.3g} {cell.unit}",
-            number(cell.times_noise),
-        )  # fmt: skip
+    for cell in document.where[:8]:
+        error = f"{cell.error:+.3g} {cell.unit}"
+        places.add_row(cell.object, cell.case, cell.phase, cell.signal, cell.index, error, number(cell.times_noise))
     terminal.say(places)
-    for remark in comparison.remarks:
-        terminal.say(f"note: {remark}")

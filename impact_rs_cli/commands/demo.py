@@ -128,27 +128,28 @@ def _through_nodes(todo: list[tuple[Path, Manifest, TrialKey]], hidden: Model | 
 
 def _walk_the_loop(output: Path, runs_directory: Path, terminal: Terminal) -> dict[str, Any]:
     """Compare, diagnose, add, compare, history; what the story needs of them."""
-    from impact_rs_analysis.diagnosis.document import add_effect, write_document
+    from impact_rs_analysis.diagnosis.add import add_effect
+    from impact_rs_analysis.diagnosis.document import write_document
     from impact_rs_analysis.diagnosis.history import history
-    from impact_rs_analysis.evidence.aligned import aligned_trials
-    from impact_rs_analysis.report.loop import write_comparison, write_diagnosis
-    from impact_rs_cli.arguments import number, read
+    from impact_rs_analysis.report.comparison import write_comparison
+    from impact_rs_cli.arguments import number
     from impact_rs_cli.commands.compare import comparison_of
-    from impact_rs_cli.commands.diagnose import document_of_runs
+    from impact_rs_cli.commands.diagnose import diagnosis_of, report_of
     from impact_rs_cli.commands.history import show_history
+    from impact_rs_cli.measurements import Measurements, read
     from impact_rs_sim.model import load_model, save_model
     from impact_rs_trials.workers import Workforce, workers
 
     diagnosis_file, model_file, reports = output / "diagnosis.json", output / "model_2.yaml", output / "report"
     model = load_model(MODEL)
     with workers(Workforce(min(2, os.cpu_count() or 1))) as map_tasks:
-        runs = read(runs_directory, map_tasks, terminal)
+        measurements = Measurements(map_tasks, terminal, read(runs_directory, map_tasks, terminal))
         terminal.say("", "2. Where does the model fail?")
-        before = comparison_of(runs, model, map_tasks, terminal)
+        before = comparison_of(measurements, model, terminal)
         terminal.say("", f"3. Which effect is missing? Considered here: {', '.join(CONSIDERED)}.")
-        document = document_of_runs(runs, model, model, CONSIDERED, map_tasks, terminal)
+        document = diagnosis_of(measurements, model, model, CONSIDERED, terminal)
         write_document(document, diagnosis_file)
-        write_diagnosis(document, before, aligned_trials(runs, model, map_tasks), None, reports)
+        report_of(document, measurements, Path(MODEL), model, reports)
         correct = HIDDEN in document.named or any(HIDDEN in group for group in document.confusable)
         story: dict[str, Any] = {"hidden": HIDDEN, "named": list(document.named), "correct": correct}
         if not document.named:
@@ -159,11 +160,11 @@ def _walk_the_loop(output: Path, runs_directory: Path, terminal: Terminal) -> di
         model_file.unlink(missing_ok=True)  # of an earlier run of the demonstration
         save_model(add_effect(model, Path(MODEL), document, diagnosis_file, name, model_file, False), model_file)
         child = load_model(model_file)
-        after = comparison_of(runs, child, map_tasks, terminal)
-        with terminal.stages() as tell:
-            versions = history(model_file, runs, map_tasks, tell, [before, after])
+        after = comparison_of(measurements, child, terminal)
+        with measurements.progress():
+            versions = history(model_file, measurements.against)
         show_history(versions, terminal)
-        write_comparison(after, aligned_trials(runs, child, map_tasks), versions, reports)
+        write_comparison(after, measurements.tracks(child), versions, reports)
     found = document.effect(name)
     assert found is not None
     estimate = next(iter(found.parameters.values()))
@@ -173,7 +174,7 @@ def _walk_the_loop(output: Path, runs_directory: Path, terminal: Terminal) -> di
         f"The plant hid {HIDDEN} = {HIDDEN_VALUE:g}. The diagnosis named {' and '.join(document.named)} = "
         f"{number(estimate.estimate)} [{number(estimate.interval[0])}, {number(estimate.interval[1])}], "
         f"and the error of the model fell from {number(before.score)} to {number(after.score)} times what repetition "
-        "explains.",
+        "alone gives.",
         f"Reports: {(reports / 'diagnosis.html').resolve()}",
         f"         {(reports / 'compare.html').resolve()}",
         "Type next:",

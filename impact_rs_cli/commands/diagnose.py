@@ -4,28 +4,41 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from impact_rs_cli.arguments import add_jobs, add_runs, estimates_table, number, on_local_runs, read, started
-from impact_rs_cli.commands.recordings import add_mapping, mapping_of, run_diagnose
+import numpy as np
+from rich.table import Table
+
+from impact_rs_analysis.diagnosis.compare import compare
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.document import (
+    NO_IMPROVEMENT,
+    TOO_FEW,
+    UNIDENTIFIABLE,
+    DiagnosisDocument,
+    EstimateDocument,
+    write_document,
+)
+from impact_rs_analysis.diagnosis.history import history
+from impact_rs_analysis.report.diagnosis import write_diagnosis
+from impact_rs_cli.arguments import add_jobs, add_runs, number, on_local_runs
+from impact_rs_cli.measurements import Measurements, add_source, added_of, measured
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
-
-if TYPE_CHECKING:
-    from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-    from impact_rs_analysis.evidence.runs import Runs
-    from impact_rs_sim.effects.formula import FormulaEffect
-    from impact_rs_sim.model import Model
-    from impact_rs_trials.workers import Map
+from impact_rs_sim.effects.formula import FormulaEffect, load_formulas
+from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.model import Model, load_model
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import Scene
 
 TEXT = f"""\
 Find out which physical effect is missing in a model.
 
-Every effect of the library ({PROGRAM} effects lists them) and of your own formulas is fitted to the trials through the
-model's twin, and judged by how well it predicts conditions that the fit has not seen. Says CONFIRMED,
-CONFUSABLE-WITH{{...}}, NOT-IDENTIFIABLE, NO-IMPROVEMENT or AT-BOUND of each, and NOTHING-MISSING or NONE-EXPLAINS of
-all where that is the answer.
+Every effect of the library ({PROGRAM} effects lists them) and of your own formulas is fitted to the measurements, and
+judged by how well it predicts conditions that no part of the search has seen. Says CONFIRMED, CONFUSABLE-WITH{{...}},
+PRESENT-BUT-SMALL, NOT-IDENTIFIABLE, NO-IMPROVEMENT or AT-BOUND of each, and NOTHING-MISSING, NONE-EXPLAINS,
+PARTLY{{...}} or TOO-FEW-REPEATS of all where that is the answer.
 
-Needs at least three conditions (object x case), some of them repeated; a free motion there and back (scenario excite)
+Needs at least three conditions (object x case) and three repeats in all; a free motion there and back (scenario excite)
 tells friction, offset and gain of the torque apart.
 
 example:
@@ -36,14 +49,16 @@ example:
 A recording of a real robot in free motion (a bag with sensor_msgs/JointState, CSV or NPZ) is compared on joint torque:
   {PROGRAM} diagnose recording.db3 --mapping joint_state
 
-Units: each estimate says its own; errors are multiples of what repetition explains."""
+Units: each estimate says its own; errors are multiples of what repetition alone gives, of recordings N m."""
+
+MOST_SHOWN = 8
 
 
 def add(subparsers: Any) -> None:
     """Declare the command."""
     parser = add_command(subparsers, "diagnose", run, "name the physical effect that a model lacks", TEXT)
     add_runs(parser)
-    add_mapping(parser)
+    add_source(parser)
     parser.add_argument("-o", dest="output", type=Path, metavar="FILE.json", help="file for the diagnosis")
     parser.add_argument("--effects", nargs="+", metavar="NAME", help="consider only these; default: all")
     parser.add_argument("--formulas", type=Path, metavar="FILE.yaml", help="consider your own effects as well")
@@ -55,37 +70,19 @@ def add(subparsers: Any) -> None:
 @on_local_runs
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    if (mapping := mapping_of(args)) is not None:
-        return run_diagnose(args, mapping, terminal)
-    from impact_rs_analysis.diagnosis.document import write_document
-    from impact_rs_analysis.diagnosis.history import history
-    from impact_rs_sim.errors import InputError
-    from impact_rs_sim.model import load_model
-
     model = load_model(args.model)
     if args.output is not None and args.output.is_dir():
         raise InputError("this is a folder; name a file, for example diagnosis.json", file=args.output)
     extended = with_formulas(model, args.formulas)
     check_effects(extended, args.effects)
-    with started(args) as map_tasks:
-        runs = read(args.runs, map_tasks, terminal)
-        document = document_of_runs(runs, model, extended, args.effects, map_tasks, terminal)
+    with measured(args, terminal) as measurements:
+        document = diagnosis_of(measurements, model, extended, args.effects, terminal)
         if args.output is not None:
             with output_folder(args.output.parent):
                 write_document(document, args.output)
         if args.report is not None:
-            from impact_rs_analysis.diagnosis.compare import compare
-            from impact_rs_analysis.evidence.aligned import aligned_trials
-            from impact_rs_analysis.report.loop import write_diagnosis
-
-            with terminal.stages() as tell:
-                comparison = compare(runs, model, map_tasks, tell)
-                versions = (
-                    history(args.model, runs, map_tasks, tell, [comparison]) if model.parent is not None else None
-                )
-                aligned = aligned_trials(runs, model, map_tasks)
             with output_folder(args.report):
-                path = write_diagnosis(document, comparison, aligned, versions, args.report)
+                path = report_of(document, measurements, args.model, extended, args.report)
             terminal.say(f"report: {path.resolve()}")
     terminal.result(document.model_dump(mode="json"))
     if args.output is not None:
@@ -101,13 +98,10 @@ def with_formulas(model: Model, path: Path | None) -> Model:
     """The model, knowing the formulas of a file as well.
 
     Raises:
-        InputError: The file is no formula file, or a name is taken.
+        InputError: The file is no formula file, a name is taken, or a formula blows up.
     """
     if path is None:
         return model
-    from impact_rs_sim.effects.formula import load_formulas
-    from impact_rs_sim.errors import InputError
-
     own = load_formulas(path)
     for name in own:
         if name in model.known_effects:
@@ -117,34 +111,21 @@ def with_formulas(model: Model, path: Path | None) -> Model:
 
 
 def _try_out(effects: dict[str, FormulaEffect], path: Path) -> None:
-    """Evaluate formulas once at rest, at nominal values and a step away, before hours are spent on bags.
+    """Evaluate formulas once, at nominal values and a step away, before hours are spent on measurements.
 
     Raises:
         InputError: One of them blows up.
     """
-    import numpy as np
-
-    from impact_rs_sim.errors import InputError
-    from impact_rs_sim.model import JOINT_COUNT
-    from impact_rs_sim.physics import LoadState
-    from impact_rs_sim.scenario import load_scenario
-    from impact_rs_sim.scene import Scene
-
     scenario = load_scenario("push")
     scene = Scene.resolve(scenario, next(iter(scenario.objects)), next(iter(scenario.cases)))
     name, arm = next(iter(scene.arms.items()))
-    twist = scene.models[name].jacobian(arm.position) @ arm.velocity
-    place = scene.models[name].placement(arm.position).translation
-    state = LoadState(0.0, arm.position, arm.velocity, place, twist[:3], place)
+    joints = arm.position.size
     for effect in effects.values():
-        nominal = np.array([scalar.nominal for scalar in effect.scalars(JOINT_COUNT)])
-        step = np.array([scalar.scale for scalar in effect.scalars(JOINT_COUNT)])
-        for vector in (nominal, nominal + step):
-            load = effect.apply_vector(scene.physics, vector).arms[name].loads[-1]
+        step = np.array([scalar.scale for scalar in effect.scalars(joints)])
+        for vector in (effect.nominal(joints), effect.nominal(joints) + step):
             try:
-                load.joint_torque(state)
-                load.motor_torque(state)
-                load.end_effector_force(state)
+                physics = effect.apply_vector(scene.physics, vector)
+                physics.load_torques(name, scene.models[name], 0.0, arm.position, arm.velocity)
             except InputError as error:
                 raise InputError(error.message, file=path) from None
 
@@ -155,8 +136,6 @@ def check_effects(model: Model, names: list[str] | None) -> None:
     Raises:
         InputError: An unknown effect, or one that the model has already.
     """
-    from impact_rs_sim.errors import InputError, did_you_mean
-
     known = model.known_effects
     present = {item.name for item in model.effects}
     for name in names or []:
@@ -168,55 +147,102 @@ def check_effects(model: Model, names: list[str] | None) -> None:
             raise InputError(f"model {model.name!r} has effect {name!r} already; diagnose looks for what is missing")
 
 
-def document_of_runs(
-    runs: Runs, model: Model, extended: Model, only: list[str] | None, map_tasks: Map, terminal: Terminal
+def diagnosis_of(
+    measurements: Measurements, model: Model, extended: Model, only: list[str] | None, terminal: Terminal
 ) -> DiagnosisDocument:
     """Diagnose, and show the result.
 
     Args:
-        runs: Measurements.
+        measurements: What was measured.
         model: The model as its file says it.
         extended: The same, knowing further formulas.
         only: Names of the effects to consider; None: all.
-        map_tasks: Parallel map.
         terminal: Where to show it.
     """
-    from impact_rs_analysis.diagnosis.diagnose import diagnose
-    from impact_rs_analysis.diagnosis.document import document_of
-
-    with terminal.stages() as tell:
-        found = diagnose(runs, extended, map_tasks, tell, only)
+    with measurements.progress():
+        document = diagnose(measurements.against(extended), model, only)
     new = tuple(spec for spec in extended.formulas if spec not in model.formulas)
-    document = document_of(found, runs, model, new)
+    document = document.model_copy(update={"formulas": new})
     _show(document, terminal)
     return document
 
 
+def report_of(
+    document: DiagnosisDocument, measurements: Measurements, model_file: Path, model: Model, directory: Path
+) -> Path:
+    """Write the report of a diagnosis.
+
+    Args:
+        document: The diagnosis.
+        measurements: Of what.
+        model_file: File of the diagnosed model.
+        model: The same, knowing all formulas that were considered.
+        directory: Folder of the report.
+    """
+    with measurements.progress():
+        source = measurements.against(model)
+        versions = history(model_file, measurements.against) if model.parent is not None else None
+        parameters = {effect.name: effect.parameters for effect in document.effects}
+        added = added_of(document.named, parameters, model, source.joint_count)
+        tracks = measurements.tracks(model, added)
+    return write_diagnosis(document, compare(source), tracks, versions, directory)
+
+
 def _show(document: DiagnosisDocument, terminal: Terminal) -> None:
-    from rich.table import Table
-
-    from impact_rs_analysis.report.words import verdict_in_words
-
-    terminal.say(f"{document.verdict}", verdict_in_words(document))
-    table = Table(title="Effects, best first (error on unseen conditions, multiples of what repetition explains)")
+    terminal.say(document.verdict, document.summary)
+    if document.hold_out.folds:
+        terminal.say(f"held out: {document.hold_out.what}")
+    if document.joints:
+        table = Table(title="Held-out torque error by joint [N m rms]")
+        for heading in ("", *(row.joint for row in document.joints)):
+            table.add_column(heading, justify="right")
+        for name in ("before", "after", "noise"):
+            table.add_row(name, *(f"{getattr(row, name):.3f}" for row in document.joints))
+        terminal.say(table)
+    shown = [effect for effect in document.effects if effect.measured]
+    table = Table(title=f"Effects, best first (error on unseen data, {document.error_unit})")
     table.add_column("effect", no_wrap=True)
     table.add_column("verdict", overflow="fold")
     table.add_column("error", justify="right", no_wrap=True)
-    table.add_column("p", justify="right")
-    for effect in document.effects[:8]:
-        table.add_row(
-            effect.name,
-            effect.verdict,
-            f"{number(effect.held_out_error_before)} → {number(effect.held_out_error_after)}",
-            f"{effect.p_value:.1g}",
-        )
+    table.add_column("p", justify="right", no_wrap=True)
+    for effect in shown[:MOST_SHOWN]:
+        error = f"{number(effect.held_out_error_before or 0.0)} → {number(effect.held_out_error_after or 0.0)}"
+        table.add_row(effect.name, effect.verdict, error, p_text(effect.p_value, document.design.least_p))
     terminal.say(table)
-    chosen = [effect for effect in document.effects if effect.verdict not in ("NO-IMPROVEMENT", "NOT-IDENTIFIABLE")]
-    for effect in chosen:
-        terminal.say(estimates_table(effect.name, [(name, p, "") for name, p in effect.parameters.items()]))
-    if len(document.effects) > 8:
-        terminal.say(f"and {len(document.effects) - 8} more effects, none of them better")
+    for effect in shown:
+        if effect.verdict not in (NO_IMPROVEMENT, UNIDENTIFIABLE, TOO_FEW):
+            terminal.say(estimates_table(effect.name, effect.parameters))
+            for size in effect.sizes[:1]:
+                terminal.say(f"  moves {size.signal} ({size.phase}) by up to {number(size.value)} {size.unit}")
+    if len(shown) > MOST_SHOWN:
+        terminal.say(f"and {len(shown) - MOST_SHOWN} more effects, none of them better")
+    if missing := [effect.name for effect in document.effects if not effect.measured]:
+        terminal.say(f"not measured here: {', '.join(missing)}")
     for remark in document.remarks:
         terminal.say(f"note: {remark}")
-    if document.next_experiment:
-        terminal.say(f"next experiment: {document.next_experiment['advice']}")
+    if document.next_experiment is not None:
+        terminal.say(f"next experiment: {document.next_experiment.advice}")
+
+
+def p_text(value: float | None, least: float) -> str:
+    """p for people; below what noise is known to do, as a bound."""
+    if value is None:
+        return "–"
+    return f"< {least:g}" if value <= least else f"{value:.2g}"
+
+
+def estimates_table(effect: str, parameters: dict[str, EstimateDocument]) -> Table:
+    """Estimates of one effect with their intervals and what is said of each joint."""
+    table = Table(title=effect, title_justify="left")
+    table.add_column("parameter", no_wrap=True)
+    table.add_column("estimate", justify="right", no_wrap=True)
+    table.add_column("95 % interval", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    told = any(value.verdict is not None for value in parameters.values())
+    if told:
+        table.add_column("verdict", overflow="fold")
+    for name, value in parameters.items():
+        interval = "" if value.ci95 is None else f"{number(value.ci95[0])} ... {number(value.ci95[1])}"
+        cells = [name, number(value.estimate), interval, value.unit.strip("-")]
+        table.add_row(*cells, *([value.verdict or ""] if told else []))
+    return table

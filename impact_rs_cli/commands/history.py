@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from impact_rs_cli.arguments import RUNS, add_jobs, number, on_local_runs, read, started
+from rich.table import Table
+
+from impact_rs_analysis.diagnosis.history import VersionError, history, versions
+from impact_rs_analysis.report.history import write_history
+from impact_rs_cli.arguments import RUNS, add_jobs, number, on_local_runs
+from impact_rs_cli.measurements import add_source, measured
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
-
-if TYPE_CHECKING:
-    from impact_rs_analysis.diagnosis.history import VersionError
 
 TEXT = f"""\
 Show the error of every version of a model, from the first parent to the file that is named.
@@ -22,7 +24,7 @@ example:
   {PROGRAM} history model_3.yaml --runs campaigns/blind/runs
   {PROGRAM} history model_3.yaml --runs campaigns/blind/runs -o report --json
 
-Units: errors are multiples of what repetition explains."""
+Units: errors are multiples of what repetition alone gives; of recordings, of the noise of the torque."""
 
 
 def add(subparsers: Any) -> None:
@@ -31,6 +33,7 @@ def add(subparsers: Any) -> None:
     parser.add_argument("model", type=Path, metavar="MODEL.yaml", help="the last model")
     parser.add_argument("--runs", required=True, metavar="RUNS", help=RUNS)
     parser.add_argument("-o", dest="output", type=Path, metavar="DIR", help="folder for an HTML page with the plot")
+    add_source(parser)
     add_jobs(parser)
     add_json(parser)
 
@@ -38,18 +41,12 @@ def add(subparsers: Any) -> None:
 @on_local_runs
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    from impact_rs_analysis.diagnosis.history import history, versions
-
     versions(args.model)  # a broken chain is told before anything is read
-    with started(args) as map_tasks:
-        runs = read(args.runs, map_tasks, terminal)
-        with terminal.stages() as tell:
-            found = history(args.model, runs, map_tasks, tell)
+    with measured(args, terminal) as measurements, measurements.progress():
+        found = history(args.model, measurements.against)
     terminal.result({"history": [entry.to_json() for entry in found]})
     show_history(found, terminal)
     if args.output is not None:
-        from impact_rs_analysis.report.loop import write_history
-
         with output_folder(args.output):
             path = write_history(found, args.output)
         terminal.say(f"plot: {path.resolve()}")
@@ -58,9 +55,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 def show_history(found: list[VersionError], terminal: Terminal) -> None:
     """The table."""
-    from rich.table import Table
-
-    table = Table(title="Error per model version [multiples of what repetition explains]")
+    table = Table(title="Error per model version [times what repetition alone gives]")
     for heading in ("model", "effect added"):
         table.add_column(heading)
     for heading in ("fit", "held out", "repetition alone"):

@@ -271,5 +271,5 @@ def load_formulas(path: str | Path) -> dict[str, FormulaEffect]:
         return {spec.name: FormulaEffect(spec) for spec in load(FormulaFile, path).effects}
     except InputError as error:
         if error.file is None:
-            raise InputError(error.message, file=path) from None
+            raise error.in_file(path) from None
         raise

@@ -102,7 +102,7 @@ class BulletEngine(Engine):
     def _world(self, motor_inertia: Mapping[str, Array]) -> _World:
         key = b"".join(np.asarray(motor_inertia[name], dtype=float).tobytes() for name in self.physics.arms)
         if key not in self._worlds:
-            self._worlds[key] = _World(self.physics, motor_inertia)
+            self._worlds[key] = _World.load(self.physics, motor_inertia)
             while len(self._worlds) > self._KEPT:
                 self._worlds.popitem(last=False)[1].bullet.close()
         self._worlds.move_to_end(key)
@@ -114,7 +114,7 @@ class BulletEngine(Engine):
         world.place(problem, system.velocity)
         world.bullet.client.performCollisionDetection()
         contacts = world.contacts()
-        terms = ContactTerms(system, contacts, problem.restitution)
+        terms = ContactTerms.of(system, contacts, problem.restitution)
         if not contacts:
             return Answer(terms, np.zeros((0, 3)), system.velocity.copy(), 0)
         run = _Run(
@@ -206,7 +206,14 @@ class _Place:
 class _World:
     """A Bullet world whose links carry their rotors as discs."""
 
-    def __init__(self, physics: Physics, motor_inertia: Mapping[str, Array]) -> None:
+    def __init__(self, bullet: BulletWorld) -> None:
+        self.bullet = bullet
+        self._models = {name: bullet.physics.robot_model(name) for name in bullet.physics.arms}
+        self._places: dict[str, _Place] = {}
+
+    @classmethod
+    def load(cls, physics: Physics, motor_inertia: Mapping[str, Array]) -> _World:
+        """The world of a scene, with these rotors."""
         arms = {}
         for name, arm in physics.arms.items():
             links = tuple(
@@ -214,10 +221,8 @@ class _World:
                 for link, rotor in zip(arm.facts.links, motor_inertia[name], strict=True)
             )
             arms[name] = replace(arm, facts=arm.facts.model_copy(update={"links": links}))
-        self.physics = replace(physics, arms=arms)
-        self._models = {name: self.physics.robot_model(name) for name in arms}
-        self.bullet = BulletWorld(
-            self.physics,
+        bullet = BulletWorld.load(
+            replace(physics, arms=arms),
             time_step=_STEP,
             gravity=False,
             compliant_pads=False,
@@ -225,11 +230,11 @@ class _World:
             residual_threshold=_SETTLED,
             contact_erp=0.0,
         )
-        for name, body in self.bullet.arms.items():
+        for name, body in bullet.arms.items():
             # A call of its own: next to some other arguments Bullet ignores the friction of a link without a word.
-            link = self.bullet.end_effector_link[name]
-            self.bullet.client.changeDynamics(body, link, lateralFriction=physics.pad_friction)
-        self._places: dict[str, _Place] = {}
+            link = bullet.end_effector_link[name]
+            bullet.client.changeDynamics(body, link, lateralFriction=physics.pad_friction)
+        return cls(bullet)
 
     def inertia(self, problem: ImpactProblem, system: System) -> Array:
         """M' of the whole system, ``(nv, nv)``."""
@@ -251,7 +256,7 @@ class _World:
                 assert self.bullet.support is not None
                 body, origin = self.bullet.support, meeting.box.centre
             else:
-                body, origin = self.bullet.arms[name], self.physics.arms[name].base.translation
+                body, origin = self.bullet.arms[name], self.bullet.physics.arms[name].base.translation
             _, rotation = client.getBasePositionAndOrientation(body)
             client.resetBasePositionAndOrientation(body, (origin + shift).tolist(), rotation)
             self._places[name] = _Place(body, shift)
@@ -279,7 +284,7 @@ class _World:
 
     def contacts(self) -> list[ContactPoint]:
         """Bullet's contact points, moved back to where they belong."""
-        physics = self.physics
+        physics = self.bullet.physics
         names = {place.body: name for name, place in self._places.items()}
         contacts = []
         for point in self._points():

@@ -35,7 +35,7 @@ class PinocchioEngine(Engine):
     tolerance = 1e-5  # m/s; most answers are below 1e-7
 
     def _solve(self, problem: ImpactProblem, system: System, meetings: Sequence[Meeting]) -> Answer:
-        terms = ContactTerms(system, self._contacts(meetings), problem.restitution)
+        terms = ContactTerms.of(system, self._contacts(meetings), problem.restitution)
         impulses, iterations = solve_contacts(terms)
         return Answer(terms, impulses, system.velocity + terms.response @ impulses.ravel(), iterations)
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.impact_map.contacts import Meeting, meetings
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
 from impact_rs_sim.robot import Array
@@ -163,8 +163,9 @@ def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
         How the object stands to pads and support.
 
     Raises:
-        InputError: Non-finite or wrong-length state, joint positions or velocities beyond their limits, negative
-            mass or motor inertia, restitution outside [0, 1], a rotation that is none, or initial penetration.
+        InputError: Non-finite or wrong-length state, negative mass or motor inertia, restitution outside [0, 1], or a
+            rotation that is none.
+        Infeasible: Joint positions or velocities beyond their limits, or initial penetration.
     """
     physics = problem.physics
     for table, label in ((problem.arms, "arms"), (problem.motor_inertia, "motor_inertia")):
@@ -190,7 +191,7 @@ def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
     for meeting in found:
         depth = -meeting.separation
         if depth > PENETRATION_TOLERANCE:
-            raise InputError(
+            raise Infeasible(
                 f"the object penetrates {meeting.partner!r} by {1e3 * depth:.3g} mm, accepted are "
                 f"{1e3 * PENETRATION_TOLERANCE:.3g} mm",
                 key="object.position",
@@ -216,7 +217,7 @@ def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
     for index, value in enumerate(state.position):
         low, high = limits.position_min_rad[index], limits.position_max_rad[index]
         if not low - slack <= value <= high + slack:
-            raise InputError(
+            raise Infeasible(
                 f"joint {index + 1} is outside its limits [{low:.4g}, {high:.4g}] rad",
                 key=f"arms.{name}.position[{index}]",
                 value=float(value),
@@ -224,7 +225,7 @@ def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
     for index, value in enumerate(state.velocity):
         limit = limits.velocity_rad_s[index]
         if abs(value) > limit + slack:
-            raise InputError(
+            raise Infeasible(
                 f"joint {index + 1} is faster than its limit {limit:.4g} rad/s",
                 key=f"arms.{name}.velocity[{index}]",
                 value=float(value),

@@ -14,6 +14,7 @@ with the impulse on its edge, against the sliding velocity.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,35 +26,56 @@ from impact_rs_sim.robot import Array
 SLIDING = 1e-7  # m/s, slower points stick
 
 
+@dataclass(frozen=True)
 class ContactTerms:
     """What the residual needs of a problem and its contact points, for any number of answers.
 
-    Args:
-        system: Terms of the problem.
-        contacts: The m contact points of the answer.
-        restitution: Newton restitution e [-].
-
     Attributes:
-        contacts: The contact points.
-        restitution: e [-].
+        contacts: The m contact points.
+        restitution: Newton restitution e [-].
         before: u^-, ``(nv,)`` [rad/s, m/s].
         jacobian: J_c, ``(3 m, nv)``.
         response: H^-1 J_c^T, ``(nv, 3 m)``.
         normals: Unit normals into the object, ``(m, 3)``.
         friction: Coulomb coefficients, ``(m,)`` [-].
+        rebound: e J_n u^-, ``(m,)`` [m/s].
+        inverse_mass: Mean over the directions of a point of its J_c H^-1 J_c^T, ``(m,)`` [1/kg].
     """
 
-    def __init__(self, system: System, contacts: Sequence[ContactPoint], restitution: float) -> None:
-        self.contacts = contacts
-        self.restitution = restitution
-        self.before = system.velocity
-        self.jacobian = system.jacobian(contacts)
-        self.response = np.linalg.solve(system.inertia, self.jacobian.T)
-        self.normals = np.array([contact.normal for contact in contacts]).reshape(-1, 3)
-        self.friction = np.array([contact.friction for contact in contacts])
-        approach, _ = self.split((self.jacobian @ system.velocity).reshape(-1, 3))
-        self._rebound = restitution * approach
-        self._inverse_mass = np.einsum("ij,ji->i", self.jacobian, self.response).reshape(-1, 3).mean(axis=1)
+    contacts: Sequence[ContactPoint]
+    restitution: float
+    before: Array
+    jacobian: Array
+    response: Array
+    normals: Array
+    friction: Array
+    rebound: Array
+    inverse_mass: Array
+
+    @classmethod
+    def of(cls, system: System, contacts: Sequence[ContactPoint], restitution: float) -> ContactTerms:
+        """The terms of a problem.
+
+        Args:
+            system: Terms of the problem.
+            contacts: The m contact points of the answer.
+            restitution: Newton restitution e [-].
+        """
+        jacobian = system.jacobian(contacts)
+        response = np.asarray(np.linalg.solve(system.inertia, jacobian.T), dtype=np.float64)
+        normals = np.array([contact.normal for contact in contacts]).reshape(-1, 3)
+        approach = np.sum(normals * (jacobian @ system.velocity).reshape(-1, 3), axis=1)
+        return cls(
+            contacts=contacts,
+            restitution=restitution,
+            before=system.velocity,
+            jacobian=jacobian,
+            response=response,
+            normals=normals,
+            friction=np.array([contact.friction for contact in contacts]),
+            rebound=restitution * approach,
+            inverse_mass=np.einsum("ij,ji->i", jacobian, response).reshape(-1, 3).mean(axis=1),
+        )
 
     def split(self, vectors: Array) -> tuple[Array, Array]:
         """Normal components ``(m,)`` and tangential parts ``(m, 3)`` of one vector per point, ``(m, 3)``."""
@@ -81,16 +103,16 @@ class ContactTerms:
         if not len(impulses):
             return Residual(0.0, 0.0, 0.0, momentum)
         leaving, sliding = self.split((self.jacobian @ velocity).reshape(-1, 3))
-        separation = leaving + self._rebound
+        separation = leaving + self.rebound
         pressing, tangential = self.split(impulses)
         pushed, pulled = np.maximum(pressing, 0.0), np.maximum(-pressing, 0.0)
         carried = np.maximum(separation, 0.0) * pushed / max(float(np.max(pushed)), 1e-300)
-        wanted = tangential - sliding / self._inverse_mass[:, None]
+        wanted = tangential - sliding / self.inverse_mass[:, None]
         length = np.maximum(np.linalg.norm(wanted, axis=1), 1e-300)
         wanted = wanted * np.minimum(1.0, self.friction * pushed / length)[:, None]
         return Residual(
             penetration_velocity=float(np.max(np.maximum(-separation, 0.0))),
-            complementarity=float(max(np.max(carried), np.max(self._inverse_mass * pulled))),
-            friction_cone=float(np.max(self._inverse_mass * np.linalg.norm(tangential - wanted, axis=1))),
+            complementarity=float(max(np.max(carried), np.max(self.inverse_mass * pulled))),
+            friction_cone=float(np.max(self.inverse_mass * np.linalg.norm(tangential - wanted, axis=1))),
             momentum=momentum,
         )

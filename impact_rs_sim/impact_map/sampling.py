@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.impact_map.problem import ImpactProblem, check_problem
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import ArmState, BodyState
+
+logger = logging.getLogger(__name__)
 
 _ATTEMPTS = 100  # most samples fail at the reach of the arm or at a joint velocity limit; one in two passes
 
@@ -29,16 +32,17 @@ def random_problem(
         misalignment: Standard deviation of the angle between pad and face about two axes [rad].
 
     Raises:
-        InputError: No feasible problem was found: the scenario's impact pose is at the edge of the arm's reach.
+        Infeasible: No feasible problem was found: the scenario's impact pose is at the edge of the arm's reach.
     """
     for _ in range(_ATTEMPTS):
         try:
             problem = _sample(scenario, rng, restitution, misalignment)
             check_problem(problem)
-        except InputError:
+        except Infeasible as error:
+            logger.debug("sample rejected: %s", error)
             continue
         return problem
-    raise InputError(f"scenario {scenario.name!r}: no feasible problem in {_ATTEMPTS} samples")
+    raise Infeasible(f"scenario {scenario.name!r}: no feasible problem in {_ATTEMPTS} samples")
 
 
 def _sample(

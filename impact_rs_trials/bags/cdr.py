@@ -139,14 +139,25 @@ class Template:
     """Makes the bytes of messages from columns; strings and lengths are those of an example.
 
     Args:
-        store: Type definitions.
-        kind: ``package/msg/Name``, of a fixed layout.
-        example: Message of the ``rosbags`` typestore.
+        data: A serialized message.
+        dtype: Where its numbers stand, by field path.
     """
 
-    def __init__(self, store: Typestore, kind: str, example: Any) -> None:
-        self._data = bytes(store.serialize_cdr(example, kind))
-        self._dtype = _Walker(store, self._data).layout(kind).dtype(len(self._data))
+    def __init__(self, data: bytes, dtype: np.dtype[Any]) -> None:
+        self._data = data
+        self._dtype = dtype
+
+    @classmethod
+    def of(cls, store: Typestore, kind: str, example: Any) -> Template:
+        """The template that an example gives.
+
+        Args:
+            store: Type definitions.
+            kind: ``package/msg/Name``, of a fixed layout.
+            example: Message of the ``rosbags`` typestore.
+        """
+        data = bytes(store.serialize_cdr(example, kind))
+        return cls(data, _Walker(store, data).layout(kind).dtype(len(data)))
 
     def rows(self, columns: Mapping[str, Any], count: int) -> list[bytes]:
         """Serialized messages.

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pinocchio as pin
 
-from impact_rs_control.closed_loop import Tick, make_plant, run_closed_loop, without_garbage_collection
+from impact_rs_control.closed_loop import RobotCell, Tick, make_plant, run_closed_loop, without_garbage_collection
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant import Measurement, PlantExtension, Truth
@@ -64,26 +64,26 @@ class FrameSource:
 
 
 def plant_messages(
-    maker: MessageMaker, tick: int, measurement: Measurement, truth: Truth, frames: FrameSource
+    maker: MessageMaker, tick: int, measurement: Measurement, truth: Truth | None, frames: FrameSource
 ) -> Iterator[tuple[str, Any]]:
-    """What the plant publishes in one tick: measurements first, they are awaited."""
+    """What the plant publishes in one tick: measurements first, they are awaited; no truth where nobody knows it."""
     for arm, measured in measurement.arms.items():
         yield topics.joint_states(arm), maker.joint_states(tick, arm, measured)
     for arm, measured in measurement.arms.items():
         yield topics.motor_states(arm), maker.motor_states(tick, arm, measured)
-    for arm, state in truth.arms.items():
+    for arm, state in () if truth is None else truth.arms.items():
         yield topics.truth_joint_states(arm), maker.joint_states(tick, arm, state)
         yield topics.truth_contact_wrench(arm), maker.truth_contact_wrench(tick, state)
     yield from occasional_messages(maker, tick, measurement, truth, frames)
 
 
 def occasional_messages(
-    maker: MessageMaker, tick: int, measurement: Measurement, truth: Truth, frames: FrameSource
+    maker: MessageMaker, tick: int, measurement: Measurement, truth: Truth | None, frames: FrameSource
 ) -> Iterator[tuple[str, Any]]:
     """What the plant does not publish in every tick."""
     if measurement.object is not None:
         yield topics.OBJECT_POSE, maker.object_pose(tick, measurement.object)
-    if truth.object is not None:
+    if truth is not None and truth.object is not None:
         yield topics.TRUTH_OBJECT_POSE, maker.truth_object_pose(tick, truth.object)
         yield topics.TRUTH_OBJECT_TWIST, maker.truth_object_twist(tick, truth.object)
     if frames.due(tick):
@@ -123,20 +123,41 @@ def record_trial(
     Raises:
         InputError: The bag exists or cannot be written.
     """
-    maker = MessageMaker(RosbagsTypes(), plan)
-    frames = FrameSource(plan.scene)
     plant = make_plant(plan, info.seed, physics, extension)
+    return record_cell(plan, info, path, plant, plant.truth)
+
+
+def record_cell(
+    plan: TrialPlan, info: TrialInfo, path: Path, cell: RobotCell, truth: Callable[[], Truth] | None = None
+) -> tuple[Outcome, dict[str, Array]]:
+    """Run one trial in lockstep on whatever robot cell, and write its bag; closes the cell.
+
+    Args:
+        plan: What to do.
+        info: Identity of the trial.
+        path: Folder of the bag.
+        cell: The robot cell, at the start of the trial.
+        truth: Tells its true state at the present tick; None: nobody knows, and the bag has no topics below ``/truth``.
+
+    Returns:
+        Outcome, and net feedback ``(3,)`` [m/s] by arm.
+
+    Raises:
+        InputError: The bag exists or cannot be written.
+    """
     try:
-        with without_garbage_collection(), BagWriter(path, list(plan.arms)) as bag:
+        maker, frames = MessageMaker(RosbagsTypes(), plan), FrameSource(plan.scene)
+        with without_garbage_collection(), BagWriter.create(path, list(plan.arms), truth is not None) as bag:
             bag.describe(info)
             bag.write(topics.TRIAL_INFO, 0, maker.trial_info(info))
             bag.write(topics.ROBOT_DESCRIPTION, 0, maker.robot_description(scene_urdf(plan)))
             detected: set[str] = set()
             heights: list[float] = []
             tick: Tick
-            for tick in run_closed_loop(plan, plant):
+            for tick in run_closed_loop(plan, cell):
                 now = maker.nanoseconds(tick.number)
-                for topic, message in plant_messages(maker, tick.number, tick.measurement, plant.truth(), frames):
+                told = None if truth is None else truth()
+                for topic, message in plant_messages(maker, tick.number, tick.measurement, told, frames):
                     bag.write(topic, now, message)
                 for topic, message in controller_messages(maker, tick.number, tick.commands):
                     bag.write(topic, now, message)
@@ -147,4 +168,4 @@ def record_trial(
             bag.finish(outcome)
             return outcome, {arm: command.net_feedback for arm, command in tick.commands.items()}
     finally:
-        plant.close()
+        cell.close()

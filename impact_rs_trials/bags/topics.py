@@ -65,8 +65,8 @@ IMPACT_EVENT = "impact_rs/msg/ImpactEvent"
 TRIAL_INFO_TYPE = "impact_rs/msg/TrialInfo"
 
 
-def recorded(arms: list[str]) -> dict[str, str]:
-    """Every recorded topic of a trial with its type."""
+def recorded(arms: list[str], truth: bool = True) -> dict[str, str]:
+    """Every recorded topic of a trial with its type; those below ``/truth`` only where there is somebody to tell it."""
     topics = {
         CLOCK: CLOCK_TYPE,
         TRIAL_INFO: TRIAL_INFO_TYPE,
@@ -88,4 +88,4 @@ def recorded(arms: list[str]) -> dict[str, str]:
             truth_joint_states(arm): JOINT_STATE,
             truth_contact_wrench(arm): WRENCH,
         }
-    return topics
+    return {topic: kind for topic, kind in topics.items() if truth or not topic.startswith(f"{TRUTH}/")}

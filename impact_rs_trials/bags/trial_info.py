@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import functools
-import subprocess
 from dataclasses import dataclass, fields
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Any, Literal
 
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.seeds import seed_of
+from impact_rs_sim.version import git_revision, package_version
+from impact_rs_trials.spec import TrialSpec
 
 Outcome = Literal["OK", "NO-IMPACT", "DROPPED", "ABORTED"]
+
+FORMER_NAMES = {"scenario_json": "scenario_yaml"}  # of fields, up to version 0.1.0; the layout is the same
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class TrialInfo:
     ante_velocity: float
     predicted_post_velocity: float
     reference_post_velocity: float
-    scenario_yaml: str
+    scenario_json: str
     model_yaml: str
     git_revision: str
     package_version: str
@@ -89,7 +89,7 @@ class TrialInfo:
             ante_velocity=plan.ante_velocity,
             predicted_post_velocity=plan.predicted_post_velocity,
             reference_post_velocity=plan.reference_post_velocity,
-            scenario_yaml=scenario.model_dump_json(),
+            scenario_json=scenario.model_dump_json(),
             model_yaml=model_yaml,
             git_revision=git_revision(),
             package_version=package_version(),
@@ -101,10 +101,19 @@ class TrialInfo:
         """Which trial of its campaign this is."""
         return TrialKey(self.object, self.case_name, self.velocity_scale, self.repeat)
 
+    @property
+    def spec(self) -> TrialSpec:
+        """What its repeats have in common with it; references and physics follow from it."""
+        return TrialSpec(self.scenario_json, self.object, self.case_name, self.velocity_scale, self.motor_inertia)
+
     @staticmethod
     def from_message(message: Any) -> TrialInfo:
-        """From ``impact_rs/TrialInfo``, of whatever message family."""
-        values = {field.name: getattr(message, field.name) for field in fields(TrialInfo)}
+        """From ``impact_rs/TrialInfo``, of whatever message family, and by the definition of whatever version.
+
+        Raises:
+            AttributeError: The message lacks a field.
+        """
+        values = {field.name: _field(message, field.name) for field in fields(TrialInfo)}
         values["robots"] = tuple(values["robots"])
         return TrialInfo(**values)
 
@@ -115,27 +124,6 @@ class TrialInfo:
         return values
 
 
-@functools.cache
-def git_revision() -> str:
-    """Revision of the source tree this runs from, with ``+`` where it has uncommitted changes; empty if none."""
-    try:
-        described = subprocess.run(
-            ["git", "describe", "--always", "--dirty=+", "--abbrev=12"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            timeout=5.0,
-            check=True,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return ""
-    return described.stdout.strip()
-
-
-@functools.cache
-def package_version() -> str:
-    """Installed version of the package; empty when it runs from a bare source tree."""
-    try:
-        return version("impact-rs")
-    except PackageNotFoundError:
-        return ""
+def _field(message: Any, name: str) -> Any:
+    former = FORMER_NAMES.get(name, name)
+    return getattr(message, former if hasattr(message, former) else name)

@@ -9,8 +9,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys.store import Typestore
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags import topics
@@ -19,7 +20,7 @@ from impact_rs_trials.bags.trial_info import Outcome, TrialInfo
 from impact_rs_trials.bags.types import typestore
 
 LATCHED = (topics.TRIAL_INFO, topics.ROBOT_DESCRIPTION)
-FILES = ("scenario_yaml", "model_yaml")  # with a friction compensation 200 kB, which YAML takes a second for
+FILES = ("scenario_json", "model_yaml")  # with a friction compensation 200 kB, which YAML takes a second for
 LARGEST_BLOCK = 100_000  # messages kept in memory; several trials' worth
 
 
@@ -45,43 +46,59 @@ def partial_path(path: Path) -> Path:
 
 
 class BagWriter:
-    """Writes the bag of one trial; a context manager.
+    """Writes the bag of one trial; a context manager, which :meth:`create` makes.
 
     Leaving the context without :meth:`finish` keeps the bag under its hidden name, readable as far as it got, and a
     campaign runs that trial again. Where the disk is full nothing is kept.
 
     Args:
-        path: Folder of the bag; must not exist yet.
-        arms: Names of the arms.
-
-    Raises:
-        InputError: The folder exists already or cannot be made.
+        path: Folder of the bag when it is complete.
+        writer: Open, on the hidden folder.
+        connections: Connections of the writer, by topic.
+        store: Definitions of their types.
     """
 
-    def __init__(self, path: Path, arms: list[str]) -> None:
+    def __init__(self, path: Path, writer: Writer, connections: dict[str, Connection], store: Typestore) -> None:
         self.path = path
         self.messages = 0
-        self._store = typestore()
+        self._writer = writer
+        self._connections = connections
+        self._store = store
         self._ended = False
         self._pending: list[tuple[str, int, Any]] = []
+
+    @classmethod
+    def create(cls, path: Path, arms: list[str], truth: bool = True) -> BagWriter:
+        """Begin a bag with every topic of a trial.
+
+        Args:
+            path: Folder of the bag; must not exist yet.
+            arms: Names of the arms.
+            truth: Whether the bag has topics for the truth.
+
+        Raises:
+            InputError: The folder exists already or cannot be made.
+        """
         if path.exists():
             raise InputError("this bag exists already", file=path)
         hidden = partial_path(path)
         shutil.rmtree(hidden, ignore_errors=True)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = Writer(hidden, version=9, storage_plugin=StoragePlugin.MCAP)
-            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-            self._writer.open()
+            writer = Writer(hidden, version=9, storage_plugin=StoragePlugin.MCAP)
+            writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            writer.open()
         except OSError as error:
             shutil.rmtree(hidden, ignore_errors=True)
             raise InputError(f"cannot be written: {error.strerror}", file=path) from None
-        self._connections = {
-            topic: self._writer.add_connection(
-                topic, kind, typestore=self._store, offered_qos_profiles=[_latched()] if topic in LATCHED else []
+        store = typestore()
+        connections = {
+            topic: writer.add_connection(
+                topic, kind, typestore=store, offered_qos_profiles=[_latched()] if topic in LATCHED else []
             )
-            for topic, kind in topics.recorded(arms).items()
+            for topic, kind in topics.recorded(arms, truth).items()
         }
+        return cls(path, writer, connections, store)
 
     def describe(self, info: TrialInfo) -> None:
         """Put the trial's identity into the bag's metadata; whole files are in ``/trial_info`` alone."""

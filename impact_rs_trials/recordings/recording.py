@@ -5,6 +5,7 @@ What cannot be used is refused with one line that names file, topic, field and w
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping as AbstractMapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -23,6 +24,8 @@ from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.mapping import REQUIRED, UNITS, Mapping, SignalName, SignalSource
+
+logger = logging.getLogger(__name__)
 
 BAG_SUFFIXES = (".db3", ".mcap")
 FILE_SUFFIXES = (*BAG_SUFFIXES, ".csv", ".npz")
@@ -80,7 +83,8 @@ def is_foreign(path: Path) -> bool:
     else:
         try:
             found = find_recordings(path)
-        except InputError:
+        except InputError as error:
+            logger.debug("not taken for a recording: %s", error)
             return False
     return bool(found) and not any(_is_trial(item) for item in found)
 
@@ -91,7 +95,8 @@ def _is_trial(path: Path) -> bool:
     try:
         with Reader(path) as reader:
             return any(connection.topic == "/trial_info" for connection in reader.connections)
-    except Exception:  # a damaged file can fail anywhere inside the library; whoever reads it says why
+    except Exception as error:  # a damaged file can fail anywhere inside the library; whoever reads it says why
+        logger.debug("%s: cannot be opened (%s: %s)", path, type(error).__name__, error)
         return path.is_dir()
 
 

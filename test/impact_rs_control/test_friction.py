@@ -11,10 +11,9 @@ from impact_rs_control.controller import Controller
 from impact_rs_control.friction import identify_arm, run_free_motion
 from impact_rs_control.plan import plan_trial
 from impact_rs_control.references import run_up_path
-from impact_rs_ros.trials import plan_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.friction_compensation import FrictionCompensation
-from impact_rs_sim.model import JOINT_COUNT, Model, ModelEffect, ParameterValue
+from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
@@ -77,13 +76,13 @@ def test_without_friction_nothing_but_noise_is_identified(smooth, identified):
 def test_a_known_torque_offset_is_identified_as_the_acceleration_it_causes(smooth):
     """a_fric = -J (M + B_theta)^-1 tau, where the arm moves at constant velocity and where it rests."""
     offset = np.array([0.4, -0.6, 0.5, 0.7, -0.2, 0.3, 0.1])
-    effects = model("torque_offset", {f"offset_joint{i + 1}": offset[i] for i in range(JOINT_COUNT)}, "N m")
+    effects = model("torque_offset", {f"offset_joint{i + 1}": offset[i] for i in range(7)}, "N m")
     found = identify_arm(smooth, "arm", runs=1, seed=0, effects=effects)
     plan, robot = plan_trial(smooth), smooth.models["arm"]
     arm, inertia = plan.arms["arm"], np.diag(smooth.physics.arms["arm"].motor_inertia_reduced)
 
     def expected(q):
-        terms = robot.terms(q, np.zeros(JOINT_COUNT))
+        terms = robot.terms(q, np.zeros(7))
         joints = np.linalg.solve(terms.mass_matrix + inertia, offset)
         return -np.append(terms.jacobian @ joints, joints[0])
 
@@ -179,7 +178,7 @@ def test_compensated_friction_leaves_no_task_any_feedback_in_free_motion(smooth,
 def test_the_nodes_plan_the_same_compensation(compensated):
     plan = plan_trial(compensated)
     info = TrialInfo.of(plan, TrialKey("cat_food", "case_2", 1.0, 0), 0, "nodes")
-    again = plan_of(info).arms["arm"]
+    again = info.spec.plan.arms["arm"]
     assert np.array_equal(again.ante_friction, plan.arms["arm"].ante_friction)
     assert np.array_equal(again.post_friction, plan.arms["arm"].post_friction)
     assert np.any(again.post_friction)

@@ -5,7 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from impact_rs_control.references import ViaPoint, ante_impact_path, carry_path, post_impact_path, sample_path
+from impact_rs_control.references import (
+    ViaPoint,
+    ante_impact_path,
+    carry_path,
+    post_impact_path,
+    run_up_path,
+    sample_path,
+    there_and_back_path,
+)
 from impact_rs_sim.scenario import load_scenario
 
 POSITION = np.array([0.4, -0.1, 0.5])
@@ -96,3 +104,74 @@ def test_pads_that_hold_an_object_end_at_its_faces_and_rise_together(timing):
         np.testing.assert_allclose(path.position[1:, 1], POSITION[1], atol=1e-12)
     np.testing.assert_allclose(paths["left"].position[1:], paths["right"].position[1:], atol=1e-12)
     assert np.all(paths["left"].position[-1, 2] > POSITION[2] + 0.1)
+
+
+def smooth_step(share):
+    """Velocity of a quintic from rest that covers half of velocity times duration, over that velocity."""
+    return 3.0 * share**2 - 2.0 * share**3
+
+
+def test_the_approach_is_a_smooth_step_in_velocity_from_rest(timing):
+    """Half of velocity times duration: the quintic's velocity is then 3 s^2 - 2 s^3, without overshoot."""
+    start = timing.nominal_impact - timing.approach
+    share = np.linspace(0.0, 1.0, 50)
+    path = ante_impact_path(timing, POSITION, VELOCITY, start + share * timing.approach)
+    np.testing.assert_allclose(path.velocity, np.outer(smooth_step(share), VELOCITY), atol=1e-9)
+    np.testing.assert_allclose(POSITION - path.position[0], VELOCITY * timing.approach / 2.0, atol=1e-12)
+    before = ante_impact_path(timing, POSITION, VELOCITY, np.array([0.0, start]))
+    np.testing.assert_allclose(before.position[0], before.position[1], atol=1e-12)
+    np.testing.assert_allclose(before.velocity, 0.0, atol=1e-12)
+
+
+def test_the_reference_goes_on_for_the_overrun_and_stops_as_smoothly(timing):
+    share = np.linspace(0.0, 1.0, 30)
+    end = timing.nominal_impact + timing.overrun
+    path = ante_impact_path(timing, POSITION, VELOCITY, end + share * timing.stop)
+    np.testing.assert_allclose(path.position[0], POSITION + VELOCITY * timing.overrun, atol=1e-12)
+    np.testing.assert_allclose(path.velocity, np.outer(smooth_step(1.0 - share), VELOCITY), atol=1e-9)
+
+
+def test_the_push_ends_at_rest_after_half_of_velocity_times_duration(timing):
+    share = np.linspace(0.0, 1.0, 30)
+    path = post_impact_path(timing, POSITION, VELOCITY, timing.nominal_impact + share * timing.push)
+    np.testing.assert_allclose(path.velocity, np.outer(smooth_step(1.0 - share), VELOCITY), atol=1e-9)
+    np.testing.assert_allclose(path.position[-1], POSITION + VELOCITY * timing.push / 2.0, atol=1e-12)
+
+
+def test_a_pad_follows_the_common_motion_and_what_is_its_own_leaves_no_displacement(timing):
+    """Along the axis: the mean of the pads, for the whole push; across it: the mean's slide; the rest: gone again."""
+    up, normal = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
+    velocity, common = np.array([0.10, 0.02, 0.36]), np.array([0.06, 0.05, 0.34])
+    path = carry_path(timing, POSITION, velocity, common, up, normal, np.array([timing.duration]))
+    expected = POSITION + [0.06 * timing.slide / 2.0, 0.0, 0.34 * timing.push / 2.0]
+    np.testing.assert_allclose(path.position[0], expected, atol=1e-12)
+
+
+def test_there_and_back_rests_at_both_ends_and_peaks_half_way(timing):
+    """A quintic from rest to rest peaks at 15/8 of its mean speed."""
+    start, end = np.array([0.1, 0.0]), np.array([0.4, -0.2])
+    times = np.array([0.0, 0.2, 0.45, 0.7, 0.8, 0.9, 1.15, 1.4, 2.0])
+    path = there_and_back_path(0.2, 0.5, 0.2, start, end, times)
+    for row, place in ((0, start), (1, start), (3, end), (4, end), (5, end), (7, start), (8, start)):
+        np.testing.assert_allclose(path.position[row], place, atol=1e-12)
+        np.testing.assert_allclose(path.velocity[row], 0.0, atol=1e-9)
+    np.testing.assert_allclose(path.velocity[2], 15.0 / 8.0 * (end - start) / 0.5, atol=1e-9)
+    np.testing.assert_allclose(path.velocity[6], -path.velocity[2], atol=1e-9)
+    turning = there_and_back_path(0.2, 0.5, 0.0, start, end, np.array([0.7, 1.2]))
+    np.testing.assert_allclose(turning.position, [end, start], atol=1e-12)
+
+
+def test_a_run_up_has_settled_before_the_measure_begins_and_then_is_the_post_impact_path(timing):
+    times = np.arange(round(timing.duration / 1e-3) + 1) * 1e-3
+    post = post_impact_path(timing, POSITION, VELOCITY, times)
+    path = run_up_path(timing, post, times)
+    window = (times >= timing.nominal_impact - timing.window_before - 1e-9) & (times < timing.nominal_impact)
+    np.testing.assert_allclose(path.velocity[window], np.broadcast_to(VELOCITY, (window.sum(), 3)), atol=1e-9)
+    np.testing.assert_allclose(
+        path.position[window], POSITION + np.outer(times[window] - timing.nominal_impact, VELOCITY), atol=1e-9
+    )
+    still = times < timing.nominal_impact - timing.approach
+    np.testing.assert_allclose(path.velocity[still], 0.0, atol=1e-12)
+    after = times >= timing.nominal_impact
+    np.testing.assert_array_equal(path.position[after], post.position[after])
+    np.testing.assert_allclose(np.gradient(path.position, times, axis=0), path.velocity, atol=2e-3)

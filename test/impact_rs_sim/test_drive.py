@@ -96,7 +96,7 @@ def test_delay_between_two_periods_is_the_mean_of_both(arm):
 def energy_defect(physics: Physics, period: float, duration: float) -> float:
     """Largest |energy - work put in| over a free motion, relative to the largest kinetic energy."""
     arm, model = physics.arms["arm"], physics.robot_model("arm")
-    world = BulletWorld(
+    world = BulletWorld.load(
         physics, time_step=period, gravity=True, compliant_pads=True, iterations=20, residual_threshold=0.0
     )
     q = np.array([-0.3, -0.3, 0.5, -2.2, -1.2, 1.5, -0.6])
@@ -144,3 +144,108 @@ def test_energy_balance_of_plant_and_drive_closes_as_the_step_shrinks(scene):
     coarse, fine = (energy_defect(physics, period, 0.5) for period in (PERIOD, PERIOD / 2.0))
     assert coarse < 0.01
     assert fine < 0.6 * coarse
+
+
+def test_motor_of_a_locked_link_rings_down_with_the_joints_damping_over_the_reduced_inertia(arm):
+    """B_theta ddtheta + D dtheta + K theta = 0: amplitude falls as exp(-D t / 2 B_theta)."""
+    period = PERIOD / 20.0
+    drive = Drive(arm, period)
+    drive.reset(np.zeros(7), 10.0 * np.ones(7))
+    peaks, previous, before = [[] for _ in range(7)], drive.position.copy(), np.zeros(7)
+    for step in range(8000):
+        drive.sense(np.zeros(7), np.zeros(7))
+        drive.step(np.zeros(7))
+        velocity = drive.position - previous
+        for joint in np.flatnonzero((before > 0.0) & (velocity <= 0.0)):
+            peaks[joint].append((step * period, previous[joint]))
+        previous, before = drive.position.copy(), velocity
+    rates = []
+    for found in peaks:
+        times, heights = np.array(found[:4]).T
+        rates.append(-np.polyfit(times, np.log(heights), 1)[0])
+    np.testing.assert_allclose(rates, arm.damping / (2.0 * arm.motor_inertia_reduced), rtol=0.02)
+
+
+def test_the_spring_carries_its_stretch_and_the_transmission_its_damping_as_well(arm):
+    """tau_J = K (theta - q), and D K^-1 dtau_J = D (dtheta - dq) on top for the link."""
+    drive = Drive(arm, PERIOD)
+    theta, dtheta = np.linspace(0.1, 0.2, 7), np.linspace(-1.0, 1.0, 7)
+    q, dq = theta - np.linspace(-1e-3, 2e-3, 7), np.linspace(0.3, -0.4, 7)
+    drive.position, drive.velocity = theta.copy(), dtheta.copy()
+    drive.sense(q, dq)
+    np.testing.assert_allclose(drive.elastic_torque, arm.stiffness * (theta - q), atol=1e-9)
+    np.testing.assert_allclose(
+        drive.transmission_torque, arm.stiffness * (theta - q) + arm.damping * (dtheta - dq), atol=1e-9
+    )
+
+
+def test_a_drive_at_rest_under_its_load_stays_at_rest(arm):
+    """Held by the torque that it carries; the loop adds nothing of its own."""
+    load, q = np.linspace(-30.0, 40.0, 7), np.linspace(-1.0, 1.0, 7)
+    drive = Drive(arm, PERIOD)
+    drive.reset(q, load)
+    start = drive.position.copy()
+    np.testing.assert_allclose(start - q, load / arm.stiffness, atol=1e-15)
+    for _ in range(100):
+        drive.sense(q, np.zeros(7))
+        drive.step(load)
+    np.testing.assert_allclose(drive.position, start, atol=1e-12)
+    np.testing.assert_allclose(drive.transmission_torque, load, atol=1e-9)
+    np.testing.assert_allclose(drive.actuation_torque, load, atol=1e-9)
+
+
+def test_gain_offset_and_load_act_on_the_desired_torque(arm):
+    """B_theta ddtheta = g tau_d + o + tau_load for a motor that carries nothing."""
+    gain, offset, load = np.linspace(0.8, 1.2, 7), np.linspace(-0.5, 0.5, 7), np.linspace(0.3, -0.2, 7)
+    drive = Drive(replace(arm, torque_gain=gain, torque_offset=offset), PERIOD)
+    desired = np.linspace(2.0, 1.0, 7)
+    for step in range(200):
+        if step == 100:
+            drive.load(load)
+        drive.sense(drive.position, drive.velocity)
+        drive.step(desired)
+    expected = (200.0 * (gain * desired + offset) + 100.0 * load) * PERIOD / arm.motor_inertia_reduced
+    np.testing.assert_allclose(drive.velocity, expected, rtol=1e-9)
+
+
+def test_a_new_command_is_followed_at_once_and_the_position_is_the_integral_of_the_velocity(arm):
+    drive = Drive(arm, PERIOD)
+    way = np.zeros(7)
+    for step in range(100):
+        drive.sense(drive.position, drive.velocity)
+        drive.step(np.ones(7) if step < 40 else -np.ones(7))
+        way += PERIOD * drive.velocity
+    np.testing.assert_allclose(drive.velocity, (40.0 - 60.0) * PERIOD / arm.motor_inertia_reduced, atol=1e-9)
+    np.testing.assert_allclose(drive.position, way, atol=1e-12)
+
+
+@pytest.mark.parametrize("periods", [0.25, 1.0, 3.6])
+def test_a_delayed_torque_arrives_whole_and_late_by_the_delay(arm, periods):
+    """Momentum of a pulse is the same, and its centre is later by the delay."""
+    pulse = np.zeros(40)
+    pulse[3:9] = [1.0, 3.0, 2.0, 5.0, 1.0, 2.0]
+    arrived = {}
+    for delay in (0.0, periods):
+        drive = Drive(replace(arm, actuation_delay=delay * PERIOD), PERIOD)
+        drive.reset(np.zeros(7), np.zeros(7))
+        velocity = [0.0]
+        for value in pulse:
+            drive.sense(drive.position, drive.velocity)
+            drive.step(np.full(7, value))
+            velocity.append(drive.velocity[0])
+        arrived[delay] = np.diff(velocity) * arm.motor_inertia_reduced[0] / PERIOD
+    assert arrived[periods].sum() == pytest.approx(pulse.sum())
+    centre = {delay: np.arange(40) @ torque / torque.sum() for delay, torque in arrived.items()}
+    assert centre[periods] - centre[0.0] == pytest.approx(periods)
+
+
+def test_friction_acts_on_the_motor_that_is_scaled_by_the_loop(arm):
+    """tau_fric,m = B_rho B_theta^-1 tau_fric (paper, below eq. EOM_motor_mod), against the motor's velocity."""
+    friction = JointFriction(np.full(7, 0.5), np.full(7, 0.3), np.zeros(7), np.full(7, 0.05))
+    drive = Drive(replace(arm, friction=friction), PERIOD)
+    drive.velocity = np.full(7, 0.8)
+    drive.sense(drive.position, drive.velocity)
+    drive.step(np.zeros(7))
+    shaping = arm.motor_inertia_rotor / arm.motor_inertia_reduced
+    np.testing.assert_allclose(drive.friction_torque, -shaping * (0.5 + 0.3 * 0.8), rtol=1e-9)
+    assert np.all(drive.velocity < 0.8)

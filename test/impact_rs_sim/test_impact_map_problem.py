@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from impact_map_cases import SCENE, nominal, with_velocity
+from impact_map_cases import PUSH, SCENE, nominal, with_velocity
 
-from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import ImpactProblem, check_problem
+from impact_rs_sim.errors import Infeasible, InputError
+from impact_rs_sim.impact_map import ImpactProblem, check_problem, sampling
 from impact_rs_sim.impact_map.pinocchio import PinocchioEngine
 from impact_rs_sim.scene import ArmState, BodyState
 
@@ -64,11 +64,31 @@ REFUSED = {
 }
 
 
+STATES = ("position beyond its limit", "velocity beyond its limit", "pad in the object", "object in the support")
+
+
 @pytest.mark.parametrize("case", REFUSED)
 def test_bad_question_is_refused(case: str) -> None:
+    """A state that cannot be is told apart from numbers that mean nothing: a search samples on past the first alone."""
     problem, message = REFUSED[case]
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=message) as caught:
         check_problem(problem)
+    assert isinstance(caught.value, Infeasible) == (case in STATES)
+
+
+def test_sampling_passes_over_states_that_cannot_be_and_over_no_other_mistake(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def check(problem: ImpactProblem) -> None:
+        asked.append(problem)
+        if len(asked) < 3:
+            raise Infeasible("the pad is in the object")
+        raise InputError("a mistake")
+
+    monkeypatch.setattr(sampling, "check_problem", check)
+    with pytest.raises(InputError, match="a mistake"):
+        sampling.random_problem(PUSH, np.random.default_rng(0))
+    assert len(asked) == 3
 
 
 def test_a_warm_engine_refuses_it_in_the_same_words() -> None:

@@ -1,13 +1,15 @@
 """The plant as a user of a real robot would meet it: from its measurements."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from impact_rs_control.closed_loop import make_plant
 from impact_rs_control.plan import plan_trial
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import Load, LoadState
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 
@@ -114,4 +116,181 @@ def test_torque_that_is_no_torque_is_refused(plan):
     for bad in (np.full(7, np.nan), np.zeros(6)):
         with pytest.raises(InputError, match="7 finite numbers"):
             plant.step({"arm": bad})
+    plant.close()
+
+
+@dataclass(frozen=True)
+class Known(Load):
+    """A load of known numbers, which keeps what it was told."""
+
+    force: np.ndarray | None = None
+    torque: np.ndarray | None = None
+    motor: np.ndarray | None = None
+    told: list[LoadState] = field(default_factory=list)
+
+    def motor_torque(self, state: LoadState) -> np.ndarray | None:
+        self.told.append(state)
+        return self.motor
+
+    def joint_torque(self, state: LoadState) -> np.ndarray | None:
+        return self.torque
+
+    def end_effector_force(self, state: LoadState) -> np.ndarray | None:
+        return self.force
+
+
+def loaded(plan, *loads):
+    """A plant without noise whose arm has loads, and its rigid model."""
+    quiet = without_noise(plan)
+    arm = quiet.scene.physics.arms["arm"]
+    physics = replace(quiet.scene.physics, arms={"arm": replace(arm, loads=loads)})
+    return make_plant(quiet, 0, physics), quiet.scene.models["arm"]
+
+
+def motion_of(plant, torque, ticks):
+    """q and dq after every tick under a constant desired torque."""
+    states = []
+    for _ in range(ticks):
+        plant.step({"arm": torque})
+        truth = plant.truth().arms["arm"]
+        states.append((truth.position, truth.velocity))
+    plant.close()
+    return states
+
+
+PUSHES = {
+    "force on the end effector": lambda model, q: (
+        Known(force=np.array([6.0, -9.0, 4.0])),
+        model.jacobian(q)[:3].T @ [6.0, -9.0, 4.0],
+    ),
+    "torque on the joints": lambda model, q: (Known(torque=np.linspace(1.0, -2.0, 7)), np.linspace(1.0, -2.0, 7)),
+    "torque on the motors": lambda model, q: (Known(motor=np.linspace(1.0, -2.0, 7)), np.linspace(1.0, -2.0, 7)),
+}
+
+
+@pytest.mark.parametrize("kind", PUSHES)
+def test_a_load_accelerates_the_arm_as_the_rigid_model_says(plan, kind):
+    """(M + B_theta) ddq = tau_load while gravity is held: with its sign, and with the inertia of links and motors."""
+    start = plan.arms["arm"].initial
+    load, torque = PUSHES[kind](plan.scene.models["arm"], start)
+    plant, model = loaded(plan, load)
+    ticks = 100
+    q, dq = motion_of(plant, model.gravity_torque(start), ticks)[-1]
+    inertia = model.mass_matrix(start) + np.diag(plan.scene.physics.arms["arm"].motor_inertia_reduced)
+    expected = np.linalg.solve(inertia, torque)
+    time = ticks * plan.scene.scenario.timing.control_period
+    np.testing.assert_allclose(
+        q - start, 0.5 * expected * time**2, rtol=0.1, atol=0.04 * np.abs(expected).max() * time**2
+    )
+    tip = model.jacobian(start) @ (q - start)
+    wanted = model.jacobian(start) @ expected * 0.5 * time**2
+    np.testing.assert_allclose(tip, wanted, atol=0.05 * np.linalg.norm(wanted))
+
+
+def test_loads_that_oppose_each_other_leave_the_arm_at_rest(plan):
+    """A force at E against the joint torque that it amounts to: J^T f, from both sides."""
+    start, force = plan.arms["arm"].initial, np.array([6.0, -9.0, 4.0])
+    torque = plan.scene.models["arm"].jacobian(start)[:3].T @ force
+    plant, model = loaded(plan, Known(force=force), Known(torque=-torque))
+    states = motion_of(plant, model.gravity_torque(start), 100)
+    np.testing.assert_allclose(states[-1][0], start, atol=1e-5)
+
+
+def test_the_torque_sensor_feels_what_the_joints_carry(plan):
+    """At rest tau_J = g - J^T f: a force that carries a part of the arm's weight leaves less to its joints."""
+    start, force = plan.arms["arm"].initial, np.array([0.0, 0.0, 20.0])
+    plant, model = loaded(plan, Known(force=force))
+    hold = model.gravity_torque(start) - model.jacobian(start)[:3].T @ force
+    felt = []
+    for _ in range(150):
+        plant.step({"arm": hold})
+        felt.append(plant.measure().arms["arm"].torque)
+    plant.close()
+    np.testing.assert_allclose(np.mean(felt[60:], axis=0), hold, atol=0.05)
+
+
+def test_a_load_is_told_time_place_and_speed(plan):
+    load = Known()
+    plant, model = loaded(plan, load)
+    states = motion_of(plant, model.gravity_torque(plan.arms["arm"].initial) + np.linspace(2.0, 1.0, 7), 50)
+    q, dq = states[-2]
+    state = load.told[-1]
+    assert state.time == pytest.approx(0.049)
+    np.testing.assert_array_equal(state.joint_position, q)
+    np.testing.assert_array_equal(state.joint_velocity, dq)
+    np.testing.assert_allclose(state.position, model.placement(q).translation)
+    np.testing.assert_allclose(state.velocity, model.jacobian(q)[:3] @ dq)
+    np.testing.assert_allclose(state.impact_position, plan.scene.scenario.robots["arm"].impact.position)
+
+
+def test_the_tracker_sees_the_object_once_per_its_period(plan):
+    plant = make_plant(plan, 0)
+    hold = plan.scene.models["arm"].gravity_torque(plan.arms["arm"].initial)
+    seen = []
+    for _ in range(13):
+        measured = plant.measure()
+        assert (measured.object is None) == (plant.truth().object is None)
+        if measured.object is not None:
+            assert measured.object.time == measured.time
+            seen.append(measured.time)
+        plant.step({"arm": hold})
+    plant.close()
+    assert seen == pytest.approx([0.0, 0.004, 0.008, 0.012])
+
+
+@pytest.mark.parametrize(("tilt", "slides"), [(0.05, False), (0.4, True)])
+def test_an_object_on_a_slope_slides_with_what_friction_leaves(plan, tilt, slides):
+    """g (sin a - mu cos a), or not at all."""
+    quiet = without_noise(plan)
+    gravity = 9.81 * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
+    physics = replace(quiet.scene.physics, gravity=gravity, support_friction=0.2)
+    plant = make_plant(quiet, 0, physics)
+    hold = physics.robot_model("arm").gravity_torque(plan.arms["arm"].initial)
+    start = plant.truth().object.position
+    for _ in range(200):
+        plant.step({"arm": hold})
+    way = plant.truth().object.position - start
+    plant.close()
+    expected = 0.5 * 9.81 * (np.sin(tilt) - 0.2 * np.cos(tilt)) * 0.2**2 if slides else 0.0
+    assert way[0] == pytest.approx(expected, rel=0.03, abs=1e-6)
+
+
+def test_trials_scatter_as_the_scenario_says(plan):
+    """Pose of the object in the plane, start of the arm and friction of the support, over many seeds."""
+    scatter = plan.scene.scenario.scatter.model_copy(update={"support_friction": 0.05})
+    scenario = plan.scene.scenario.model_copy(update={"scatter": scatter})
+    scattered = replace(plan, scene=replace(plan.scene, scenario=scenario))
+    poses, yaws, starts, frictions = [], [], [], []
+    for seed in range(80):
+        plant = make_plant(scattered, seed)
+        truth = plant.truth()
+        poses.append(truth.object.position - plan.scene.object.position)
+        yaws.append(pin.log3(truth.object.rotation))
+        starts.append(truth.arms["arm"].position - plan.arms["arm"].initial)
+        frictions.append(plant.physics.support_friction / plan.scene.physics.support_friction - 1.0)
+        plant.close()
+    share = 4.0 / np.sqrt(2.0 * 80.0)
+    for values, noise in (
+        (np.array(poses)[:, 0], scatter.object_position),
+        (np.array(poses)[:, 1], scatter.object_position),
+        (np.array(yaws)[:, 2], scatter.object_yaw),
+        (np.array(starts), scatter.joint_position),
+        (np.array(frictions), 0.05),
+    ):
+        assert np.std(values) == pytest.approx(noise, rel=share)
+        assert abs(np.mean(values)) < 4.0 * noise / np.sqrt(80.0)
+    np.testing.assert_allclose(np.array(poses)[:, 2], 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.array(yaws)[:, :2], 0.0, atol=1e-9)
+
+
+def test_a_trial_ends_when_its_time_is_up(plan):
+    short = plan.scene.scenario.timing.model_copy(update={"duration": 0.003})
+    scenario = plan.scene.scenario.model_copy(update={"timing": short})
+    plant = make_plant(replace(plan, scene=replace(plan.scene, scenario=scenario)), 0)
+    hold = {"arm": plan.scene.models["arm"].gravity_torque(plan.arms["arm"].initial)}
+    for _ in range(3):
+        plant.step(hold)
+    assert plant.time == pytest.approx(0.003)
+    with pytest.raises(InputError, match=r"over after 0\.003 s"):
+        plant.step(hold)
     plant.close()

@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 from impact_rs_sim.bullet_world import BulletWorld
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import UnreachablePose
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 
@@ -21,7 +21,7 @@ def random_configurations(model, count, seed=0):
 
 def test_pinocchio_and_bullet_agree_on_mass_matrix_and_gravity_torque(scene):
     model = scene.models["arm"]
-    world = BulletWorld(
+    world = BulletWorld.load(
         scene.physics, time_step=1e-3, gravity=True, compliant_pads=False, iterations=50, residual_threshold=0.0
     )
     still = [0.0] * model.joint_count
@@ -88,7 +88,7 @@ def test_inverse_kinematics_reaches_the_pose_with_joint_1_where_it_shall_be(scen
 def test_unreachable_pose_says_so(scene):
     model = scene.models["arm"]
     far = pin.SE3(np.eye(3), np.array([2.0, 0.0, 0.5]))
-    with pytest.raises(InputError, match="unreachable"):
+    with pytest.raises(UnreachablePose, match="unreachable"):
         model.inverse_kinematics(far, 0.0, scene.arms["arm"].position)
-    with pytest.raises(InputError, match="limits"):
+    with pytest.raises(UnreachablePose, match="limits"):
         model.inverse_kinematics(far, 4.0, scene.arms["arm"].position)

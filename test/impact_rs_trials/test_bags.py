@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
 
+from impact_rs_sim.scenario import Scenario
 from impact_rs_trials.bags import cdr, topics
 from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 from impact_rs_trials.bags.types import typestore
 
 STORE = typestore()
+OLD_BAG = Path(__file__).parent / "data" / "bag_of_0_1_0" / "cat_food__case_2__s1.000__r0"  # two topics of it
 
 
 def joint_state(count: int, names: list[str], stamp: int = 0):
@@ -101,3 +104,31 @@ def test_a_foreign_bag_says_why(push_campaign: Path, tmp_path: Path, rewrite_bag
     rewrite_bag(source, tmp_path / "bag", lambda topic: topic != topics.TRIAL_INFO)
     with pytest.raises(BagError, match="not a trial of impact_rs"):
         TrialBag(tmp_path / "bag")
+
+
+def test_a_bag_of_version_0_1_0_is_read_although_a_field_has_another_name_since() -> None:
+    with Reader(OLD_BAG) as reader:
+        definition = next(c.msgdef.data for c in reader.connections if c.topic == topics.TRIAL_INFO)
+    assert "string scenario_yaml" in definition
+    assert "scenario_json" not in definition
+    bag = TrialBag(OLD_BAG)
+    assert bag.outcome == "OK"
+    assert bag.info.key == TrialKey("cat_food", "case_2", 1.0, 0)
+    assert Scenario.model_validate_json(bag.info.scenario_json).name == bag.info.scenario == "push"
+    assert (bag.info.model_yaml, bag.info.package_version, bag.info.via) == ("", "0.1.0", "inprocess")
+    assert 0.89 < bag.impact_time("arm") < 0.92
+
+
+def test_a_trial_read_by_the_definition_that_an_old_bag_carries_is_the_same() -> None:
+    from mcap_ros2.reader import read_ros2_messages
+
+    (path,) = OLD_BAG.glob("*.mcap")
+    (message,) = (m.ros_msg for m in read_ros2_messages(str(path), topics=[topics.TRIAL_INFO]))
+    assert not hasattr(message, "scenario_json")
+    assert TrialInfo.from_message(message) == TrialBag(OLD_BAG).info
+
+
+def test_a_trial_without_its_scenario_says_which_field_is_missing() -> None:
+    others = {name: 0 for name in TrialInfo.__annotations__ if name != "scenario_json"}
+    with pytest.raises(AttributeError, match="scenario_json"):
+        TrialInfo.from_message(type("Foreign", (), others))

@@ -5,6 +5,7 @@ import os
 import shutil
 from pathlib import Path
 
+import fsspec
 import pytest
 from rosbags.rosbag2 import Writer
 
@@ -12,6 +13,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.bags.writer import partial_path
 from impact_rs_trials.campaign import (
+    FAILURES,
     Manifest,
     Trial,
     TrialReport,
@@ -92,6 +94,53 @@ def test_one_broken_trial_does_not_end_the_campaign(tmp_path: Path, manifest: Ma
     assert "by nothing" in reports[0].message
 
 
+def fails(directory: Path, trial: Trial) -> TrialReport:
+    try:
+        raise OSError("the disk hums")
+    except OSError:
+        raise InputError("cannot be written", file=directory) from None
+
+
+def test_why_a_trial_failed_stands_in_full_in_its_campaign_until_the_trial_is_there(
+    tmp_path: Path, manifest: Manifest
+) -> None:
+    (report, *_) = run_campaign(tmp_path, manifest, run=fails)
+    assert report.message == f"{tmp_path}: cannot be written"
+    text = (tmp_path / FAILURES / f"{report.key.name}.txt").read_text()
+    assert text.startswith(report.message)
+    assert "in fails" in text, "the traceback"
+    assert "the disk hums" in text, "what lay behind it, which the message leaves out"
+    assert len(list((tmp_path / FAILURES).iterdir())) == 3
+    list(run_campaign(tmp_path, manifest, run=fake))
+    assert not (tmp_path / FAILURES).exists()
+
+
+def test_the_traceback_of_a_worker_process_is_kept(tmp_path: Path, manifest: Manifest) -> None:
+    def breaks_in_the_worker(directory: Path, trial: Trial) -> TrialReport:
+        raise ZeroDivisionError(f"in process {os.getpid()}")
+
+    reports = list(run_campaign(tmp_path, manifest, Workforce(2), run=breaks_in_the_worker))
+    assert [report.outcome for report in reports] == ["ABORTED"] * 3
+    for report in reports:
+        text = (tmp_path / FAILURES / f"{report.key.name}.txt").read_text()
+        assert report.trace in text
+        assert "in breaks_in_the_worker" in report.trace
+        assert f"in process {os.getpid()}" not in report.trace
+
+
+def test_a_campaign_at_a_url_keeps_there_why_a_trial_failed(manifest: Manifest) -> None:
+    files = fsspec.filesystem("memory")
+    one = manifest.model_copy(update={"velocity_scales": (1.0,)})
+    failure = f"/failing/{FAILURES}/{one.keys[0].name}.txt"
+    try:
+        list(run_campaign("memory://failing", one, run=fails))
+        assert b"the disk hums" in files.cat_file(failure)
+        list(run_campaign("memory://failing", one, run=fake))
+        assert not files.exists(failure)
+    finally:
+        files.rm("/failing", recursive=True)
+
+
 def test_a_trial_whose_worker_dies_is_run_again(tmp_path: Path, manifest: Manifest) -> None:
     def dies_once(directory: Path, trial: Trial) -> TrialReport:
         marker = directory / "died"
@@ -125,7 +174,7 @@ def test_a_full_disk_ends_its_trial_alone_and_leaves_no_half_bag(
     reports = list(run_campaign(tmp_path, first))
     assert [report.outcome for report in reports] == ["ABORTED", "OK"]
     assert f"No space left on device: '{tmp_path / reports[0].key.name}'" in reports[0].message
-    assert sorted(path.name for path in tmp_path.iterdir()) == [reports[1].key.name, "manifest.yaml"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [FAILURES, reports[1].key.name, "manifest.yaml"]
     monkeypatch.setattr(Writer, "write", write)
     assert [report.outcome for report in run_campaign(tmp_path, first)] == ["OK"]
 

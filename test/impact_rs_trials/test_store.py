@@ -72,7 +72,7 @@ def test_metadata_is_uploaded_last(memory: str, monkeypatch: pytest.MonkeyPatch,
         type(store._files), "put_file", lambda files, source, target: uploaded.append(Path(target).name)
     )
     with store.adding("bag") as directory:
-        fake(directory, Trial(manifest.keys[0], 0, "", ""))
+        fake(directory, manifest.trial(manifest.keys[0]))
         (directory / manifest.keys[0].name).rename(directory / "bag")
     assert uploaded == ["signals.mcap", "metadata.yaml"]
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_trials.campaign import Manifest, Trial, TrialReport, make_manifest, run_campaign
 from impact_rs_trials.workers import MEMORY_LIMIT, SchedulerLost, Workforce, as_they_end, client_of, workers
 
@@ -161,6 +161,21 @@ def test_a_task_that_a_worker_cannot_read_is_an_error_and_breaks_nothing() -> No
         with pytest.raises(ModuleNotFoundError):
             list(map_tasks(_of_a_module_that_workers_do_not_know, [1, 2]))
         assert list(map_tasks(abs, [-3, -1, -2])) == [3, 1, 2]
+
+
+def test_an_error_comes_back_with_the_frames_of_its_worker_and_what_lay_behind_it() -> None:
+    def breaks_in_the_worker(value: int) -> int:
+        try:
+            return 1 // (value - value)
+        except ZeroDivisionError:
+            raise InputError("expected a number to divide by", key="a.b", value=value) from None
+
+    with workers(Workforce(2)) as map_tasks, pytest.raises(InputError, match="a.b = 1: expected a number") as caught:
+        list(map_tasks(breaks_in_the_worker, [1, 2]))
+    assert caught.value.key == "a.b"
+    trace = full_traceback(caught.value)
+    assert "in breaks_in_the_worker" in trace
+    assert "ZeroDivisionError" in trace
 
 
 def _of_a_module_that_workers_do_not_know(value: int) -> int:

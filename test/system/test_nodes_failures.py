@@ -20,9 +20,8 @@ from rcl_interfaces.srv import SetParameters
 
 from impact_rs_ros import graph as graph_module
 from impact_rs_ros.graph import NODES, Graph, GraphError, run_trial, run_trials_through_nodes
-from impact_rs_ros.trials import plan_of
 from impact_rs_sim.effects import library
-from impact_rs_sim.model import JOINT_COUNT, Model, ModelEffect
+from impact_rs_sim.model import Model, ModelEffect
 from impact_rs_sim.model import ParameterValue as ParameterBelief
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
@@ -161,7 +160,7 @@ def test_effects_hidden_in_the_plant_change_the_trial_and_stay_hidden(graph: Gra
     for file in bag.path.glob("*.yaml"):
         assert model.effects[0].name not in file.read_text()
 
-    plan = plan_of(bag.info)
+    plan = bag.info.spec.plan
     record_trial(plan, bag.info, tmp_path / "inprocess", model.apply(plan.scene.physics))
     expected = TrialBag(tmp_path / "inprocess").joints(topics.joint_states("arm"))
     np.testing.assert_allclose(bag.joints(topics.joint_states("arm")).position, expected.position, rtol=0.0, atol=1e-9)
@@ -175,7 +174,7 @@ def hidden_model() -> Model:
     name, effect = next((name, effect) for name, effect in library().items() if "friction" in name)
     parameters = {
         scalar.name: ParameterBelief(estimate=0.9 * scalar.nominal + 0.1 * scalar.upper, unit=scalar.unit)
-        for scalar in effect.scalars(JOINT_COUNT)
+        for scalar in effect.scalars(7)
     }
     return Model(name="hidden", effects=(ModelEffect(name=name, parameters=parameters),))
 

@@ -13,6 +13,7 @@ from impact_rs_analysis.evidence.twin import Start
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.spec import TrialSpec
 
 
 @pytest.fixture
@@ -31,7 +32,7 @@ def counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Callable[.
 
 
 def condition() -> Condition:
-    return Condition(load_scenario("push").model_dump_json(), "push", "juice", "case_2", 1.0, "reduced")
+    return Condition(TrialSpec.of(load_scenario("push"), "juice", "case_2"))
 
 
 def test_a_rollout_runs_once_for_all_stores(counted: tuple[Callable[..., list], list[Rollout]]) -> None:

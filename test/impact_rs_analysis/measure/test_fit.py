@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 from impact_rs_analysis.measure.fit import FitError, fit_zero_crossing
 
@@ -71,3 +72,94 @@ def test_too_few_trials_say_what_is_missing(velocity: list[float], message: str)
 def test_a_level_line_has_no_zero_crossing() -> None:
     with pytest.raises(FitError, match="does not depend"):
         fit_zero_crossing(np.array([0.4, 0.5, 0.6]), np.full(3, 0.1))
+
+
+def line(seed: int, truth: float, noise: float, count: int = 25) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    velocity = -0.55 * np.resize(SCALES[::5], count)
+    return velocity, 1.1 * (velocity - truth) + noise * rng.standard_normal(count)
+
+
+@pytest.mark.parametrize("truth", [-0.55, -0.534, -0.70, -0.9])
+@pytest.mark.parametrize(("noise", "count"), [(0.002, 25), (0.03, 25), (0.01, 5)])
+@pytest.mark.parametrize("confidence", [0.95, 0.68])
+def test_both_ends_of_the_interval_solve_fiellers_equation(
+    truth: float, noise: float, count: int, confidence: float
+) -> None:
+    """(a + b x)^2 = t^2 var(a + b x) at both ends, with the covariance of a and b from least squares."""
+    velocity, net = line(3, truth, noise, count)
+    fit = fit_zero_crossing(velocity, net, confidence)
+    design = np.column_stack((np.ones(count), velocity))
+    (intercept, slope), (squares,), _, _ = np.linalg.lstsq(design, net, rcond=None)
+    covariance = squares / (count - 2) * np.linalg.inv(design.T @ design)
+    quantile = student.ppf(0.5 + confidence / 2.0, count - 2)
+    assert fit.interval is not None
+    for end in fit.interval:
+        row = np.array([1.0, end])
+        assert (intercept + slope * end) ** 2 == pytest.approx(quantile**2 * row @ covariance @ row, rel=1e-6)
+    low, high = fit.interval
+    assert low < fit.estimate < high
+    for x, inside in ((low - 1e-6, False), (low + 1e-6, True), (high - 1e-6, True), (high + 1e-6, False)):
+        row = np.array([1.0, x])
+        assert ((intercept + slope * x) ** 2 < quantile**2 * row @ covariance @ row) == inside
+
+
+def test_for_a_steep_line_through_the_middle_the_interval_is_the_symmetric_one_of_the_delta_method() -> None:
+    """x0 +- t s / (|b| sqrt(n)): the limit of a slope that is known exactly, at the mean of the velocities."""
+    velocity, _ = line(0, -0.55, 0.0)
+    noise = np.random.default_rng(4).standard_normal(velocity.size)
+    design = np.column_stack((np.ones(velocity.size), velocity))
+    noise -= design @ np.linalg.lstsq(design, noise, rcond=None)[0]  # the line itself stays where it is
+    fit = fit_zero_crossing(velocity, 1.1 * (velocity + 0.55) + 1e-4 * noise)
+    assert fit.interval is not None
+    half = student.ppf(0.975, 23) * fit.scatter / (1.1 * 5.0)
+    assert fit.estimate == pytest.approx(-0.55, abs=1e-12)
+    assert np.array(fit.interval) == pytest.approx([-0.55 - half, -0.55 + half], rel=1e-6)
+
+
+def test_away_from_the_data_the_interval_reaches_farther_outwards_than_inwards() -> None:
+    """Fieller's interval is not symmetric about the estimate: a flatter line crosses zero ever farther out."""
+    outside = fit_zero_crossing(*line(5, -0.9, 0.03))
+    assert outside.interval is not None
+    low, high = outside.interval
+    assert outside.estimate - low > 1.05 * (high - outside.estimate)
+
+
+@pytest.mark.parametrize("confidence", [0.5, 0.8, 0.99])
+def test_the_interval_covers_as_often_as_it_is_asked_to(confidence: float) -> None:
+    rng = np.random.default_rng(11)
+    trials, hits = 2000, 0
+    for _ in range(trials):
+        velocity, net = synthetic(-0.7, 1.1, 0.02, rng)
+        interval = fit_zero_crossing(velocity, net, confidence).interval
+        hits += interval is None or interval[0] <= -0.7 <= interval[1]
+    assert hits / trials == pytest.approx(confidence, abs=4.0 * np.sqrt(confidence * (1.0 - confidence) / trials))
+
+
+def test_the_interval_misses_the_truth_on_either_side_equally_often() -> None:
+    """Fieller's regions are those of a two-sided test with equal tails."""
+    rng = np.random.default_rng(12)
+    below = above = 0
+    for _ in range(4000):
+        interval = fit_zero_crossing(*synthetic(-0.75, 1.1, 0.02, rng)).interval
+        assert interval is not None
+        below += interval[1] < -0.75
+        above += interval[0] > -0.75
+    # Four standard deviations of the difference of two counts of 100 each are 57.
+    assert abs(below - above) < 57
+    assert below + above == pytest.approx(200, abs=57)
+
+
+def test_the_scatter_is_that_of_the_trials_and_the_fit_is_least_squares() -> None:
+    rng = np.random.default_rng(13)
+    scatters = []
+    for _ in range(500):
+        velocity, net = synthetic(-0.534, 1.1, 0.02, rng)
+        fit = fit_zero_crossing(velocity, net)
+        slope, intercept = np.polyfit(velocity, net, 1)
+        assert (fit.slope, fit.intercept) == pytest.approx((slope, intercept), abs=1e-9)
+        assert fit.r_squared == pytest.approx(np.corrcoef(velocity, net)[0, 1] ** 2)
+        np.testing.assert_allclose(fit.at(velocity), intercept + slope * velocity, atol=1e-9)
+        scatters.append(fit.scatter**2)
+    # With n - 2 in the denominator the variance has no bias; 500 of them with 23 degrees of freedom each.
+    assert np.mean(scatters) == pytest.approx(0.02**2, rel=4.0 * np.sqrt(2.0 / 23.0 / 500.0))

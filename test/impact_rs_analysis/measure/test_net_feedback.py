@@ -1,12 +1,14 @@
 """The measure: an integral of a held signal, and trials that must not enter a fit."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from impact_rs_analysis.measure.net_feedback import held_integral, net_feedback
+from impact_rs_analysis.measure.net_feedback import LARGEST_GAP, held_integral, net_feedback
 from impact_rs_trials.bags.reader import BagError, TrialBag
 
 
@@ -58,3 +60,129 @@ def test_a_truncated_bag_is_refused(push_campaign: Path, tmp_path: Path) -> None
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     with pytest.raises(BagError):
         net_feedback(TrialBag(bag))
+
+
+PERIOD = 1e-3  # s
+TIMES = np.arange(1801) * PERIOD
+
+
+def recorded(feedback: dict[str, np.ndarray], time: np.ndarray = TIMES, **changes: object) -> SimpleNamespace:
+    """What the measure reads of a bag, made up: feedback ``(k, 3)`` [m/s^2] by arm."""
+    info = SimpleNamespace(
+        scenario="grab", axis="z", robots=tuple(feedback), window_start=0.8, window_end=1.5, nominal_impact_time=0.9
+    )
+    hits = {arm: 0.9 + 0.01 * number for number, arm in enumerate(feedback)}
+    columns = {
+        arm: SimpleNamespace(
+            time=time,
+            feedback_acceleration=values,
+            twist=np.column_stack((values + 10.0, values + 20.0)),
+            ante_velocity=values + 30.0,
+            post_velocity=values + 40.0,
+        )
+        for arm, values in feedback.items()
+    }
+    bag = SimpleNamespace(
+        path=Path("made_up"), info=info, metadata={}, controller=columns.__getitem__, impact_time=hits.__getitem__
+    )
+    for name, value in changes.items():
+        setattr(info if hasattr(info, name) else bag, name, value)
+    return bag
+
+
+def constant(*values: float, time: np.ndarray = TIMES) -> np.ndarray:
+    return np.broadcast_to(np.array(values), (time.size, 3))
+
+
+@pytest.mark.parametrize(("axis", "expected"), [("x", 0.7), ("y", 1.4), ("z", -2.1)])
+def test_a_constant_feedback_along_the_axis_counts_for_the_whole_window(axis: str, expected: float) -> None:
+    """Paper eq. a_fb_net: t2 - t1 = 0.7 s of 1, 2 and -3 m/s^2."""
+    trial = net_feedback(recorded({"arm": constant(1.0, 2.0, -3.0)}, axis=axis))
+    assert trial.net == pytest.approx(expected, abs=1e-12)
+    assert trial.integral[800] == pytest.approx(0.0, abs=1e-12)
+    assert trial.integral[1500:] == pytest.approx(expected, abs=1e-12)
+    level = constant(1.0, 2.0, -3.0)[0]["xyz".index(axis)]
+    for name, shift in (("velocity", 10.0), ("feedback", 0.0), ("ante_reference", 30.0), ("post_reference", 40.0)):
+        np.testing.assert_allclose(getattr(trial, name), level + shift, err_msg=name)
+
+
+def test_feedback_outside_the_window_does_not_count() -> None:
+    feedback = np.zeros((TIMES.size, 3))
+    feedback[:800, 2] = feedback[1500:, 2] = 100.0
+    feedback[800:1500, 2] = np.where(np.arange(700) % 2, 1.0, -0.5)
+    assert net_feedback(recorded({"arm": feedback})).net == pytest.approx(0.25 * 0.7, abs=1e-12)
+
+
+def test_two_arms_count_with_their_mean() -> None:
+    """Paper sec. Dual-arm grabbing scenario."""
+    trial = net_feedback(recorded({"left": constant(0.0, 0.0, 1.0), "right": constant(0.0, 0.0, 3.0)}))
+    assert trial.net == pytest.approx(2.0 * 0.7, abs=1e-12)
+    assert trial.spread == pytest.approx(0.01)
+
+
+def test_arms_with_stamps_of_their_own_are_brought_to_one_clock() -> None:
+    """A feedback that grows with time is the same signal at shifted stamps."""
+    late = TIMES + 0.4 * PERIOD
+    bag = recorded({"left": np.outer(TIMES, [0.0, 0.0, 1.0]), "right": constant(0.0, 0.0, 0.0)})
+    right = bag.controller("right")
+    right.time, right.feedback_acceleration = late, np.outer(late, [0.0, 0.0, 1.0])
+    np.testing.assert_allclose(net_feedback(bag).feedback[1:], TIMES[1:], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("moments", "impact"),
+    [((0.8, 1.5), True), ((0.79, 0.9), False), ((0.9, 1.51), False), ((0.9, np.nan), False)],
+)
+def test_every_arm_must_hit_within_the_window(moments: tuple[float, float], impact: bool) -> None:
+    trial = net_feedback(recorded({"left": constant(0.0, 0.0, 1.0), "right": constant(0.0, 0.0, 1.0)}))
+    assert replace(trial, impact_times=moments).impact == impact
+
+
+@pytest.mark.parametrize(
+    ("kept", "complaint"),
+    [
+        (TIMES > 0.85, "the window lasts"),
+        (TIMES < 1.4, "the window lasts"),
+        ((TIMES < 1.0) | (TIMES > 1.0 + 1.5 * LARGEST_GAP), "no controller state from 0.999 s"),
+        (TIMES < 0.0005, "1 controller states"),
+    ],
+)
+def test_a_recording_with_a_hole_in_the_window_is_refused(kept: np.ndarray, complaint: str) -> None:
+    with pytest.raises(BagError, match=complaint):
+        net_feedback(recorded({"arm": constant(0.0, 0.0, 1.0)[kept]}, TIMES[kept]))
+
+
+def test_a_hole_outside_the_window_costs_nothing() -> None:
+    kept = (TIMES < 0.3) | (TIMES > 0.5)
+    assert net_feedback(recorded({"arm": constant(0.0, 0.0, 1.0)[kept]}, TIMES[kept])).net == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize("outcome", ["ABORTED", "DROPPED"])
+def test_a_trial_that_went_wrong_never_enters(outcome: str) -> None:
+    with pytest.raises(BagError, match="aborted|dropped"):
+        net_feedback(recorded({"arm": constant(0.0, 0.0, 1.0)}, metadata={"outcome": outcome}))
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"axis": "w"}, "axis 'w'"),
+        ({"window_start": 1.5, "window_end": 0.8}, "is none"),
+    ],
+)
+def test_a_trial_that_does_not_say_what_to_measure_is_refused(change: dict, complaint: str) -> None:
+    with pytest.raises(BagError, match=complaint):
+        net_feedback(recorded({"arm": constant(0.0, 0.0, 1.0)}, **change))
+
+
+def test_stamps_that_go_back_and_numbers_that_are_none_are_refused() -> None:
+    time = TIMES.copy()
+    time[900] = time[898]
+    with pytest.raises(BagError, match="do not increase"):
+        net_feedback(recorded({"arm": constant(0.0, 0.0, 1.0)}, time))
+    bag = recorded({"arm": constant(0.0, 0.0, 1.0)})
+    broken = constant(0.0, 0.0, 1.0).copy()
+    broken[1000, 2] = np.nan
+    bag.controller("arm").feedback_acceleration = broken
+    with pytest.raises(BagError, match="feedback signal is not finite"):
+        net_feedback(bag)

@@ -11,6 +11,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import LoadState, Physics
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.spec import TrialSpec
 
 NAMES = [effect.name for effect in BUILT_IN]
 
@@ -21,7 +22,7 @@ def physics():
 
 
 def condition(scenario, thing, case):
-    return Condition(load_scenario(scenario).model_dump_json(), scenario, thing, case, 1.0, "reduced")
+    return Condition(TrialSpec.of(load_scenario(scenario), thing, case))
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,17 @@
+"""Mutants by area, one module each."""
+
+from mutant import Mutant
+
+from areas import controller, detection, diagnosis, drive, fit, impact_map, net_feedback, plant, references
+
+AREAS: dict[str, list[Mutant]] = {
+    "detection": detection.MUTANTS,
+    "controller": controller.MUTANTS,
+    "references": references.MUTANTS,
+    "drive": drive.MUTANTS,
+    "plant": plant.MUTANTS,
+    "impact_map": impact_map.MUTANTS,
+    "net_feedback": net_feedback.MUTANTS,
+    "fit": fit.MUTANTS,
+    "diagnosis": diagnosis.MUTANTS,
+}

@@ -1,0 +1,5 @@
+"""Residuals, sensitivities, search and verdicts."""
+
+from mutant import Mutant
+
+MUTANTS: list[Mutant] = []

@@ -1,0 +1,81 @@
+"""A better model: the parent with one diagnosed effect."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from impact_rs_analysis.diagnosis.document import NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE, DiagnosisDocument
+from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.model import Model, ModelEffect, ParameterValue, check_model
+from impact_rs_sim.paths import config_directory
+
+
+def add_effect(
+    model: Model, model_file: Path, document: DiagnosisDocument, source: Path, name: str, output: Path, force: bool
+) -> Model:
+    """The child model with one diagnosed effect, not yet written.
+
+    Args:
+        model: Parent.
+        model_file: Its file.
+        document: Diagnosis of the parent.
+        source: File of the diagnosis.
+        name: Effect to add.
+        output: File of the child, to name the parent relative to it.
+        force: Add it even where the diagnosis saw no improvement.
+
+    Raises:
+        InputError: The diagnosis is of another model, does not contain the effect, or advises against it.
+    """
+    if document.model.digest != model.digest:
+        raise InputError(
+            f"this is a diagnosis of model {document.model.name!r} (digest {document.model.digest}), not of "
+            f"{model.name!r} (digest {model.digest}) in {model_file}; diagnose that one, or name the model of this one",
+            file=source,
+        )
+    found = document.effect(name)
+    if found is None:
+        known = [effect.name for effect in document.effects]
+        raise InputError(
+            f"no effect {name!r} in this diagnosis{did_you_mean(name, known)}; it considered: {', '.join(known)}",
+            file=source,
+        )
+    if found.verdict in (UNIDENTIFIABLE, TOO_FEW):
+        raise InputError(
+            f"{name} is {found.verdict}: these {document.source} do not determine its parameters, so there is nothing "
+            f"to add ({found.reason})",
+            file=source,
+        )
+    before, after = found.held_out_error_before or 0.0, found.held_out_error_after or 0.0
+    if found.verdict == NO_IMPROVEMENT and not force:
+        raise InputError(
+            f"{name} is NO-IMPROVEMENT: it predicts unseen conditions no better "
+            f"({before:.3g} -> {after:.3g} {document.error_unit}); "
+            "--force adds it all the same",
+            file=source,
+        )
+    formulas = tuple(spec for spec in document.formulas if spec.name == name)
+    effect = model.model_copy(update={"formulas": (*model.formulas, *formulas)}).known_effects.get(name)
+    joints = len({value.joint for value in found.parameters.values()} - {None})
+    scalars = [] if effect is None else effect.scalars(joints)
+    nominal = {scalar.name: ParameterValue(estimate=scalar.nominal, unit=scalar.unit) for scalar in scalars}
+    estimated = {
+        key: ParameterValue(estimate=value.estimate, unit=value.unit, ci95=value.ci95)
+        for key, value in found.parameters.items()
+    }
+    item = ModelEffect(name=name, parameters={**nominal, **estimated})
+    child = model.with_effect(item, output.stem, _parent_name(model_file, output), formulas)
+    note = (
+        f"{name}: {found.verdict}; held-out error {before:.3g} -> {after:.3g} {document.error_unit} in "
+        f"{document.runs.trials} {document.source}"
+    )
+    return check_model(child.model_copy(update={"note": note}), source)
+
+
+def _parent_name(model_file: Path, output: Path) -> str:
+    """The parent's file relative to the child's folder; a model that is shipped goes by its name."""
+    shipped = config_directory() / "models" / (model_file.name if model_file.suffix else f"{model_file.name}.yaml")
+    if not model_file.exists() or (shipped.exists() and shipped.samefile(model_file)):
+        return shipped.name
+    return os.path.relpath(model_file.resolve(), output.parent.resolve())

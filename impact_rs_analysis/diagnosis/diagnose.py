@@ -1,0 +1,232 @@
+"""Diagnosis: search, hold out, and say what can be said; the same for every source of evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+
+import numpy as np
+
+from impact_rs_analysis.diagnosis.compare import discrepancy_of
+from impact_rs_analysis.diagnosis.document import (
+    CorrelatedPair,
+    DesignDocument,
+    DiagnosisDocument,
+    HoldOutDocument,
+    Identifiability,
+    JointError,
+    LackOfFit,
+    ModelIdentity,
+    RecordingDocument,
+    RunsIdentity,
+    UnexplainedDocument,
+)
+from impact_rs_analysis.diagnosis.experiment import next_experiment
+from impact_rs_analysis.diagnosis.fit import Evidence, Fit
+from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
+from impact_rs_analysis.diagnosis.search import Search, adjusted
+from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P
+from impact_rs_analysis.diagnosis.verdicts import (
+    MOST_RESTS,
+    Findings,
+    Headline,
+    change_interval,
+    effect_documents,
+    headline,
+    noise_told,
+    p_told,
+    rests_of,
+    told,
+    unit_told,
+)
+from impact_rs_analysis.diagnosis.words import summary_of
+from impact_rs_analysis.evidence.cluster import Source
+from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.evidence.runs import runs_digest
+from impact_rs_analysis.evidence.trials import TrialSource
+from impact_rs_sim.effects import Effect
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model
+from impact_rs_sim.robot import Array
+
+CORRELATED = 0.8
+
+
+def diagnose(source: Source, model: Model, only: Sequence[str] | None = None) -> DiagnosisDocument:
+    """Find out which effects are missing in a model.
+
+    Args:
+        source: Measurements with the model's predictions.
+        model: The model as its file says it; that of the source may know further effects.
+        only: Names of the effects to consider; None: all that the source's model knows and has not.
+
+    Raises:
+        InputError: Too few conditions to hold one out.
+    """
+    if source.repeated and len(source.clusters) < LEAST_CLUSTERS:
+        names = ", ".join(item.name for item in source.clusters)
+        raise InputError(
+            f"{len(source.clusters)} condition(s) measured ({names}): at least {LEAST_CLUSTERS} are needed to hold one "
+            "out; `impact-rs compare` still shows where the model fails"
+        )
+    known = source.model.known_effects
+    present = {item.name for item in source.model.effects}
+    effects = [known[name] for name in known if name not in present and (only is None or name in only)]
+    search = Search(effects, Evidence.of(source))
+    chosen = None if search.evidence.reference.shortage is not None else search.choose()
+    found = Findings(
+        search=search,
+        chosen=chosen,
+        rivals=() if chosen is None else tuple(search.rivals(chosen)),
+        hold_out=None if chosen is None else hold_out(source, effects),
+        p_values=_p_values(search, chosen),
+    )
+    return _document(found, known, source, model)
+
+
+def _p_values(search: Search, chosen: Fit | None) -> dict[str, float]:
+    """p of unchosen effects beside the chosen ones, and of chosen ones beside the other chosen, adjusted for all."""
+    raw = search.raw_p_values(chosen)
+    if chosen is not None:
+        for effect, part in chosen.candidate.parts:
+            reduced = search.left_without(chosen, effect.name)
+            raw[effect.name] = chosen.problem.p_value(reduced.reference, part)
+    return adjusted(raw)
+
+
+def _document(found: Findings, known: dict[str, Effect], source: Source, model: Model) -> DiagnosisDocument:
+    evidence = found.evidence
+    verdict = headline(found)
+    before = [item.mean for item in evidence.clusters]
+    after: Sequence[Array] = before if found.hold_out is None else found.hold_out.rest
+    ties = {name: found.tied_with(name) for name in found.names}
+    remarks = _remarks(found, source)
+    document = DiagnosisDocument(
+        source="trials" if source.repeated else "recordings",
+        verdict=verdict.verdict,
+        named=found.names,
+        effects=tuple(effect_documents(found, known)),
+        confusable=tuple((name, *others) for name, others in ties.items() if others),
+        unexplained=UnexplainedDocument(
+            share_of_excess=verdict.share, where=tuple(rests_of(evidence, found.unexplained)[:MOST_RESTS])
+        ),
+        next_experiment=next_experiment(found, known),
+        model=ModelIdentity(name=model.name, digest=model.digest),
+        runs=_runs(source),
+        error_unit=unit_told(evidence),
+        noise_floor=noise_told(evidence),
+        held_out_error_before=told(evidence, before),
+        held_out_error_after=told(evidence, after),
+        held_out_change_ci95=change_interval(before, after, evidence) if found.hold_out is not None else None,
+        hold_out=_hold_out(found.hold_out, source),
+        lack_of_fit=_lack_of_fit(verdict),
+        design=DesignDocument(
+            clusters=len(evidence.clusters),
+            freedom=evidence.reference.freedom,
+            least_p=LEAST_P,
+            shortage=evidence.reference.shortage,
+        ),
+        discrepancy=discrepancy_of(source),
+        identifiability=_identifiability(found.chosen),
+        joints=_joints(source, before, after),
+        recording=RecordingDocument(**asdict(source.facts)) if isinstance(source, RecordingSource) else None,
+        remarks=tuple(remarks),
+        formulas=source.model.formulas,
+    )
+    return document.model_copy(update={"summary": summary_of(document)})
+
+
+def _lack_of_fit(verdict: Headline) -> LackOfFit:
+    return LackOfFit(
+        before=None if verdict.before is None else p_told(verdict.before),
+        after=None if verdict.after is None else p_told(verdict.after),
+    )
+
+
+def _runs(source: Source) -> RunsIdentity:
+    if isinstance(source, TrialSource):
+        return RunsIdentity(
+            digest=runs_digest(source.runs.directory),
+            trials=len(source.runs.trials),
+            conditions=tuple(condition.label for condition in source.conditions),
+        )
+    units = tuple(dict.fromkeys(item.unit for item in source.clusters))
+    return RunsIdentity(digest="", trials=len(units), conditions=units)
+
+
+def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
+    if found is None:
+        return HoldOutDocument(what="nothing was held out, for nothing was found", folds=0)
+    count = len(found.folds)
+    if source.repeated:
+        what = f"conditions with all their repeats, in {count} folds"
+    elif any(
+        len({source.clusters[n].unit for n in fold.held}) > 1 or _whole(source, fold.held) for fold in found.folds
+    ):
+        what = f"whole recordings, in {count} folds"
+    else:
+        what = (
+            f"{len(source.clusters)} stretches of time in {count} folds of neighbours; every fold is predicted from "
+            "the others without the stretches that touch it"
+        )
+    return HoldOutDocument(what=f"{what}; the whole search is run again without what it shall predict", folds=count)
+
+
+def _whole(source: Source, held: Sequence[int]) -> bool:
+    unit = source.clusters[held[0]].unit
+    return sum(item.unit == unit for item in source.clusters) == len(held)
+
+
+def _joints(source: Source, before: Sequence[Array], after: Sequence[Array]) -> tuple[JointError, ...]:
+    if not isinstance(source, RecordingSource):
+        return ()
+    count = source.joint_count
+    first, second = (
+        np.sqrt(np.mean(np.square(np.concatenate(rest).reshape(-1, count)), axis=0)) * source.sigma
+        for rest in (before, after)
+    )
+    return tuple(
+        JointError(
+            joint=f"joint{joint + 1}",
+            before=float(first[joint]),
+            after=float(second[joint]),
+            noise=float(source.balance.noise[joint]),
+        )
+        for joint in range(count)
+    )
+
+
+def _remarks(found: Findings, source: Source) -> list[str]:
+    remarks = list(getattr(source, "remarks", ()))
+    reference = found.evidence.reference
+    if reference.shortage is not None:
+        remarks.append(f"too few repeats to decide anything: {reference.shortage}")
+    if source.repeated and all(item.contact for item in source.clusters):
+        remarks.append(
+            "no free motion there and back was measured: friction, torque offset and torque gain look alike in a push"
+        )
+    if found.search.ruled_out:
+        names = ", ".join(sorted(found.search.ruled_out))
+        remarks.append(f"free motion rules them out, so they were not tried in contact: {names}")
+    return remarks
+
+
+def _identifiability(chosen: Fit | None) -> Identifiability:
+    if chosen is None:
+        return Identifiability()
+    singular = np.linalg.svd(np.vstack(chosen.candidate.jacobians), compute_uv=False)
+    inverse = np.linalg.inv(chosen.problem.total)
+    covariance = chosen.evidence.reference.covariance(chosen.candidate.jacobians, chosen.change, inverse)
+    spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlation = covariance / np.outer(spread, spread)
+    names = [scalar.name for scalar in chosen.candidate.scalars]
+    return Identifiability(
+        singular_values=tuple(singular.tolist()),
+        condition_number=float(singular[0] / max(singular[-1], 1e-12)),
+        correlated=tuple(
+            CorrelatedPair(first=names[i], second=names[j], correlation=float(correlation[i, j]))
+            for i in range(len(names))
+            for j in range(i)
+            if abs(correlation[i, j]) > CORRELATED
+        ),
+    )

@@ -1,0 +1,145 @@
+"""How the error fell from model version to model version, on what the fit has seen and on what it has not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
+from impact_rs_analysis.diagnosis.compare import noise_floor_of, score_of
+from impact_rs_analysis.diagnosis.fit import Evidence
+from impact_rs_analysis.evidence.cluster import Cluster, Source
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model, load_model
+
+
+@dataclass(frozen=True)
+class Version:
+    """One model of the history.
+
+    Attributes:
+        file: Its file.
+        model: The model.
+        effect_added: What it has and its parent has not; None for the first.
+    """
+
+    file: str
+    model: Model
+    effect_added: str | None
+
+
+@dataclass(frozen=True)
+class VersionError:
+    """Errors of one model, on the scale of the comparison (1: what repetition alone gives).
+
+    Attributes:
+        version: Which model.
+        error_fit: Error with the parameters of its file.
+        error_held_out: Error in every condition with the added effect's parameters fitted to all other conditions;
+            None where there are too few conditions.
+        noise_floor: What both would be if only repetition were left; None if nothing was repeated.
+    """
+
+    version: Version
+    error_fit: float
+    error_held_out: float | None
+    noise_floor: float | None
+
+    def to_json(self) -> dict[str, Any]:
+        """One entry of ``history --json``."""
+        return {
+            "model": self.version.model.name,
+            "file": self.version.file,
+            "effect_added": self.version.effect_added,
+            "error_fit": self.error_fit,
+            "error_held_out": self.error_held_out,
+            "noise_floor": self.noise_floor,
+        }
+
+
+def versions(path: Path) -> list[Version]:
+    """The models from the first to the one in ``path``.
+
+    Raises:
+        InputError: A parent is missing, was changed after the child was made, or is its own ancestor.
+    """
+    chain: list[tuple[Path, Model]] = []
+    file: Path = path
+    while True:
+        if any(file.exists() and known.exists() and known.samefile(file) for known, _ in chain):
+            raise InputError("this model is its own ancestor", file=file, key="parent")
+        model = load_model(file)
+        if chain:
+            child_file, child = chain[-1]
+            if child.parent_digest not in (None, model.digest):
+                raise InputError(
+                    f"the parent {file} was changed after this model was made from it (digest {model.digest}, "
+                    f"expected {child.parent_digest})",
+                    file=child_file,
+                    key="parent_digest",
+                )
+        chain.append((file, model))
+        if model.parent is None:
+            break
+        beside = file.parent / model.parent
+        file = beside if beside.exists() else Path(model.parent)
+    chain.reverse()
+    result = []
+    for number, (found, model) in enumerate(chain):
+        before = set() if number == 0 else {item.model_dump_json() for item in chain[number - 1][1].effects}
+        new = [item.name for item in model.effects if item.model_dump_json() not in before]
+        result.append(Version(str(found), model, "+".join(new) if number and new else None))
+    return result
+
+
+def history(path: Path, source_of: Callable[[Model], Source]) -> list[VersionError]:
+    """Errors of every version of a model, from the first to the one in ``path``.
+
+    Args:
+        path: File of the last model.
+        source_of: The measurements against a model; called once for every version.
+
+    Raises:
+        InputError: See :func:`versions`; or with one of the models nothing is hit.
+    """
+    found: list[VersionError] = []
+    for version in versions(path):
+        clusters = source_of(version.model).clusters
+        error = score_of(clusters)
+        held_out: float | None = error
+        if version.effect_added is not None:
+            held_out = _held_out(version, clusters, source_of)
+        found.append(VersionError(version, error, held_out, noise_floor_of(clusters)))
+    return found
+
+
+def _held_out(version: Version, clusters: tuple[Cluster, ...], source_of: Callable[[Model], Source]) -> float | None:
+    """Leave one condition out: the added effects fitted to all others, about the estimate in the model file."""
+    if len(clusters) < 2 or version.effect_added is None:
+        return None
+    names = version.effect_added.split("+")
+    model = version.model
+    bare = source_of(
+        model.model_copy(update={"effects": tuple(item for item in model.effects if item.name not in names)})
+    )
+    effects = tuple(model.known_effects[name] for name in names)
+    values = {item.name: item.parameters for item in model.effects}
+    point = np.array(
+        [values[effect.name][scalar.name].estimate for effect in effects for scalar in effect.scalars(bare.joint_count)]
+    )
+    bare_candidate = Candidate.of(effects, bare, point)
+    candidate = linearise(
+        replace(bare_candidate, origin=bare_candidate.split(point)),
+        clusters,
+        range(len(clusters)),
+        bare,
+        "leaving one condition out",
+    )
+    if candidate is None:
+        return None
+    evidence = Evidence(bare, tuple(range(len(clusters))), clusters)
+    return evidence.size(evidence.problem(candidate).held_out)

@@ -1,0 +1,95 @@
+"""How a diagnosis did: held against the truth of a blind campaign."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, runs_digest
+from impact_rs_analysis.diagnosis.search import SIGNIFICANT
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.blind import RUNS, TRUTH
+
+
+@dataclass(frozen=True)
+class Score:
+    """How a diagnosis did.
+
+    Attributes:
+        kind: Kind of the campaign.
+        truth: Hidden effects; for ``outside`` what was hidden instead.
+        named: Effects that the diagnosis chose.
+        correct: Whether it is right, see :func:`score`.
+        by_own_name: Whether every hidden effect was chosen by its own name.
+        intervals_cover: Whether all true parameters of the named effects lie in their 95 % intervals; None where no
+            hidden effect was named.
+        covered: Number of those that do, and of all of them.
+        also_named: Effects that were chosen and are neither hidden nor confusable with one that is.
+    """
+
+    kind: str
+    truth: tuple[str, ...]
+    named: tuple[str, ...]
+    correct: bool
+    by_own_name: bool
+    intervals_cover: bool | None
+    covered: tuple[int, int]
+    also_named: tuple[str, ...]
+
+
+def score(directory: Path, document: DiagnosisDocument, source: Path) -> Score:
+    """Hold a diagnosis against the truth of a blind campaign.
+
+    Right is: ``single``, the hidden effect is confirmed by its own name or inside the confusable set of a named one;
+    ``pair``, both are; ``null``, NOTHING-MISSING; ``outside``, NONE-EXPLAINS, or an effect was named and the diagnosis
+    says itself that lack of fit stays.
+
+    Args:
+        directory: Blind campaign.
+        document: Diagnosis of its runs.
+        source: File of the diagnosis, for error messages.
+
+    Raises:
+        InputError: No blind campaign, or a diagnosis of other runs.
+    """
+    path = directory / TRUTH
+    try:
+        truth = json.loads(path.read_text(encoding="utf-8"))
+        kind, hidden = str(truth["kind"]), {item["name"]: item["parameters"] for item in truth["effects"]}
+        outside = truth.get("outside")
+    except OSError:
+        raise InputError(f"no blind campaign: there is no {TRUTH}", file=directory) from None
+    except (json.JSONDecodeError, KeyError, TypeError) as error:
+        raise InputError(f"not the truth of a blind campaign ({type(error).__name__}: {error})", file=path) from None
+    if document.runs.digest != runs_digest(directory / RUNS):
+        raise InputError(f"this is a diagnosis of other runs than those in {directory / RUNS}", file=source)
+    named = document.named
+    groups = [set(group) for group in document.confusable]
+
+    def near(name: str) -> set[str]:
+        return {name}.union(*(group for group in groups if name in group))
+
+    found = {name: name in named or any(name in near(other) for other in named) for name in hidden}
+    right = all(found.values())
+    if kind == "null":
+        right = document.verdict == "NOTHING-MISSING"
+    elif kind == "outside":
+        right = document.verdict == "NONE-EXPLAINS" or (bool(named) and document.lack_of_fit["after"] < SIGNIFICANT)
+    covered = [
+        estimate.interval[0] <= hidden[name][key]["value"] <= estimate.interval[1]
+        for name in hidden
+        if name in named and (effect := document.effect(name)) is not None
+        for key, estimate in effect.parameters.items()
+        if key in hidden[name]
+    ]
+    return Score(
+        kind=kind,
+        truth=(str(outside),) if kind == "outside" else tuple(hidden),
+        named=named,
+        correct=right,
+        by_own_name=bool(hidden) and all(name in named for name in hidden),
+        intervals_cover=all(covered) if covered else None,
+        covered=(sum(covered), len(covered)),
+        also_named=tuple(name for name in named if not near(name) & set(hidden)),
+    )

@@ -1,0 +1,433 @@
+"""What is said of every effect and of the whole, from fits, references and the hold-out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from impact_rs_analysis.diagnosis.document import (
+    AT_BOUND,
+    CONFIRMED,
+    CONFUSABLE,
+    NO_IMPROVEMENT,
+    NONE,
+    NOTHING,
+    PARTLY,
+    SMALL,
+    TIMES,
+    TOO_FEW,
+    UNIDENTIFIABLE,
+    EffectDocument,
+    EstimateDocument,
+    RestDocument,
+    SizeDocument,
+)
+from impact_rs_analysis.diagnosis.fit import Evidence, Fit
+from impact_rs_analysis.diagnosis.hold_out import HoldOut
+from impact_rs_analysis.diagnosis.search import Rival, Search, noticeable, tied_errors
+from impact_rs_analysis.diagnosis.thresholds import (
+    LEAST_GAIN_OF_JOINT,
+    LEAST_P,
+    LEAST_REST,
+    MOST,
+    SIGNIFICANT,
+    UNSEEN,
+)
+from impact_rs_sim.effects import Effect
+from impact_rs_sim.robot import Array
+
+MOST_SIZES = 3
+MOST_RESTS = 10
+
+NOT_MEASURED = {
+    "motor side": "the motor side is not in these measurements",
+    "actuation": "the commanded torque is not in these measurements",
+    "contact": "no contact was measured",
+    "object": "no object was measured",
+}
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Everything that verdicts are made from.
+
+    Attributes:
+        search: Of all clusters.
+        chosen: The accepted fit; None: nothing was.
+        rivals: What could stand in the place of the chosen effects.
+        hold_out: Errors on clusters that no search has seen; None: too little to hold anything out.
+        p_values: By effect, adjusted: of unchosen ones beside the chosen, of chosen ones beside the other chosen.
+    """
+
+    search: Search
+    chosen: Fit | None
+    rivals: tuple[Rival, ...]
+    hold_out: HoldOut | None
+    p_values: dict[str, float]
+
+    @property
+    def evidence(self) -> Evidence:
+        """Residuals of the model."""
+        return self.search.evidence
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Chosen effects."""
+        return () if self.chosen is None else self.chosen.candidate.names
+
+    @property
+    def unexplained(self) -> list[Array]:
+        """What stays of the mean residuals, ``(F,)`` per cluster [-]."""
+        return [item.mean for item in self.evidence.clusters] if self.chosen is None else self.chosen.rest
+
+    def tied_with(self, name: str) -> tuple[str, ...]:
+        """Effects that could stand in the place of a chosen one."""
+        tied = [rival.name for rival in self.rivals if rival.instead_of == name and rival.tied]
+        if self.hold_out is not None:
+            without = [names for names in self.hold_out.chosen if name not in names]
+            if len(without) > len(self.hold_out.chosen) / 2.0:
+                tied += [other for names in without for other in names if other not in self.names]
+        return tuple(dict.fromkeys(tied))
+
+
+def told(evidence: Evidence, rest: Sequence[Array]) -> float:
+    """Size of residuals as the user reads it: in multiples of repetition, or of recordings in N m rms.
+
+    Args:
+        evidence: The clusters.
+        rest: Mean residual of each, ``(F,)`` [-].
+    """
+    if evidence.source.repeated:
+        return evidence.size(np.array([float(np.mean(np.square(values))) for values in rest]))
+    torque = [values * item.sigma for item, values in zip(evidence.clusters, rest, strict=True)]
+    return float(np.sqrt(np.mean(np.square(np.concatenate(torque)))))
+
+
+def noise_told(evidence: Evidence) -> float:
+    """What :func:`told` is where only noise is left."""
+    if evidence.source.repeated:
+        return 1.0
+    return told(evidence, [item.pure for item in evidence.clusters])
+
+
+def unit_told(evidence: Evidence) -> str:
+    """Unit of :func:`told`."""
+    return TIMES if evidence.source.repeated else "N m"
+
+
+def p_told(value: float) -> float:
+    """No p is told below what is known of the tails of noise."""
+    return max(value, LEAST_P)
+
+
+def sizes_of(fitted: Fit, name: str) -> list[SizeDocument]:
+    """What one effect of a fit does to the signals, the most noticeable first."""
+    part = fitted.candidate.part(name)
+    change = ((fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale)[part]
+    largest: dict[tuple[str, str], tuple[float, str, float]] = {}
+    for item, jacobian in zip(fitted.evidence.clusters, fitted.candidate.jacobians, strict=True):
+        moved = np.abs(jacobian[:, part] @ change) * item.sigma
+        for feature, value in zip(item.features, moved, strict=True):
+            key = (feature.phase, feature.signal)
+            if value > largest.get(key, (0.0, "", 0.0))[0]:
+                largest[key] = (float(value), feature.unit, feature.floor)
+    found = [
+        SizeDocument(phase=phase, signal=signal, value=value, unit=unit, floor=floor)
+        for (phase, signal), (value, unit, floor) in largest.items()
+    ]
+    return sorted(found, key=lambda size: -size.value / size.floor if size.floor else -size.value)[:MOST_SIZES]
+
+
+def matters(fitted: Fit, name: str) -> bool:
+    """Whether an effect moves some signal by more than anybody cares about, or of a recording is noticeable."""
+    if not fitted.evidence.source.repeated:
+        return noticeable(fitted)
+    return any(size.value > size.floor for size in sizes_of(fitted, name))
+
+
+def rests_of(evidence: Evidence, rest: Sequence[Array]) -> list[RestDocument]:
+    """Where differences stay: phase x signal x index, by their share of what is left."""
+    squares: dict[tuple[str, str, str], list[tuple[float, float, float]]] = {}
+    facts: dict[tuple[str, str, str], tuple[str, float]] = {}
+    for item, values in zip(evidence.clusters, rest, strict=True):
+        expected = np.square(item.pure) / item.count + np.square(item.discrepancy)
+        for feature, value, noise, sigma in zip(item.features, values, expected, item.sigma, strict=True):
+            squares.setdefault(feature.group, []).append((float(value**2), float(noise), float(sigma)))
+            facts[feature.group] = (feature.unit, feature.floor)
+    total = sum(row[0] for rows in squares.values() for row in rows)
+    found = []
+    for (phase, signal, index), rows in squares.items():
+        table = np.array(rows)
+        excess = float(np.mean((table[:, 0] - table[:, 1]) * table[:, 2] ** 2))
+        noise = float(np.mean(table[:, 1]))
+        unit, floor = facts[phase, signal, index]
+        found.append(
+            RestDocument(
+                phase=phase,
+                signal=signal,
+                index=index,
+                value=math.sqrt(max(excess, 0.0)),
+                unit=unit,
+                floor=floor,
+                share=float(table[:, 0].sum()) / max(total, 1e-300),
+                times_noise=math.sqrt(float(np.mean(table[:, 0])) / noise) if noise > 0.0 else 0.0,
+            )
+        )
+    return sorted(found, key=lambda entry: -entry.share)
+
+
+@dataclass(frozen=True)
+class Headline:
+    """The verdict over all.
+
+    Attributes:
+        verdict: See :class:`~impact_rs_analysis.diagnosis.document.DiagnosisDocument`.
+        share: Share of the excess that stays.
+        before: p of the model's residuals being noise; None: nothing tells.
+        after: The same of what is left.
+    """
+
+    verdict: str
+    share: float
+    before: float | None
+    after: float | None
+
+
+def headline(found: Findings) -> Headline:
+    """The verdict over all."""
+    evidence, chosen = found.evidence, found.chosen
+    before = evidence.reference.lack_of_fit([item.mean for item in evidence.clusters])
+    after = before if chosen is None else chosen.lack_of_fit()
+    errors = np.array([float(np.mean(np.square(rest))) for rest in found.unexplained])
+    share = evidence.excess(errors) / max(evidence.excess(evidence.errors), 1e-300)
+    if evidence.reference.shortage is not None:
+        return Headline(TOO_FEW, share, before, after)
+    if not evidence.source.repeated:
+        noise, left = noise_told(evidence), told(evidence, found.unexplained)
+        if chosen is None:
+            return Headline(NONE if left > 2.0 * noise else NOTHING, share, before, after)
+        return Headline("+".join(found.names), share, before, after)
+    stays = after is not None and after < SIGNIFICANT
+    large = any(rest.value > rest.floor for rest in rests_of(evidence, found.unexplained))
+    if chosen is None:
+        small = stays or any(p < SIGNIFICANT for p in found.p_values.values())
+        verdict = NONE if stays and large else SMALL if small else NOTHING
+    elif stays and large and share > LEAST_REST:
+        verdict = f"{PARTLY}{{{', '.join(found.names)}}}" if share < 1.0 - MOST else NONE
+    elif not any(matters(chosen, name) for name in found.names):
+        verdict = SMALL
+    else:
+        verdict = "+".join(found.names)
+    return Headline(verdict, share, before, after)
+
+
+def effect_documents(found: Findings, known: dict[str, Effect]) -> list[EffectDocument]:
+    """What is said of every effect: chosen ones, then the others by their error, then those that nothing measured."""
+    search = found.search
+    reports = [_chosen_document(found, known[name]) for name in found.names]
+    others = []
+    for name in search.singles:
+        if name not in found.names:
+            others.append(_other_document(found, known[name]))
+    others.sort(key=lambda report: report.held_out_error_after or 0.0)
+    reports += others
+    for name in sorted(search.unmeasured):
+        effect = known[name]
+        why = NOT_MEASURED.get(effect.acts_on, "nothing of it is in these measurements")
+        reports.append(
+            EffectDocument(
+                name=name,
+                sentence=effect.sentence,
+                verdict=UNIDENTIFIABLE,
+                reason=f"not measured: {why}",
+                measured=False,
+                parameters={},
+                held_out_error_before=None,
+                held_out_error_after=None,
+                p_value=None,
+            )
+        )
+    return reports
+
+
+def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
+    chosen, evidence = found.chosen, found.evidence
+    assert chosen is not None
+    name = effect.name
+    part = chosen.candidate.part(name)
+    rivals = found.tied_with(name)
+    own = np.array([not scalar.shape for scalar in chosen.candidate.scalars[part]])
+    widths, bound = chosen.half_widths[part][own], _at_bound(chosen)[part][own]
+    joints = chosen.candidate.scalars[part][0].joint is not None
+    if evidence.reference.shortage is not None:
+        verdict, reason = TOO_FEW, evidence.reference.shortage
+    elif np.all(widths > UNSEEN):
+        verdict, reason = UNIDENTIFIABLE, "its interval is wider than anything that makes sense"
+    elif np.all(bound) or (np.any(bound) and not joints):
+        verdict, reason = AT_BOUND, "the best value lies at a bound; something else may be wrong"
+    elif not matters(chosen, name):
+        size = sizes_of(chosen, name)[0]
+        verdict = SMALL
+        reason = f"at most {size.value:.2g} {size.unit} of the {size.signal}; nobody cares below {size.floor:.2g}"
+    elif rivals:
+        verdict, reason = f"{CONFUSABLE}{{{', '.join(sorted(rivals))}}}", "others predict unseen data as well"
+    else:
+        verdict, reason = CONFIRMED, "predicts what it was not fitted to, and nothing else does as well"
+    before = told(evidence, [item.mean for item in evidence.clusters])
+    folds = None if found.hold_out is None else sum(name in names for names in found.hold_out.chosen)
+    return EffectDocument(
+        name=name,
+        sentence=effect.sentence,
+        verdict=verdict,
+        reason=reason,
+        rivals=rivals,
+        parameters=_estimates(found, chosen, name),
+        held_out_error_before=before,
+        held_out_error_after=told(chosen.evidence, chosen.problem.left_out_rest),
+        p_value=p_told(found.p_values[name]),
+        sizes=tuple(sizes_of(chosen, name)),
+        chosen_in_folds=folds,
+    )
+
+
+def _other_document(found: Findings, effect: Effect) -> EffectDocument:
+    """An effect that was not chosen, in the place of the one that it competes with, or else beside the chosen ones."""
+    search, evidence, name = found.search, found.evidence, effect.name
+    own = [rival for rival in found.rivals if rival.name == name]
+    tied = [rival for rival in own if rival.tied]
+    best = min(tied or own, key=lambda rival: rival.fit.score, default=None)
+    fitted = search.beside(found.chosen, name) if best is None else best.fit
+    part = fitted.candidate.part(name)
+    shown = np.array([not scalar.shape for scalar in fitted.candidate.scalars[part]])
+    p = found.p_values.get(name, 1.0)
+    rivals = tuple(dict.fromkeys(rival.instead_of for rival in tied))
+    if evidence.reference.shortage is not None:
+        verdict, reason = TOO_FEW, evidence.reference.shortage
+    elif np.all(fitted.half_widths[part][shown] > UNSEEN):
+        verdict, reason = UNIDENTIFIABLE, "its interval is wider than anything that makes sense"
+    elif rivals:
+        verdict = f"{CONFUSABLE}{{{', '.join(sorted(rivals))}}}"
+        reason = "predicts unseen data as well where it takes the other's place"
+    elif p < SIGNIFICANT and best is None:
+        size = sizes_of(fitted, name)
+        verdict = SMALL
+        reason = f"at most {size[0].value:.2g} {size[0].unit} of the {size[0].signal}" if size else ""
+    else:
+        verdict, reason = NO_IMPROVEMENT, ""
+        if name in search.ruled_out:
+            reason = "free motion rules it out, so it was not tried in contact"
+    base = [item.mean for item in evidence.clusters] if found.chosen is None else found.chosen.problem.left_out_rest
+    return EffectDocument(
+        name=name,
+        sentence=effect.sentence,
+        verdict=verdict,
+        reason=reason,
+        rivals=rivals,
+        parameters=_estimates(found, fitted, name),
+        held_out_error_before=told(evidence, base),
+        held_out_error_after=told(fitted.evidence, fitted.problem.left_out_rest),
+        p_value=p_told(p),
+        sizes=tuple(sizes_of(fitted, name)) if verdict != NO_IMPROVEMENT else (),
+    )
+
+
+def _at_bound(fitted: Fit) -> Array:
+    """Which estimates stop at a bound that is not their nominal value, ``(p,)`` of bool."""
+    candidate = fitted.candidate
+    near = 1e-6 * candidate.scale
+    low = (np.abs(fitted.estimate - candidate.lower) < near) & (np.abs(candidate.lower - candidate.nominal) > 1e-9)
+    high = (np.abs(fitted.estimate - candidate.upper) < near) & (np.abs(candidate.upper - candidate.nominal) > 1e-9)
+    return np.asarray(low | high)
+
+
+def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDocument]:
+    """Estimates of one effect with intervals, cut off where no value makes sense."""
+    candidate = fitted.candidate
+    part = candidate.part(name)
+    half = fitted.half_widths * candidate.scale
+    result = {}
+    for index in range(part.start, part.stop):
+        scalar, value = candidate.scalars[index], float(fitted.estimate[index])
+        low = max(value - float(half[index]), float(candidate.lower[index]))
+        high = min(value + float(half[index]), float(candidate.upper[index]))
+        verdict = p = before = after = None
+        if scalar.joint is not None and name in found.names and fitted is found.chosen:
+            verdict, p, before, after = _joint(found, fitted, index)
+        result[scalar.name] = EstimateDocument(
+            estimate=value,
+            ci95=(min(low, value), max(high, value)),
+            unit=scalar.unit,
+            meaning=scalar.meaning,
+            joint=None if scalar.joint is None else f"joint{scalar.joint + 1}",
+            verdict=verdict,
+            p_value=p,
+            error_before=before,
+            error_after=after,
+        )
+    return result
+
+
+def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float | None, float | None]:
+    """Verdict on one joint's parameter beside all others; p; held-out error of the joint without and with it."""
+    candidate, evidence = fitted.candidate, fitted.evidence
+    joint = f"joint{(candidate.scalars[index].joint or 0) + 1}"
+    seen = any(np.any(jacobian[:, index]) for jacobian in candidate.jacobians)
+    without = evidence.problem(candidate.fixed(index))
+    left = without.rest(without.solve())
+    shifts = [item.mean - rest for item, rest in zip(evidence.clusters, left, strict=True)]
+    p = fitted.problem.p_value(evidence.shifted(shifts).reference, [index])
+    rest, rest_without = fitted.problem.left_out_rest, without.left_out_rest
+    own, own_without = _of_joint(evidence, rest, joint), _of_joint(evidence, rest_without, joint)
+    error, error_without = float(own.mean()), float(own_without.mean())
+    rivals = [
+        name
+        for name, other in found.search.joint_alternatives(candidate, index)
+        if tied_errors(own, _of_joint(evidence, evidence.problem(other).left_out_rest, joint), 1e-12)
+    ]
+    if _at_bound(fitted)[index]:
+        verdict = AT_BOUND
+    elif fitted.half_widths[index] > UNSEEN:
+        verdict = UNIDENTIFIABLE
+    elif p >= SIGNIFICANT or error > (1.0 - LEAST_GAIN_OF_JOINT) * error_without or not seen:
+        verdict = NO_IMPROVEMENT
+    else:
+        verdict = f"{CONFUSABLE}{{{', '.join(sorted(rivals))}}}" if rivals else CONFIRMED
+    if evidence.source.repeated:
+        return verdict, p_told(p), None, None
+    sigma = float(evidence.source.sigma[int(joint.removeprefix("joint")) - 1])  # type: ignore[attr-defined]
+    return verdict, p_told(p), sigma * math.sqrt(error_without), sigma * math.sqrt(error)
+
+
+def _of_joint(evidence: Evidence, rest: Sequence[Array], joint: str) -> Array:
+    """Mean square residual of the signals of one joint by cluster, ``(c,)`` [-]."""
+    picked = []
+    for item, values in zip(evidence.clusters, rest, strict=True):
+        own = np.array([feature.index.rsplit(".", 1)[-1] == joint for feature in item.features])
+        picked.append(float(np.mean(np.square(values[own]))))
+    return np.array(picked)
+
+
+def change_interval(before: Sequence[Array], after: Sequence[Array], evidence: Evidence) -> tuple[float, float] | None:
+    """95 % interval of the change of the held-out size, from its scatter over the clusters (delta method).
+
+    Args:
+        before: Mean residuals without, ``(F,)`` per cluster [-].
+        after: The same with what was found.
+        evidence: The clusters.
+    """
+    count = len(before)
+    if count < 2:
+        return None
+    whole = told(evidence, after) - told(evidence, before)
+    alone = []
+    for left in range(count):
+        kept = [number for number in range(count) if number != left]
+        part = evidence.only(kept)
+        alone.append(told(part, [after[n] for n in kept]) - told(part, [before[n] for n in kept]))
+    spread = math.sqrt((count - 1) / count * float(np.sum(np.square(np.array(alone) - np.mean(alone)))))
+    half = float(student.ppf(0.975, count - 1)) * spread
+    return whole - half, whole + half

@@ -1,0 +1,177 @@
+"""What the commands of the loop read: trials of ours, or recordings of others, as evidence against a model."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from impact_rs_analysis.evidence.aligned import aligned_trials
+from impact_rs_analysis.evidence.cluster import Added, Source
+from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy
+from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.evidence.rollouts import RolloutStore
+from impact_rs_analysis.evidence.runs import Runs, read_runs
+from impact_rs_analysis.evidence.tracks import TrackSet, tracks_of_recordings, tracks_of_trials
+from impact_rs_analysis.evidence.trials import TrialSource
+from impact_rs_cli.arguments import started, warn_skipped
+from impact_rs_cli.terminal import Terminal
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model
+from impact_rs_trials.recordings.mapping import Mapping, load_mapping
+from impact_rs_trials.recordings.recording import Recording, is_foreign, read_recordings
+from impact_rs_trials.workers import Map
+
+DEFAULT_MAPPING = "joint_state"
+
+
+def add_source(parser: argparse.ArgumentParser) -> None:
+    """The options ``--mapping`` and ``--no-discrepancy``."""
+    parser.add_argument(
+        "--mapping",
+        metavar="NAME",
+        help="RUNS is a recording of a real robot in free motion (.db3, .mcap, .csv, .npz, or a folder of them): name "
+        "of a mapping (joint_state, franka_robot_state), or path of a mapping file; default there: joint_state",
+    )
+    parser.add_argument(
+        "--no-discrepancy",
+        action="store_true",
+        help="take the twin for exactly right: leave out how far equally valid simulators differ "
+        "(config/discrepancy.yaml)",
+    )
+
+
+class Measurements:
+    """Measurements that were read once, to be held against any model.
+
+    Args:
+        map_tasks: Parallel map.
+        terminal: Where progress is told.
+        trials: Trials; None: recordings.
+        recordings: Recordings; empty: trials.
+        mapping: How the recordings were read.
+        discrepancy: Of the twin; None: as measured.
+    """
+
+    def __init__(
+        self,
+        map_tasks: Map,
+        terminal: Terminal,
+        trials: Runs | None,
+        recordings: tuple[Recording, ...] = (),
+        mapping: Mapping | None = None,
+        discrepancy: Discrepancy | None = None,
+    ) -> None:
+        self.trials, self.recordings, self.mapping = trials, recordings, mapping
+        self._map, self._terminal, self._discrepancy = map_tasks, terminal, discrepancy
+        self._stage = lambda *_: None
+        self._store = RolloutStore(map_tasks, lambda what, done, total: self._stage(what, done, total))
+        self._sources: dict[str, Source] = {}
+
+    @contextmanager
+    def progress(self) -> Iterator[None]:
+        """Tell what is under way inside."""
+        with self._terminal.stages() as stage:
+            self._stage = stage
+            try:
+                yield
+            finally:
+                self._stage = lambda *_: None
+
+    def against(self, model: Model) -> Source:
+        """The measurements against a model.
+
+        Raises:
+            InputError: With this model nothing is hit, or the model blows up; a recording cannot be used.
+        """
+        key = f"{model.digest} {[spec.name for spec in model.formulas]}"
+        if key not in self._sources:
+            if self.trials is not None:
+                source: Source = TrialSource(self.trials, model, self._store, self._discrepancy)
+            else:
+                assert self.mapping is not None
+                source = RecordingSource(self.recordings, self.mapping, model)
+            self._sources[key] = source
+        return self._sources[key]
+
+    def tracks(self, model: Model, added: Added = ()) -> tuple[TrackSet, ...]:
+        """Measured and predicted signals over time, for reports.
+
+        Args:
+            model: What is believed.
+            added: Effects that were found on top of it; shown beside it for recordings.
+        """
+        if self.trials is not None:
+            return tracks_of_trials(aligned_trials(self.trials, model, self._map))
+        source = self.against(model)
+        assert isinstance(source, RecordingSource)
+        rests = {"the model": source.rest}
+        if added:
+            rests = {"the model with what was found": source.rest_with(added), "the model as it is": source.rest}
+        return tracks_of_recordings(source, rests)
+
+
+@contextmanager
+def measured(args: argparse.Namespace, terminal: Terminal) -> Iterator[Measurements]:
+    """Read RUNS and tell what was left out; workers go again when the context is left.
+
+    Raises:
+        InputError: There is nothing here that can be used.
+    """
+    discrepancy = NO_DISCREPANCY if args.no_discrepancy else None
+    path = Path(args.runs)
+    with started(args) as map_tasks:
+        if args.mapping is not None or is_foreign(path):
+            mapping = load_mapping(args.mapping or DEFAULT_MAPPING)
+            yield Measurements(map_tasks, terminal, None, tuple(read_recordings(path, mapping)), mapping)
+            return
+        yield Measurements(map_tasks, terminal, read(path, map_tasks, terminal), discrepancy=discrepancy)
+
+
+def read(directory: Path, map_tasks: Map, terminal: Terminal) -> Runs:
+    """Read trials and tell what was left out."""
+    directory = directory.absolute()  # a worker process may stand elsewhere
+    with terminal.progress("reading bags") as tell:
+
+        def counted(function: Any, items: Any) -> Iterator[Any]:
+            for number, result in enumerate(map_tasks(function, items), start=1):
+                tell(number, len(items))
+                yield result
+
+        runs = read_runs(directory, counted)
+    warn_skipped(runs.skipped, terminal)
+    return runs
+
+
+def only_trials(measurements: Measurements, option: str) -> Runs:
+    """The trials, for an option that recordings have nothing for.
+
+    Raises:
+        InputError: Recordings were read.
+    """
+    if measurements.trials is None:
+        raise InputError(f"{option} is for trials; recordings without a scenario have --json and the report")
+    return measurements.trials
+
+
+def added_of(names: tuple[str, ...], parameters: dict[str, Any], model: Model, joints: int) -> Added:
+    """Named effects with estimates of a diagnosis, as a source takes them.
+
+    Args:
+        names: Effects.
+        parameters: Estimates by effect and parameter.
+        model: Knows the effects.
+        joints: Number of joints of an arm.
+    """
+    known = model.known_effects
+    return tuple(
+        (
+            name,
+            tuple(float(np.float64(parameters[name][scalar.name].estimate)) for scalar in known[name].scalars(joints)),
+        )
+        for name in names
+    )

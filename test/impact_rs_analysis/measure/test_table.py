@@ -1,0 +1,79 @@
+"""The result table: mismatch in percent of the estimate, its mean with sign and without, ours beside the paper's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_rs_analysis.measure.analyze import Analysis, ExperimentSet, Prediction
+from impact_rs_analysis.measure.fit import fit_zero_crossing
+from impact_rs_analysis.measure.table import paper_row, result_table
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
+
+
+def experiment(scenario: str, thing: str, case: str, truth: float, errors: dict[str, float]) -> ExperimentSet:
+    """A set whose line crosses zero at ``truth`` [m/s], with predictions that are wrong by ``errors`` [%]."""
+    rng = np.random.default_rng(0)
+    velocity = truth * np.repeat([0.8, 1.0, 1.2], 3)
+    fit = fit_zero_crossing(velocity, 1.1 * (velocity - truth) + 0.02 * rng.standard_normal(9))
+    predictions = {name: Prediction(fit.estimate * (1.0 + error / 100.0), error) for name, error in errors.items()}
+    return ExperimentSet(scenario, thing, case, "y", f"{thing}: {case}", (), fit, predictions)
+
+
+def analysis(*sets: ExperimentSet) -> Analysis:
+    return Analysis(Path("."), sets, (), (), (), ())
+
+
+FIRST = experiment("push", "cat_food", "case_2", -0.55, {"reduced": 2.0, "rotor": 5.0, "zero": -3.0})
+SECOND = experiment("push", "juice", "case_1", -0.40, {"reduced": -4.0, "rotor": 1.0, "zero": -5.0})
+THIRD = experiment("grab", "juice", "case_1", 0.30, {"reduced": 8.0, "rotor": -2.0, "zero": 0.0})
+
+
+def test_bias_is_the_mean_with_sign_and_quality_the_mean_without() -> None:
+    *rows, bias, quality = result_table(analysis(FIRST, SECOND))
+    assert [row.label for row in rows] == ["cat_food: case_2", "juice: case_1"]
+    assert bias.errors == pytest.approx({"reduced": -1.0, "rotor": 3.0, "zero": -4.0})
+    assert quality.errors == pytest.approx({"reduced": 3.0, "rotor": 3.0, "zero": 4.0})
+    assert (bias.label, bias.signed) == ("Average error", True)
+    assert (quality.label, quality.signed) == ("Absolute error", False)
+    found = analysis(FIRST, SECOND)
+    assert found.average_error == pytest.approx(bias.errors)
+    assert found.absolute_error == pytest.approx(quality.errors)
+
+
+def test_every_scenario_has_its_averages_and_all_sets_count_once_in_the_whole() -> None:
+    rows = {row.label: row for row in result_table(analysis(FIRST, SECOND, THIRD))}
+    assert rows["push: average error"].errors["reduced"] == pytest.approx(-1.0)
+    assert rows["grab: average error"].errors["reduced"] == pytest.approx(8.0)
+    assert rows["All: average error"].errors["reduced"] == pytest.approx(2.0)
+    assert rows["All: absolute error"].errors["reduced"] == pytest.approx(14.0 / 3.0)
+
+
+def test_an_estimate_is_a_speed_with_the_larger_half_of_its_interval() -> None:
+    row = result_table(analysis(FIRST))[0]
+    low, high = FIRST.fit.interval or (0.0, 0.0)
+    assert row.estimate == pytest.approx(-FIRST.fit.estimate)
+    assert row.estimate > 0.0
+    assert FIRST.interval == pytest.approx((-high, -low))
+    assert row.half_interval == pytest.approx(max(FIRST.fit.estimate - low, high - FIRST.fit.estimate))
+    assert row.half_interval > min(FIRST.fit.estimate - low, high - FIRST.fit.estimate)
+
+
+def test_the_papers_averages_are_over_the_rows_that_it_has() -> None:
+    unknown = experiment("push", "tin", "case_1", -0.4, dict.fromkeys(MOTOR_INERTIA_MODELS, 0.0))
+    *_, bias, quality = result_table(analysis(FIRST, SECOND, unknown))
+    papers = [paper_row("push", "cat_food", "case_2"), paper_row("push", "juice", "case_1")]
+    for model in MOTOR_INERTIA_MODELS:
+        errors = [row.errors[model] for row in papers if row is not None]
+        assert len(errors) == 2
+        assert bias.paper_errors is not None
+        assert quality.paper_errors is not None
+        assert bias.paper_errors[model] == pytest.approx(np.mean(errors))
+        assert quality.paper_errors[model] == pytest.approx(np.mean(np.abs(errors)))
+
+
+def test_no_sets_make_no_table() -> None:
+    assert result_table(analysis()) == []
+    assert set(analysis().average_error.values()) == {None}

@@ -1,0 +1,324 @@
+"""What the controller commands, mode by mode, against the equations of the tasks; limits; the integral of its feedback.
+
+The desired torque is turned back into the accelerations it asks for, with tau_d = (M + B_theta) ddq + h
+(paper eq. eom_ante), and these are held against the task errors, which are zero where no limit is near.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from impact_rs_control.controller import ArmCommand, Controller, Mode
+from impact_rs_control.plan import TrialPlan, plan_trial
+from impact_rs_control.references import SampledPath
+from impact_rs_sim.robot import Limits
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import Scene
+from impact_rs_sim.sensors import ArmMeasurement
+
+ARM = "arm"
+PUSH = load_scenario("push")
+TIMING = PUSH.timing
+PERIOD = TIMING.control_period
+NOMINAL = round(TIMING.nominal_impact / PERIOD)  # tick of T_nom
+INTERIM = round(PUSH.control.interim_duration / PERIOD)  # ticks
+STILL = np.zeros(len(PUSH.robots[ARM].impact.joint_guess))  # rad/s
+POSITION_LIMITS = ("position_min_rad", "position_max_rad")
+STAGES = {"ante": (Mode.ANTE, 1.0), "hit": (Mode.INTERIM, 0.0), "half": (Mode.INTERIM, 0.5), "post": (Mode.POST, 1.0)}
+
+
+@pytest.fixture(scope="module")
+def plan() -> TrialPlan:
+    """A push whose gains, references and feedforward differ from mode to mode, so that no two can be mistaken."""
+    gains = PUSH.control.gains.model_copy(
+        update={"position": 210.0, "orientation": 400.0, "orientation_post": 90.0, "posture": 300.0}
+    )
+    scenario = PUSH.model_copy(update={"control": PUSH.control.model_copy(update={"gains": gains})})
+    planned = plan_trial(Scene.resolve(scenario, "cat_food", "case_2"))
+    rng = np.random.default_rng(2)
+    arm = planned.arms[ARM]
+    count = arm.wrench.shape[0]
+
+    def path(of: SampledPath) -> SampledPath:
+        return SampledPath(
+            *(
+                values + 0.01 * rng.standard_normal(values.shape[1])
+                for values in (of.position, of.velocity, of.acceleration)
+            )
+        )
+
+    def constant(*values: float) -> np.ndarray:
+        return np.broadcast_to(np.array(values), (count, len(values)))
+
+    changed = replace(
+        arm,
+        ante_position=path(arm.ante_position),
+        post_position=path(arm.post_position),
+        ante_posture=path(arm.ante_posture),
+        post_posture=path(arm.post_posture),
+        rotation=SampledPath(constant(0.0), constant(0.07), constant(0.3)),
+        wrench=constant(3.0, -20.0, 4.0, 0.3, -0.2, 0.1),
+        ante_friction=constant(0.3, -0.2, 0.5, 1.0, -2.0, 0.7, 0.4),
+        post_friction=constant(-0.6, 0.1, 0.2, -0.5, 0.9, 1.1, -0.8),
+    )
+    return replace(planned, arms={ARM: changed})
+
+
+def measured(plan: TrialPlan, seed: int = 0) -> ArmMeasurement:
+    """A state off every reference: some mm, mrad and cm/s away from the nominal impact."""
+    rng = np.random.default_rng(seed)
+    state = plan.scene.arms[ARM]
+    q = state.position + 0.004 * rng.standard_normal(state.position.size)
+    dq = state.velocity + 0.05 * rng.standard_normal(state.position.size)
+    return measurement(q, dq, plan.scene.models[ARM].gravity_torque(q))
+
+
+def measurement(q: np.ndarray, dq: np.ndarray, torque: np.ndarray) -> ArmMeasurement:
+    return ArmMeasurement(q, dq, torque, q, dq)
+
+
+def command_in(plan: TrialPlan, stage: str, state: ArmMeasurement, tick: int = NOMINAL + 20) -> ArmCommand:
+    """The command of one tick, with the impact as long ago as the stage says."""
+    controller = Controller(plan)
+    if stage != "ante":
+        controller.arms[ARM].begin_interim(tick - {"hit": 0, "half": INTERIM // 2, "post": INTERIM}[stage])
+    return controller.update(tick, {ARM: state})[ARM]
+
+
+def joint_acceleration(plan: TrialPlan, command: ArmCommand, state: ArmMeasurement) -> np.ndarray:
+    """ddq that the desired torque asks for (paper eq. eom_ante)."""
+    terms = plan.scene.models[ARM].terms(state.position, state.velocity)
+    inertia = terms.mass_matrix + np.diag(plan.scene.physics.arms[ARM].motor_inertia_reduced)
+    return np.linalg.solve(inertia, command.torque - terms.bias)
+
+
+def task_acceleration(plan: TrialPlan, command: ArmCommand, state: ArmMeasurement) -> np.ndarray:
+    """Accelerations of position and orientation of E and of joint 1, ``(7,)``."""
+    ddq = joint_acceleration(plan, command, state)
+    terms = plan.scene.models[ARM].terms(state.position, state.velocity)
+    return np.append(terms.jacobian @ ddq + terms.drift, ddq[0])
+
+
+def pushed(plan: TrialPlan, state: ArmMeasurement, tick: int) -> np.ndarray:
+    """Lambda^-1 f_d (paper eq. a_p_f) and what the same torque does to joint 1, ``(7,)``."""
+    model = plan.scene.models[ARM]
+    jacobian = model.jacobian(state.position)
+    inertia = model.mass_matrix(state.position) + np.diag(plan.scene.physics.arms[ARM].motor_inertia_reduced)
+    joints = np.linalg.solve(inertia, jacobian.T @ plan.arms[ARM].wrench[tick])
+    return np.append(jacobian @ joints, joints[0])
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_every_task_error_of_its_mode_is_zero(plan: TrialPlan, stage: str) -> None:
+    """Paper eqs. e_pos_ante, e_pos_int, e_pos_post, e_theta_ante and the posture task, with gamma on every velocity."""
+    mode, gamma = STAGES[stage]
+    arm, gains, tick = plan.arms[ARM], plan.scene.scenario.control.gains, NOMINAL + 20
+    for seed in range(3):
+        state = measured(plan, seed)
+        command = command_in(plan, stage, state, tick)
+        assert (command.mode, command.gamma) == (mode, pytest.approx(gamma))
+        after = mode is not Mode.ANTE
+        path, posture = (arm.post_position, arm.post_posture) if after else (arm.ante_position, arm.ante_posture)
+        k_p, k_q = gains.position, gains.posture
+        k_theta = gains.orientation_post if after else gains.orientation
+        model = plan.scene.models[ARM]
+        place, twist = model.placement(state.position), model.jacobian(state.position) @ state.velocity
+        tilt = place.rotation @ pin.log3(place.rotation.T @ arm.orientation[tick])
+        feedback = np.concatenate(
+            (
+                gamma * 2.0 * np.sqrt(k_p) * (path.velocity[tick] - twist[:3])
+                + k_p * (path.position[tick] - place.translation),
+                gamma * 2.0 * np.sqrt(k_theta) * (0.07 * arm.pad_normal - twist[3:]) + k_theta * tilt,
+                gamma * 2.0 * np.sqrt(k_q) * (posture.velocity[tick] - state.velocity[:1])
+                + k_q * (posture.position[tick] - state.position[:1]),
+            )
+        )
+        reference = np.concatenate((path.acceleration[tick], 0.3 * arm.pad_normal, posture.acceleration[tick]))
+        expected = reference + feedback + (arm.post_friction if after else arm.ante_friction)[tick]
+        if after:
+            expected = expected + pushed(plan, state, tick)
+        np.testing.assert_allclose(task_acceleration(plan, command, state), expected, atol=1e-4)
+        np.testing.assert_allclose(command.task_feedback, feedback, atol=1e-9)
+        np.testing.assert_allclose(command.feedback, feedback[:3], atol=1e-9)
+
+
+@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("task", ["position", "orientation", "posture"])
+def test_a_velocity_error_is_answered_gamma_times_as_hard_as_by_critical_damping(
+    plan: TrialPlan, stage: str, task: str
+) -> None:
+    """d(acceleration) / d(velocity error) = gamma 2 sqrt(k): 0 at the impact, half way after half of the interim."""
+    gains = plan.scene.scenario.control.gains
+    rows, gain = {
+        "position": (slice(0, 3), gains.position),
+        "orientation": (slice(3, 6), gains.orientation if stage == "ante" else gains.orientation_post),
+        "posture": (slice(6, 7), gains.posture),
+    }[task]
+    state = measured(plan)
+    faster = replace(state, velocity=state.velocity + 0.01)
+    slow, fast = (command_in(plan, stage, each).task_feedback[rows] for each in (state, faster))
+    jacobian = plan.scene.models[ARM].jacobian(state.position)
+    change = (np.append(jacobian @ np.full(state.velocity.size, 0.01), 0.01))[rows]
+    np.testing.assert_allclose(fast - slow, -STAGES[stage][1] * 2.0 * np.sqrt(gain) * change, atol=1e-9)
+
+
+def test_a_tilted_pad_is_turned_back(plan: TrialPlan) -> None:
+    """The sign of the orientation task, from the outside: alpha brings R towards R_d."""
+    model, desired = plan.scene.models[ARM], plan.arms[ARM].orientation[0]
+    state = measured(plan)
+    state = replace(state, velocity=STILL)
+    still = replace(plan.arms[ARM], rotation=SampledPath(*[np.zeros_like(plan.arms[ARM].rotation.position)] * 3))
+    command = command_in(replace(plan, arms={ARM: still}), "ante", state)
+    rotation = model.placement(state.position).rotation
+    angle = np.linalg.norm(pin.log3(rotation.T @ desired))
+    turned = pin.exp3(1e-3 * command.task_feedback[3:6] / np.linalg.norm(command.task_feedback[3:6])) @ rotation
+    assert np.linalg.norm(pin.log3(turned.T @ desired)) == pytest.approx(angle - 1e-3, abs=1e-9)
+
+
+def test_gamma_grows_in_proportion_to_the_time_since_the_impact_and_the_interim_mode_ends(plan: TrialPlan) -> None:
+    """gamma = (t - T_imp) / Delta t_int."""
+    controller, state, start = Controller(plan), measured(plan), NOMINAL
+    controller.arms[ARM].begin_interim(start)
+    commands = [controller.update(start + tick, {ARM: state})[ARM] for tick in range(INTERIM + 5)]
+    assert [command.gamma for command in commands[:INTERIM]] == pytest.approx(np.arange(INTERIM) / INTERIM)
+    assert {command.mode for command in commands[:INTERIM]} == {Mode.INTERIM}
+    assert [(command.mode, command.gamma) for command in commands[INTERIM:]] == [(Mode.POST, 1.0)] * 5
+
+
+def test_net_feedback_is_the_sum_of_the_feedback_over_the_window(plan: TrialPlan) -> None:
+    """Paper eq. a_fb_net: from T_nom - 0.1 s to T_nom + 0.6 s, the held feedback times the period."""
+    controller, state = Controller(plan), measured(plan)
+    commands = [controller.update(tick, {ARM: state})[ARM] for tick in range(TIMING.ticks + 1)]
+    feedback = np.array([command.feedback for command in commands])
+    time = np.arange(TIMING.ticks + 1) * PERIOD
+    inside = (time > 0.8 - 0.5 * PERIOD) & (time < 1.5 - 0.5 * PERIOD)
+    assert inside.sum() == 700
+    np.testing.assert_allclose(commands[-1].net_feedback, PERIOD * feedback[inside].sum(axis=0), atol=1e-12)
+    assert not np.any(commands[799].net_feedback)
+    np.testing.assert_array_equal(commands[1500].net_feedback, commands[-1].net_feedback)
+
+
+def limited(plan: TrialPlan, **changes: np.ndarray) -> TrialPlan:
+    """The plan with other joint limits."""
+    arm = plan.scene.physics.arms[ARM]
+    limits = Limits(**{**arm.facts.limits.model_dump(), **{name: tuple(values) for name, values in changes.items()}})
+    facts = arm.facts.model_copy(update={"limits": limits})
+    physics = replace(plan.scene.physics, arms={ARM: replace(arm, facts=facts)})
+    return replace(plan, scene=replace(plan.scene, physics=physics))
+
+
+def demanding(plan: TrialPlan, joint_1: float) -> TrialPlan:
+    """The plan with a step of joint 1's reference, ``joint_1`` [rad] away."""
+    arm = plan.arms[ARM]
+    away = replace(arm.ante_posture, position=arm.ante_posture.position + joint_1)
+    return replace(plan, arms={ARM: replace(arm, ante_posture=away)})
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_no_joint_is_sent_beyond_its_position_limit_on_either_side(plan: TrialPlan, side: float) -> None:
+    """Paper eq. const_q: where joint 1 is after one period at the commanded acceleration."""
+    state = replace(measured(plan), velocity=STILL)
+    room = 2e-6  # rad, a few times what 10 rad/s^2 do in one period
+    low, high = (np.array(getattr(plan.scene.physics.arms[ARM].facts.limits, name)) for name in POSITION_LIMITS)
+    (high if side > 0.0 else low)[0] = state.position[0] + side * room
+    bounded = limited(demanding(plan, side * 0.5), position_min_rad=low, position_max_rad=high)
+    reach = []
+    for each in (demanding(plan, side * 0.5), bounded):
+        ddq = joint_acceleration(plan, command_in(each, "ante", state), state)
+        reach.append(side * 0.5 * PERIOD**2 * ddq[0])
+    assert reach[0] > 5.0 * room
+    assert reach[1] == pytest.approx(room, rel=1e-3)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_no_joint_is_sent_beyond_its_velocity_limit_in_either_direction(plan: TrialPlan, side: float) -> None:
+    """Paper eq. const_dq."""
+    state = measured(plan)
+    velocity = np.zeros_like(state.velocity)
+    velocity[0] = side * 0.3
+    state = replace(state, velocity=velocity)
+    bound = np.array(plan.scene.physics.arms[ARM].facts.limits.velocity_rad_s)
+    bound[0] = 0.31
+    ddq = joint_acceleration(
+        plan, command_in(limited(demanding(plan, side * 0.5), velocity_rad_s=bound), "ante", state), state
+    )
+    assert side * velocity[0] + side * PERIOD * ddq[0] == pytest.approx(0.31, rel=1e-6)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("joint", [0, 1, 3])
+def test_no_joint_gets_more_than_its_torque_limit_in_either_direction(plan: TrialPlan, joint: int, side: float) -> None:
+    """Paper eq. const_tau, of the whole torque: what gravity takes is no longer there to accelerate with."""
+    state = replace(measured(plan), velocity=STILL)
+    bound = np.array(plan.scene.physics.arms[ARM].facts.limits.torque_Nm)
+    for demand in (-2.0, 2.0, -8.0, 8.0):
+        free = command_in(demanding(plan, demand), "ante", state).torque[joint]
+        if side * free > 0.0:
+            break
+    bound[joint] = 0.7 * abs(free)
+    torque = command_in(limited(demanding(plan, demand), torque_Nm=bound), "ante", state).torque
+    assert side * free > 0.0
+    assert torque[joint] == pytest.approx(side * bound[joint], rel=1e-6)
+    assert np.all(np.abs(torque) <= bound + 1e-6)
+
+
+def test_where_limits_bind_the_heavier_task_gives_way_less(plan: TrialPlan) -> None:
+    """The weights of paper eq. QP_ante: a torque limit spoils the tasks in inverse order of their weights."""
+    state = replace(measured(plan), velocity=STILL)
+    bound = np.array(plan.scene.physics.arms[ARM].facts.limits.torque_Nm)
+    bound[0] = 0.3 * abs(command_in(demanding(plan, 0.5), "ante", state).torque[0])
+    wanted = task_acceleration(plan, command_in(demanding(plan, 0.5), "ante", state), state)
+    missed = {}
+    for heavy in ("position_weight", "orientation_weight", "posture_weight"):
+        each = limited(demanding(plan, 0.5), torque_Nm=bound)
+        control = each.scene.scenario.control
+        gains = control.gains.model_copy(update={heavy: 1e4})
+        scenario = each.scene.scenario.model_copy(update={"control": control.model_copy(update={"gains": gains})})
+        each = replace(each, scene=replace(each.scene, scenario=scenario))
+        error = wanted - task_acceleration(plan, command_in(each, "ante", state), state)
+        missed[heavy] = np.array([np.linalg.norm(error[rows]) for rows in (slice(0, 3), slice(3, 6), slice(6, 7))])
+    for row, heavy in enumerate(missed):
+        others = [missed[name][row] for name in missed if name != heavy]
+        assert missed[heavy][row] < 0.05 * min(others)
+
+
+def pressed(plan: TrialPlan, arm: str, force: np.ndarray) -> ArmMeasurement:
+    """An arm at rest at its impact pose, on which ``force`` ``(3,)`` [N] presses."""
+    q, model = plan.scene.arms[arm].position, plan.scene.models[arm]
+    return measurement(q, np.zeros_like(q), model.gravity_torque(q) - model.jacobian(q)[:3].T @ force)
+
+
+def test_an_impact_is_detected_once_from_the_arming_on_and_carries_what_was_measured(plan: TrialPlan) -> None:
+    settings = plan.scene.scenario.control.detection
+    force = np.array([0.0, 2.0 * settings.threshold, 0.0])
+    armed = round((TIMING.nominal_impact - settings.arm_before) / PERIOD)
+    found = {}
+    for start in (armed - 200, armed + 5):
+        controller = Controller(plan)
+        for tick in range(start - 20, start):
+            controller.update(tick, {ARM: pressed(plan, ARM, np.zeros(3))})
+        states = [controller.update(tick, {ARM: pressed(plan, ARM, force)})[ARM] for tick in range(start, start + 50)]
+        found[start] = [(start + row, each.detection) for row, each in enumerate(states) if each.detection is not None]
+    assert not found[armed - 200]
+    ((tick, detection),) = found[armed + 5]
+    assert detection.time == pytest.approx(tick * PERIOD)
+    assert detection.force > detection.threshold == settings.threshold
+    assert detection.wrench[1] > settings.threshold
+    np.testing.assert_allclose(detection.twist, 0.0)
+
+
+def test_the_first_arm_that_hits_takes_both_out_of_the_ante_mode() -> None:
+    planned = plan_trial(Scene.resolve(load_scenario("grab"), "cat_food", "case_1"))
+    controller, start = Controller(planned), round(planned.scene.scenario.timing.nominal_impact / PERIOD)
+    against = -100.0 * planned.arms["left"].approach_direction
+    for tick in range(start, start + 10):
+        states = {"left": against if tick > start else np.zeros(3), "right": np.zeros(3)}
+        commands = controller.update(tick, {arm: pressed(planned, arm, force) for arm, force in states.items()})
+    assert {command.mode for command in commands.values()} == {Mode.INTERIM}
+    assert len({command.gamma for command in commands.values()}) == 1
+    assert controller.arms["left"].detection is not None
+    assert controller.arms["right"].detection is None

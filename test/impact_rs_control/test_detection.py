@@ -1,0 +1,125 @@
+"""The momentum observer: nothing in free motion, a known force with its sign, size and delay; sudden forces alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from impact_rs_control.detection import BASELINE_TIME, ImpactDetector
+from impact_rs_sim.scenario import Detection, load_scenario
+from impact_rs_sim.scene import Scene
+
+SCENE = Scene.resolve(load_scenario("push"), "cat_food", "case_2")
+MODEL = SCENE.models["arm"]
+START = SCENE.arms["arm"].position
+COUNT = START.size
+PERIOD = 1e-3  # s
+FINE = 1e-4  # s; for the motions, so that what is left is not the observer's sampling
+SUBSTEPS = 5
+DIRECTION = np.array([0.0, -1.0, 0.0])
+SETTINGS = Detection(observer_gain=500.0, threshold=15.0, arm_before=0.3)
+
+Torque = Callable[[float], np.ndarray]
+
+
+def detector(settings: Detection = SETTINGS, period: float = PERIOD) -> ImpactDetector:
+    return ImpactDetector(MODEL, settings, DIRECTION, period)
+
+
+def motion(drive: Torque, force: np.ndarray, ticks: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """q, dq and tau_J of M ddq + C dq + g = tau_J + J^T f, from rest; ``drive`` comes on top of the gravity torque."""
+    q, dq = START.copy(), np.zeros(COUNT)
+    step = FINE / SUBSTEPS
+    for tick in range(ticks):
+        torque = MODEL.gravity_torque(q) + drive(tick * FINE)
+        yield q, dq, torque
+        for _ in range(SUBSTEPS):
+            terms = MODEL.terms(q, dq)
+            dq = dq + step * np.linalg.solve(terms.mass_matrix, torque + terms.jacobian[:3].T @ force - terms.bias)
+            q = q + step * dq
+
+
+def watch(observer: ImpactDetector, q: np.ndarray, dq: np.ndarray, torque: np.ndarray) -> bool:
+    return observer.update(q, dq, torque, MODEL.terms(q, dq))
+
+
+def push_at_rest(observer: ImpactDetector, force: np.ndarray) -> bool:
+    """One tick of an arm at rest that ``force`` ``(3,)`` [N] presses on: tau_J = g - J^T f."""
+    pressed = MODEL.gravity_torque(START) - MODEL.jacobian(START)[:3].T @ force
+    return watch(observer, START, np.zeros(COUNT), pressed)
+
+
+def fast(time: float) -> np.ndarray:
+    """Torques that bring joints 1, 2 and 4 to speed at once: then Coriolis torques are large."""
+    torque = np.zeros(COUNT)
+    torque[[0, 1, 3]] = np.array([25.0, -30.0, 15.0]) * np.sin(2.0 * np.pi * time / 0.8)
+    return torque
+
+
+def test_free_motion_of_fast_joints_leaves_no_force() -> None:
+    observer = detector(period=FINE)
+    forces, coriolis = [], 0.0
+    for q, dq, torque in motion(fast, np.zeros(3), 500):
+        assert not watch(observer, q, dq, torque)
+        forces.append(np.linalg.norm(observer.wrench[:3]))
+        bias = MODEL.terms(q, dq).bias - MODEL.gravity_torque(q)
+        coriolis = max(coriolis, float(np.linalg.norm(bias)))
+    assert coriolis > 2.0, "the motion must have Coriolis torques that a wrong sign would show [N m]"
+    assert max(forces) < 0.4
+
+
+@pytest.mark.parametrize("force", [(12.0, -7.0, 5.0), (-4.0, 9.0, -11.0)])
+def test_a_known_force_on_a_moving_arm_is_recovered_with_its_sign_and_size(force: tuple) -> None:
+    observer = detector(period=FINE)
+    for q, dq, torque in motion(lambda time: 0.3 * fast(time), np.array(force), 1000):
+        watch(observer, q, dq, torque)
+    np.testing.assert_allclose(observer.wrench[:3], force, atol=0.3)
+    np.testing.assert_allclose(observer.wrench[3:], 0.0, atol=0.1)
+
+
+def test_the_estimate_approaches_the_force_with_the_time_constant_of_the_gain() -> None:
+    """r_k = (1 - (1 - K_o Delta t)^k) tau_ext."""
+    gain = 50.0
+    observer = detector(SETTINGS.model_copy(update={"observer_gain": gain}))
+    for tick in range(1, 61):
+        push_at_rest(observer, np.array([0.0, 30.0, 0.0]))
+        share = 1.0 - (1.0 - gain * PERIOD) ** tick
+        np.testing.assert_allclose(observer.wrench[:3], [0.0, 30.0 * share, 0.0], atol=1e-6)
+
+
+@pytest.mark.parametrize(("size", "hit"), [(1.2, True), (0.95, False), (-1.2, False)])
+def test_a_sudden_force_against_the_motion_is_an_impact_and_one_along_it_is_not(size: float, hit: bool) -> None:
+    """The arm moves along -y, so an obstacle pushes along +y."""
+    observer = detector()
+    for _ in range(20):
+        assert not push_at_rest(observer, np.zeros(3))
+    force = -size * SETTINGS.threshold * DIRECTION
+    assert any([push_at_rest(observer, force) for _ in range(10)]) == hit
+
+
+def test_a_force_across_the_motion_is_no_impact() -> None:
+    observer = detector()
+    assert not any([push_at_rest(observer, np.array([40.0, 0.0, -40.0])) for _ in range(50)])
+
+
+def test_a_slow_force_becomes_the_baseline_and_a_sudden_one_on_top_is_still_found() -> None:
+    """As a payload that the model does not know: a ramp r leaves r times the time constant, and then nothing."""
+    observer, rate = detector(), 60.0  # N/s
+    for tick in range(1, 1001):
+        assert not push_at_rest(observer, np.array([0.0, rate * tick * PERIOD, 0.0]))
+        if tick == 500:
+            assert observer.force == pytest.approx(rate * BASELINE_TIME, rel=0.03)
+    for _ in range(300):
+        assert not push_at_rest(observer, np.array([0.0, rate, 0.0]))
+    assert observer.force == pytest.approx(0.0, abs=0.1)
+    assert any([push_at_rest(observer, np.array([0.0, rate + 1.2 * SETTINGS.threshold, 0.0])) for _ in range(10)])
+
+
+def test_what_counts_as_an_impact_is_not_forgotten_while_it_lasts() -> None:
+    observer = detector()
+    push_at_rest(observer, np.zeros(3))
+    found = [push_at_rest(observer, -2.0 * SETTINGS.threshold * DIRECTION) for _ in range(500)]
+    assert all(found[5:])
+    assert observer.force == pytest.approx(2.0 * SETTINGS.threshold, rel=0.1)

@@ -1,0 +1,158 @@
+"""The plan of a trial: references with the predicted jump, the force that moves the object on, where arms start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from impact_rs_control.plan import TrialPlan, plan_trial, tick_times
+from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import Scene
+
+PUSH = Scene.resolve(load_scenario("push"), "juice", "case_1")
+GRAB = Scene.resolve(load_scenario("grab"), "juice", "case_1")
+EXCITE = Scene.resolve(load_scenario("excite"), "none", "fast")
+GRAVITY = 9.81  # m/s^2
+SCALE = 0.8
+
+
+@pytest.fixture(scope="module")
+def push() -> TrialPlan:
+    return plan_trial(PUSH, SCALE)
+
+
+@pytest.fixture(scope="module")
+def grab() -> TrialPlan:
+    return plan_trial(GRAB, SCALE)
+
+
+@pytest.fixture(scope="module")
+def excite() -> TrialPlan:
+    return plan_trial(EXCITE)
+
+
+def at_impact(plan: TrialPlan) -> int:
+    timing = plan.scene.scenario.timing
+    return round(timing.nominal_impact / timing.control_period)
+
+
+@pytest.mark.parametrize("scene", [PUSH, GRAB], ids=["push", "grab"])
+@pytest.mark.parametrize("motor", ["reduced", "zero"])
+def test_references_jump_at_the_impact_as_the_impact_map_says_times_the_scale(scene: Scene, motor: str) -> None:
+    plan = plan_trial(scene, SCALE, motor)
+    answer = compute_impact_map(ImpactProblem.at_nominal_impact(scene, motor), "pinocchio")
+    tick = at_impact(plan)
+    for name, arm in plan.arms.items():
+        state = scene.arms[name]
+        before = scene.models[name].jacobian(state.position)[:3] @ state.velocity
+        np.testing.assert_allclose(arm.ante_position.velocity[tick], before, atol=1e-9)
+        np.testing.assert_allclose(
+            arm.post_position.velocity[tick], SCALE * answer.end_effector_twist[name][:3], atol=1e-9
+        )
+        np.testing.assert_allclose(arm.ante_posture.velocity[tick], state.velocity[0], atol=1e-9)
+        np.testing.assert_allclose(arm.post_posture.velocity[tick], SCALE * answer.joint_velocity[name][0], atol=1e-9)
+        np.testing.assert_allclose(arm.approach_direction, before / np.linalg.norm(before), atol=1e-12)
+    axis = scene.scenario.axis_index
+    mean = np.mean([twist[axis] for twist in answer.end_effector_twist.values()])
+    assert plan.predicted_post_velocity == pytest.approx(mean)
+    assert plan.reference_post_velocity == pytest.approx(SCALE * mean)
+    before = [robot.ante_velocity[axis] for robot in scene.scenario.cases["case_1"].robots.values()]
+    assert plan.ante_velocity == pytest.approx(np.mean(before))
+
+
+def test_a_pushed_box_gets_the_friction_of_its_support_and_its_own_inertial_force(push: TrialPlan) -> None:
+    """f_d = (mu m g + m a_d . n) n: what the box needs to follow the reference across the table, and never a pull."""
+    arm, thing = push.arms["arm"], PUSH.physics.object
+    normal = np.array([0.0, -1.0, 0.0])
+    needed = PUSH.physics.support_friction * thing.mass * GRAVITY + thing.mass * (
+        arm.post_position.acceleration @ normal
+    )
+    assert needed.min() > 0.0
+    np.testing.assert_allclose(arm.wrench[:, :3], np.outer(needed, normal), atol=1e-9)
+    np.testing.assert_array_equal(arm.wrench[:, 3:], 0.0)
+
+
+def test_nothing_rubs_a_box_that_hangs_free_and_a_box_that_slows_down_is_not_pulled() -> None:
+    physics: Physics = replace(PUSH.physics, support_height=None)
+    plan = plan_trial(replace(PUSH, physics=physics), SCALE)
+    along = plan.arms["arm"].post_position.acceleration @ np.array([0.0, -1.0, 0.0])
+    assert along.min() < -0.1
+    expected = PUSH.physics.object.mass * np.maximum(along, 0.0)
+    np.testing.assert_allclose(-plan.arms["arm"].wrench[:, 1], expected, atol=1e-9)
+
+
+def test_two_arms_share_the_weight_of_the_box_and_clamp_it_with_opposite_forces(grab: TrialPlan) -> None:
+    """Sum of both: m (a_d - g); each along its pad's normal: the clamping force and its share of that."""
+    clamp, mass = GRAB.scenario.control.clamp_force, GRAB.physics.object.mass
+    left, right = grab.arms["left"], grab.arms["right"]
+    np.testing.assert_allclose(left.pad_normal, -right.pad_normal)
+    total = left.wrench[:, :3] + right.wrench[:, :3]
+    common = (left.post_position.acceleration + right.post_position.acceleration) / 2.0
+    np.testing.assert_allclose(total, mass * (common + [0.0, 0.0, GRAVITY]), atol=1e-9)
+    last = [arm.wrench[-1, :3] @ arm.pad_normal for arm in (left, right)]
+    np.testing.assert_allclose(last, clamp, atol=1e-6)
+    np.testing.assert_allclose(left.wrench[-1, 2], mass * GRAVITY / 2.0, atol=1e-6)
+
+
+def test_pads_that_clamp_a_box_rise_and_the_lift_is_that_of_their_mean(grab: TrialPlan, push: TrialPlan) -> None:
+    tick = at_impact(grab)
+    heights = [arm.post_position.position[[tick, -1], 2] for arm in grab.arms.values()]
+    lift = np.mean([end - start for start, end in heights])
+    assert grab.expected_lift == pytest.approx(lift)
+    assert lift > 0.05
+    assert push.expected_lift == 0.0
+
+
+@pytest.mark.parametrize("name", ["push", "grab", "excite"])
+def test_every_arm_starts_where_its_reference_does(name: str, request: pytest.FixtureRequest) -> None:
+    plan: TrialPlan = request.getfixturevalue(name)
+    for arm_name, arm in plan.arms.items():
+        place = plan.scene.models[arm_name].placement(arm.initial)
+        np.testing.assert_allclose(place.translation, arm.ante_position.position[0], atol=1e-7)
+        np.testing.assert_allclose(place.rotation, arm.orientation[0], atol=1e-7)
+        assert arm.initial[0] == pytest.approx(arm.ante_posture.position[0, 0], abs=1e-12)
+
+
+def test_both_references_are_at_the_impact_pose_at_the_nominal_time(push: TrialPlan, grab: TrialPlan) -> None:
+    """Paper eq. pos_refs_imp, for every arm."""
+    for plan in (push, grab):
+        tick = at_impact(plan)
+        for name, arm in plan.arms.items():
+            place = plan.scene.models[name].placement(plan.scene.arms[name].position)
+            for path in (arm.ante_position, arm.post_position):
+                np.testing.assert_allclose(path.position[tick], place.translation, atol=1e-8)
+            np.testing.assert_allclose(arm.orientation[tick], place.rotation, atol=1e-8)
+
+
+def test_an_excursion_turns_about_the_normal_and_peaks_at_the_speed_of_its_case(excite: TrialPlan) -> None:
+    arm = excite.arms["arm"]
+    settings = EXCITE.scenario.excursion
+    assert settings is not None
+    wanted = np.array(EXCITE.scenario.cases["fast"].robots["arm"].ante_velocity)
+    speed = np.linalg.norm(arm.ante_position.velocity, axis=1)
+    assert speed.max() == pytest.approx(np.linalg.norm(wanted), rel=1e-3)
+    leg = EXCITE.scenario.excursion_leg(EXCITE.scenario.cases["fast"].robots["arm"])
+    times = tick_times(EXCITE)
+    there = int(np.searchsorted(times, settings.begin + leg + 0.5 * settings.rest))
+    way = arm.ante_position.position[there] - arm.ante_position.position[0]
+    np.testing.assert_allclose(way, np.subtract(settings.end, settings.start), atol=1e-6)
+    np.testing.assert_allclose(arm.ante_position.position[-1], arm.ante_position.position[0], atol=1e-9)
+    assert arm.ante_posture.position[there, 0] - arm.ante_posture.position[0, 0] == pytest.approx(settings.joint_1)
+    turn = arm.orientation[there] @ arm.orientation[0].T
+    np.testing.assert_allclose(pin.log3(turn), settings.twist * arm.pad_normal, atol=1e-9)
+    assert not excite.expects_impact
+    assert excite.predicted_post_velocity == 0.0
+
+
+def test_the_rotation_reference_is_the_rate_of_the_orientation(excite: TrialPlan) -> None:
+    """R_d(t + dt) = exp(w n dt) R_d(t), with the same n and w that the controller feeds forward."""
+    arm = excite.arms["arm"]
+    period = EXCITE.scenario.timing.control_period
+    for tick in (250, 400, 700):
+        turn = pin.log3(arm.orientation[tick + 1] @ arm.orientation[tick - 1].T) / (2.0 * period)
+        np.testing.assert_allclose(turn, arm.rotation.velocity[tick, 0] * arm.pad_normal, atol=1e-4)
