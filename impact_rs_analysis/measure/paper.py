@@ -13,13 +13,11 @@ s minimises the mean absolute mismatch over the rows, the measure of the paper's
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from impact_rs_analysis.measure.table import PaperRow, PaperTables
-from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import parse_yaml
@@ -219,76 +217,3 @@ def study_paper() -> PaperStudy:
         nominal=np.array([result.row.reduced for result in results]),
         fitted=np.array([float(result.mismatch(np.array(fit.scale))) for result in results]),
     )
-
-
-def paper_figure(study: PaperStudy) -> Any:
-    """Mean absolute mismatch over the scale, for all rows and for each scenario."""
-    from impact_rs_analysis.report.figures import BLACK, BLUE, RED, Curve, Figure, Note, Panel
-
-    colours = {"all rows": BLACK, "push": BLUE, "grab": RED}
-    groups = {"all rows": list(study.results)}
-    for name in study.by_scenario:
-        groups[name] = [result for result in study.results if result.scenario == name]
-    fits = {"all rows": study.all_rows, **study.by_scenario}
-    curves = []
-    for name, results in groups.items():
-        fit = fits[name]
-        error = np.abs([result.mismatch(GRID[::10]) for result in results]).mean(axis=0)
-        low, high = fit.interval
-        colour = colours.get(name, BLACK)
-        curves.append(Curve("", GRID[::10], error, colour))
-        curves.append(
-            Curve(
-                f"{name}: {fit.scale:.2f} [{low:.2f}, {high:.2f}], "
-                f"{fit.error_nominal:.2f} % → {fit.error_fitted:.2f} %",
-                np.array([fit.scale]), np.array([fit.error_fitted]), colour, line="none", marker="circle",
-                error=(max(fit.scale - low, 0.0), max(high - fit.scale, 0.0)),
-            )
-        )  # fmt: skip
-    return Figure(
-        name="paper_motor_inertia",
-        title="Published experiment: how much a motor-inertia scale explains",
-        caption=study.sentence[0].upper() + study.sentence[1:] + ".",
-        x_label="motor-inertia scale s, B = s B<sub>θ</sub> [-]",
-        panels=(Panel("mean absolute mismatch [%]", tuple(curves)),),
-        notes=(Note(0.0, "B = 0"), Note(1.0, "B<sub>θ</sub>"), Note(ROTOR_SCALE, "B<sub>ρ</sub>")),
-        x_range=(-0.05, ROTOR_SCALE + 0.05),
-    )
-
-
-def write_paper(study: PaperStudy, directory: Path) -> list[Path]:
-    """Write the figure as PNG and as HTML, with the table.
-
-    Raises:
-        InputError: The folder cannot be written.
-    """
-    import html
-    import json
-
-    from impact_rs_analysis.report.html import STYLE, plotly_figure
-    from impact_rs_analysis.report.png import write_png
-
-    figure = paper_figure(study)
-    rows = "".join(
-        f"<tr><td>{html.escape(result.label)}</td><td>{result.row.estimate:.3f}</td><td>{result.row.zero:+.2f}</td>"
-        f"<td>{result.row.reduced:+.2f}</td><td>{result.row.rotor:+.2f}</td><td>{fitted:+.2f}</td>"
-        f"<td>{'yes' if result.explained else 'no'}</td></tr>"
-        for result, fitted in zip(study.results, study.fitted, strict=True)
-    )
-    text = f"""<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>impact_rs: the published experiment</title><style>{STYLE}</style></head><body>
-<h1>The published experiment as a measurement</h1><p>{html.escape(figure.caption)}</p>
-{plotly_figure(figure).to_html(full_html=False, include_plotlyjs=True)}
-<div class="wide"><table><thead><tr><th>row</th><th>estimate [m/s]</th><th>B = 0 [%]</th><th>B<sub>θ</sub> [%]</th>
-<th>B<sub>ρ</sub> [%]</th><th>s = {study.all_rows.scale:.2f} [%]</th>
-<th>some B between 0 and B<sub>ρ</sub> fits</th></tr></thead><tbody>{rows}</tbody></table></div></body></html>
-"""
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        page, data = directory / "paper.html", directory / "paper.json"
-        page.write_text(text, encoding="utf-8")
-        data.write_text(json.dumps(study.to_json(), indent=2) + "\n", encoding="utf-8")
-        return [page, data, write_png(figure, directory / f"{figure.name}.png")]
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", file=directory) from None

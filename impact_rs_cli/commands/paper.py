@@ -34,7 +34,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     from rich.table import Table
 
-    from impact_rs_analysis.measure.paper import study_paper, write_paper
+    from impact_rs_analysis.measure.paper import study_paper
+    from impact_rs_analysis.report.paper import write_paper
 
     study = study_paper()
     terminal.result(study.to_json())

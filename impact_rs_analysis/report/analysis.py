@@ -1,0 +1,147 @@
+"""Report of an analysis: predicted and measured velocity jumps as one page, as numbers and as PNG."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from impact_rs_analysis.measure.analyze import Analysis, ExperimentSet
+from impact_rs_analysis.measure.table import Row, result_table
+from impact_rs_analysis.report.figures import Figure, figures_of
+from impact_rs_analysis.report.page import Plot, render, write_files
+from impact_rs_analysis.report.plots import curves_plot
+from impact_rs_analysis.report.png import write_png
+from impact_rs_sim.errors import InputError
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """One row of the table of results.
+
+    Attributes:
+        row: Its numbers.
+        best: Motor-inertia model with the smallest error.
+    """
+
+    row: Row
+    best: str
+
+
+@dataclass(frozen=True)
+class Listing:
+    """What did not enter the fit.
+
+    Attributes:
+        title: What is listed.
+        items: Names with what is to be said of them.
+    """
+
+    title: str
+    items: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class SetPart:
+    """One set of trials.
+
+    Attributes:
+        entry: Its estimate and errors.
+        plots: Its figures.
+    """
+
+    entry: ExperimentSet
+    plots: tuple[Plot, ...]
+
+
+@dataclass(frozen=True)
+class AnalysisPage:
+    """What ``analysis.html.j2`` shows.
+
+    Attributes:
+        title: Heading.
+        campaign: Name of the folder.
+        trials: Number of trials in the fits.
+        rows: The table of results; empty: no set has an estimate.
+        with_paper: Whether a row stands beside a published one.
+        left_out: What did not enter the fits.
+        sets: Sets with an estimate.
+    """
+
+    title: str
+    campaign: str
+    trials: int
+    rows: tuple[TableRow, ...]
+    with_paper: bool
+    left_out: tuple[Listing, ...]
+    sets: tuple[SetPart, ...]
+
+
+def write_analysis_report(
+    analysis: Analysis, directory: Path, progress: Callable[[int, int], None] | None = None
+) -> list[Path]:
+    """Write ``report.html``, ``analysis.json`` and a PNG per figure; files of an earlier report are replaced.
+
+    Args:
+        analysis: What to report.
+        directory: Where to; made if it does not exist.
+        progress: Told how many of how many files are written.
+
+    Returns:
+        The files written, the HTML first.
+
+    Raises:
+        InputError: The folder cannot be written.
+    """
+    figures = [(entry, figures_of(entry)) for entry in analysis.sets]
+    drawn = [figure for _, own in figures for figure in own]
+    data = json.dumps(analysis.to_json(), indent=2, allow_nan=False) + "\n"
+    page = render("analysis.html.j2", _page(analysis, figures))
+    written = write_files(directory, {"report.html": page, "analysis.json": data})
+    for count in range(len(drawn) + 1):
+        if progress is not None:
+            progress(len(written), 2 + len(drawn))
+        if count < len(drawn):
+            written.append(_png(drawn[count], directory))
+    return written
+
+
+def _png(figure: Figure, directory: Path) -> Path:
+    try:
+        return write_png(figure, directory / f"{figure.name}.png")
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", file=directory) from None
+
+
+def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure]]]) -> AnalysisPage:
+    rows = result_table(analysis)
+    return AnalysisPage(
+        title="Predicted and measured velocity jumps",
+        campaign=analysis.directory.resolve().name,
+        trials=sum(entry.fit.count for entry in analysis.sets),
+        rows=tuple(TableRow(row, _best(row)) for row in rows),
+        with_paper=any(row.paper_errors is not None for row in rows),
+        left_out=tuple(listing for listing in _left_out(analysis) if listing.items),
+        sets=tuple(
+            SetPart(entry, tuple(Plot(f.name, curves_plot(f), f.caption, zoom=True) for f in drawn))
+            for entry, drawn in figures
+        ),
+    )
+
+
+def _best(row: Row) -> str:
+    return min(row.errors, key=lambda model: abs(row.errors[model]))
+
+
+def _left_out(analysis: Analysis) -> list[Listing]:
+    return [
+        Listing("Sets without an estimate", tuple((f"{s.object} {s.case}", s.reason) for s in analysis.incomplete)),
+        Listing("Trials without impact, not in the fit", tuple((name, "") for name in analysis.no_impact)),
+        Listing(
+            "Trials in which one arm hit long before another",
+            tuple((name, f"{1e3 * spread:.0f}\N{NO-BREAK SPACE}ms") for name, spread in analysis.apart),
+        ),
+        Listing("Bags skipped", tuple((s.name, s.reason) for s in analysis.skipped)),
+        Listing("Trials of the manifest that are missing", tuple((name, "") for name in analysis.missing)),
+    ]

@@ -1,0 +1,235 @@
+"""Page of a comparison: where a model fails, for trials and for recordings."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from impact_rs_analysis.diagnosis.compare import Cell, ComparisonDocument, JumpLevel, SignalLevel
+from impact_rs_analysis.diagnosis.document import TIMES
+from impact_rs_analysis.diagnosis.history import VersionError
+from impact_rs_analysis.evidence.tracks import TrackSet
+from impact_rs_analysis.report.history import HistoryPart, history_part
+from impact_rs_analysis.report.labels import LEVELS, TIMES_NOISE, TIMES_SMALL, phase_text, place_text
+from impact_rs_analysis.report.page import (
+    Plot,
+    number_text,
+    quantity_text,
+    render,
+    track_data,
+    write_files,
+)
+from impact_rs_analysis.report.plots import signals_plot, tracks_plot, where_plots
+
+HARDLY_MORE = 1.3  # of the score over repetition, below which no place is named
+MOST_PLACES = 8
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of a table.
+
+    Attributes:
+        label: What it is of.
+        content: Its numbers.
+    """
+
+    label: str
+    content: Cell | JumpLevel | SignalLevel
+
+
+@dataclass(frozen=True)
+class LevelPart:
+    """One level of the comparison.
+
+    Attributes:
+        title: Its heading.
+        what: What is compared.
+        times_noise: Size of the difference in multiples of what repetition alone gives [-].
+        jumps: Rows of predicted and measured jumps.
+        signals: Rows of signals over time.
+        plot: Bars, where a signal is told joint by joint.
+        open: Whether it is shown at once.
+    """
+
+    title: str
+    what: str
+    times_noise: float
+    jumps: tuple[Row, ...]
+    signals: tuple[Row, ...]
+    plot: Plot | None
+    open: bool
+
+    def has(self, column: str) -> bool:
+        """Whether some signal has something in a column."""
+        return any(getattr(row.content, column) for row in self.signals)
+
+
+@dataclass(frozen=True)
+class WherePart:
+    """Where a model fails.
+
+    Attributes:
+        plots: Heat maps.
+        places: The worst places.
+    """
+
+    plots: tuple[Plot, ...]
+    places: tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class TracksPart:
+    """Measured against predicted over time.
+
+    Attributes:
+        sets: What the page's script reads; empty: nothing is shown.
+        plot: The empty figure that it fills.
+        of_trials: Whether the tracks are of trials; else of recordings.
+    """
+
+    sets: list[dict[str, Any]]
+    plot: Plot
+    of_trials: bool
+
+
+@dataclass(frozen=True)
+class ComparisonPage:
+    """What ``comparison.html.j2`` shows.
+
+    Attributes:
+        title: Heading.
+        headline: Two sentences for a reader who sees nothing else.
+        times: What differences are told in multiples of.
+        unit: Unit of the score; empty: the score is such a multiple.
+        document: The comparison.
+        levels: Its levels.
+        where: Where the model fails.
+        tracks: Measured against predicted over time.
+        history: Of the model; None: it has none.
+    """
+
+    title: str
+    headline: str
+    times: str
+    unit: str
+    document: ComparisonDocument
+    levels: tuple[LevelPart, ...]
+    where: WherePart
+    tracks: TracksPart
+    history: HistoryPart | None
+
+
+def write_comparison(
+    document: ComparisonDocument,
+    tracks: Sequence[TrackSet],
+    versions: Sequence[VersionError] | None,
+    directory: Path,
+) -> Path:
+    """Write ``compare.html`` and ``compare.json``.
+
+    Args:
+        document: Model against measurement.
+        tracks: Measured and predicted signals to be looked at.
+        versions: Errors of the model and its parents; None where it has none.
+        directory: Folder of the report.
+
+    Returns:
+        The page.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    page = ComparisonPage(
+        title=f"Model '{document.model.name}' against measurement",
+        headline=comparison_in_words(document),
+        times=times_text(document),
+        unit=document.score_unit if document.source == "recordings" else "",
+        document=document,
+        levels=level_parts(document),
+        where=where_part(document),
+        tracks=tracks_part(document, tracks),
+        history=history_part(versions) if versions else None,
+    )
+    data = json.dumps(document.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
+    files = {"compare.html": render("comparison.html.j2", page), "compare.json": data}
+    return write_files(directory, files)[0]
+
+
+def comparison_in_words(document: ComparisonDocument) -> str:
+    """Two sentences for a reader who sees nothing else."""
+    name, score, floor = document.model.name, number_text(document.score), document.noise_floor
+    times = times_text(document)
+    if document.source == "recordings":
+        text = f"Model '{name}' leaves {score} {document.score_unit} rms of joint torque unexplained"
+        text += "." if floor is None else f"; noise alone would leave {number_text(floor)} {document.score_unit}."
+    else:
+        text = f"Model '{name}' differs from {document.trials} trials by {score} {times}."
+    if floor is not None and document.score < HARDLY_MORE * floor:
+        return f"{text} That is hardly more than noise."
+    if not document.where:
+        return text
+    worst = document.where[0]
+    return (
+        f"{text} It fails most in {worst.signal} {worst.index} ({_place(worst)}): off by "
+        f"{quantity_text(worst.error, worst.unit)}, {number_text(worst.times_noise)} {times}."
+    )
+
+
+def times_text(document: ComparisonDocument) -> str:
+    """What differences are told in multiples of."""
+    if document.source == "recordings":
+        return TIMES_NOISE
+    return TIMES_SMALL if document.noise_floor is None else TIMES
+
+
+def _place(cell: Cell, scenario: bool = False) -> str:
+    return ", ".join(filter(None, (place_text(cell, scenario=scenario), phase_text(cell.phase).lower())))
+
+
+def level_parts(document: ComparisonDocument) -> tuple[LevelPart, ...]:
+    """The levels that hold something; the last one is open."""
+    found = []
+    several = len({entry.scenario for level in document.levels.values() for entry in level.entries}) > 1
+    filled = {name: level for name, level in document.levels.items() if level.signals or level.entries}
+    for name, level in filled.items():
+        by_joint = level.signals if level.signals and all(row.index for row in level.signals) else ()
+        found.append(
+            LevelPart(
+                title=LEVELS.get(name, name),
+                what=level.what,
+                times_noise=level.times_noise,
+                jumps=tuple(
+                    Row(f"{place_text(row, scenario=several)}: {row.signal} {row.index}", row) for row in level.entries
+                ),
+                signals=tuple(
+                    Row(f"{phase_text(row.phase)}: {row.signal} {row.index}".rstrip(), row) for row in level.signals
+                ),
+                plot=Plot(f"level-{name}", signals_plot(by_joint)) if by_joint else None,
+                open=name == list(filled)[-1],
+            )
+        )
+    return tuple(found)
+
+
+def where_part(document: ComparisonDocument) -> WherePart:
+    """Heat maps, and the worst places as numbers."""
+    of_recordings = document.source == "recordings"
+    several = len({cell.scenario for cell in document.where}) > 1
+    return WherePart(
+        plots=tuple(
+            Plot(f"where-{number}", drawn, title=title)
+            for number, (title, drawn) in enumerate(where_plots(document.where, by_phase=of_recordings))
+        ),
+        places=tuple(
+            Row(f"{_place(cell, several)}: {cell.signal} {cell.index}", cell) for cell in document.where[:MOST_PLACES]
+        ),
+    )
+
+
+def tracks_part(document: ComparisonDocument, tracks: Sequence[TrackSet]) -> TracksPart:
+    """Tracks, to be chosen in the page."""
+    return TracksPart(track_data(tracks), Plot("tracks-plot", tracks_plot(), zoom=True), document.source == "trials")

@@ -1,0 +1,176 @@
+"""Page of a diagnosis: what is missing, how sure that is, and what stays; for trials and for recordings."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from impact_rs_analysis.diagnosis.compare import ComparisonDocument, SignalLevel
+from impact_rs_analysis.diagnosis.document import (
+    TIMES,
+    DiagnosisDocument,
+    EffectDocument,
+    EstimateDocument,
+)
+from impact_rs_analysis.diagnosis.history import VersionError
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.evidence.tracks import TrackSet
+from impact_rs_analysis.report.comparison import TracksPart, WherePart, times_text, tracks_part, where_part
+from impact_rs_analysis.report.history import HistoryPart, history_part
+from impact_rs_analysis.report.labels import Tag, phase_text, tag_of
+from impact_rs_analysis.report.page import Plot, render, write_files
+from impact_rs_analysis.report.plots import effects_plot, joints_plot
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Difference of a signal below which nobody cares.
+
+    Attributes:
+        label: Phase and signal.
+        value: The difference, in the unit.
+        discrepancy: How far equally valid simulations differ, in the unit.
+        unit: Unit.
+    """
+
+    label: str
+    value: float
+    discrepancy: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class JointRow:
+    """What is said of one joint.
+
+    Attributes:
+        name: Parameter.
+        estimate: Estimate and verdict.
+        tag: Colour of the verdict.
+    """
+
+    name: str
+    estimate: EstimateDocument
+    tag: Tag
+
+
+@dataclass(frozen=True)
+class EffectRow:
+    """One effect of the table.
+
+    Attributes:
+        effect: What is said of it.
+        tag: Colour of the verdict.
+        estimates: Estimates on which no verdict of their own is said; none where they mean nothing.
+        joints: Estimates on which one is said, joint by joint.
+    """
+
+    effect: EffectDocument
+    tag: Tag
+    estimates: dict[str, EstimateDocument]
+    joints: tuple[JointRow, ...]
+
+
+@dataclass(frozen=True)
+class DiagnosisPage:
+    """What ``diagnosis.html.j2`` shows.
+
+    Attributes:
+        title: Heading.
+        times: What differences are told in multiples of.
+        on_scale: Whether errors are on the scale on which 1 is what repetition alone gives.
+        document: The diagnosis.
+        comparison: The model against the same measurements.
+        floors: Difference of every signal below which nobody cares.
+        effects: Effects that something measured depends on, best first.
+        effects_plot: Their errors; None: there are none.
+        unmeasured: Effects that nothing measured depends on.
+        joints_plot: Errors joint by joint; None: not told.
+        rest_is_noise: Whether what stays is no more than noise.
+        where: Where the model fails.
+        tracks: Measured against predicted over time.
+        history: Of the model; None: it has none.
+    """
+
+    title: str
+    times: str
+    on_scale: bool
+    document: DiagnosisDocument
+    comparison: ComparisonDocument
+    floors: tuple[Floor, ...]
+    effects: tuple[EffectRow, ...]
+    effects_plot: Plot | None
+    unmeasured: tuple[str, ...]
+    joints_plot: Plot | None
+    rest_is_noise: bool
+    where: WherePart
+    tracks: TracksPart
+    history: HistoryPart | None
+
+
+def write_diagnosis(
+    document: DiagnosisDocument,
+    comparison: ComparisonDocument,
+    tracks: Sequence[TrackSet],
+    versions: Sequence[VersionError] | None,
+    directory: Path,
+) -> Path:
+    """Write ``diagnosis.html`` and ``diagnosis.json``.
+
+    Args:
+        document: The diagnosis.
+        comparison: The diagnosed model against the same measurements.
+        tracks: Measured and predicted signals to be looked at.
+        versions: Errors of the model and its parents; None where it has none.
+        directory: Folder of the report.
+
+    Returns:
+        The page.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    after = document.lack_of_fit.after
+    bars = effects_plot(document)
+    page = DiagnosisPage(
+        title=f"What model '{document.model.name}' lacks",
+        times=times_text(comparison),
+        on_scale=document.error_unit == TIMES,
+        document=document,
+        comparison=comparison,
+        floors=_floors(comparison),
+        effects=tuple(_effect_row(effect) for effect in document.effects if effect.measured),
+        effects_plot=None if bars is None else Plot("effects", bars),
+        unmeasured=tuple(effect.name for effect in document.effects if not effect.measured),
+        joints_plot=Plot("joints", joints_plot(document.joints)) if document.joints else None,
+        rest_is_noise=after is not None and after > SIGNIFICANT,
+        where=where_part(comparison),
+        tracks=tracks_part(comparison, tracks),
+        history=history_part(versions) if versions else None,
+    )
+    data = json.dumps(document.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
+    return write_files(directory, {"diagnosis.html": render("diagnosis.html.j2", page), "diagnosis.json": data})[0]
+
+
+def _floors(comparison: ComparisonDocument) -> tuple[Floor, ...]:
+    def floor(row: SignalLevel) -> Floor:
+        return Floor(f"{phase_text(row.phase)}: {row.signal}", row.floor, row.discrepancy, row.unit)
+
+    return tuple(floor(row) for level in comparison.levels.values() for row in level.signals if row.floor > 0.0)
+
+
+def _effect_row(effect: EffectDocument) -> EffectRow:
+    tag = tag_of(effect.verdict)
+    found = effect.parameters if tag is not Tag.NO else {}
+    return EffectRow(
+        effect=effect,
+        tag=tag,
+        estimates={name: estimate for name, estimate in found.items() if estimate.verdict is None},
+        joints=tuple(
+            JointRow(name, estimate, tag_of(estimate.verdict))
+            for name, estimate in found.items()
+            if estimate.verdict is not None
+        ),
+    )

@@ -1,0 +1,62 @@
+"""Page of a model's history: how the error fell from version to version."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from impact_rs_analysis.diagnosis.document import TIMES
+from impact_rs_analysis.diagnosis.history import VersionError
+from impact_rs_analysis.report.labels import TIMES_SMALL
+from impact_rs_analysis.report.page import Plot, render, write_files
+from impact_rs_analysis.report.plots import history_plot
+
+
+@dataclass(frozen=True)
+class HistoryPart:
+    """Errors of the versions of a model.
+
+    Attributes:
+        versions: From the first to the last.
+        unit: Unit of the errors.
+        plot: Errors over versions.
+    """
+
+    versions: tuple[VersionError, ...]
+    unit: str
+    plot: Plot
+
+
+@dataclass(frozen=True)
+class HistoryPage:
+    """What ``history.html.j2`` shows."""
+
+    title: str
+    history: HistoryPart
+
+
+def write_history(versions: Sequence[VersionError], directory: Path) -> Path:
+    """Write ``history.html`` and ``history.json``.
+
+    Args:
+        versions: From the first model to the last.
+        directory: Folder of the report.
+
+    Returns:
+        The page.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    page = HistoryPage("How the error fell", history_part(versions))
+    data = json.dumps({"history": [entry.to_json() for entry in versions]}, indent=2, allow_nan=False) + "\n"
+    return write_files(directory, {"history.html": render("history.html.j2", page), "history.json": data})[0]
+
+
+def history_part(versions: Sequence[VersionError]) -> HistoryPart:
+    """The part of a page that shows a history."""
+    repeated = all(entry.noise_floor is not None for entry in versions)
+    unit = TIMES if repeated else TIMES_SMALL
+    return HistoryPart(tuple(versions), unit, Plot("history", history_plot(versions, unit)))

@@ -1,0 +1,49 @@
+"""Names of phases, places and verdicts as a reader sees them."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from impact_rs_analysis.diagnosis.compare import Cell, JumpLevel
+from impact_rs_analysis.diagnosis.document import CONFIRMED, NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE
+
+PHASES = {"free": "Free motion", "impact": "Impact (first 80 ms)", "push": "Push"}
+LEVELS = {
+    "jump": "Velocity jump",
+    "free_motion": "Free motion",
+    "trial": "Whole trial",
+    "recording": "Torque balance",
+}
+NO_OBJECT = ("", "none")
+TIMES_SMALL = "times what nobody cares about"  # where nothing was repeated
+TIMES_NOISE = "times its noise"  # of a recorded torque
+
+
+class Tag(StrEnum):
+    """How a verdict is coloured."""
+
+    GOOD = "good"
+    MAYBE = "maybe"
+    NO = "no"
+
+
+def tag_of(verdict: str) -> Tag:
+    """Colour of the verdict on an effect or on one of its joints."""
+    if verdict == CONFIRMED:
+        return Tag.GOOD
+    return Tag.NO if verdict in (NO_IMPROVEMENT, UNIDENTIFIABLE, TOO_FEW) else Tag.MAYBE
+
+
+def phase_text(phase: str) -> str:
+    """A phase of the motion."""
+    return PHASES.get(phase, phase.capitalize())
+
+
+def place_text(entry: Cell | JumpLevel, separator: str = ", ", scenario: bool = False) -> str:
+    """Object and case of an entry, with the scenario where it does not go without saying."""
+    parts = [entry.scenario] if scenario else []
+    if entry.object not in NO_OBJECT:
+        parts.append(entry.object)
+    if entry.case:
+        parts.append(entry.case)
+    return separator.join(parts)

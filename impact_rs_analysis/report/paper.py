@@ -1,0 +1,90 @@
+"""Page of the published experiment: what a motor-inertia scale explains in its rows."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_analysis.measure.paper import GRID, ROTOR_SCALE, PaperResult, PaperStudy
+from impact_rs_analysis.report.figures import BLACK, BLUE, RED, Curve, Figure, Note, Panel
+from impact_rs_analysis.report.page import Plot, render, write_files
+from impact_rs_analysis.report.plots import curves_plot
+from impact_rs_analysis.report.png import write_png
+from impact_rs_sim.errors import InputError
+
+
+@dataclass(frozen=True)
+class PaperPage:
+    """What ``paper.html.j2`` shows.
+
+    Attributes:
+        title: Heading.
+        scale: Motor-inertia scale that suits all rows best [-].
+        plot: Mismatch over the scale.
+        rows: Published rows with their mismatch at the scale [%].
+    """
+
+    title: str
+    scale: float
+    plot: Plot
+    rows: tuple[tuple[PaperResult, float], ...]
+
+
+def paper_figure(study: PaperStudy) -> Figure:
+    """Mean absolute mismatch over the scale, for all rows and for each scenario."""
+    colours = {"all rows": BLACK, "push": BLUE, "grab": RED}
+    groups = {"all rows": list(study.results)}
+    for name in study.by_scenario:
+        groups[name] = [result for result in study.results if result.scenario == name]
+    fits = {"all rows": study.all_rows, **study.by_scenario}
+    curves = []
+    for name, results in groups.items():
+        fit = fits[name]
+        error = np.abs([result.mismatch(GRID[::10]) for result in results]).mean(axis=0)
+        low, high = fit.interval
+        colour = colours.get(name, BLACK)
+        curves.append(Curve("", GRID[::10], error, colour))
+        curves.append(
+            Curve(
+                f"{name}: {fit.scale:.2f} [{low:.2f}, {high:.2f}], "
+                f"{fit.error_nominal:.2f} % → {fit.error_fitted:.2f} %",
+                np.array([fit.scale]), np.array([fit.error_fitted]), colour, line="none", marker="circle",
+                error=(max(fit.scale - low, 0.0), max(high - fit.scale, 0.0)),
+            )
+        )  # fmt: skip
+    return Figure(
+        name="paper_motor_inertia",
+        title="Published experiment: how much a motor-inertia scale explains",
+        caption=study.sentence[0].upper() + study.sentence[1:] + ".",
+        x_label="motor-inertia scale s, B = s B<sub>θ</sub> [-]",
+        panels=(Panel("mean absolute mismatch [%]", tuple(curves)),),
+        notes=(Note(0.0, "B = 0"), Note(1.0, "B<sub>θ</sub>"), Note(ROTOR_SCALE, "B<sub>ρ</sub>")),
+        x_range=(-0.05, ROTOR_SCALE + 0.05),
+    )
+
+
+def write_paper(study: PaperStudy, directory: Path) -> list[Path]:
+    """Write the figure as PNG and as HTML, with the table.
+
+    Returns:
+        The page, the numbers and the PNG.
+
+    Raises:
+        InputError: The folder cannot be written.
+    """
+    figure = paper_figure(study)
+    page = PaperPage(
+        title="The published experiment as a measurement",
+        scale=study.all_rows.scale,
+        plot=Plot(figure.name, curves_plot(figure), figure.caption, zoom=True),
+        rows=tuple(zip(study.results, study.fitted.tolist(), strict=True)),
+    )
+    data = json.dumps(study.to_json(), indent=2) + "\n"
+    written = write_files(directory, {"paper.html": render("paper.html.j2", page), "paper.json": data})
+    try:
+        return [*written, write_png(figure, directory / f"{figure.name}.png")]
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", file=directory) from None

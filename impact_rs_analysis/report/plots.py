@@ -1,0 +1,295 @@
+"""All figures of the reports for Plotly, in one style."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from impact_rs_analysis.diagnosis.compare import Cell, SignalLevel
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, JointError
+from impact_rs_analysis.diagnosis.history import VersionError
+from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED, Curve, Figure
+from impact_rs_analysis.report.page import number_text, quantity_text
+from impact_rs_analysis.report.labels import Tag, phase_text, place_text, tag_of
+
+GREY, GRID, ZERO = "#BBBBBB", "#E6E6E6", "#999999"
+TAG_COLOURS = {Tag.GOOD: GREEN, Tag.MAYBE: ORANGE, Tag.NO: GREY}
+DASHES = {"solid": "solid", "dashed": "dash", "none": "solid"}
+SIGNED = [[0.0, "#B2182B"], [0.25, "#EF8A62"], [0.5, "#F7F7F7"], [0.75, "#67A9CF"], [1.0, "#2166AC"]]
+MOST_EFFECTS = 12
+NOTICEABLE = 2.0  # multiples of repetition from which a place is shown
+DARKEST = (3.0, 20.0)  # multiples of repetition that have the darkest colour, at least and at most
+
+_AXIS = {"automargin": True, "gridcolor": GRID, "zerolinecolor": ZERO, "title": {"standoff": 6}}
+_BELOW = {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom", "x": 0, "xanchor": "left"}
+TEMPLATE = go.layout.Template(
+    layout={
+        "font": {"family": "system-ui, sans-serif", "size": 12, "color": "#1A1A1A"},
+        "margin": {"l": 10, "r": 10, "t": 26, "b": 10},
+        "xaxis": _AXIS,
+        "yaxis": _AXIS,
+        "legend": _BELOW,
+        "hoverlabel": {"namelength": -1},
+        "paper_bgcolor": "white",
+        "plot_bgcolor": "rgba(0,0,0,0)",  # lines below the data are to be seen
+    }
+)
+
+
+def curves_plot(figure: Figure) -> go.Figure:
+    """A figure that is also drawn as PNG, from the same description."""
+    panels = len(figure.panels)
+    drawn = go.Figure()
+    gap = 0.045
+    height = (1.0 - gap * (panels - 1)) / panels
+    for number, panel in enumerate(figure.panels, start=1):
+        suffix = "" if number == 1 else str(number)
+        drawn.add_traces([_curve(curve, f"y{suffix}", panels > 1) for curve in panel.curves])
+        top = 1.0 - (number - 1) * (height + gap)
+        axis: dict[str, Any] = {"title": {"text": panel.y_label}, "domain": [max(0.0, top - height), top]}
+        if panel.y_range is not None:
+            axis["range"] = list(panel.y_range)
+        drawn.update_layout({f"yaxis{suffix}": axis})
+    for note in figure.notes:
+        drawn.add_shape(_vertical(note.x))
+        drawn.add_annotation(
+            x=note.x, y=1.0, xref="x", yref="paper", text=note.label, showarrow=False, yanchor="bottom",
+            font={"color": "#555555"},
+        )  # fmt: skip
+    return drawn.update_layout(
+        template=TEMPLATE,
+        height=720 if panels > 1 else 560,
+        margin={"t": 58},
+        xaxis={
+            "title": {"text": figure.x_label},
+            "range": None if figure.x_range is None else list(figure.x_range),
+            "anchor": f"y{panels}" if panels > 1 else "y",
+            "zeroline": False,
+        },
+    )
+
+
+def _curve(curve: Curve, axis: str, shared: bool) -> go.Scatter:
+    # Hollow and large: an estimate must not hide the prediction that it agrees with.
+    size = 17 if curve.error else 11 if curve.x.size == 1 else 7
+    error = None
+    if curve.error is not None:
+        low, high = curve.error
+        error = {"type": "data", "symmetric": False, "array": [high], "arrayminus": [low], "thickness": 2}
+    return go.Scatter(
+        # A curve without points keeps its legend entry only with one invisible point.
+        x=curve.x.astype(np.float32) if curve.x.size else [None],
+        y=curve.y.astype(np.float32) if curve.y.size else [None],
+        name=curve.label,
+        showlegend=bool(curve.label),
+        legendgroup=curve.colour if shared else None,
+        mode="lines" if curve.line != "none" else "markers",
+        line={"color": curve.colour, "dash": DASHES[curve.line], "width": 1 if curve.line == "dashed" else 2},
+        marker={
+            "symbol": f"{curve.marker}-open" if curve.error else curve.marker or "circle",
+            "color": curve.colour,
+            "size": size,
+            "line": {"width": 2 if curve.error else 0},
+        },
+        opacity=0.7 if curve.line == "dashed" else 1.0,
+        error_x=error,
+        hovertemplate="%{x:.4g}, %{y:.4g}" + f"<extra>{curve.label}</extra>",
+        xaxis="x",
+        yaxis=axis,
+    )
+
+
+def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
+    """Held-out error of the best effects; None where nothing was measured of any."""
+    bars = [effect for effect in document.effects if effect.held_out_error_after is not None][:MOST_EFFECTS]
+    if not bars:
+        return None
+    drawn = go.Figure(
+        go.Bar(
+            orientation="h",
+            y=[_plain(effect.name) for effect in bars],
+            x=[effect.held_out_error_after for effect in bars],
+            marker={"color": [TAG_COLOURS[tag_of(effect.verdict)] for effect in bars]},
+            hovertemplate="%{y}: %{x:.3g}<extra></extra>",
+            showlegend=False,
+        )
+    )
+    marks = {"without": (document.held_out_error_before, "#555555", "dash")}
+    marks["noise alone"] = (document.noise_floor, GREEN, "dot")
+    for label, (value, colour, dash) in marks.items():
+        drawn.add_shape(
+            _vertical(value) | {"line": {"color": colour, "width": 2, "dash": dash}, "layer": "above"},
+            name=label, showlegend=True,
+        )  # fmt: skip
+    largest = max(document.held_out_error_before, *(effect.held_out_error_after or 0.0 for effect in bars))
+    return drawn.update_layout(
+        template=TEMPLATE,
+        height=130 + 24 * len(bars),
+        xaxis={
+            "title": {"text": f"error on unseen data [{_plain(document.error_unit)}]"},
+            "range": [0.0, 1.05 * max(largest, document.noise_floor)],
+            "fixedrange": True,
+        },
+        yaxis={"autorange": "reversed", "fixedrange": True},
+    )
+
+
+def joints_plot(rows: Sequence[JointError]) -> go.Figure:
+    """Torque error of every joint before and after, over the noise of its torque."""
+    groups = [("before", GREY, [row.before for row in rows]), ("after", GREEN, [row.after for row in rows])]
+    return _joint_bars([row.joint for row in rows], groups, [row.noise for row in rows], "N m")
+
+
+def signals_plot(rows: Sequence[SignalLevel]) -> go.Figure:
+    """Error of signals that are told joint by joint, over their noise; all have one unit."""
+    groups = [("model", BLUE, [row.error for row in rows])]
+    return _joint_bars([row.index for row in rows], groups, [row.noise_floor for row in rows], rows[0].unit)
+
+
+def _joint_bars(
+    joints: Sequence[str], groups: Sequence[tuple[str, str, list[float]]], noise: list[float], unit: str
+) -> go.Figure:
+    names = [_plain(joint) for joint in joints]
+    drawn = go.Figure([go.Bar(name=label, x=names, y=values, marker_color=colour) for label, colour, values in groups])
+    marker = {"symbol": "line-ew", "size": 24, "color": BLACK, "line": {"width": 2, "color": BLACK}}
+    drawn.add_trace(go.Scatter(x=names, y=noise, name="noise alone", mode="markers", marker=marker))
+    return drawn.update_layout(
+        template=TEMPLATE,
+        height=320,
+        barmode="group",
+        yaxis={"title": {"text": f"error [{_plain(unit)} rms]"}, "fixedrange": True},
+        xaxis={"type": "category", "fixedrange": True},
+    ).update_traces(hovertemplate="%{x}: %{y:.3g}")
+
+
+def where_plots(cells: Sequence[Cell], by_phase: bool) -> list[tuple[str, go.Figure]]:
+    """Heat maps of where a model fails, signed, with their titles.
+
+    Args:
+        cells: Places, largest first.
+        by_phase: Whether a map has a column per phase, as of recordings; else there is a map per phase with a column
+            per object and case.
+    """
+    largest = max((cell.times_noise for cell in cells), default=0.0)
+    top = min(max(largest, DARKEST[0]), DARKEST[1])
+    if by_phase:
+        drawn = _heat_map(cells, [(phase_text(cell.phase), cell) for cell in cells], top)
+        return [] if drawn is None else [("By joint and motion", drawn)]
+    several = len({cell.scenario for cell in cells}) > 1
+    found = []
+    for phase in sorted({cell.phase for cell in cells}, key=_order_of_phase):
+        own = [cell for cell in cells if cell.phase == phase]
+        places = [(place_text(cell, "\n", several), cell) for cell in own]
+        drawn = _heat_map(own, sorted(places, key=lambda entry: entry[0]), top)
+        if drawn is not None:
+            found.append((phase_text(phase), drawn))
+    return found
+
+
+def _order_of_phase(phase: str) -> tuple[int, str]:
+    known = ("free", "impact", "push")
+    return (known.index(phase) if phase in known else len(known), phase)
+
+
+def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]], top: float) -> go.Figure | None:
+    """Rows are signals by joint or axis; those that are noticeable nowhere are left out. None: no row is left."""
+    shown = {(cell.signal, cell.index) for cell in cells if cell.times_noise > NOTICEABLE}
+    if not shown:
+        return None
+    rows = sorted(shown)
+    names = list(dict.fromkeys(name for name, _ in columns))
+    known = {(cell.signal, cell.index, name): cell for name, cell in columns}
+    found = [[known.get((*row, name)) for name in names] for row in rows]
+    drawn = go.Figure(
+        go.Heatmap(
+            z=[[None if c is None else round(math.copysign(c.times_noise, c.error), 2) for c in row] for row in found],
+            x=[_plain(name).replace("\n", "<br>") for name in names],
+            y=[_plain(f"{signal} {index}") for signal, index in rows],
+            text=[["" if c is None else quantity_text(c.error, c.unit) for c in row] for row in found],
+            hovertemplate="%{y}<br>%{x}<br>%{z:.1f} × repetition<br>%{text}<extra></extra>",
+            zmin=-top,
+            zmax=top,
+            colorscale=SIGNED,
+            colorbar={"thickness": 10, "len": 1, "outlinewidth": 0},
+            xgap=1,
+            ygap=1,
+        )
+    )
+    return drawn.update_layout(
+        template=TEMPLATE,
+        height=100 + 20 * len(rows),
+        xaxis={"side": "top", "fixedrange": True, "type": "category", "tickfont": {"size": 11}, "showgrid": False},
+        yaxis={"autorange": "reversed", "fixedrange": True, "type": "category", "tickfont": {"size": 11}},
+    )
+
+
+def history_plot(versions: Sequence[VersionError], unit: str) -> go.Figure:
+    """Error of every version of a model, with its own parameters and held out."""
+    numbers = list(range(len(versions)))
+    lines: list[tuple[str, list[float | None], str, str]] = [
+        ("error, parameters of the file", [entry.error_fit for entry in versions], BLUE, "solid"),
+        ("error, held out", [entry.error_held_out for entry in versions], RED, "dash"),
+        ("noise alone", [entry.noise_floor for entry in versions], GREEN, "dot"),
+    ]
+    drawn = go.Figure(
+        [
+            go.Scatter(
+                x=numbers,
+                y=values,
+                name=label,
+                mode="lines" if dash == "dot" and len(versions) > 1 else "lines+markers",
+                line={"color": colour, "dash": dash},
+                marker={"size": 9},
+                hovertemplate="%{y:.3g}",
+            )
+            for label, values, colour, dash in lines
+            if any(value is not None for value in values)
+        ]
+    )
+    return drawn.update_layout(
+        template=TEMPLATE,
+        height=360,
+        yaxis={"rangemode": "tozero", "title": {"text": _plain(unit)}, "fixedrange": True},
+        xaxis={
+            "tickvals": numbers,
+            "ticktext": [_plain(entry.version.model.name) for entry in versions],
+            "range": [-0.3, len(versions) - 0.7],
+            "zeroline": False,
+            "fixedrange": True,
+        },
+    )
+
+
+def tracks_plot() -> go.Figure:
+    """Measured against predicted over time with the residual below it; the page's script fills in the numbers."""
+    drawn = go.Figure(
+        [
+            go.Scatter(name="measured", mode="lines", line={"color": BLACK, "width": 2}),
+            go.Scatter(name="model", mode="lines", line={"color": BLUE, "width": 2, "dash": "dash"}),
+            go.Scatter(name="measured − model", mode="lines", line={"color": RED, "width": 2}, yaxis="y2"),
+        ]
+    )
+    return drawn.update_layout(
+        template=TEMPLATE,
+        height=480,
+        shapes=[_vertical(0.0)],
+        xaxis={"title": {"text": "time [s]"}, "anchor": "y2", "zeroline": False},
+        yaxis={"domain": [0.42, 1.0]},
+        yaxis2={"domain": [0.0, 0.36]},
+    )
+
+
+def _vertical(x: float) -> dict[str, Any]:
+    line = {"color": ZERO, "width": 1, "dash": "dot"}
+    ends = {"x0": x, "x1": x, "y0": 0, "y1": 1, "xref": "x", "yref": "paper"}
+    return {"type": "line", "line": line, "layer": "below"} | ends
+
+
+def _plain(text: str) -> str:
+    """A name that Plotly shows as it is; Plotly reads labels as HTML."""
+    return html.escape(text, quote=False)
