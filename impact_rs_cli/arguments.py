@@ -5,24 +5,22 @@ from __future__ import annotations
 import argparse
 import functools
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from impact_rs_cli.terminal import Terminal
+from rich.table import Table
 
-if TYPE_CHECKING:
-    from rich.table import Table
-
-    from impact_rs_analysis.diagnosis.document import EstimateDocument
-    from impact_rs_analysis.evidence.runs import Runs
-    from impact_rs_trials.workers import Map, Workforce
+from impact_rs_analysis.diagnosis.document import EstimateDocument
+from impact_rs_analysis.evidence.runs import Runs, read_runs
+from impact_rs_cli.terminal import Command, Terminal
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.store import is_url, local_copy
+from impact_rs_trials.workers import Map, Workforce, workers
 
 MOST_SHOWN = 5
 RUNS = "folder with bags of trials, however deep, or URL"
-
-Command = Callable[[argparse.Namespace, Terminal], int]
 
 
 def add_runs(parser: argparse.ArgumentParser) -> None:
@@ -40,9 +38,6 @@ def on_local_runs(run: Command) -> Command:
 
     @functools.wraps(run)
     def command(args: argparse.Namespace, terminal: Terminal) -> int:
-        from impact_rs_sim.errors import InputError
-        from impact_rs_trials.store import is_url, local_copy
-
         if is_url(args.runs) and args.scheduler is not None:
             raise InputError(
                 "with --scheduler RUNS must be a folder that its workers see; copy the bags into one", file=args.runs
@@ -78,9 +73,6 @@ def workforce_of(args: argparse.Namespace) -> Workforce:
     Raises:
         InputError: Fewer than one process, or both options.
     """
-    from impact_rs_sim.errors import InputError
-    from impact_rs_trials.workers import Workforce
-
     if args.scheduler is not None and args.jobs is not None:
         raise InputError("--jobs is for processes of this machine; with --scheduler its workers are taken")
     if args.scheduler is not None:
@@ -95,16 +87,12 @@ def started(args: argparse.Namespace) -> Iterator[Map]:
     Raises:
         InputError: Fewer than one process, both options, or a scheduler that cannot be used.
     """
-    from impact_rs_trials.workers import workers
-
     with workers(workforce_of(args)) as map_tasks:
         yield map_tasks
 
 
 def read(directory: Path, map_tasks: Map, terminal: Terminal) -> Runs:
     """Read RUNS and tell what was left out."""
-    from impact_rs_analysis.evidence.runs import read_runs
-
     directory = directory.absolute()  # a worker process may stand elsewhere
     with terminal.progress("reading bags") as tell:
 
@@ -133,8 +121,6 @@ def number(value: float) -> str:
 
 def estimates_table(effect: str, rows: list[tuple[str, EstimateDocument, str]]) -> Table:
     """Estimates of one effect with their intervals: parameter, estimate, and a verdict on it or ``""``."""
-    from rich.table import Table
-
     table = Table(title=effect, title_justify="left")
     table.add_column("parameter", no_wrap=True)
     table.add_column("estimate", justify="right", no_wrap=True)

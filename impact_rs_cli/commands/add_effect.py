@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from impact_rs_cli.arguments import add_model, number
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 
 TEXT = f"""\
 Write a new model file: the old model and one effect with the parameters of a diagnosis.
@@ -23,9 +22,9 @@ example:
 Units: as the diagnosis and the model file say."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "add", run, "add a diagnosed effect to a model", TEXT)
+    declare(parser, run, TEXT)
     parser.add_argument("effect", metavar="EFFECT", help="name of an effect of the diagnosis")
     add_model(parser)
     parser.add_argument(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from impact_rs_cli.arguments import add_jobs, add_runs, number, on_local_runs, read, started
 from impact_rs_cli.commands.recordings import add_mapping, mapping_of, run_compare
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 
 if TYPE_CHECKING:
     from impact_rs_analysis.diagnosis.compare import Comparison
@@ -33,9 +33,9 @@ A recording of a real robot in free motion (a bag with sensor_msgs/JointState, C
 Units: each difference says its own; scores are multiples of what repetition explains."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "compare", run, "show where a model fails against trials", TEXT)
+    declare(parser, run, TEXT)
     add_runs(parser)
     add_mapping(parser)
     parser.add_argument("-o", dest="output", type=Path, metavar="REPORT_DIR", help="folder for an HTML report")

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from impact_rs_cli.arguments import add_jobs, add_runs, estimates_table, number, on_local_runs, read, started
 from impact_rs_cli.commands.recordings import add_mapping, mapping_of, run_diagnose
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 
 if TYPE_CHECKING:
     from impact_rs_analysis.diagnosis.document import DiagnosisDocument
@@ -39,9 +39,9 @@ A recording of a real robot in free motion (a bag with sensor_msgs/JointState, C
 Units: each estimate says its own; errors are multiples of what repetition explains."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "diagnose", run, "name the physical effect that a model lacks", TEXT)
+    declare(parser, run, TEXT)
     add_runs(parser)
     add_mapping(parser)
     parser.add_argument("-o", dest="output", type=Path, metavar="FILE.json", help="file for the diagnosis")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from impact_rs_cli.arguments import RUNS, add_jobs, number, on_local_runs, read, started
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 
 if TYPE_CHECKING:
     from impact_rs_analysis.diagnosis.history import VersionError
@@ -25,9 +25,9 @@ example:
 Units: errors are multiples of what repetition explains."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "history", run, "show how the error fell from model to model", TEXT)
+    declare(parser, run, TEXT)
     parser.add_argument("model", type=Path, metavar="MODEL.yaml", help="the last model")
     parser.add_argument("--runs", required=True, metavar="RUNS", help=RUNS)
     parser.add_argument("-o", dest="output", type=Path, metavar="DIR", help="folder for an HTML page with the plot")
