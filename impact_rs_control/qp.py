@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+import scipy
 from proxsuite import proxqp
-from scipy.linalg.lapack import dposv
 
 from impact_rs_sim.robot import Array
 
@@ -115,7 +115,7 @@ class AccelerationQp:
         lower, upper = self._acceleration_bounds(q, dq)
         torque_lower = -self._torque_max - bias
         torque_upper = self._torque_max - bias
-        free, failed = dposv(hessian, -gradient)[1:]
+        free, failed = scipy.linalg.lapack.dposv(hessian, -gradient)[1:]
         if not failed and self._within(free, lower, upper) and self._within(inertia @ free, torque_lower, torque_upper):
             return QpSolution(free, QpStatus.SOLVED, 0, time.perf_counter() - started)
         consistent = bool((lower <= upper).all())

@@ -148,7 +148,7 @@ class Remote(Store):
     """
 
     def __init__(self, url: str) -> None:
-        from fsspec.core import url_to_fs
+        from fsspec.core import url_to_fs  # a tenth of a second that only a URL is worth
 
         self.url = url.rstrip("/")
         try:
