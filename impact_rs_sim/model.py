@@ -6,6 +6,7 @@ from the nominal model to the present one can be read back (``impact-rs history`
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -55,8 +56,6 @@ class Model(Schema):
     @property
     def digest(self) -> str:
         """Digest of what the model says about the physics; name, note and parent do not count."""
-        import hashlib
-
         content = self.model_dump_json(include={"formulas", "effects"})
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 

@@ -7,6 +7,7 @@ it, which ``blind score`` alone reads.
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -144,8 +145,6 @@ def run_task(task: BlindTask) -> str:
     Raises:
         InputError: This machine does not see the campaign's folder.
     """
-    import shutil
-
     path = Path(task.directory) / task.scenario / task.key.name
     if not Path(task.directory).is_dir():
         raise InputError("a worker does not find this folder; expected one that all workers share", file=task.directory)
