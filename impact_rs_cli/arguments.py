@@ -8,16 +8,18 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from impact_rs_analysis.diagnosis.document import EstimateDocument
 from impact_rs_analysis.evidence.runs import Runs, read_runs
 from impact_rs_cli.terminal import Command, Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.store import is_url, local_copy
 from impact_rs_trials.workers import Map, Workforce, workers
+
+if TYPE_CHECKING:  # of a diagnosis, which not every command has to do with
+    from impact_rs_analysis.diagnosis.document import EstimateDocument
 
 MOST_SHOWN = 5
 RUNS = "folder with bags of trials, however deep, or URL"
