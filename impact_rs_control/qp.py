@@ -18,7 +18,6 @@ from enum import IntEnum
 
 import numpy as np
 from proxsuite import proxqp
-from scipy.linalg.lapack import dposv
 
 from impact_rs_sim.robot import Array
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.optimize import least_squares
+import scipy
 
 from impact_rs_sim.errors import UnreachablePose
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts
@@ -153,7 +153,9 @@ class RobotModel:
                 f"joint 1 at {joint_1:.4g} rad is outside its limits [{lower[0]:.4g}, {upper[0]:.4g}] rad"
             )
         start = np.clip(guess, lower + 1e-6, upper - 1e-6)[1:]
-        solution = least_squares(error, start, bounds=(lower[1:], upper[1:]), xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        solution = scipy.optimize.least_squares(
+            error, start, bounds=(lower[1:], upper[1:]), xtol=1e-15, ftol=1e-15, gtol=1e-15
+        )
         residual = float(np.max(np.abs(solution.fun)))
         if residual > tolerance:
             raise UnreachablePose(
