@@ -7,7 +7,8 @@ from pathlib import Path
 
 from rich.table import Table
 
-from impact_rs_analysis.measure.paper import study_paper, write_paper
+from impact_rs_analysis.measure.paper import study_paper
+from impact_rs_analysis.report.paper import write_paper
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 
 TEXT = f"""\
