@@ -1,9 +1,11 @@
 """Model files: checked without the robot, and refused when they meet one with another number of joints."""
 
+from pathlib import Path
+
 import pytest
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.model import Model, check_model, load_model
+from impact_rs_sim.model import Model, ModelEffect, check_model, load_model, save_model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
 
@@ -64,3 +66,51 @@ def test_a_model_without_parameters_per_joint_fits_any_arm(physics):
 def test_joints_are_numbered_from_1_without_gaps_and_alike_in_all_effects(effects, complaint):
     with pytest.raises(InputError, match=rf"m\.yaml: effects.*{complaint}"):
         checked(*effects)
+
+
+def mass(scale):
+    return item("object_mass", scale=scale)
+
+
+def test_every_effect_of_a_model_is_applied_on_top_of_those_before(physics):
+    both = checked(mass(1.2), mass(1.5), item("joint_stiffness", scale=0.5)).apply(physics)
+    assert both.object.mass == pytest.approx(1.2 * 1.5 * physics.object.mass)
+    assert both.arms["arm"].stiffness == pytest.approx(0.5 * physics.arms["arm"].stiffness)
+
+
+def test_a_child_has_another_estimate_of_what_its_parent_had_and_knows_its_parent(physics):
+    parent = checked(mass(1.2), offsets(*range(1, 8)))
+    child = parent.with_effect(ModelEffect.model_validate(mass(1.1)), "child", "parent.yaml")
+    assert [effect.name for effect in child.effects] == ["torque_offset", "object_mass"]
+    assert child.apply(physics).object.mass == pytest.approx(1.1 * physics.object.mass)
+    assert (child.parent, child.parent_digest) == ("parent.yaml", parent.digest)
+    assert parent.apply(physics).object.mass == pytest.approx(1.2 * physics.object.mass)
+
+
+def test_the_digest_is_of_the_physics_and_of_nothing_else():
+    one = checked(mass(1.2))
+    assert one.digest == one.model_copy(update={"name": "other", "note": "why", "parent": "p.yaml"}).digest
+    assert one.digest != checked(mass(1.21)).digest
+
+
+@pytest.mark.parametrize(
+    ("effect", "complaint"),
+    [
+        (item("ghost"), "unknown effect"),
+        (item("object_mass", offset=1.2), "unknown parameter"),
+        (mass(-3.0), "mass over its assumed value"),
+        ({**mass(1.2), "parameters": {"scale": {"estimate": 1.2, "unit": "kg"}}}, "expected the unit '-'"),
+    ],
+)
+def test_what_an_effect_does_not_allow_is_refused_with_file_and_key(effect, complaint):
+    with pytest.raises(InputError, match=rf"m\.yaml: effects\.0.*{complaint}"):
+        checked(effect)
+
+
+def test_a_model_that_is_written_is_read_back_and_never_overwritten(tmp_path: Path):
+    path = tmp_path / "models" / "mine.yaml"
+    written = checked(offsets(1, 2, 3), mass(1.2))
+    save_model(written, path)
+    assert load_model(path).effects == written.effects
+    with pytest.raises(InputError, match="never overwritten"):
+        save_model(written, path)
