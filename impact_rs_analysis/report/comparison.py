@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from impact_rs_analysis.diagnosis.compare import Cell, ComparisonDocument, JumpLevel, SignalLevel
-from impact_rs_analysis.diagnosis.document import TIMES
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.tracks import TrackSet
 from impact_rs_analysis.report.history import HistoryPart, history_part
-from impact_rs_analysis.report.labels import LEVELS, TIMES_NOISE, TIMES_SMALL, phase_text, place_text
+from impact_rs_analysis.report.labels import CARED_ABOUT, LEVELS, NOISE, REPETITION, phase_text, place_text
 from impact_rs_analysis.report.page import (
     Plot,
     number_text,
@@ -103,7 +102,7 @@ class ComparisonPage:
     Attributes:
         title: Heading.
         headline: Two sentences for a reader who sees nothing else.
-        times: What differences are told in multiples of.
+        yardstick: What differences are told in multiples of.
         unit: Unit of the score; empty: the score is such a multiple.
         document: The comparison.
         levels: Its levels.
@@ -114,7 +113,7 @@ class ComparisonPage:
 
     title: str
     headline: str
-    times: str
+    yardstick: str
     unit: str
     document: ComparisonDocument
     levels: tuple[LevelPart, ...]
@@ -146,7 +145,7 @@ def write_comparison(
     page = ComparisonPage(
         title=f"Model '{document.model.name}' against measurement",
         headline=comparison_in_words(document),
-        times=times_text(document),
+        yardstick=yardstick_of(document),
         unit=document.score_unit if document.source == "recordings" else "",
         document=document,
         levels=level_parts(document),
@@ -162,12 +161,12 @@ def write_comparison(
 def comparison_in_words(document: ComparisonDocument) -> str:
     """Two sentences for a reader who sees nothing else."""
     name, score, floor = document.model.name, number_text(document.score), document.noise_floor
-    times = times_text(document)
+    yardstick = yardstick_of(document)
     if document.source == "recordings":
         text = f"Model '{name}' leaves {score} {document.score_unit} rms of joint torque unexplained"
         text += "." if floor is None else f"; noise alone would leave {number_text(floor)} {document.score_unit}."
     else:
-        text = f"Model '{name}' differs from {document.trials} trials by {score} {times}."
+        text = f"Model '{name}' differs from {document.trials} trials by {score} times {yardstick}."
     if floor is not None and document.score < HARDLY_MORE * floor:
         return f"{text} That is hardly more than noise."
     if not document.where:
@@ -175,15 +174,15 @@ def comparison_in_words(document: ComparisonDocument) -> str:
     worst = document.where[0]
     return (
         f"{text} It fails most in {worst.signal} {worst.index} ({_place(worst)}): off by "
-        f"{quantity_text(worst.error, worst.unit)}, {number_text(worst.times_noise)} {times}."
+        f"{quantity_text(worst.error, worst.unit)}, {number_text(worst.times_noise)} times {yardstick}."
     )
 
 
-def times_text(document: ComparisonDocument) -> str:
+def yardstick_of(document: ComparisonDocument) -> str:
     """What differences are told in multiples of."""
     if document.source == "recordings":
-        return TIMES_NOISE
-    return TIMES_SMALL if document.noise_floor is None else TIMES
+        return NOISE
+    return CARED_ABOUT if document.noise_floor is None else REPETITION
 
 
 def _place(cell: Cell, scenario: bool = False) -> str:

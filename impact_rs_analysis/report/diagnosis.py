@@ -17,7 +17,7 @@ from impact_rs_analysis.diagnosis.document import (
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
 from impact_rs_analysis.evidence.tracks import TrackSet
-from impact_rs_analysis.report.comparison import TracksPart, WherePart, times_text, tracks_part, where_part
+from impact_rs_analysis.report.comparison import TracksPart, WherePart, tracks_part, where_part, yardstick_of
 from impact_rs_analysis.report.history import HistoryPart, history_part
 from impact_rs_analysis.report.labels import Tag, phase_text, tag_of
 from impact_rs_analysis.report.page import Plot, render, write_files
@@ -79,7 +79,7 @@ class DiagnosisPage:
 
     Attributes:
         title: Heading.
-        times: What differences are told in multiples of.
+        yardstick: What differences are told in multiples of.
         on_scale: Whether errors are on the scale on which 1 is what repetition alone gives.
         document: The diagnosis.
         comparison: The model against the same measurements.
@@ -95,7 +95,7 @@ class DiagnosisPage:
     """
 
     title: str
-    times: str
+    yardstick: str
     on_scale: bool
     document: DiagnosisDocument
     comparison: ComparisonDocument
@@ -136,7 +136,7 @@ def write_diagnosis(
     bars = effects_plot(document)
     page = DiagnosisPage(
         title=f"What model '{document.model.name}' lacks",
-        times=times_text(comparison),
+        yardstick=yardstick_of(comparison),
         on_scale=document.error_unit == TIMES,
         document=document,
         comparison=comparison,

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from impact_rs_analysis.diagnosis.document import TIMES
 from impact_rs_analysis.diagnosis.history import VersionError
-from impact_rs_analysis.report.labels import TIMES_SMALL
+from impact_rs_analysis.report.labels import CARED_ABOUT, REPETITION
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import history_plot
 
@@ -20,12 +19,12 @@ class HistoryPart:
 
     Attributes:
         versions: From the first to the last.
-        unit: Unit of the errors.
+        yardstick: What the errors are multiples of.
         plot: Errors over versions.
     """
 
     versions: tuple[VersionError, ...]
-    unit: str
+    yardstick: str
     plot: Plot
 
 
@@ -58,5 +57,5 @@ def write_history(versions: Sequence[VersionError], directory: Path) -> Path:
 def history_part(versions: Sequence[VersionError]) -> HistoryPart:
     """The part of a page that shows a history."""
     repeated = all(entry.noise_floor is not None for entry in versions)
-    unit = TIMES if repeated else TIMES_SMALL
-    return HistoryPart(tuple(versions), unit, Plot("history", history_plot(versions, unit)))
+    yardstick = REPETITION if repeated else CARED_ABOUT
+    return HistoryPart(tuple(versions), yardstick, Plot("history", history_plot(versions, f"times {yardstick}")))

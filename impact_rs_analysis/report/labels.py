@@ -15,8 +15,9 @@ LEVELS = {
     "recording": "Torque balance",
 }
 NO_OBJECT = ("", "none")
-TIMES_SMALL = "times what nobody cares about"  # where nothing was repeated
-TIMES_NOISE = "times its noise"  # of a recorded torque
+REPETITION = "what repetition alone gives"
+CARED_ABOUT = "what nobody cares about"  # where nothing was repeated
+NOISE = "the noise of its signal"  # of a recorded torque
 
 
 class Tag(StrEnum):
@@ -39,11 +40,11 @@ def phase_text(phase: str) -> str:
     return PHASES.get(phase, phase.capitalize())
 
 
-def place_text(entry: Cell | JumpLevel, separator: str = ", ", scenario: bool = False) -> str:
+def place_text(entry: Cell | JumpLevel, scenario: bool = False) -> str:
     """Object and case of an entry, with the scenario where it does not go without saying."""
     parts = [entry.scenario] if scenario else []
     if entry.object not in NO_OBJECT:
         parts.append(entry.object)
     if entry.case:
         parts.append(entry.case)
-    return separator.join(parts)
+    return ", ".join(parts)

@@ -184,7 +184,7 @@ def where_plots(cells: Sequence[Cell], by_phase: bool) -> list[tuple[str, go.Fig
     found = []
     for phase in sorted({cell.phase for cell in cells}, key=_order_of_phase):
         own = [cell for cell in cells if cell.phase == phase]
-        places = [(place_text(cell, "\n", several), cell) for cell in own]
+        places = [(place_text(cell, several), cell) for cell in own]
         drawn = _heat_map(own, sorted(places, key=lambda entry: entry[0]), top)
         if drawn is not None:
             found.append((phase_text(phase), drawn))
@@ -208,22 +208,30 @@ def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]], top: f
     drawn = go.Figure(
         go.Heatmap(
             z=[[None if c is None else round(math.copysign(c.times_noise, c.error), 2) for c in row] for row in found],
-            x=[_plain(name).replace("\n", "<br>") for name in names],
+            x=[_plain(name) for name in names],
             y=[_plain(f"{signal} {index}") for signal, index in rows],
             text=[["" if c is None else quantity_text(c.error, c.unit) for c in row] for row in found],
             hovertemplate="%{y}<br>%{x}<br>%{z:.1f} × repetition<br>%{text}<extra></extra>",
             zmin=-top,
             zmax=top,
             colorscale=SIGNED,
-            colorbar={"thickness": 10, "len": 1, "outlinewidth": 0},
+            colorbar={"orientation": "h", "thickness": 8, "y": 0, "yanchor": "top", "ypad": 6, "outlinewidth": 0},
             xgap=1,
             ygap=1,
         )
     )
     return drawn.update_layout(
         template=TEMPLATE,
-        height=100 + 20 * len(rows),
-        xaxis={"side": "top", "fixedrange": True, "type": "category", "tickfont": {"size": 11}, "showgrid": False},
+        # Names of columns stand upright where there is no room for them side by side.
+        height=90 + 20 * len(rows) + 6 * max(len(name) for name in names),
+        xaxis={
+            "side": "top",
+            "fixedrange": True,
+            "type": "category",
+            "tickfont": {"size": 11},
+            "autotickangles": [0, 90],
+            "showgrid": False,
+        },
         yaxis={"autorange": "reversed", "fixedrange": True, "type": "category", "tickfont": {"size": 11}},
     )
 

@@ -159,8 +159,8 @@ def test_the_report_is_one_file_that_needs_no_network(push_campaign: Path, tmp_p
 
 def test_html_and_png_are_drawn_from_the_same_numbers(push_campaign: Path) -> None:
     from impact_rs_analysis.report.figures import figures_of
-    from impact_rs_analysis.report.html import plotly_figure
+    from impact_rs_analysis.report.plots import curves_plot
 
     for figure in figures_of(analyze_campaign(push_campaign).sets[0]):
         curves = [curve for panel in figure.panels for curve in panel.curves]
-        assert [trace.name or "" for trace in plotly_figure(figure).data] == [curve.label for curve in curves]
+        assert [trace.name or "" for trace in curves_plot(figure).data] == [curve.label for curve in curves]

@@ -1,0 +1,100 @@
+"""Tracks show every signal once, on one clock, with the sides not swapped."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from impact_rs_analysis.evidence.aligned import AlignedTrial, ArmTrack, Track
+from impact_rs_analysis.evidence.tracks import tracks_of_recordings, tracks_of_trials
+
+TIME = np.linspace(0.0, 1.8, 19)
+
+
+def arm(level: float) -> ArmTrack:
+    """An arm of six joints whose signals are numbered by column above a level."""
+
+    def columns(count: int) -> np.ndarray:
+        return level + np.tile(np.arange(float(count)), (TIME.size, 1))
+
+    return ArmTrack(columns(6), columns(6), columns(6), columns(3), columns(4), columns(6), columns(3))
+
+
+def trial(*, hit: bool, arms: tuple[str, ...] = ("arm",), scale: float = 1.0) -> AlignedTrial:
+    """A trial that moves along y."""
+    scenario = SimpleNamespace(axis_index=1, timing=SimpleNamespace(nominal_impact=0.9))
+    condition = SimpleNamespace(
+        object="juice" if hit else "none",
+        case="case_2" if hit else "slow",
+        scale=scale,
+        plan=SimpleNamespace(expects_impact=hit, scene=SimpleNamespace(scenario=scenario)),
+    )
+    sides = [
+        Track({name: arm(level) for name in arms}, np.full((TIME.size, 3), level), np.full(TIME.size, level))
+        for level in (100.0, 200.0)
+    ]
+    return AlignedTrial(condition, Path("bag"), TIME, *sides)  # type: ignore[arg-type]
+
+
+def test_trials_with_an_impact_come_first_and_say_when() -> None:
+    free, hit = trial(hit=False), trial(hit=True, scale=1.2)
+    first, second = tracks_of_trials([free, hit])
+    assert (first.label, first.impact) == ("juice, case_2 (1.2 v)", 0.9)
+    assert (second.label, second.impact) == ("slow", None)
+    assert "object yaw" in [signal.name for signal in first.signals]
+    assert "object yaw" not in [signal.name for signal in second.signals]
+
+
+def test_signals_have_their_column_their_unit_and_their_side() -> None:
+    (found,) = tracks_of_trials([trial(hit=True)])
+    signals = {signal.name: signal for signal in found.signals}
+    assert len(signals) == len(found.signals) == 3 + 3 + 6 + 6 + 3
+    assert found.signals[0].name == "end-effector velocity y"  # the direction of motion is what one wants to see
+    for name, unit, column in (
+        ("end-effector velocity y", "m/s", 1),
+        ("end-effector velocity x", "m/s", 0),
+        ("feedback z", "m/s^2", 2),
+        ("torque of joint 6", "N m", 5),
+        ("velocity of joint 1", "rad/s", 0),
+    ):
+        assert signals[name].unit == unit
+        assert signals[name].measured == pytest.approx(100.0 + column)
+        assert signals[name].predicted == pytest.approx(200.0 + column)
+
+
+def test_of_two_arms_every_signal_says_whose_it_is() -> None:
+    (found,) = tracks_of_trials([trial(hit=True, arms=("left", "right"))])
+    names = [signal.name for signal in found.signals]
+    assert len(set(names)) == len(names) == 2 * 18 + 3
+    assert "left: torque of joint 1" in names
+    assert "right: torque of joint 1" in names
+
+
+def test_recordings_are_cut_where_one_ends_and_the_next_begins() -> None:
+    motions = [
+        SimpleNamespace(time=np.arange(6.0), kept=slice(1, 5)),
+        SimpleNamespace(time=np.arange(5.0), kept=slice(1, 4)),
+    ]
+    recorded = np.arange(14.0).reshape(7, 2)
+    source = SimpleNamespace(
+        motions=motions,
+        recordings=[SimpleNamespace(path=Path("a.db3")), SimpleNamespace(path=Path("b.db3"))],
+        balance=SimpleNamespace(recorded=recorded),
+    )
+    rest = np.ones((7, 2))
+    found = tracks_of_recordings(source, {"the model": rest, "with friction": 0.0 * rest})  # type: ignore[arg-type]
+    assert [track.label for track in found] == [
+        "a.db3, the model",
+        "b.db3, the model",
+        "a.db3, with friction",
+        "b.db3, with friction",
+    ]
+    second = found[1]
+    assert second.time == pytest.approx([1.0, 2.0, 3.0])
+    assert second.signals[1].name == "torque of joint 2"
+    assert second.signals[1].measured == pytest.approx(recorded[4:, 1])
+    assert second.signals[1].measured - second.signals[1].predicted == pytest.approx(1.0)
+    assert found[3].signals[0].predicted == pytest.approx(recorded[4:, 0])
