@@ -17,9 +17,11 @@ from pathlib import Path
 from typing import Any
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.diagnosis.document import document_of, read_document, write_document
+from impact_rs_analysis.diagnosis.document import read_document, write_document
 from impact_rs_analysis.diagnosis.scoring import score
+from impact_rs_analysis.evidence.rollouts import RolloutStore
 from impact_rs_analysis.evidence.runs import read_runs
+from impact_rs_analysis.evidence.trials import TrialSource
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
 from impact_rs_sim.unmodelled import OUTSIDE
@@ -28,7 +30,6 @@ from impact_rs_trials.workers import Map, Workforce, workers
 
 MAGNITUDES = (3.0, 8.0, 1.0)  # parameter scales: clear, gross, barely noticeable
 OUTSIDE_MAGNITUDES = (2.0, 6.0)
-PAIRS, NULLS = 10, 10
 
 
 @dataclass(frozen=True)
@@ -47,11 +48,11 @@ class Entry:
         return "__".join([*parts, f"seed{self.seed}"])
 
 
-def matrix(seeds: int) -> list[Entry]:
+def matrix(seeds: int, pairs: int, nulls: int) -> list[Entry]:
     """Every campaign of the benchmark, each with a seed of its own; what comes first says most, should time run out."""
     singles = [("single", name, size) for size in MAGNITUDES for name in library()]
     faint, strong = ([("outside", name, size) for name in OUTSIDE] for size in OUTSIDE_MAGNITUDES)
-    once: list[tuple[str, str | None, float | None]] = [*[("null", None, None)] * NULLS, *[("pair", None, 4.0)] * PAIRS]
+    once: list[tuple[str, str | None, float | None]] = [*[("null", None, None)] * nulls, *[("pair", None, 4.0)] * pairs]
     wanted: list[tuple[str, str | None, float | None]] = [*singles, *faint, *once, *strong]
     wanted += [*singles, *faint, *strong] * (seeds - 1)
     entries = [Entry(*entry, seed) for seed, entry in enumerate(wanted)]
@@ -69,8 +70,8 @@ def run(entry: Entry, directory: Path, size: str, map_tasks: Map) -> dict[str, A
     document = directory / "diagnosis.json"
     started = time.perf_counter()
     if not document.exists():
-        runs, model = read_runs(directory / RUNS, map_tasks), load_model("nominal")
-        write_document(document_of(diagnose(runs, model, map_tasks), runs, model, ()), document)
+        source = TrialSource(read_runs(directory / RUNS, map_tasks), load_model("nominal"), RolloutStore(map_tasks))
+        write_document(diagnose(source, source.model), document)
     elapsed = time.perf_counter() - started
     read = read_document(document)
     scored = score(directory, read, document)
@@ -78,6 +79,7 @@ def run(entry: Entry, directory: Path, size: str, map_tasks: Map) -> dict[str, A
     content = asdict(scored) | {
         "name": entry.name,
         "seconds": elapsed,
+        "verdict": read.verdict,
         "more": bool(scored.also_named),
         "before": read.held_out_error_before,
         "noise": read.noise_floor,
@@ -94,9 +96,9 @@ def share(rows: list[dict[str, Any]], key: str) -> str:
 
 
 def coverage(rows: list[dict[str, Any]]) -> str:
-    """Share of all intervals of hidden effects found by name."""
-    inside, total = (sum(row["covered"][part] for row in rows) for part in (0, 1))
-    return f"{100.0 * inside / total:5.1f} % of {total}" if total else "-"
+    """Mean over the campaigns of the share of true parameters that lie in their intervals, named or not."""
+    shares = [row["covered"][0] / row["covered"][1] for row in rows if row["covered"][1]]
+    return f"{100.0 * statistics.mean(shares):5.1f} % of {len(shares)}" if shares else "-"
 
 
 def scoreboard(rows: list[dict[str, Any]]) -> str:
@@ -108,11 +110,12 @@ def scoreboard(rows: list[dict[str, Any]]) -> str:
         f"single above twice the noise, right or confusable {share(seen, 'correct')}",
         f"single above twice the noise, by its own name {share(seen, 'by_own_name')}",
         f"single, all, right or confusable             {share(of['single'], 'correct')}",
+        f"single, all, headline is the effect alone    {share(of['single'], 'headline')}",
         f"pairs, both named                            {share(of['pair'], 'correct')}",
         f"null, NOTHING-MISSING                        {share(of['null'], 'correct')}",
         f"outside, NONE-EXPLAINS or honestly marked    {share(of['outside'], 'correct')}",
         f"outside above twice the noise, the same      {share(plain, 'correct')}",
-        f"95 % intervals that cover the truth          {coverage(of['single'] + of['pair'])}",
+        f"95 % intervals that cover, by campaign       {coverage(of['single'] + of['pair'])}",
         f"something named that is not there            {share(rows, 'more')}",
     ]
     seconds = [row["seconds"] for row in rows if row.get("seconds", 0.0) > 1.0]
@@ -122,7 +125,7 @@ def scoreboard(rows: list[dict[str, Any]]) -> str:
     if removed:
         lines.append(f"excess held-out error removed, median        {100.0 * statistics.median(removed):.1f} %")
     wrong = [row for row in rows if not row["correct"]]
-    lines += [f"  wrong: {row['name']}: truth {row['truth']}, named {row['named']}" for row in wrong]
+    lines += [f"  wrong: {row['name']}: truth {row['truth']}, named {row['named']}, {row['verdict']}" for row in wrong]
     return "\n".join(lines)
 
 
@@ -131,12 +134,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the campaigns")
     parser.add_argument("--seeds", type=int, default=2, help="seeds per effect and magnitude")
+    parser.add_argument("--pairs", type=int, default=10, help="campaigns with two effects")
+    parser.add_argument("--nulls", type=int, default=20, help="campaigns with nothing hidden")
     parser.add_argument("--size", default="small", choices=("small", "full"), help="size of each campaign")
     parser.add_argument("--jobs", type=int, default=2, help="worker processes")
     parser.add_argument("--only", default="", help="run entries whose name starts with this (':' for '__')")
     parser.add_argument("--seconds", type=float, default=math.inf, help="start no further campaign after this time [s]")
     arguments = parser.parse_args()
-    wanted = [e for e in matrix(arguments.seeds) if e.name.startswith(arguments.only.replace(":", "__"))]
+    wanted = [e for e in matrix(arguments.seeds, arguments.pairs, arguments.nulls) if e.name.startswith(arguments.only.replace(":", "__"))]
     rows, began = [], time.monotonic()
     with workers(Workforce(arguments.jobs)) as map_tasks:
         for number, entry in enumerate(wanted, start=1):

@@ -5,20 +5,17 @@ from __future__ import annotations
 import argparse
 import functools
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from impact_rs_cli.terminal import Terminal
-
-if TYPE_CHECKING:
-    from impact_rs_trials.workers import Map, Workforce
+from impact_rs_cli.terminal import Command, Terminal
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.store import is_url, local_copy
+from impact_rs_trials.workers import Map, Workforce, workers
 
 MOST_SHOWN = 5
 RUNS = "folder with bags of trials, however deep, or URL"
-
-Command = Callable[[argparse.Namespace, Terminal], int]
 
 
 def add_runs(parser: argparse.ArgumentParser) -> None:
@@ -36,9 +33,6 @@ def on_local_runs(run: Command) -> Command:
 
     @functools.wraps(run)
     def command(args: argparse.Namespace, terminal: Terminal) -> int:
-        from impact_rs_sim.errors import InputError
-        from impact_rs_trials.store import is_url, local_copy
-
         if is_url(args.runs) and args.scheduler is not None:
             raise InputError(
                 "with --scheduler RUNS must be a folder that its workers see; copy the bags into one", file=args.runs
@@ -74,9 +68,6 @@ def workforce_of(args: argparse.Namespace) -> Workforce:
     Raises:
         InputError: Fewer than one process, or both options.
     """
-    from impact_rs_sim.errors import InputError
-    from impact_rs_trials.workers import Workforce
-
     if args.scheduler is not None and args.jobs is not None:
         raise InputError("--jobs is for processes of this machine; with --scheduler its workers are taken")
     if args.scheduler is not None:
@@ -91,8 +82,6 @@ def started(args: argparse.Namespace) -> Iterator[Map]:
     Raises:
         InputError: Fewer than one process, both options, or a scheduler that cannot be used.
     """
-    from impact_rs_trials.workers import workers
-
     with workers(workforce_of(args)) as map_tasks:
         yield map_tasks
 

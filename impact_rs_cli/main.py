@@ -1,35 +1,44 @@
-"""``impact-rs``: the command line. Holds no logic; every subcommand lies in :mod:`impact_rs_cli.commands`."""
+"""``impact-rs``: the command line. Holds no logic; every subcommand is a module of :mod:`impact_rs_cli.commands`."""
 
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import sys
 from collections.abc import Sequence
 
-from impact_rs_cli.commands import (
-    add_effect,
-    analyze,
-    blind,
-    campaign,
-    compare,
-    demo,
-    diagnose,
-    effects,
-    export,
-    friction,
-    history,
-    map,
-    paper,
-    study,
-    trial,
-    up,
-)
-from impact_rs_cli.terminal import Parser, Terminal
-from impact_rs_sim.errors import InputError
+from impact_rs_cli.parser import CommandParser, Parser
+from impact_rs_sim.errors import InputError, full_traceback
+from impact_rs_sim.version import package_version
 
-LOOP = (compare, diagnose, add_effect, history, effects, blind)
-COMMANDS = (demo, map, trial, campaign, analyze, study, export, *LOOP, friction, paper, up)
+COMMANDS = {  # name: module of impact_rs_cli.commands, imported when the command is used, and what it does
+    "demo": ("demo", "see everything once: trials, analysis, diagnosis, better model"),
+    "map": ("map", "predict the velocities just after an impact"),
+    "trial": ("trial", "run one trial and record it"),
+    "campaign": ("campaign", "run many trials, or go on with them"),
+    "analyze": ("analyze", "compare predictions with recorded trials"),
+    "study": ("study", "run and analyse all 450 trials of the published study"),
+    "export": ("export", "write a campaign into one Parquet or HDF5 file"),
+    "compare": ("compare", "show where a model fails against trials"),
+    "diagnose": ("diagnose", "name the physical effect that a model lacks"),
+    "add": ("add_effect", "add a diagnosed effect to a model"),
+    "history": ("history", "show how the error fell from model to model"),
+    "effects": ("effects", "list the library of physical effects"),
+    "blind": ("blind", "make a campaign with a hidden effect, or score a diagnosis"),
+    "friction": ("friction", "identify the friction compensation of a scenario"),
+    "paper": ("paper", "what a motor-inertia scale explains in the published rows"),
+    "up": ("up", "start the ROS 2 nodes"),
+}
+
+PACKAGES = (  # whose log --debug shows
+    "impact_rs_sim",
+    "impact_rs_control",
+    "impact_rs_trials",
+    "impact_rs_analysis",
+    "impact_rs_ros",
+    "impact_rs_cli",
+)
 
 TEXT = """\
 Predict, measure and explain simultaneous robot impacts.
@@ -46,12 +55,14 @@ Predict, measure and explain simultaneous robot impacts.
 
 
 def parser() -> Parser:
-    """The argument parser with all subcommands."""
-    main_parser = Parser(prog="impact-rs", description=TEXT, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """The argument parser with all subcommands, none of them imported."""
+    main_parser = Parser(prog="impact-rs", description=TEXT)
     main_parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
-    subparsers = main_parser.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=Parser)
-    for command in COMMANDS:
-        command.add(subparsers)
+    subparsers = main_parser.add_subparsers(
+        title="commands", metavar="COMMAND", required=True, parser_class=CommandParser
+    )
+    for name, (module, summary) in COMMANDS.items():
+        subparsers.add_parser(name, help=summary, module=f"impact_rs_cli.commands.{module}")
     return main_parser
 
 
@@ -59,8 +70,6 @@ class _Version(argparse.Action):
     """``--version``, looked up only when it is asked for."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from impact_rs_trials.bags.trial_info import package_version
-
         print(f"impact-rs {package_version() or 'from a source tree'}")
         parser.exit()
 
@@ -74,29 +83,37 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         0 if the job was done, 1 if it was not, 2 for a mistake in the input, 130 after Ctrl-C.
     """
+    args = argparse.Namespace(debug=False, json=False, resumable=False)
     try:
-        args = parser().parse_args(argv)
+        parser().parse_args(argv, args)
+        if args.debug:
+            _show_log()
+        code: int = args.run(args)
+        return code
     except SystemExit as stop:  # --help, or a mistake that has been told
         return int(stop.code or 0)
-    terminal = Terminal(args.json)
-    try:
-        with terminal.owned_output():
-            code: int = args.run(args, terminal)
-        terminal.finish()
-        return code
     except InputError as error:
-        return _fail(str(error), 2)
-    except KeyboardInterrupt:
-        hint = "; the same command goes on where it stopped" if args.run is campaign.run else ""
-        return _fail(f"interrupted{hint}", 130)
+        return _fail(error, str(error), 2, args.debug)
+    except KeyboardInterrupt as error:
+        hint = "; the same command goes on where it stopped" if args.resumable else ""
+        return _fail(error, f"interrupted{hint}", 130, args.debug)
     except BrokenPipeError:  # the reader of our output has left
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except RuntimeError as error:  # an impact map without an answer, nodes that do not start
-        return _fail(str(error), 1)
+        return _fail(error, str(error), 1, args.debug)
 
 
-def _fail(message: str, code: int) -> int:
+def _show_log() -> None:
+    """Show on standard error what the packages log."""
+    logging.basicConfig(format="%(name)s: %(message)s")
+    for package in PACKAGES:
+        logging.getLogger(package).setLevel(logging.DEBUG)
+
+
+def _fail(error: BaseException, message: str, code: int, debug: bool) -> int:
+    if debug:
+        print(full_traceback(error), file=sys.stderr)
     print(f"impact-rs: {' '.join(message.split())}", file=sys.stderr)
     return code
 

@@ -4,50 +4,21 @@ from __future__ import annotations
 
 import argparse
 import ctypes
+import functools
 import json
 import os
-import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from impact_rs_sim.errors import did_you_mean
-
 Report = Callable[[int, int], None]
 
 PROGRAM = os.environ.get("IMPACT_RS_PROGRAM", "impact-rs")  # how hints spell it: ./run sets "./run impact-rs"
-
-
-class Parser(argparse.ArgumentParser):
-    """Argument parser whose errors are one line and name what was probably meant."""
-
-    def error(self, message: str) -> NoReturn:
-        """Print one line and leave with exit code 2."""
-        print(f"{self.prog}: {message}{self._suggestion(message)} (see {self.prog} --help)", file=sys.stderr)
-        raise SystemExit(2)
-
-    def _suggestion(self, message: str) -> str:
-        """The nearest choice or option to the word that was refused."""
-        if found := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
-            word, known = found[1], re.findall(r"'(.*?)'", found[2])
-        elif found := re.search(r"unrecognized arguments: .*?(--[\w-]+)", message):
-            word, known = found[1], self._options()
-        else:
-            return ""
-        return did_you_mean(word, known)
-
-    def _options(self) -> list[str]:
-        """Long options of this parser and its subcommands."""
-        options = [option for option in self._option_string_actions if option.startswith("--")]
-        for action in self._actions:
-            if isinstance(action, argparse._SubParsersAction):
-                options += [option for parser in action.choices.values() for option in parser._options()]
-        return options
 
 
 class Terminal:
@@ -55,10 +26,12 @@ class Terminal:
 
     Args:
         as_json: Whether the document is wanted.
+        debug: Whether tracebacks are wanted.
     """
 
-    def __init__(self, as_json: bool) -> None:
+    def __init__(self, as_json: bool, debug: bool = False) -> None:
         self.as_json = as_json
+        self.debug = debug
         self._document: dict[str, Any] | None = None
         self._errors = Console(stderr=True, highlight=False)
 
@@ -76,6 +49,11 @@ class Terminal:
     def warn(self, text: str) -> None:
         """One line on standard error."""
         self._errors.print(text, soft_wrap=True, markup=False)
+
+    def trace(self, text: str) -> None:
+        """A traceback on standard error; silent without ``--debug``."""
+        if self.debug and text:
+            self.warn(text)
 
     def _bar(self) -> Progress:
         return Progress(
@@ -143,17 +121,23 @@ def output_folder(path: Path) -> Iterator[Path]:
                 folder.rmdir()
 
 
+Command = Callable[[argparse.Namespace, Terminal], int]
+
+
+def declare(parser: argparse.ArgumentParser, run: Command, text: str) -> None:
+    """Say what runs a command, and what its help tells."""
+    parser.description = text
+    parser.set_defaults(run=functools.partial(_with_terminal, run))
+
+
+def _with_terminal(run: Command, args: argparse.Namespace) -> int:
+    terminal = Terminal(args.json, args.debug)
+    with terminal.owned_output():
+        code = run(args, terminal)
+    terminal.finish()
+    return code
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """The option ``--json``."""
     parser.add_argument("--json", action="store_true", help="print one JSON document on standard output, nothing else")
-
-
-def add_command(
-    subparsers: Any, name: str, run: Callable[[argparse.Namespace, Terminal], int], summary: str, text: str
-) -> Parser:
-    """Declare a subcommand."""
-    parser: Parser = subparsers.add_parser(
-        name, help=summary, description=text, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.set_defaults(run=run, json=False)
-    return parser

@@ -16,7 +16,7 @@ from enum import IntEnum
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg.lapack import dposv
+import scipy
 
 from impact_rs_control.detection import ImpactDetector
 from impact_rs_control.plan import ArmPlan, TrialPlan
@@ -189,7 +189,7 @@ class ArmController:
         inertia = terms.mass_matrix + self._motor_inertia
         jacobian = terms.jacobian
         if after:
-            push = dposv(inertia, jacobian.T @ plan.wrench[index])[1]
+            push = scipy.linalg.lapack.dposv(inertia, jacobian.T @ plan.wrench[index])[1]
             targets[:6] += jacobian @ push  # paper eq. a_p_f
             targets[6] += push[0]  # the same torque moves joint 1 as well: no posture feedback shall fight it
         targets[:6] -= terms.drift

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg.lapack import dposv
+import scipy
 
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RigidTerms, RobotModel
@@ -69,8 +69,8 @@ class ImpactDetector:
         jacobian = terms.jacobian
         self._right[:, :6] = jacobian.T
         self._right[:, 6] = self._residual
-        mobility = jacobian @ dposv(terms.mass_matrix, self._right)[1]
-        self.wrench = dposv(mobility[:, :6], mobility[:, 6])[1]
+        mobility = jacobian @ scipy.linalg.lapack.dposv(terms.mass_matrix, self._right)[1]
+        self.wrench = scipy.linalg.lapack.dposv(mobility[:, :6], mobility[:, 6])[1]
         against = -float(self._direction @ self.wrench[:3])
         self.force = against - self._baseline
         if self.force < self.threshold:

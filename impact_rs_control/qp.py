@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+import scipy
 from proxsuite import proxqp
-from scipy.linalg.lapack import dposv
 
 from impact_rs_sim.robot import Array
 
@@ -166,7 +166,7 @@ class AccelerationQp:
         """Solve for one tick; the status tells where limits had to give way."""
         started = time.perf_counter()
         program = self.program(problem)
-        free, failed = dposv(program.hessian, -program.gradient)[1:]
+        free, failed = scipy.linalg.lapack.dposv(program.hessian, -program.gradient)[1:]
         if not failed and program.allows(free):
             return QpSolution(free, QpStatus.SOLVED, 0, time.perf_counter() - started)
         if (program.lower <= program.upper).all():

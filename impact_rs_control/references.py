@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BPoly
+import scipy
 
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Timing
@@ -54,7 +54,7 @@ def sample_path(points: list[ViaPoint], times: Array) -> SampledPath:
     """
     knots = np.array([point.time for point in points])
     derivatives = [[point.position, point.velocity, point.acceleration] for point in points]
-    path = BPoly.from_derivatives(knots, derivatives)
+    path = scipy.interpolate.BPoly.from_derivatives(knots, derivatives)
     inside = np.clip(times, knots[0], knots[-1])
     outside = (times - inside)[:, None]
     velocity = path.derivative(1)(inside)

@@ -16,7 +16,7 @@ Value = bool | float | str
 
 
 @dataclass(frozen=True)
-class Parameter:
+class NodeParameter:
     """One parameter of a node.
 
     Attributes:
@@ -44,38 +44,38 @@ class Parameter:
 
 
 COMMON = (
-    Parameter("scenario", "push", "-", "Scenario, by name or path, where a request names none"),
-    Parameter("diagnostics_period", 1.0, "s", "Wall-clock time between two messages on /diagnostics", (0.1, 60.0)),
+    NodeParameter("scenario", "push", "-", "Scenario, by name or path, where a request names none"),
+    NodeParameter("diagnostics_period", 1.0, "s", "Wall-clock time between two messages on /diagnostics", (0.1, 60.0)),
 )
 
-PARAMETERS: dict[str, tuple[Parameter, ...]] = {
+PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
     "plant": (
         *COMMON,
-        Parameter(
+        NodeParameter(
             "realtime",
             False,
             "-",
             "Pace the ticks by the wall clock; a torque that is late counts as missed tick and the last one is held."
             " Otherwise the plant waits for the torque of every tick",
         ),
-        Parameter(
+        NodeParameter(
             "repeat_after",
             0.25,
             "s",
             "Without an answer for so long, the measured state of the tick is sent again",
             (0.01, 10.0),
         ),
-        Parameter("answer_timeout", 1.5, "s", "Without an answer for so long, the trial is aborted", (0.1, 600.0)),
+        NodeParameter("answer_timeout", 1.5, "s", "Without an answer for so long, the trial is aborted", (0.1, 600.0)),
     ),
     "impact_map": (
         *COMMON,
-        Parameter("engine", "bullet", "-", "Engine where a request names none: bullet or pinocchio"),
+        NodeParameter("engine", "bullet", "-", "Engine where a request names none: bullet or pinocchio"),
     ),
     "controller": COMMON,
     "recorder": (
         *COMMON,
-        Parameter("drain_period", 0.01, "s", "How often what was received is written to the bag", (0.001, 0.1)),
-        Parameter(
+        NodeParameter("drain_period", 0.01, "s", "How often what was received is written to the bag", (0.001, 0.1)),
+        NodeParameter(
             "completion_timeout",
             2.0,
             "s",
@@ -85,20 +85,20 @@ PARAMETERS: dict[str, tuple[Parameter, ...]] = {
     ),
     "experiment": (
         *COMMON,
-        Parameter(
+        NodeParameter(
             "service_timeout", 10.0, "s", "How long plant, controller and recorder may take to get ready", (0.5, 600.0)
         ),
-        Parameter(
+        NodeParameter(
             "progress_timeout", 4.0, "s", "Without a sign of life for so long, a running trial is aborted", (0.5, 600.0)
         ),
-        Parameter(
+        NodeParameter(
             "hide_model",
             True,
             "-",
             "Keep the effects that a trial hides in the plant out of /trial_info and the bag's metadata; they are only"
             " recorded on /truth/model",
         ),
-        Parameter("feedback_period", 0.05, "s", "Wall-clock time between two action feedbacks", (0.01, 10.0)),
+        NodeParameter("feedback_period", 0.05, "s", "Wall-clock time between two action feedbacks", (0.01, 10.0)),
     ),
 }
 

@@ -9,6 +9,7 @@ model fits arms with n joints; without such an effect it fits any arm.
 
 from __future__ import annotations
 
+import hashlib
 import re
 from pathlib import Path
 
@@ -57,8 +58,6 @@ class Model(Schema):
     @property
     def digest(self) -> str:
         """Digest of what the model says about the physics; name, note and parent do not count."""
-        import hashlib
-
         content = self.model_dump_json(include={"formulas", "effects"})
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.optimize import least_squares
+import scipy
 
 from impact_rs_sim.errors import UnreachablePose
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts
@@ -82,7 +82,7 @@ class RobotModel:
         """All terms at joint positions ``q`` ``(n,)`` [rad] and velocities ``dq`` ``(n,)`` [rad/s]."""
         model, data, frame = self.pinocchio, self.data, self._frame
         pin.computeAllTerms(model, data, q, dq)
-        jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED).reshape(6, self.joint_count)
         pin.forwardKinematics(model, data, q, dq, self._zero)
         placement = pin.updateFramePlacement(model, data, frame)
         drift = pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
@@ -107,7 +107,8 @@ class RobotModel:
 
     def jacobian(self, q: Array) -> Array:
         """J(q) of frame E in E[A], ``(6, n)``."""
-        return np.array(pin.computeFrameJacobian(self.pinocchio, self.data, q, self._frame, pin.LOCAL_WORLD_ALIGNED))
+        jacobian = pin.computeFrameJacobian(self.pinocchio, self.data, q, self._frame, pin.LOCAL_WORLD_ALIGNED)
+        return np.array(jacobian).reshape(6, self.joint_count)  # of one joint Pinocchio makes a vector
 
     def placement(self, q: Array) -> pin.SE3:
         """Placement of frame E in A."""
@@ -152,7 +153,9 @@ class RobotModel:
                 f"joint 1 at {joint_1:.4g} rad is outside its limits [{lower[0]:.4g}, {upper[0]:.4g}] rad"
             )
         start = np.clip(guess, lower + 1e-6, upper - 1e-6)[1:]
-        solution = least_squares(error, start, bounds=(lower[1:], upper[1:]), xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        solution = scipy.optimize.least_squares(
+            error, start, bounds=(lower[1:], upper[1:]), xtol=1e-15, ftol=1e-15, gtol=1e-15
+        )
         residual = float(np.max(np.abs(solution.fun)))
         if residual > tolerance:
             raise UnreachablePose(

@@ -80,7 +80,7 @@ class EndEffectorSpec(Schema):
         )
 
 
-class Drive(Schema):
+class DriveSettings(Schema):
     """Motor side of the joints (paper eqs. EOM_motor, torque_control_law)."""
 
     motor_inertia_rotor: PositiveVector = Field(description="B_rho, reflected motor inertia per joint [kg m^2]")
@@ -126,7 +126,7 @@ class Robot(Schema):
     facts: str = Field(description="name of the robot in config/robots")
     base: Base = Field(description="mounting of the arm")
     end_effector: EndEffectorSpec = Field(description="end effector")
-    drive: Drive = Field(description="motor side")
+    drive: DriveSettings = Field(description="motor side")
     impact: ImpactPose = Field(description="pose at impact")
 
     @model_validator(mode="after")

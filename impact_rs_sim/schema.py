@@ -7,6 +7,7 @@ can say what was expected, and in which unit.
 from __future__ import annotations
 
 from collections.abc import Callable
+from difflib import get_close_matches
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
@@ -173,8 +174,6 @@ def _description(schema: type[Schema], location: list[Any]) -> str:
 
 
 def _did_you_mean(schema: type[Schema], location: list[Any]) -> str:
-    from difflib import get_close_matches
-
     parent = _walk(schema, location[:-1])[0]
     if parent is None:
         return ""

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
@@ -109,16 +110,18 @@ def draw_truth(seed: int, kind: str, effect: str | None, magnitude: float | None
     return hidden
 
 
-def draw_outside(seed: int, name: str | None, magnitude: float | None) -> tuple[str, float]:
+def draw_outside(
+    seed: int, name: str | None, magnitude: float | None, known: Collection[str] = OUTSIDE
+) -> tuple[str, float]:
     """An effect that is not in the library, and its size (1: noticeable).
 
     Raises:
         InputError: There is no such outside effect.
     """
-    if name is not None and name not in OUTSIDE:
-        raise InputError(f"no outside effect {name!r}; known: {', '.join(OUTSIDE)}")
+    if name is not None and name not in known:
+        raise InputError(f"no outside effect {name!r}; known: {', '.join(known)}")
     rng = np.random.default_rng([seed, KINDS.index("outside")])
-    chosen = name or str(rng.choice(list(OUTSIDE)))
+    chosen = name or str(rng.choice(list(known)))
     return chosen, magnitude if magnitude is not None else float(np.exp(rng.uniform(0.0, np.log(4.0))))
 
 
@@ -140,8 +143,21 @@ class BlindTask:
     magnitude: float
 
 
-def run_task(task: BlindTask) -> str:
+def _record(task: BlindTask, plan: TrialPlan, info: TrialInfo, path: Path, physics: Physics) -> str:
+    """Record one trial on our plant."""
+    extension = None if task.outside is None else OUTSIDE[task.outside](task.magnitude, task.trial.repeat)
+    return record_trial(plan, info, path, physics, extension)[0]
+
+
+Recorder = Callable[[BlindTask, TrialPlan, TrialInfo, Path, Physics], str]
+
+
+def run_task(task: BlindTask, record: Recorder = _record) -> str:
     """Record one trial; a finished one stands. Returns the outcome.
+
+    Args:
+        task: Which trial.
+        record: Records it on a robot cell that has the given physics.
 
     Raises:
         InputError: This machine does not see the campaign's folder.
@@ -155,10 +171,7 @@ def run_task(task: BlindTask) -> str:
     shutil.rmtree(partial_path(path), ignore_errors=True)
     plan = trial.spec.plan
     info = TrialInfo.of(plan, trial.key, trial.seed, "inprocess")
-    physics = hide(plan.scene.physics, list(task.hidden))
-    extension = None if task.outside is None else OUTSIDE[task.outside](task.magnitude, trial.repeat)
-    outcome, _ = record_trial(plan, info, path, physics, extension)
-    return outcome
+    return record(task, plan, info, path, hide(plan.scene.physics, list(task.hidden)))
 
 
 def tasks(
@@ -188,14 +201,27 @@ def make(
     effect: str | None = None,
     size: str = "full",
     magnitude: float | None = None,
+    work: Callable[[BlindTask], str] = run_task,
+    outsides: Collection[str] = OUTSIDE,
 ) -> Iterator[tuple[int, int]]:
     """Make a blind campaign; yields (done, total) as trials end.
+
+    Args:
+        directory: Folder of the campaign.
+        seed: What is drawn depends on it.
+        map_tasks: Who does the work.
+        kind: One of ``KINDS``.
+        effect: What to hide; None: drawn.
+        size: One of ``SIZES``.
+        magnitude: Size in parameter scales, of an outside effect in multiples of a noticeable one; None: drawn.
+        work: Records a trial; :func:`run_task` on another cell than our plant.
+        outsides: Names of the effects outside the library that it knows.
 
     Raises:
         InputError: Unknown kind, effect or size, or a folder that holds another blind campaign.
     """
     hidden = draw_truth(seed, kind, effect, magnitude)
-    outside, strength = (None, 0.0) if kind != "outside" else draw_outside(seed, effect, magnitude)
+    outside, strength = (None, 0.0) if kind != "outside" else draw_outside(seed, effect, magnitude, outsides)
     todo = tasks(directory, seed, size, hidden, outside, strength)
     truth = {
         "kind": kind,
@@ -212,7 +238,7 @@ def make(
     with owned(Folder(directory)):
         (directory / RUNS).mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
-        for done, _ in enumerate(map_tasks(run_task, todo), start=1):
+        for done, _ in enumerate(map_tasks(work, todo), start=1):
             yield done, len(todo)
 
 

@@ -17,9 +17,11 @@ SCRIPTS = sorted((ROOT / "scripts").iterdir())
 PACKAGES = (
     "impact_msgs_py",
     "impact_rs_analysis",
+    "impact_rs_cli",
     "impact_rs_control",
     "impact_rs_ros",
     "impact_rs_sim",
+    "impact_rs_trials",
 )
 PHYSICAL = ("float64", "uint8", "uint32", "uint64", "bool", "geometry_msgs/")
 

@@ -183,6 +183,11 @@ def _shared(rows: Array) -> float:
     return (raw - 1.0 / count) / (1.0 - 1.0 / count)
 
 
+def _share(value: float) -> float | None:
+    """Two digits; None where there is nothing to share."""
+    return None if np.isnan(value) else round(value, 2)
+
+
 def measure() -> list[Group]:
     """Run everything and group the differences."""
     groups = []
@@ -240,8 +245,8 @@ def document(groups: list[Group], seconds: float) -> dict[str, Any]:
                 "unit": group.feature.unit,
                 "value": _round(group.value, group.feature.floor),
                 "largest": group.largest,
-                "shared_over_conditions": round(group.shared_over_conditions, 2),
-                "shared_over_bins": round(group.shared_over_bins, 2),
+                "shared_over_conditions": _share(group.shared_over_conditions),
+                "shared_over_bins": _share(group.shared_over_bins),
                 "by_bin": [_round(value, group.feature.floor) for value in group.by_bin],
                 "by_variant": {name: _round(value, group.feature.floor) for name, value in group.by_variant.items()},
             }
@@ -258,7 +263,7 @@ HEADER = """\
 # over conditions and time bins, of the variant that lies furthest off (largest). by_bin: the same, bin by bin.
 # by_variant: rms of every variant. shared_over_conditions: share of the square that one pattern over the bins explains
 # in all conditions; shared_over_bins: share that one number for all bins of a condition explains; both of the largest
-# variant, 0 where independent, .nan where there is one bin or nothing.
+# variant, 0 where independent, null where there is one bin or nothing.
 """
 
 

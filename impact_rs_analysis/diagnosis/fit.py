@@ -233,9 +233,8 @@ def measure_again(fitted: Fit) -> Fit:
             return fitted
         evidence = Evidence(like.source, like.numbers, tuple(clusters))
         nothing = tuple(np.zeros_like(item.sigma) for item in clusters)
-        fresh: Candidate | None = replace(candidate, point=point, origin=added, offsets=nothing)
+        fresh = replace(candidate, point=point, origin=added, offsets=nothing)
         if look == 0:
-            assert fresh is not None
             fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities") or fresh
         fitted = refine(fresh, evidence)
         if np.all(np.abs(fitted.estimate - point) < NEAR * candidate.scale):

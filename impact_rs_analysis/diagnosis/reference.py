@@ -126,7 +126,8 @@ class _Layout:
     def __init__(self, numbers: list[int], clusters: Sequence[Cluster]) -> None:
         self.numbers = numbers
         self.counts = np.array([clusters[number].count for number in numbers])
-        rows, contrasts = [], []
+        rows: list[Array] = []
+        contrasts: list[Array] = []
         for number in numbers:
             turned = _contrasts(clusters[number].count) @ clusters[number].residuals
             rows.append(turned[0])

@@ -6,8 +6,9 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument, runs_digest
-from impact_rs_analysis.diagnosis.search import SIGNIFICANT
+from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, DiagnosisDocument
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.evidence.runs import runs_digest
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.blind import RUNS, TRUTH
 
@@ -22,8 +23,9 @@ class Score:
         named: Effects that the diagnosis chose.
         correct: Whether it is right, see :func:`score`.
         by_own_name: Whether every hidden effect was chosen by its own name.
-        intervals_cover: Whether all true parameters of the named effects lie in their 95 % intervals; None where no
-            hidden effect was named.
+        headline: Whether the headline is the hidden effects and nothing else, or what is right where there are none.
+        intervals_cover: Whether all true parameters lie in their 95 % intervals, also of effects that were not named;
+            None where no hidden effect was measured.
         covered: Number of those that do, and of all of them.
         also_named: Effects that were chosen and are neither hidden nor confusable with one that is.
     """
@@ -33,6 +35,7 @@ class Score:
     named: tuple[str, ...]
     correct: bool
     by_own_name: bool
+    headline: bool
     intervals_cover: bool | None
     covered: tuple[int, int]
     also_named: tuple[str, ...]
@@ -41,9 +44,9 @@ class Score:
 def score(directory: Path, document: DiagnosisDocument, source: Path) -> Score:
     """Hold a diagnosis against the truth of a blind campaign.
 
-    Right is: ``single``, the hidden effect is confirmed by its own name or inside the confusable set of a named one;
-    ``pair``, both are; ``null``, NOTHING-MISSING; ``outside``, NONE-EXPLAINS, or an effect was named and the diagnosis
-    says itself that lack of fit stays.
+    Right is: ``single``, the hidden effect is named or inside the confusable set of a named one; ``pair``, both are;
+    ``null``, NOTHING-MISSING; ``outside``, NONE-EXPLAINS, or an effect was named and the diagnosis says itself that
+    something stays.
 
     Args:
         directory: Blind campaign.
@@ -72,14 +75,17 @@ def score(directory: Path, document: DiagnosisDocument, source: Path) -> Score:
 
     found = {name: name in named or any(name in near(other) for other in named) for name in hidden}
     right = all(found.values())
+    headline = set(document.verdict.split("+")) == set(hidden)
     if kind == "null":
-        right = document.verdict == "NOTHING-MISSING"
+        right = headline = document.verdict == NOTHING
     elif kind == "outside":
-        right = document.verdict == "NONE-EXPLAINS" or (bool(named) and document.lack_of_fit["after"] < SIGNIFICANT)
+        left = document.lack_of_fit.after
+        stays = document.verdict.startswith(PARTLY) or (bool(named) and left is not None and left < SIGNIFICANT)
+        right = headline = document.verdict == NONE or stays
     covered = [
         estimate.interval[0] <= hidden[name][key]["value"] <= estimate.interval[1]
         for name in hidden
-        if name in named and (effect := document.effect(name)) is not None
+        if (effect := document.effect(name)) is not None
         for key, estimate in effect.parameters.items()
         if key in hidden[name]
     ]
@@ -89,6 +95,7 @@ def score(directory: Path, document: DiagnosisDocument, source: Path) -> Score:
         named=named,
         correct=right,
         by_own_name=bool(hidden) and all(name in named for name in hidden),
+        headline=headline,
         intervals_cover=all(covered) if covered else None,
         covered=(sum(covered), len(covered)),
         also_named=tuple(name for name in named if not near(name) & set(hidden)),

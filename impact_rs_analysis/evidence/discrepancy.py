@@ -33,8 +33,8 @@ class DiscrepancyEntry(Schema):
     largest: str = Field("", description="variant that lies furthest off, of which value and by_bin are")
     by_bin: tuple[float, ...] = Field((), description="the same, bin by bin")
     by_variant: dict[str, float] = Field({}, description="rms of every variant")
-    shared_over_conditions: float = Field(float("nan"), description="share of the square common to all conditions [-]")
-    shared_over_bins: float = Field(float("nan"), description="share of the square common to all bins [-]")
+    shared_over_conditions: float | None = Field(None, description="share of the square common to all conditions [-]")
+    shared_over_bins: float | None = Field(None, description="share of the square common to all bins [-]")
 
     def of_bin(self, number: int) -> float:
         """Discrepancy of one time bin, in the unit: half the signal's, half the bin's, which few trials define."""

@@ -20,7 +20,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+import scipy
 
 from impact_rs_sim.robot import Array
 
@@ -89,7 +89,7 @@ def fit_zero_crossing(velocity: Array, net: Array, confidence: float = 0.95) -> 
         raise FitError("the net feedback does not depend on the post-impact velocity: there is no zero crossing")
     estimate = -intercept / slope
     scatter = math.sqrt(squares / (count - 2))
-    quantile = float(student.ppf(0.5 + confidence / 2.0, count - 2))
+    quantile = float(scipy.stats.t.ppf(0.5 + confidence / 2.0, count - 2))
     return LineFit(
         intercept=intercept,
         slope=slope,

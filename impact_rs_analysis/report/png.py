@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure as Canvas
+from typing import TYPE_CHECKING
 
 from impact_rs_analysis.report.figures import Curve, Figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 LINES = {"solid": "-", "dashed": "--", "none": ""}
 MARKERS = {"": None, "circle": "o", "square": "s", "diamond": "D", "triangle-up": "^"}
@@ -23,6 +23,10 @@ def _text(text: str) -> str:
 
 def write_png(figure: Figure, path: Path) -> Path:
     """Draw a figure, 150 dots per inch."""
+    # Half a second that only who draws has to wait for.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as Canvas
+
     panels = len(figure.panels)
     canvas = Canvas(figsize=(7.2, 2.3 * panels + 1.2 if panels > 1 else 5.2), layout="constrained")
     FigureCanvasAgg(canvas)

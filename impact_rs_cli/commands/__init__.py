@@ -1,1 +1,1 @@
-"""The subcommands of ``impact-rs``, one per file: ``add(subparsers)`` declares one, ``run(args, terminal)`` runs it."""
+"""The subcommands of ``impact-rs``, one per file: ``add(parser)`` declares its arguments and what runs it."""

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from impact_rs_analysis.diagnosis.add import add_effect
 from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_cli.arguments import add_model, number
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 from impact_rs_sim.model import load_model, save_model
 
 TEXT = f"""\
@@ -26,9 +25,9 @@ example:
 Units: as the diagnosis and the model file say."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "add", run, "add a diagnosed effect to a model", TEXT)
+    declare(parser, run, TEXT)
     parser.add_argument("effect", metavar="EFFECT", help="name of an effect of the diagnosis")
     add_model(parser)
     parser.add_argument(

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-from impact_rs_cli.terminal import Terminal, add_command, add_json, output_folder
+from rich.table import Table
 
-if TYPE_CHECKING:
-    from impact_rs_analysis.measure.analyze import Analysis
+from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
+from impact_rs_analysis.measure.table import result_table
+from impact_rs_analysis.report import write_report
+from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.campaign import MANIFEST
+from impact_rs_trials.store import is_url, local_copy
 
 TEXT = """\
 Compare the impact map's predictions with what a folder of trials shows.
@@ -28,9 +32,9 @@ example:
 Units: speeds in m/s along the scenario's axis, errors in percent."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "analyze", run, "compare predictions with recorded trials", TEXT)
+    declare(parser, run, TEXT)
     parser.add_argument("directory", metavar="DIR", help="folder whose subfolders are bags of trials, or URL")
     parser.add_argument(
         "-o", dest="output", type=Path, metavar="REPORT_DIR", help="folder for the report; default: DIR/report"
@@ -40,10 +44,6 @@ def add(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    from impact_rs_sim.errors import InputError
-    from impact_rs_trials.campaign import MANIFEST
-    from impact_rs_trials.store import is_url, local_copy
-
     if is_url(args.directory) and args.output is None:
         raise InputError("expected a folder for the report: -o REPORT_DIR", file=args.directory)
     with local_copy(args.directory, (MANIFEST,)) as directory:
@@ -52,8 +52,6 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 def report_on(directory: Path, output: Path | None, terminal: Terminal) -> tuple[int, Path]:
     """Analyse, write the report and show the table; exit code and path of the report."""
-    from impact_rs_analysis.measure.analyze import analyze_campaign
-
     with terminal.progress("reading bags") as tell:
         analysis = analyze_campaign(directory, tell)
     report = publish(analysis, output or directory / "report", terminal)
@@ -64,8 +62,6 @@ def report_on(directory: Path, output: Path | None, terminal: Terminal) -> tuple
 
 def publish(analysis: Analysis, directory: Path, terminal: Terminal) -> Path:
     """Write the report and show what is in it; returns its page."""
-    from impact_rs_analysis.report import write_report
-
     with output_folder(directory) as folder, terminal.progress("report") as tell:
         report = write_report(analysis, folder, tell)[0]
     terminal.result(analysis.to_json())
@@ -76,10 +72,6 @@ def publish(analysis: Analysis, directory: Path, terminal: Terminal) -> Path:
 
 def _show(analysis: Analysis, terminal: Terminal) -> None:
     """Show the table, and what did not enter it."""
-    from rich.table import Table
-
-    from impact_rs_analysis.measure.table import result_table
-
     rows = result_table(analysis)
     if rows:
         table = Table(title="Experimental estimate, and errors of the predictions [%]")

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
+from impact_rs_analysis.diagnosis.document import read_document
+from impact_rs_analysis.diagnosis.scoring import score as hold_against
 from impact_rs_cli.arguments import add_jobs, started
-from impact_rs_cli.terminal import PROGRAM, Parser, Terminal, add_command, add_json, output_folder
+from impact_rs_cli.parser import Parser
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
+from impact_rs_sim.errors import InputError
+from impact_rs_trials import blind
 
 TEXT = f"""\
 Make a campaign whose plant hides an effect, or hold a diagnosis against the truth.
@@ -23,11 +27,12 @@ example:
 Units: those of the hidden parameters are in truth.json."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "blind", make, "make a campaign with a hidden effect, or score a diagnosis", TEXT)
+    declare(parser, make, TEXT)
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True, parser_class=Parser)
-    maker = add_command(actions, "make", make, "make a campaign with a hidden effect", TEXT)
+    maker = actions.add_parser("make", help="make a campaign with a hidden effect")
+    declare(maker, make, TEXT)
     maker.add_argument("seed", type=int, metavar="SEED", help="whole number; the same seed hides the same")
     maker.add_argument("-o", dest="output", type=Path, required=True, metavar="DIR", help="folder of the campaign")
     maker.add_argument("--kind", choices=("single", "pair", "null", "outside"), default="single", help="%(default)s")
@@ -35,7 +40,8 @@ def add(subparsers: Any) -> None:
     maker.add_argument("--size", choices=("small", "full"), default="small", help="default: %(default)s")
     add_jobs(maker)
     add_json(maker)
-    scorer = add_command(actions, "score", score, "hold a diagnosis against the truth", TEXT)
+    scorer = actions.add_parser("score", help="hold a diagnosis against the truth")
+    declare(scorer, score, TEXT)
     scorer.add_argument("directory", type=Path, metavar="DIR", help="folder of the campaign")
     scorer.add_argument(
         "--diagnosis", type=Path, required=True, metavar="FILE.json", help="diagnosis of its folder runs"
@@ -45,9 +51,6 @@ def add(subparsers: Any) -> None:
 
 def make(args: argparse.Namespace, terminal: Terminal) -> int:
     """Make a blind campaign."""
-    from impact_rs_sim.errors import InputError
-    from impact_rs_trials import blind
-
     if args.seed < 0:
         raise InputError(f"seed = {args.seed}: expected a whole number >= 0")
     done = 0
@@ -62,9 +65,6 @@ def make(args: argparse.Namespace, terminal: Terminal) -> int:
 
 def score(args: argparse.Namespace, terminal: Terminal) -> int:
     """Score a diagnosis."""
-    from impact_rs_analysis.diagnosis.document import read_document
-    from impact_rs_analysis.diagnosis.scoring import score as hold_against
-
     found = hold_against(args.directory, read_document(args.diagnosis), args.diagnosis)
     terminal.result({**vars(found), "truth": list(found.truth), "named": list(found.named)})
     cover = "" if found.intervals_cover is None else "; {} of {} intervals hold the truth".format(*found.covered)

@@ -6,14 +6,20 @@ import argparse
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Any
 
 from impact_rs_cli.arguments import add_jobs, workforce_of
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
-
-if TYPE_CHECKING:
-    from impact_rs_trials.campaign import Manifest, TrialReport
-    from impact_rs_trials.store import Store
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.campaign import (
+    FAILURES,
+    Manifest,
+    TrialReport,
+    make_manifest,
+    open_campaign,
+    run_campaign,
+    still_to_run,
+)
+from impact_rs_trials.store import Folder, Store, open_store, owned
 
 TEXT = """\
 Run every trial of a scenario, or the part of it that you name, and record a bag of each.
@@ -31,9 +37,9 @@ example:
 Units: scales have none (post-impact reference velocity over predicted velocity)."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "campaign", run, "run many trials, or go on with them", TEXT)
+    declare(parser, run, TEXT)
     parser.add_argument("scenario", metavar="SCENARIO", help="name of a scenario, or path of its YAML file")
     parser.add_argument("-o", dest="output", required=True, metavar="DIR", help="folder of the campaign, or URL")
     parser.add_argument("--objects", nargs="+", metavar="NAME", help="default: all of the scenario")
@@ -49,14 +55,11 @@ def add(subparsers: Any) -> None:
         help="run trials in this program, or through the ROS 2 nodes (one at a time); default: %(default)s",
     )
     add_json(parser)
+    parser.set_defaults(resumable=True)
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    from impact_rs_sim.errors import InputError
-    from impact_rs_trials.campaign import make_manifest, run_campaign, still_to_run
-    from impact_rs_trials.store import Folder, open_store
-
     if args.via == "nodes" and (args.jobs not in (None, 1) or args.scheduler is not None):
         raise InputError("--jobs and --scheduler are for --via inprocess: the nodes run one trial at a time")
     store = open_store(args.output)
@@ -89,10 +92,8 @@ def through_nodes(store: Store, manifest: Manifest) -> Iterator[TrialReport]:
     Raises:
         InputError: The campaign does not lie in a folder, or another process works on it.
     """
+    # ROS 2 takes part in --via nodes alone: where it is not installed, trials still run in this program.
     from impact_rs_ros.graph import run_trials_through_nodes
-    from impact_rs_sim.errors import InputError
-    from impact_rs_trials.campaign import open_campaign
-    from impact_rs_trials.store import Folder, owned
 
     if not isinstance(store, Folder):
         raise InputError("the nodes record in a folder of this machine; expected a path", file=str(store))
@@ -104,8 +105,6 @@ def follow(
     reports: Iterator[TrialReport], manifest: Manifest, store: Store, terminal: Terminal, what: str = "trials"
 ) -> tuple[Counter[str], list[TrialReport]]:
     """Show progress while trials run; outcomes by number, and the trials that failed."""
-    from impact_rs_trials.campaign import still_to_run
-
     outcomes: Counter[str] = Counter()
     failures = []
     total = len(still_to_run(store, manifest))
@@ -116,5 +115,8 @@ def follow(
             if report.outcome == "ABORTED":
                 failures.append(report)
                 terminal.warn(f"{report.key.name}: {report.message or 'aborted'}")
+                terminal.trace(report.trace)
             tell(number, total)
+    if failures:
+        terminal.warn(f"what went wrong, in full: {store}/{FAILURES}")
     return outcomes, failures

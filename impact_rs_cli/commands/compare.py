@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from rich.table import Table
 
@@ -15,7 +14,7 @@ from impact_rs_analysis.evidence.aligned import aligned_trials, check_free, writ
 from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_cli.arguments import add_jobs, add_runs, number, on_local_runs
 from impact_rs_cli.measurements import Measurements, add_source, measured, only_trials
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 from impact_rs_sim.model import Model, load_model
 
 TEXT = f"""\
@@ -35,9 +34,9 @@ A recording of a real robot in free motion (a bag with sensor_msgs/JointState, C
 Units: each difference says its own; scores are multiples of what repetition alone gives, of recordings N m."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "compare", run, "show where a model fails against trials", TEXT)
+    declare(parser, run, TEXT)
     add_runs(parser)
     add_source(parser)
     parser.add_argument("-o", dest="output", type=Path, metavar="REPORT_DIR", help="folder for an HTML report")

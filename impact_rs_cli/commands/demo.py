@@ -7,22 +7,33 @@ import os
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
+from pydantic import Field
 
-if TYPE_CHECKING:
-    from impact_rs_sim.model import Model
-    from impact_rs_trials.bags.trial_info import TrialKey
-    from impact_rs_trials.campaign import Manifest, TrialReport
+from impact_rs_analysis.diagnosis.add import add_effect
+from impact_rs_analysis.diagnosis.document import write_document
+from impact_rs_analysis.diagnosis.history import history
+from impact_rs_analysis.report.comparison import write_comparison
+from impact_rs_cli.arguments import number
+from impact_rs_cli.commands.analyze import report_on
+from impact_rs_cli.commands.compare import comparison_of
+from impact_rs_cli.commands.diagnose import diagnosis_of, report_of
+from impact_rs_cli.commands.history import show_history
+from impact_rs_cli.measurements import Measurements, read
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
+from impact_rs_ros.graph import Graph, run_trial
+from impact_rs_sim.model import Model, load_model, save_model
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.schema import Schema, load
+from impact_rs_trials.bags.trial_info import TrialKey
+from impact_rs_trials.campaign import Manifest, TrialReport, make_manifest, open_campaign
+from impact_rs_trials.workers import Workforce, workers
 
 SCENARIO, OBJECT, CASE = "push", "cat_food", "case_2"
 COMPANION = "excite"
 OBJECTS, CASES = ["parcel", "juice"], ["case_1", "case_2"]
 REPEATS = 2
-HIDDEN, HIDDEN_VALUE = "support_friction", 1.2
-# One number each, so that the demonstration takes a minute; without --effects, diagnose considers the whole library.
-CONSIDERED = ["support_friction", "object_mass", "pad_friction", "restitution", "motor_inertia_scale"]
 MODEL = "nominal"
 
 TEXT = f"""\
@@ -41,11 +52,16 @@ example:
 Units: speeds in m/s; errors in percent, or in multiples of what repeating a trial explains."""
 
 
-def add(subparsers: Any) -> None:
+class Demonstration(Schema):
+    """``config/demo.yaml``."""
+
+    hidden: Model = Field(description="what the plant does and nobody else knows")
+    considered: tuple[str, ...] = Field(min_length=1, description="effects that the diagnosis considers")
+
+
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(
-        subparsers, "demo", run, "see everything once: trials, analysis, diagnosis, better model", TEXT
-    )
+    declare(parser, run, TEXT)
     parser.add_argument(
         "-o", dest="output", type=Path, default=Path("demo_output"), metavar="DIR", help="default: %(default)s"
     )
@@ -55,32 +71,29 @@ def add(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    from impact_rs_cli.commands.analyze import report_on
-
     jump, runs = args.output / ("experiment" if args.quick else "jump"), args.output / "runs"
     manifests = _manifests(jump, runs)
-    hidden = None if args.quick else _hidden_model()
+    demonstration = load(Demonstration, config_directory() / "demo.yaml")
+    hidden = None if args.quick else demonstration.hidden
     with output_folder(args.output):
         failures = _record(manifests[:1] if args.quick else manifests, hidden, terminal)
     if failures:
         terminal.warn(f"{failures} trials failed; the same command runs them again")
         return 1
-    number = "" if args.quick else "1. "
-    terminal.say("", f"{number}The measured jump, as in the paper: where net feedback crosses zero.")
+    step = "" if args.quick else "1. "
+    terminal.say("", f"{step}The measured jump, as in the paper: where net feedback crosses zero.")
     code, report = report_on(jump, None, terminal)
     if code:
         return code
     if args.quick:
         terminal.result({"report": str(report)})
         return 0
-    document = _walk_the_loop(args.output, runs, terminal)
+    document = _walk_the_loop(demonstration, args.output, runs, terminal)
     terminal.result({"report": str(report), **document})
     return 0 if document["correct"] else 1
 
 
 def _manifests(jump: Path, runs: Path) -> list[tuple[Path, Manifest]]:
-    from impact_rs_trials.campaign import make_manifest
-
     return [
         (jump, make_manifest(SCENARIO, [OBJECT], [CASE], trials=1)),
         (runs / SCENARIO, make_manifest(SCENARIO, OBJECTS, CASES, [1.0], REPEATS)),
@@ -88,17 +101,8 @@ def _manifests(jump: Path, runs: Path) -> list[tuple[Path, Manifest]]:
     ]
 
 
-def _hidden_model() -> Model:
-    from impact_rs_sim.model import Model, ModelEffect, ParameterValue
-
-    value = ParameterValue(estimate=HIDDEN_VALUE, unit="-", ci95=None)
-    return Model(name="hidden", effects=(ModelEffect(name=HIDDEN, parameters={"scale": value}),))
-
-
 def _record(manifests: list[tuple[Path, Manifest]], hidden: Model | None, terminal: Terminal) -> int:
     """Record what is missing, all through one set of nodes; returns how many trials failed."""
-    from impact_rs_trials.campaign import open_campaign
-
     todo: list[tuple[Path, Manifest, TrialKey]] = []
     for directory, manifest in manifests:
         todo += [(directory, manifest, key) for key in open_campaign(directory, manifest)]
@@ -110,48 +114,38 @@ def _record(manifests: list[tuple[Path, Manifest]], hidden: Model | None, termin
     failures = 0
     with terminal.progress("trials") as tell:
         tell(0, len(todo))
-        for number, report in enumerate(_through_nodes(todo, hidden), start=1):
+        for count, report in enumerate(_through_nodes(todo, hidden), start=1):
             if report.outcome == "ABORTED":
                 failures += 1
                 terminal.warn(f"{report.key.name}: {report.message or 'aborted'}")
-            tell(number, len(todo))
+                terminal.trace(report.trace)
+            tell(count, len(todo))
     return failures
 
 
 def _through_nodes(todo: list[tuple[Path, Manifest, TrialKey]], hidden: Model | None) -> Iterator[TrialReport]:
-    from impact_rs_ros.graph import Graph, run_trial
-
     with Graph(SCENARIO) as graph:
         for directory, manifest, key in todo:
             yield run_trial(graph, directory, manifest, key, hidden)
 
 
-def _walk_the_loop(output: Path, runs_directory: Path, terminal: Terminal) -> dict[str, Any]:
+def _walk_the_loop(
+    demonstration: Demonstration, output: Path, runs_directory: Path, terminal: Terminal
+) -> dict[str, Any]:
     """Compare, diagnose, add, compare, history; what the story needs of them."""
-    from impact_rs_analysis.diagnosis.add import add_effect
-    from impact_rs_analysis.diagnosis.document import write_document
-    from impact_rs_analysis.diagnosis.history import history
-    from impact_rs_analysis.report.comparison import write_comparison
-    from impact_rs_cli.arguments import number
-    from impact_rs_cli.commands.compare import comparison_of
-    from impact_rs_cli.commands.diagnose import diagnosis_of, report_of
-    from impact_rs_cli.commands.history import show_history
-    from impact_rs_cli.measurements import Measurements, read
-    from impact_rs_sim.model import load_model, save_model
-    from impact_rs_trials.workers import Workforce, workers
-
     diagnosis_file, model_file, reports = output / "diagnosis.json", output / "model_2.yaml", output / "report"
-    model = load_model(MODEL)
+    model, considered = load_model(MODEL), list(demonstration.considered)
+    (hidden,) = demonstration.hidden.effects
     with workers(Workforce(min(2, os.cpu_count() or 1))) as map_tasks:
         measurements = Measurements(map_tasks, terminal, read(runs_directory, map_tasks, terminal))
         terminal.say("", "2. Where does the model fail?")
         before = comparison_of(measurements, model, terminal)
-        terminal.say("", f"3. Which effect is missing? Considered here: {', '.join(CONSIDERED)}.")
-        document = diagnosis_of(measurements, model, model, CONSIDERED, terminal)
+        terminal.say("", f"3. Which effect is missing? Considered here: {', '.join(considered)}.")
+        document = diagnosis_of(measurements, model, model, considered, terminal)
         write_document(document, diagnosis_file)
         report_of(document, measurements, Path(MODEL), model, reports)
-        correct = HIDDEN in document.named or any(HIDDEN in group for group in document.confusable)
-        story: dict[str, Any] = {"hidden": HIDDEN, "named": list(document.named), "correct": correct}
+        correct = hidden.name in document.named or any(hidden.name in group for group in document.confusable)
+        story: dict[str, Any] = {"hidden": hidden.name, "named": list(document.named), "correct": correct}
         if not document.named:
             terminal.warn("the diagnosis named nothing; its report says why")
             return story
@@ -167,11 +161,11 @@ def _walk_the_loop(output: Path, runs_directory: Path, terminal: Terminal) -> di
         write_comparison(after, measurements.tracks(child), versions, reports)
     found = document.effect(name)
     assert found is not None
-    estimate = next(iter(found.parameters.values()))
+    truth, estimate = next(iter(hidden.parameters.values())), next(iter(found.parameters.values()))
     folder = shlex.quote(str(runs_directory))
     terminal.say(
         "",
-        f"The plant hid {HIDDEN} = {HIDDEN_VALUE:g}. The diagnosis named {' and '.join(document.named)} = "
+        f"The plant hid {hidden.name} = {truth.estimate:g}. The diagnosis named {' and '.join(document.named)} = "
         f"{number(estimate.estimate)} [{number(estimate.interval[0])}, {number(estimate.interval[1])}], "
         f"and the error of the model fell from {number(before.score)} to {number(after.score)} times what repetition "
         "alone gives.",

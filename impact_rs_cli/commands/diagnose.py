@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.table import Table
@@ -23,7 +22,7 @@ from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.report.diagnosis import write_diagnosis
 from impact_rs_cli.arguments import add_jobs, add_runs, number, on_local_runs
 from impact_rs_cli.measurements import Measurements, add_source, added_of, measured
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 from impact_rs_sim.effects.formula import FormulaEffect, load_formulas
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.model import Model, load_model
@@ -54,9 +53,9 @@ Units: each estimate says its own; errors are multiples of what repetition alone
 MOST_SHOWN = 8
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "diagnose", run, "name the physical effect that a model lacks", TEXT)
+    declare(parser, run, TEXT)
     add_runs(parser)
     add_source(parser)
     parser.add_argument("-o", dest="output", type=Path, metavar="FILE.json", help="file for the diagnosis")

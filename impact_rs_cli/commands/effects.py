@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json
+from rich.table import Table
 
-if TYPE_CHECKING:
-    from impact_rs_sim.effects import Effect
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare
+from impact_rs_sim.effects import Effect, library
+from impact_rs_sim.effects.formula import load_formulas
+from impact_rs_sim.errors import InputError, did_you_mean
 
 TEXT = f"""\
 List the physical effects that a model may have and that diagnose considers, or explain one of them.
@@ -24,9 +26,9 @@ example:
 Units: with every parameter."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "effects", run, "list the library of physical effects", TEXT)
+    declare(parser, run, TEXT)
     parser.add_argument("name", nargs="?", metavar="NAME", help="one effect; default: all")
     parser.add_argument("--formulas", type=Path, metavar="FILE.yaml", help="list those of a formula file as well")
     add_json(parser)
@@ -34,15 +36,8 @@ def add(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    from rich.table import Table
-
-    from impact_rs_sim.effects import library
-    from impact_rs_sim.errors import InputError, did_you_mean
-
     known: dict[str, Effect] = dict(library())
     if args.formulas is not None:
-        from impact_rs_sim.effects.formula import load_formulas
-
         known |= load_formulas(args.formulas)
     if args.name is not None and args.name not in known:
         raise InputError(

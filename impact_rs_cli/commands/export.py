@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
 
+from impact_rs_analysis.measure.export import check_target, export
 from impact_rs_cli.arguments import add_jobs, started, warn_skipped
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
+from impact_rs_trials.store import local_copy
 
 TEXT = f"""\
 Write a campaign into one file: .parquet has a row per trial, .h5 (or .hdf5) has every measured signal.
@@ -27,9 +28,9 @@ Needs pyarrow for .parquet and h5py for .h5 (both are in the extra "export").
 Units: names of columns end with theirs; datasets have an attribute units."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "export", run, "write a campaign into one Parquet or HDF5 file", TEXT)
+    declare(parser, run, TEXT)
     parser.add_argument("campaign", metavar="CAMPAIGN", help="folder with bags of trials, however deep, or URL")
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE", help=".parquet, .h5 or .hdf5")
     add_jobs(parser)
@@ -38,9 +39,6 @@ def add(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    from impact_rs_analysis.measure.export import check_target, export
-    from impact_rs_trials.store import local_copy
-
     check_target(args.output)
     with (
         local_copy(args.campaign) as directory,

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+
+import numpy as np
 
 from impact_rs_cli.arguments import add_jobs, started
-from impact_rs_cli.terminal import PROGRAM, Parser, Terminal, add_command, add_json, output_folder
+from impact_rs_cli.parser import Parser
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
+from impact_rs_sim.model import load_model
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials import friction
 
 TEXT = f"""\
 Identify what joint friction costs, so that the controller feeds it forward and the net feedback shows the impact alone.
@@ -24,11 +29,12 @@ example:
 Units: accelerations of the end effector [m/s^2, rad/s^2] and of joint 1 [rad/s^2], over the time of the trial [s]."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "friction", identify, "identify the friction compensation of a scenario", TEXT)
+    declare(parser, identify, TEXT)
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True, parser_class=Parser)
-    identifier = add_command(actions, "identify", identify, "identify it from runs in free motion", TEXT)
+    identifier = actions.add_parser("identify", help="identify it from runs in free motion")
+    declare(identifier, identify, TEXT)
     identifier.add_argument("scenario", metavar="SCENARIO", help="name of a scenario, or path of its YAML file")
     identifier.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE", help="file to write, .yaml")
     identifier.add_argument("--objects", nargs="+", metavar="NAME", help="default: all of the scenario")
@@ -46,12 +52,6 @@ def add(subparsers: Any) -> None:
 
 def identify(args: argparse.Namespace, terminal: Terminal) -> int:
     """Identify and write."""
-    import numpy as np
-
-    from impact_rs_sim.model import load_model
-    from impact_rs_sim.scenario import load_scenario
-    from impact_rs_trials import friction
-
     scenario = load_scenario(args.scenario)
     effects = None if args.effects is None else load_model(args.effects)
     with output_folder(args.output.parent):

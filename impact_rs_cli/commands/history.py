@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from rich.table import Table
 
@@ -12,7 +11,7 @@ from impact_rs_analysis.diagnosis.history import VersionError, history, versions
 from impact_rs_analysis.report.history import write_history
 from impact_rs_cli.arguments import RUNS, add_jobs, number, on_local_runs
 from impact_rs_cli.measurements import add_source, measured
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 
 TEXT = f"""\
 Show the error of every version of a model, from the first parent to the file that is named.
@@ -27,9 +26,9 @@ example:
 Units: errors are multiples of what repetition alone gives; of recordings, of the noise of the torque."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "history", run, "show how the error fell from model to model", TEXT)
+    declare(parser, run, TEXT)
     parser.add_argument("model", type=Path, metavar="MODEL.yaml", help="the last model")
     parser.add_argument("--runs", required=True, metavar="RUNS", help=RUNS)
     parser.add_argument("-o", dest="output", type=Path, metavar="DIR", help="folder for an HTML page with the plot")

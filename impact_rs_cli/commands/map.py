@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from impact_rs_cli.terminal import Terminal, add_command, add_json
+from impact_rs_cli.terminal import Terminal, add_json, declare
+from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import Scene
 
 TEXT = """\
 Predict the velocities just after the nominal impact of a scenario.
@@ -23,9 +26,9 @@ example:
 Units: m/s and rad/s, impulses in N s, vectors in the axes of the world frame, SI throughout."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "map", run, "predict the velocities just after an impact", TEXT)
+    declare(parser, run, TEXT)
     parser.add_argument("scenario", metavar="SCENARIO", help="name of a scenario, or path of its YAML file")
     parser.add_argument("object", metavar="OBJECT", help="name of an object of the scenario")
     parser.add_argument("case", metavar="CASE", help="name of a case of the scenario; 2 is short for case_2")
@@ -40,10 +43,6 @@ def add(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
-    from impact_rs_sim.scenario import load_scenario
-    from impact_rs_sim.scene import Scene
-
     scenario = load_scenario(args.scenario)
     scenario.object(args.object)
     scene = Scene.resolve(scenario, args.object, args.case)

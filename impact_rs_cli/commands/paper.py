@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_command, add_json, output_folder
+from rich.table import Table
+
+from impact_rs_analysis.measure.paper import study_paper
+from impact_rs_analysis.report.paper import write_paper
+from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 
 TEXT = f"""\
 Take the 18 published rows (config/paper/tables.yaml) as a measurement: which motor inertia would explain them?
@@ -23,20 +26,15 @@ example:
 Units: mismatch is (prediction - estimate) / estimate in percent; the scale has none."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "paper", run, "what a motor-inertia scale explains in the published rows", TEXT)
+    declare(parser, run, TEXT)
     parser.add_argument("-o", dest="output", type=Path, metavar="REPORT_DIR", help="folder for figure and table")
     add_json(parser)
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    from rich.table import Table
-
-    from impact_rs_analysis.measure.paper import study_paper
-    from impact_rs_analysis.report.paper import write_paper
-
     study = study_paper()
     terminal.result(study.to_json())
     table = Table(title="Motor-inertia scale that suits the published rows best")

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
+from impact_rs_analysis.measure.study import analyze_study, study_manifests
 from impact_rs_cli.arguments import add_jobs, workforce_of
-from impact_rs_cli.terminal import Terminal, add_command, add_json, output_folder
+from impact_rs_cli.commands.analyze import publish
+from impact_rs_cli.commands.campaign import follow
+from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
+from impact_rs_trials.campaign import run_campaign
+from impact_rs_trials.store import open_store
 
 TEXT = """\
 Run the whole published study, analyse it and write one report: both scenarios (push with one arm, grab with two), three
@@ -24,24 +28,19 @@ example:
 Units: speeds in m/s along each scenario's axis (push y, grab z), errors in percent."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "study", run, "run and analyse all 450 trials of the published study", TEXT)
+    declare(parser, run, TEXT)
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="DIR", help="folder of the study")
     parser.add_argument("--trials", type=int, metavar="N", help="repeats of every reference; default: 5")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the study; default: 0")
     add_jobs(parser)
     add_json(parser)
+    parser.set_defaults(resumable=True)
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    from impact_rs_analysis.measure.study import analyze_study, study_manifests
-    from impact_rs_cli.commands.analyze import publish
-    from impact_rs_cli.commands.campaign import follow
-    from impact_rs_trials.campaign import run_campaign
-    from impact_rs_trials.store import open_store
-
     workforce, failed = workforce_of(args), 0
     with output_folder(args.output) as folder:
         for name, manifest in study_manifests(args.trials, args.seed).items():

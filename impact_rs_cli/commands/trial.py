@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
-from impact_rs_cli.terminal import Terminal, add_command, add_json, output_folder
+from impact_rs_analysis.measure.net_feedback import net_feedback
+from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.campaign import make_manifest, run_one
 
 TEXT = """\
 Run one trial of a scenario in this process and record it as a bag.
@@ -21,9 +24,9 @@ example:
 Units: the scale has none; speeds are in m/s."""
 
 
-def add(subparsers: Any) -> None:
+def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
-    parser = add_command(subparsers, "trial", run, "run one trial and record it", TEXT)
+    declare(parser, run, TEXT)
     parser.add_argument("scenario", metavar="SCENARIO", help="name of a scenario, or path of its YAML file")
     parser.add_argument("object", metavar="OBJECT", help="name of an object of the scenario")
     parser.add_argument("case", metavar="CASE", help="name of a case of the scenario; 2 is short for case_2")
@@ -37,11 +40,6 @@ def add(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    from impact_rs_analysis.measure.net_feedback import net_feedback
-    from impact_rs_sim.errors import InputError
-    from impact_rs_trials.bags.reader import TrialBag
-    from impact_rs_trials.campaign import make_manifest, run_one
-
     manifest = make_manifest(args.scenario, [args.object], [args.case], [args.scale], 1, args.seed)
     key = manifest.keys[0]
     path = args.output / key.name

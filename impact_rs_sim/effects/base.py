@@ -180,11 +180,12 @@ class Effect(ABC):
 
     @property
     def identity(self) -> str:
-        """Digest of what the effect computes: its name, its parameters and the source of its module.
+        """Digest of what the effect computes: its class, name, parameters and the source of its module.
 
         Kept results of twin runs go by it, since an effect of one's own changes while it is being written.
         """
-        return digest(self.name, repr(self.parameters), _source(type(self).__module__))
+        kind = type(self)
+        return digest(kind.__qualname__, self.name, repr(self.parameters), _source(kind.__module__))
 
     def _joint_count(self, physics: Physics) -> int:
         """Joints that the parameters per joint count; 0 where there is no such parameter."""

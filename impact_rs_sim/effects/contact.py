@@ -16,9 +16,9 @@ def _restitution(arm: ArmPhysics, values: Values) -> ArmPhysics:
     """Damping for more restitution.
 
     A spring-damper with damping ratio z throws a mass back with e = exp(-pi z / sqrt(1 - z^2)); the pad's damping is
-    set so that a reduced mass of 1 kg would leave with ``restitution``. The rigid impact map keeps e = 0: a
-    series of bounces under a constant push ends where a single inelastic impact ends (paper sec. Single-arm
-    hit-and-push scenario).
+    set so that a reduced mass of 1 kg would leave with ``restitution``. The formula lets the pad pull, which it cannot:
+    little restitution comes out as more (0.1 as about 0.23). The rigid impact map keeps e = 0: a series of bounces
+    under a constant push ends where a single inelastic impact ends (paper sec. Single-arm hit-and-push scenario).
     """
     more = number(values, "restitution")
     if arm.pad_stiffness is None or more == 0.0:

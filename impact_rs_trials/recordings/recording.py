@@ -5,6 +5,7 @@ What cannot be used is refused with one line that names file, topic, field and w
 
 from __future__ import annotations
 
+import csv
 import logging
 from collections.abc import Mapping as AbstractMapping
 from dataclasses import dataclass
@@ -277,8 +278,6 @@ def _order(path: Path, place: str, names: list[str], joints: tuple[str, ...]) ->
 
 
 def _read_csv(path: Path, mapping: Mapping) -> Columns:
-    import csv
-
     with path.open(encoding="utf-8-sig", newline="") as file:
         rows = [row for row in csv.reader(file, skipinitialspace=True) if row and not row[0].startswith("#")]
     if len(rows) < 2:

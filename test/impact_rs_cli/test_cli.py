@@ -1,6 +1,7 @@
 """The command line: exit codes, one-line errors, and a standard output that is JSON and nothing else."""
 
 import json
+import logging
 import os
 import shutil
 import subprocess
@@ -9,14 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from impact_rs_cli.commands import campaign
-from impact_rs_cli.main import main, parser
+import impact_rs_cli.commands
+from impact_rs_cli.main import COMMANDS, PACKAGES, main, parser
 from impact_rs_cli.terminal import output_folder
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
-
-
-def names() -> list[str]:
-    return list(next(action for action in parser()._actions if action.choices).choices)
+from impact_rs_trials.campaign import FAILURES
 
 
 def test_map_prints_the_prediction(capfd: pytest.CaptureFixture) -> None:
@@ -98,25 +97,80 @@ def test_a_mistake_is_one_line_and_exit_code_2(
     assert [path.name for path in tmp_path.iterdir()] == ["file"], "something half-written stays behind"
 
 
-@pytest.mark.parametrize("command", names())
+@pytest.mark.parametrize("command", COMMANDS)
 def test_help_teaches(capsys: pytest.CaptureFixture, command: str) -> None:
     assert main([command, "--help"]) == 0
     text = capsys.readouterr().out
     assert f"example:\n  impact-rs {command}" in text
 
 
-def test_every_command_is_in_the_parser() -> None:
-    for name in ("map", "trial", "campaign", "analyze", "up", "demo"):
-        assert name in names()
-        assert name in parser().format_help()
+def test_every_command_is_a_module_and_stands_in_the_help() -> None:
+    text = parser().format_help()
+    for name, (module, summary) in COMMANDS.items():
+        assert (Path(impact_rs_cli.commands.__file__).parent / f"{module}.py").is_file()
+        assert name in text
+        assert summary in " ".join(text.split())
 
 
-def test_help_needs_neither_ros_nor_physics() -> None:
-    code = (
-        "import sys; from impact_rs_cli.main import main; main(['--help']); "
-        "sys.exit(any(name in sys.modules for name in ('rclpy', 'pybullet', 'pinocchio', 'distributed')))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60).returncode == 0
+def _modules_after(*arguments: str) -> set[str]:
+    """What a process has imported when a command line has ended in it."""
+    code = f"import sys; from impact_rs_cli.main import main; main({list(arguments)!r}); print('MODULES', *sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.rpartition("MODULES")[2].split())
+
+
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_no_command_is_imported_where_none_is_used(option: str) -> None:
+    found = _modules_after(option)
+    assert not any(name.startswith("impact_rs_cli.commands.") for name in found)
+    assert not found & {"numpy", "pydantic", "rich", "rclpy", "pybullet", "pinocchio", "distributed"}
+
+
+def test_a_command_is_imported_alone_and_waits_for_nothing_that_it_may_not_need() -> None:
+    found = _modules_after("map", "--help")
+    assert [name for name in found if name.startswith("impact_rs_cli.commands.")] == ["impact_rs_cli.commands.map"]
+    assert not found & {
+        "scipy.linalg",
+        "scipy.optimize",
+        "scipy.stats",
+        "matplotlib",
+        "distributed",
+        "rclpy",
+        "rosbags",
+    }
+
+
+@pytest.mark.parametrize("arguments", [["--debug", "effects", "no_such"], ["effects", "no_such", "--debug"]])
+def test_debug_shows_the_traceback_before_the_line(capfd: pytest.CaptureFixture, arguments: list[str]) -> None:
+    assert main(arguments) == 2
+    *trace, line = capfd.readouterr().err.splitlines()
+    assert line.startswith("impact-rs: no effect 'no_such'")
+    assert trace[0].startswith("Traceback")
+    assert any("commands/effects.py" in entry for entry in trace)
+
+
+def test_debug_shows_what_lay_behind_an_error_and_what_was_logged(
+    capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def breaks(*_: object) -> None:
+        logging.getLogger("impact_rs_trials.something").debug("went round the hole")
+        try:
+            raise OSError("the disk hums")
+        except OSError:
+            raise InputError("cannot be read") from None
+
+    monkeypatch.setattr("impact_rs_cli.commands.map.load_scenario", breaks)
+    monkeypatch.setattr(logging, "root", logging.RootLogger(logging.WARNING))
+    for package in PACKAGES:
+        monkeypatch.setattr(logging.getLogger(package), "parent", logging.root)
+        monkeypatch.setattr(logging.getLogger(package), "level", logging.NOTSET)
+    assert main(["map", "push", "cat_food", "2"]) == 2
+    assert capfd.readouterr().err == "impact-rs: cannot be read\n"
+    assert main(["map", "push", "cat_food", "2", "--debug"]) == 2
+    err = capfd.readouterr().err
+    assert "OSError: the disk hums" in err
+    assert "impact_rs_trials.something: went round the hole" in err
 
 
 def test_an_interrupt_ends_with_130(
@@ -125,9 +179,9 @@ def test_an_interrupt_ends_with_130(
     def interrupt(*arguments: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("impact_rs_trials.campaign.run_campaign", interrupt)
+    monkeypatch.setattr("impact_rs_cli.commands.campaign.run_campaign", interrupt)
     assert main(["campaign", "push", "-o", str(tmp_path / "out")]) == 130
-    assert "interrupted" in capfd.readouterr().err
+    assert "interrupted; the same command goes on where it stopped" in capfd.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -180,7 +234,12 @@ def test_a_campaign_with_failures_is_no_success(
     monkeypatch.setattr("impact_rs_trials.campaign.run_campaign.__defaults__", (None, broken))
     scope = ["--objects", "cat_food", "--cases", "2", "--trials", "1", "--scales", "1.0"]
     assert main(["campaign", "push", "-o", str(tmp_path / "out"), *scope]) == 1
-    assert "by nothing" in capfd.readouterr().err
+    err = capfd.readouterr().err
+    assert "by nothing" in err
+    assert "Traceback" not in err
+    assert f"in full: {tmp_path / 'out' / FAILURES}" in err
+    assert main(["campaign", "push", "-o", str(tmp_path / "out"), *scope, "--debug"]) == 1
+    assert "in broken" in capfd.readouterr().err
 
 
 def test_a_single_trial_is_no_campaign(push_campaign: Path, capfd: pytest.CaptureFixture) -> None:
@@ -217,8 +276,3 @@ def test_an_output_folder_left_empty_goes_away_with_its_parents(tmp_path: Path) 
         folder.mkdir(parents=True)
         (folder / "result").write_text("")
     assert (tmp_path / "a" / "b" / "result").exists()
-
-
-def test_the_command_line_holds_no_logic() -> None:
-    assert Path(campaign.__file__).parent.name == "commands"
-    assert len(Path(sys.modules["impact_rs_cli.main"].__file__ or "").read_text().splitlines()) < 140

@@ -76,13 +76,13 @@ def test_without_friction_nothing_but_noise_is_identified(smooth, identified):
 def test_a_known_torque_offset_is_identified_as_the_acceleration_it_causes(smooth):
     """a_fric = -J (M + B_theta)^-1 tau, where the arm moves at constant velocity and where it rests."""
     offset = np.array([0.4, -0.6, 0.5, 0.7, -0.2, 0.3, 0.1])
-    effects = model("torque_offset", {f"offset_joint{i + 1}": offset[i] for i in range(7)}, "N m")
+    effects = model("torque_offset", {f"offset_joint{i + 1}": value for i, value in enumerate(offset)}, "N m")
     found = identify_arm(smooth, "arm", runs=1, seed=0, effects=effects)
     plan, robot = plan_trial(smooth), smooth.models["arm"]
     arm, inertia = plan.arms["arm"], np.diag(smooth.physics.arms["arm"].motor_inertia_reduced)
 
     def expected(q):
-        terms = robot.terms(q, np.zeros(7))
+        terms = robot.terms(q, np.zeros(offset.size))
         joints = np.linalg.solve(terms.mass_matrix + inertia, offset)
         return -np.append(terms.jacobian @ joints, joints[0])
 

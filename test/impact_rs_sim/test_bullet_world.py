@@ -31,7 +31,7 @@ HELD = ArmState(POSE, np.zeros_like(POSE))
 
 @contextmanager
 def world(physics: Physics, gravity: bool = True, compliant: bool = True, step: float = STEP) -> Iterator[BulletWorld]:
-    made = BulletWorld(
+    made = BulletWorld.load(
         physics, time_step=step, gravity=gravity, compliant_pads=compliant, iterations=100, residual_threshold=1e-14
     )
     try:

@@ -132,3 +132,26 @@ def test_a_trial_without_its_scenario_says_which_field_is_missing() -> None:
     others = {name: 0 for name in TrialInfo.__annotations__ if name != "scenario_json"}
     with pytest.raises(AttributeError, match="scenario_json"):
         TrialInfo.from_message(type("Foreign", (), others))
+
+
+def test_a_cell_that_tells_no_truth_gives_the_same_bag_without_it(push_campaign: Path, tmp_path: Path) -> None:
+    from impact_rs_control.closed_loop import make_plant
+    from impact_rs_control.plan import plan_trial
+    from impact_rs_sim.scenario import load_scenario
+    from impact_rs_sim.scene import Scene
+    from impact_rs_trials.bags.record import record_cell
+
+    told = TrialBag(push_campaign / "cat_food__case_2__s1.000__r0")
+    plan = plan_trial(Scene.resolve(load_scenario("push"), "cat_food", "case_2"))
+    outcome, _ = record_cell(plan, told.info, tmp_path / "bag", make_plant(plan, told.info.seed))
+    silent = TrialBag(tmp_path / "bag")
+    assert outcome == told.outcome
+    assert any(topic.startswith(topics.TRUTH) for topic in told.counts)
+    assert silent.counts == {topic: n for topic, n in told.counts.items() if not topic.startswith(topics.TRUTH)}
+    for topic in (
+        topics.joint_states("arm"),
+        topics.motor_states("arm"),
+        topics.joint_command("arm"),
+        topics.OBJECT_POSE,
+    ):
+        assert silent._raw(topic) == told._raw(topic)

@@ -114,7 +114,7 @@ def test_any_numbers_make_the_round_trip_bit_by_bit(values: list[list[float]], f
 
 def test_a_template_changes_the_columns_it_is_given_and_keeps_the_rest() -> None:
     example = joint_state("world", ["a", "b"], np.array([1.0, 2.0]), 9)
-    rows = Template(STORE, topics.JOINT_STATE, example).rows(
+    rows = Template.of(STORE, topics.JOINT_STATE, example).rows(
         {"header.stamp.sec": [4, 5], "position": [[0.5, 0.25], [7.0, 8.0]]}, 2
     )
     messages = [STORE.deserialize_cdr(row, topics.JOINT_STATE) for row in rows]

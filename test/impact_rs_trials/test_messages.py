@@ -14,7 +14,6 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import BodyState, Scene
 from impact_rs_sim.sensors import ArmMeasurement, ObjectMeasurement
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes, reference_columns
-from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 
 TICK = 1234  # 1.234 s
 SEVEN = np.arange(7, dtype=float)
@@ -143,22 +142,3 @@ def test_reference_columns_have_a_row_per_tick(plan: TrialPlan) -> None:
     ticks = plan.scene.scenario.timing.ticks + 1
     assert {values.shape for values in columns.values()} == {(ticks, 3)}
     assert len(columns) == 8
-
-
-def test_a_trial_is_told_and_read_back_with_every_field(maker: MessageMaker, plan: TrialPlan) -> None:
-    key = TrialKey("juice", "case_1", 0.9, 3)
-    info = TrialInfo.of(plan, key, key.seed(5), "inprocess", "model text")
-    assert TrialInfo.from_message(maker.trial_info(info)) == info
-    assert info.key == key
-    assert key.name == "juice__case_1__s0.900__r3"
-    assert info.reference_post_velocity == pytest.approx(0.9 * info.predicted_post_velocity)
-    assert info.ante_velocity == -0.5
-    assert (info.window_start, info.window_end, info.nominal_impact_time) == pytest.approx((0.8, 1.5, 0.9))
-    assert (info.robots, info.axis, info.duration) == (("arm",), "y", 1.8)
-
-
-def test_seeds_of_trials_depend_on_campaign_and_key_alone() -> None:
-    keys = [TrialKey("juice", "case_1", scale, repeat) for scale in (0.8, 1.0) for repeat in range(3)]
-    seeds = {(campaign, key): key.seed(campaign) for campaign in (0, 1) for key in keys}
-    assert len(set(seeds.values())) == len(seeds)
-    assert keys[0].seed(0) == TrialKey("juice", "case_1", 0.8, 0).seed(0)

@@ -21,13 +21,15 @@ from rcl_interfaces.srv import SetParameters
 from impact_rs_ros import graph as graph_module
 from impact_rs_ros.graph import NODES, Graph, GraphError, run_trial, run_trials_through_nodes
 from impact_rs_sim.effects import library
+from impact_rs_sim.effects.formula import FormulaParameter, FormulaSpec
 from impact_rs_sim.model import Model, ModelEffect
 from impact_rs_sim.model import ParameterValue as ParameterBelief
+from impact_rs_sim.robot import load_facts
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.bags.record import record_trial
-from impact_rs_trials.campaign import make_manifest
+from impact_rs_trials.campaign import FAILURES, make_manifest
 
 PATIENCE = 60.0  # s, of the tests; never reached on a machine that works
 
@@ -174,9 +176,27 @@ def hidden_model() -> Model:
     name, effect = next((name, effect) for name, effect in library().items() if "friction" in name)
     parameters = {
         scalar.name: ParameterBelief(estimate=0.9 * scalar.nominal + 0.1 * scalar.upper, unit=scalar.unit)
-        for scalar in effect.scalars(7)
+        for scalar in effect.scalars(load_facts("franka_fer").joint_count)
     }
     return Model(name="hidden", effects=(ModelEffect(name=name, parameters=parameters),))
+
+
+def test_why_a_trial_failed_stands_in_its_campaign_with_what_the_nodes_wrote(graph: Graph, tmp_path: Path) -> None:
+    grows = FormulaParameter(unit="N m", nominal=0.0, lower=0.0, upper=1.0, scale=0.1)
+    spec = FormulaSpec(
+        name="drag", sentence="It bursts.", joint_torque={"joint2": "c * exp(exp(20))"}, parameters={"c": grows}
+    )
+    value = ParameterBelief(estimate=1.0, unit="N m")
+    bursts = Model(name="m", formulas=(spec,), effects=(ModelEffect(name="drag", parameters={"c": value}),))
+    manifest = make_manifest("push", ["parcel"], ["1"], [1.0], trials=1)
+    key = manifest.keys[0]
+    report = run_trial(graph, tmp_path, manifest, key, plant_model=bursts)
+    assert report.outcome == "ABORTED"
+    assert "blows up" in report.message
+    assert "node experiment wrote:\n[WARN]" in report.trace
+    assert (tmp_path / FAILURES / f"{key.name}.txt").read_text().startswith(report.message)
+    assert run_trial(graph, tmp_path, manifest, key).outcome == "OK"
+    assert not (tmp_path / FAILURES).exists()
 
 
 @pytest.mark.parametrize("text", ["effects: [", "name: x\neffects: [{name: gremlins, parameters: {}}]"])

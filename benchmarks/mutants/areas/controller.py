@@ -7,10 +7,8 @@ TESTS = ("test/impact_rs_control/test_controller.py",)
 QP = "impact_rs_control/qp.py"
 QP_TESTS = (*TESTS, "test/impact_rs_control/test_qp.py")
 FRICTION = "impact_rs_control/friction.py"
-FRICTION_TESTS = (
-    "test/impact_rs_control/test_friction.py::test_a_known_torque_offset_is_identified_as_the_acceleration_it_causes",
-    "test/impact_rs_control/test_friction.py",
-)
+FRICTION_TEST = "test/impact_rs_control/test_friction.py"
+FRICTION_TESTS = (f"{FRICTION_TEST}::test_a_known_torque_offset_is_identified_as_the_acceleration_it_causes",)
 
 MUTANTS = [
     Mutant(
@@ -301,16 +299,16 @@ MUTANTS = [
     Mutant(
         name="weights_ignored",
         file=QP,
-        original="weighted = tasks.T * weights",
-        mutated="weighted = tasks.T * np.ones_like(weights)",
+        original="weighted = problem.tasks.T * problem.weights",
+        mutated="weighted = problem.tasks.T * np.ones_like(problem.weights)",
         wrong="All tasks weigh the same.",
         tests=QP_TESTS,
     ),
     Mutant(
         name="lower_position_limit_sign",
         file=QP,
-        original="self._position_low = position_min * self._per_square",
-        mutated="self._position_low = -position_min * self._per_square",
+        original="self._position_low = limits.position_min * self._per_square",
+        mutated="self._position_low = -limits.position_min * self._per_square",
         wrong="The lower joint limit has the wrong sign.",
         tests=QP_TESTS,
     ),
@@ -341,8 +339,8 @@ MUTANTS = [
     Mutant(
         name="velocity_limit_doubled",
         file=QP,
-        original="self._velocity_bound = velocity_max * self._per_period",
-        mutated="self._velocity_bound = 2.0 * velocity_max * self._per_period",
+        original="self._velocity_bound = limits.velocity_max * self._per_period",
+        mutated="self._velocity_bound = 2.0 * limits.velocity_max * self._per_period",
         wrong="Joints may run twice as fast as their limit.",
         tests=QP_TESTS,
     ),
@@ -357,24 +355,25 @@ MUTANTS = [
     Mutant(
         name="torque_limit_without_gravity",
         file=QP,
-        original="torque_upper = self._torque_max - bias",
-        mutated="torque_upper = self._torque_max",
+        original="torque_upper=self._torque_max - problem.bias",
+        mutated="torque_upper=self._torque_max",
         wrong="The upper torque limit forgets what gravity takes (const_tau).",
         tests=QP_TESTS,
     ),
     Mutant(
         name="lower_torque_limit_gravity_sign",
         file=QP,
-        original="torque_lower = -self._torque_max - bias",
-        mutated="torque_lower = -self._torque_max + bias",
+        original="torque_lower=-self._torque_max - problem.bias",
+        mutated="torque_lower=-self._torque_max + problem.bias",
         wrong="The lower torque limit takes gravity with the wrong sign.",
         tests=QP_TESTS,
     ),
     Mutant(
         name="free_answer_ignores_torque",
         file=QP,
-        original=" and self._within(inertia @ free, torque_lower, torque_upper)",
-        mutated="",
+        original="return _within(acceleration, self.lower, self.upper) and _within(\n"
+        "            self.inertia @ acceleration, self.torque_lower, self.torque_upper\n        )",
+        mutated="return _within(acceleration, self.lower, self.upper)",
         wrong="The answer without limits is taken without a look at the torques.",
         tests=QP_TESTS,
     ),
@@ -392,7 +391,7 @@ MUTANTS = [
         original="position=scene.object.position + OUT_OF_REACH)",
         mutated="position=scene.object.position)",
         wrong="Friction is identified from runs that hit the object.",
-        tests=("test/impact_rs_control/test_friction.py",),
+        tests=(f"{FRICTION_TEST}::test_what_changes_the_jump_changes_nothing_in_the_compensation",),
     ),
     Mutant(
         name="friction_turns_not_added",
@@ -416,6 +415,6 @@ MUTANTS = [
         original="return arm.ante.at(times, compensation.period), arm.post.at(times, compensation.period)",
         mutated="return arm.ante.at(times, compensation.period), arm.ante.at(times, compensation.period)",
         wrong="The planned compensation after the impact is the one before it.",
-        tests=("test/impact_rs_control/test_plan.py", "test/impact_rs_control/test_friction.py"),
+        tests=("test/impact_rs_control/test_plan.py", f"{FRICTION_TEST}::test_the_nodes_plan_the_same_compensation"),
     ),
 ]

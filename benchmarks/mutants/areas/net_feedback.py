@@ -7,7 +7,8 @@ TESTS = ("test/impact_rs_analysis/measure/test_net_feedback.py",)
 TABLE = "impact_rs_analysis/measure/table.py"
 TABLE_TESTS = ("test/impact_rs_analysis/measure/test_table.py",)
 ANALYZE = "impact_rs_analysis/measure/analyze.py"
-ANALYZE_TESTS = (*TABLE_TESTS, "test/impact_rs_analysis/measure/test_analyze.py")
+ANALYZED = "test/impact_rs_analysis/measure/test_analyze.py"
+ANALYZE_TESTS = (*TABLE_TESTS, f"{ANALYZED}::test_the_document_has_its_schema")
 PREDICTIONS = "impact_rs_analysis/measure/predictions.py"
 PREDICTION_TESTS = ("test/impact_rs_analysis/measure/test_predictions.py",)
 
@@ -146,7 +147,7 @@ MUTANTS = [
         original="100.0 * (velocity - fit.estimate) / fit.estimate",
         mutated="100.0 * (fit.estimate - velocity) / fit.estimate",
         wrong="The mismatch has the wrong sign.",
-        tests=("test/impact_rs_analysis/measure/test_analyze.py",),
+        tests=ANALYZE_TESTS,
     ),
     Mutant(
         name="error_over_the_prediction",
@@ -154,7 +155,7 @@ MUTANTS = [
         original="100.0 * (velocity - fit.estimate) / fit.estimate",
         mutated="100.0 * (velocity - fit.estimate) / velocity",
         wrong="The mismatch is given in percent of the prediction.",
-        tests=("test/impact_rs_analysis/measure/test_analyze.py",),
+        tests=ANALYZE_TESTS,
     ),
     Mutant(
         name="misses_enter_the_fit",
@@ -162,7 +163,7 @@ MUTANTS = [
         original="[trial for trial in trials if trial.impact], trials[0]",
         mutated="trials, trials[0]",
         wrong="Trials without impact enter the fit.",
-        tests=("test/impact_rs_analysis/measure/test_analyze.py",),
+        tests=(f"{ANALYZED}::test_a_trial_without_impact_never_enters_the_fit",),
     ),
     Mutant(
         name="quality_with_sign",

@@ -1,14 +1,11 @@
-"""What the paper's three motor inertias predict for a set, from the scenario that a bag carries."""
+"""What the paper's three motor inertias predict for a set."""
 
 from __future__ import annotations
-
-import json
 
 import numpy as np
 import pytest
 
-from impact_rs_analysis.measure.predictions import predict, recorded_scenario
-from impact_rs_sim.errors import InputError
+from impact_rs_analysis.measure.predictions import predict
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.scenario import load_scenario
@@ -37,14 +34,3 @@ def test_the_prediction_is_the_mean_over_the_arms_along_the_measured_axis(scenar
 def test_both_engines_predict_the_same() -> None:
     first, second = (predict(PUSH, "parcel", "case_1", engine) for engine in ("pinocchio", "bullet"))
     assert first == pytest.approx(second, abs=2e-3)
-
-
-def test_a_recorded_scenario_is_the_one_it_was_recorded_from() -> None:
-    assert recorded_scenario(PUSH.model_dump_json(), "bag") == PUSH
-
-
-@pytest.mark.parametrize(("text", "complaint"), [("{", "cannot be read"), (json.dumps({"name": "push"}), "missing")])
-def test_what_is_no_scenario_says_so(text: str, complaint: str) -> None:
-    with pytest.raises(InputError, match=complaint) as caught:
-        recorded_scenario(text, "bag")
-    assert caught.value.file == "bag"

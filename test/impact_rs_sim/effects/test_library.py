@@ -1,15 +1,19 @@
 """Effects: nothing at their nominal values, their own signature otherwise, and found again by a fit."""
 
+import dataclasses
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
 from impact_rs_analysis.evidence.rollouts import Rollout, run_rollout
 from impact_rs_analysis.evidence.runs import Condition
-from impact_rs_sim.effects import BUILT_IN, Effect, library
+from impact_rs_sim import effects
+from impact_rs_sim.effects import BUILT_IN, Effect, Parameter, library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
-from impact_rs_sim.physics import LoadState, Physics
+from impact_rs_sim.physics import JointFriction, Physics
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.spec import TrialSpec
 
@@ -35,34 +39,38 @@ def nominal_features(conditions):
     return {kind: run_rollout(Rollout(item, Model(name="nominal"))) for kind, item in conditions.items()}
 
 
-def nominal(effect):
-    return np.array([scalar.nominal for scalar in effect.scalars(7)])
+def unlike(before, after, path=""):
+    """Where two descriptions differ, bit by bit."""
+    if dataclasses.is_dataclass(before):
+        pairs = [
+            (getattr(before, f.name), getattr(after, f.name), f"{path}.{f.name}") for f in dataclasses.fields(before)
+        ]
+    elif isinstance(before, (dict, tuple)):
+        if len(before) != len(after):
+            return [path]
+        keys = before if isinstance(before, dict) else range(len(before))
+        pairs = [(before[key], after[key], f"{path}[{key}]") for key in keys]
+    else:
+        return [] if np.array_equal(np.asarray(before), np.asarray(after)) else [path]
+    return [place for one, other, where in pairs for place in unlike(one, other, where)]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_effect_at_its_nominal_values_changes_nothing(name, physics):
+@pytest.mark.parametrize("scenario", ["push", "grab"])
+def test_effect_at_its_nominal_values_changes_nothing_at_all(name, scenario):
+    loaded = load_scenario(scenario)
+    physics = Physics.nominal(loaded, next(iter(loaded.objects)))
+    friction = JointFriction(np.full(7, 0.2), np.full(7, 0.1), np.full(7, 0.3), np.full(7, 0.08))
+    physics = replace(physics, arms={key: replace(arm, friction=friction) for key, arm in physics.arms.items()})
     effect = library()[name]
-    same = effect.apply_vector(physics, nominal(effect))
-    for arm in same.arms:
-        before, after = physics.arms[arm], same.arms[arm]
-        for field in (
-            "motor_inertia_rotor",
-            "motor_inertia_reduced",
-            "stiffness",
-            "damping",
-            "torque_offset",
-            "torque_gain",
-        ):
-            np.testing.assert_array_equal(getattr(before, field), getattr(after, field))
-        assert after.end_effector.mass == pytest.approx(before.end_effector.mass)
-        np.testing.assert_allclose(after.end_effector.com, before.end_effector.com, atol=1e-15)
-        np.testing.assert_allclose(after.end_effector.inertia, before.end_effector.inertia, atol=1e-15)
-        assert (after.pad_stiffness, after.pad_damping) == pytest.approx((before.pad_stiffness, before.pad_damping))
-        np.testing.assert_array_equal(after.friction.torque(np.full(7, 0.3)), before.friction.torque(np.full(7, 0.3)))
-        assert after.actuation_delay == before.actuation_delay
-    np.testing.assert_allclose(same.gravity, physics.gravity, atol=1e-15)
-    assert same.object.mass == pytest.approx(physics.object.mass)
-    assert (same.pad_friction, same.support_friction) == (physics.pad_friction, physics.support_friction)
+    assert unlike(physics, effect.apply_vector(physics, effect.nominal(7))) == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_effect_away_from_its_nominal_values_changes_something(name, physics):
+    effect = library()[name]
+    steps = effect.steps(7, effect.nominal(7))
+    assert unlike(physics, effect.apply_vector(physics, effect.nominal(7) + steps)) != []
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -89,7 +97,7 @@ def test_planted_effect_is_recovered_through_the_twin(name, conditions, nominal_
     floor = np.array([feature.floor for feature in conditions[kind].features])
 
     def features(size):
-        values = nominal(effect) + size * direction
+        values = effect.nominal(7) + size * direction
         vector = tuple(float(value) for value in values)
         return run_rollout(Rollout(conditions[kind], Model(name="nominal"), ((name, vector),)))
 
@@ -121,25 +129,58 @@ def test_wrong_number_of_parameters_is_refused(physics):
         library()["torque_offset"].apply_vector(physics, np.full(7, np.nan))
 
 
-def test_payload_follows_the_parallel_axis_theorem(physics):
-    values = np.array([0.5, 0.03, -0.02, 0.05])
-    tool = library()["end_effector_payload"].apply_vector(physics, values).arms["arm"].end_effector
-    before = physics.arms["arm"].end_effector
-    origin = before.inertia + before.mass * (before.com @ before.com * np.eye(3) - np.outer(before.com, before.com))
-    added = values[0] * (values[1:] @ values[1:] * np.eye(3) - np.outer(values[1:], values[1:]))
-    about_origin = tool.inertia + tool.mass * (tool.com @ tool.com * np.eye(3) - np.outer(tool.com, tool.com))
-    np.testing.assert_allclose(about_origin, origin + added, atol=1e-12)
-    np.testing.assert_allclose(tool.mass * tool.com, before.mass * before.com + values[0] * values[1:], atol=1e-12)
+class Wobble(Effect):
+    """An effect of somebody's own."""
+
+    name = "wobble"
+    acts_on = "scene"
+    sentence = "It wobbles."
+    parameters = (Parameter("size", "m", 0.0, 0.0, 1.0, 0.1, "size"),)
+
+    def apply(self, physics, values):
+        return replace(physics, pad_friction=physics.pad_friction + values["size"][0])
 
 
-def test_tilt_turns_gravity_but_keeps_its_size(physics):
-    tilted = library()["base_tilt"].apply_vector(physics, np.array([0.05, -0.03])).gravity
-    assert np.linalg.norm(tilted) == pytest.approx(9.81)
-    assert tilted[1] == pytest.approx(-9.81 * np.sin(0.05) * np.cos(-0.03), rel=1e-3)
+class Entry:
+    """An entry point of a package that is not installed."""
+
+    value = "wobbling:thing"
+
+    def __init__(self, thing):
+        self._thing = thing
+
+    def load(self):
+        return self._thing
 
 
-def test_spring_pulls_back_in_proportion_to_distance(physics):
-    load = library()["external_spring"].apply_vector(physics, np.array([1.0, 2.0, 3.0, 50.0])).arms["arm"].loads[0]
-    here = np.array([0.4, 0.0, 0.5])
-    state = LoadState(0.0, np.zeros(7), np.zeros(7), here + np.array([0.1, 0.0, 0.0]), np.zeros(3), here)
-    np.testing.assert_allclose(load.end_effector_force(state), [1.0 - 5.0, 2.0, 3.0])
+@pytest.fixture
+def installed(monkeypatch):
+    """A fresh library that finds the given things at its entry points."""
+
+    def with_entries(*things):
+        monkeypatch.setattr(effects, "entry_points", lambda group: [Entry(thing) for thing in things])
+        return effects.library.__wrapped__()
+
+    return with_entries
+
+
+@pytest.mark.parametrize("thing", [Wobble, Wobble()])
+def test_an_effect_of_ones_own_comes_as_a_class_or_as_an_instance(thing, installed, physics):
+    found = installed(thing)
+    assert [*found] == [*NAMES, "wobble"]
+    changed = found["wobble"].apply_vector(physics, np.array([0.25]))
+    assert changed.pad_friction == physics.pad_friction + 0.25
+
+
+@pytest.mark.parametrize(
+    ("things", "complaint"),
+    [
+        ((3,), "no subclass or instance of Effect"),
+        ((Effect,), "cannot be loaded"),
+        ((Wobble, Wobble()), "already an effect called 'wobble'"),
+        ((BUILT_IN[0],), "already an effect called 'joint_coulomb_friction'"),
+    ],
+)
+def test_an_entry_point_that_is_no_effect_of_its_own_is_refused(things, complaint, installed):
+    with pytest.raises(InputError, match=complaint):
+        installed(*things)

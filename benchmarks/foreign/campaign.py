@@ -1,0 +1,143 @@
+"""Blind campaigns recorded on the MuJoCo cell: ``./run python -m benchmarks.foreign.campaign SEED -o DIR``.
+
+As ``impact-rs blind make`` does on our plant: the same sizes, draws and ``truth.json``, so that ``impact-rs diagnose``
+and ``blind score`` take them. The cell tells no truth: its bags have no topics below ``/truth``. Three things that no
+effect of the library says are built into MuJoCo's description of the scene.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from benchmarks.foreign.cell import Modification, MujocoCell
+from impact_rs_control.plan import TrialPlan
+from impact_rs_sim.physics import Physics
+from impact_rs_trials.bags.record import record_cell
+from impact_rs_trials.bags.trial_info import TrialInfo
+from impact_rs_trials.blind import KINDS, SIZES, BlindTask, make, run_task
+from impact_rs_trials.workers import Map, Workforce, workers
+
+
+def flexible_base(physics: Physics, magnitude: float) -> Modification:
+    """The table of the arm gives way along y: 60 kg over the magnitude on springs, 9 Hz, 3 % of critical damping."""
+    mass, rate, ratio = 60.0 / magnitude, 2.0 * np.pi * 9.0, 0.03
+
+    def modify(spec: mujoco.MjSpec) -> None:
+        for name in physics.arms:
+            base = spec.body(f"{name}/base")
+            base.mass = mass
+            base.add_joint(
+                name=f"{name}/base",
+                type=mujoco.mjtJoint.mjJNT_SLIDE,
+                axis=[0.0, 1.0, 0.0],
+                stiffness=[mass * rate**2, 0.0, 0.0],
+                damping=[2.0 * ratio * rate * mass, 0.0, 0.0],
+            )
+
+    return modify
+
+
+def loose_contents(physics: Physics, magnitude: float) -> Modification:
+    """A fifth of the object's mass times the magnitude, at most four fifths, swings in it at 3 Hz."""
+    thing = physics.object
+    share, rate, ratio = min(0.2 * magnitude, 0.8), 2.0 * np.pi * 3.0, 0.1
+    mass = share * thing.mass
+
+    def modify(spec: mujoco.MjSpec) -> None:
+        body = spec.body("object")
+        body.mass = thing.mass - mass
+        body.inertia = (1.0 - share) * thing.inertia
+        contents = body.add_body(
+            name="contents",
+            mass=mass,
+            ipos=thing.com_offset,
+            inertia=share * thing.inertia,
+            explicitinertial=True,
+        )
+        for name, axis in (("x", [1.0, 0.0, 0.0]), ("y", [0.0, 1.0, 0.0])):
+            contents.add_joint(
+                name=f"contents_{name}",
+                type=mujoco.mjtJoint.mjJNT_SLIDE,
+                axis=axis,
+                stiffness=[mass * rate**2, 0.0, 0.0],
+                damping=[2.0 * ratio * rate * mass, 0.0, 0.0],
+            )
+
+    return modify
+
+
+def backlash(physics: Physics, magnitude: float) -> Modification:
+    """Play in every transmission: no torque within 0.3 mrad times the magnitude to either side."""
+    play = 3e-4 * magnitude  # rad
+
+    def modify(spec: mujoco.MjSpec) -> None:
+        for transmission in spec.tendons:
+            transmission.springlength = [-play, play]
+
+    return modify
+
+
+OUTSIDE: dict[str, Callable[[Physics, float], Modification]] = {
+    "flexible_base": flexible_base,
+    "loose_contents": loose_contents,
+    "backlash": backlash,
+}
+
+
+def record(task: BlindTask, plan: TrialPlan, info: TrialInfo, path: Path, physics: Physics) -> str:
+    """Record one trial of a blind campaign on the cell. Returns the outcome."""
+    scene = plan.scene
+    cell = MujocoCell(
+        scene.scenario,
+        physics,
+        {name: arm.initial for name, arm in plan.arms.items()},
+        scene.object,
+        info.seed,
+        modify=None if task.outside is None else OUTSIDE[task.outside](physics, task.magnitude),
+    )
+    return record_cell(plan, info, path, cell)[0]
+
+
+def make_campaign(
+    directory: Path,
+    seed: int,
+    map_tasks: Map,
+    kind: str,
+    effect: str | None = None,
+    size: str = "small",
+    magnitude: float | None = None,
+) -> None:
+    """Make a blind campaign on the cell, or what is missing of it; arguments as :func:`impact_rs_trials.blind.make`.
+
+    Raises:
+        InputError: Unknown kind, effect or size, or a folder that holds another blind campaign.
+    """
+    work = functools.partial(run_task, record=record)
+    for _ in make(directory, seed, map_tasks, kind, effect, size, magnitude, work, tuple(OUTSIDE)):
+        pass
+
+
+def main() -> None:
+    """Make one campaign."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("seed", type=int, help="what is drawn depends on it")
+    parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the campaign")
+    parser.add_argument("--kind", default="single", choices=KINDS)
+    parser.add_argument("--effect", help="what to hide; default: drawn")
+    parser.add_argument("--magnitude", type=float, help="size in parameter scales; default: drawn")
+    parser.add_argument("--size", default="small", choices=tuple(SIZES))
+    parser.add_argument("--jobs", type=int, default=2, help="worker processes")
+    args = parser.parse_args()
+    with workers(Workforce(args.jobs)) as map_tasks:
+        make_campaign(args.output, args.seed, map_tasks, args.kind, args.effect, args.size, args.magnitude)
+    print(f"diagnose {args.output / 'runs'}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,144 @@
+"""A world with a closed form: features are known functions of parameters, noise is normal with a known covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature, Source
+from impact_rs_sim.effects import ArmEffect, Effect, Parameter
+from impact_rs_sim.model import Model
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scenario import load_scenario
+
+FEATURES = 40
+FLOOR = 0.3  # share of a feature's scale that nobody cares about
+PHYSICS = Physics.nominal(load_scenario("push"), "juice")  # for the number of joints alone
+
+
+def parameter(name: str, nominal: float = 0.0, shape: bool = False, lower: float = -50.0) -> Parameter:
+    return Parameter(name, "-", nominal, lower, 50.0, 1.0, name, shape=shape)
+
+
+def effect(name: str, parameters: tuple[Parameter, ...], phases: tuple[str, ...] = ("free", "contact")) -> Effect:
+    return ArmEffect(name, "contact", "An effect of the test.", parameters, lambda arm, _: arm, phases)
+
+
+EFFECTS = {
+    item.name: item
+    for item in (
+        effect("straight", (parameter("a"),)),
+        effect("bent", (parameter("b"),), ("contact",)),
+        effect("twin_of_straight", (parameter("c"), parameter("c_2"))),
+        effect("payload", (parameter("mass"), parameter("lever", 0.5, shape=True))),
+        effect("of_joints", tuple(parameter(f"joint{number}") for number in range(7))),
+        effect("of_motors", tuple(parameter(f"motor{number}") for number in range(7))),
+        effect("one_sided", (parameter("d", lower=0.0),)),
+    )
+}
+
+
+def direction(cluster: int, number: int) -> Array:
+    return np.random.default_rng([10_000 + number, cluster]).standard_normal(FEATURES)
+
+
+def features(cluster: int, added: Added) -> Array:
+    result = np.zeros(FEATURES)
+    for name, values in added:
+        if name == "straight":
+            result += values[0] * direction(cluster, 0)
+        elif name == "twin_of_straight":
+            result += 0.5 * values[0] * direction(cluster, 0) + values[1] * direction(cluster, 6)
+        elif name == "bent":
+            result += 20.0 * np.tanh(values[0] / 6.0) * direction(cluster, 1)
+            result += 0.05 * values[0] ** 2 * direction(cluster, 2)
+        elif name == "payload":
+            result += values[0] * direction(cluster, 3) + values[0] * values[1] * direction(cluster, 4)
+        elif name == "of_joints":
+            result += sum(value * direction(cluster, 10 + j) for j, value in enumerate(values))
+        elif name == "of_motors":
+            result += sum(value * direction(cluster, 20 + j) for j, value in enumerate(values))
+        elif name == "one_sided":
+            result += values[0] * direction(cluster, 7)
+        elif name == "outside":
+            result += values[0] * direction(cluster, 5)
+    return result
+
+
+class AnalyticSource(Source):
+    """Clusters of the world.
+
+    Args:
+        seed: Of the noise.
+        truth: What is hidden.
+        design: Repeats of every cluster.
+        free: Clusters in which nothing is hit.
+        correlation: Root of the noise's covariance, ``(F, F)``; None: independent features.
+        discrepancy: Standard deviation of what the simulator itself is off by, known to the source [-].
+        simulator: Seed of what it is off by; None: it is right.
+        repeated: Whether rows are repeats; if not, every cluster is one stretch of a recording.
+    """
+
+    cheap = False
+
+    def __init__(
+        self,
+        seed: int,
+        truth: Added = (),
+        design: Sequence[int] = (3,) * 6,
+        free: Sequence[int] = (),
+        correlation: Array | None = None,
+        discrepancy: float = 0.0,
+        simulator: int | None = None,
+        repeated: bool = True,
+    ) -> None:
+        self.model, self.physics, self.repeated = Model(name="nothing"), PHYSICS, repeated
+        self.asked: list[tuple[int, Added]] = []
+        self._truth = truth
+        noises = []
+        for number, count in enumerate(design):
+            noise = np.random.default_rng([seed, number]).standard_normal((count, FEATURES))
+            noises.append(noise if correlation is None else noise @ correlation)
+        own = np.zeros(FEATURES)
+        if simulator is not None:
+            own = discrepancy * np.random.default_rng(simulator).standard_normal(FEATURES)
+        self._measured = [features(n, truth) + own + noise for n, noise in enumerate(noises)]
+        spread = np.ones(FEATURES) if correlation is None else np.sqrt(np.sum(np.square(correlation), axis=0))
+        sigma = np.sqrt(spread**2 + (FLOOR / 2.0) ** 2 + discrepancy**2)
+        labels = tuple(Feature("impact", f"signal {f % 4}", "x", f // 4, "m/s", FLOOR) for f in range(FEATURES))
+        self.clusters = tuple(
+            Cluster(
+                name=str(number),
+                place=("world", "thing", str(number)),
+                layout="free" if number in free else "hit",
+                unit=str(number) if repeated else "recording",
+                contact=number not in free,
+                features=labels,
+                residuals=rows / sigma,
+                sigma=sigma,
+                pure=spread / sigma,
+                discrepancy=np.full(FEATURES, discrepancy) / sigma,
+            )
+            for number, rows in enumerate(self._measured)
+        )
+
+    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+        self.asked.extend(wanted)
+        return [features(number, added) for number, added in wanted]
+
+    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        return [
+            replace(item, residuals=(self._measured[int(item.name)] - features(int(item.name), added)) / item.sigma)
+            for item in like
+        ]
+
+
+def correlated(rank: int = 5, seed: int = 0) -> Array:
+    """Root of a covariance in which few directions carry most of the noise, as along one trial."""
+    rng = np.random.default_rng(seed)
+    return np.vstack((3.0 * rng.standard_normal((rank, FEATURES)) / np.sqrt(rank), 0.3 * np.eye(FEATURES)))[
+        :FEATURES
+    ] + 0.1 * np.eye(FEATURES)

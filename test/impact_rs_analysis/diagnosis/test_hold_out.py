@@ -1,0 +1,74 @@
+"""What is held out is seen by nothing: neither the linearisation point, nor the shortlist, nor the choice."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from analytic_world import EFFECTS, AnalyticSource
+
+from impact_rs_analysis.diagnosis.hold_out import folds_of, hold_out
+
+pytestmark = pytest.mark.usefixtures("few_draws")
+
+
+def test_every_condition_is_held_out_once_with_all_its_repeats() -> None:
+    folds = folds_of(AnalyticSource(0, design=(2, 3, 2, 4)))
+    assert sorted(number for fold in folds for number in fold.held) == [0, 1, 2, 3]
+    assert all(set(fold.held) | set(fold.training) == {0, 1, 2, 3} for fold in folds)
+
+
+def test_with_many_conditions_there_are_no_more_than_six_folds() -> None:
+    folds = folds_of(AnalyticSource(0, design=(2,) * 11))
+    assert len(folds) == 6
+    assert sorted(number for fold in folds for number in fold.held) == list(range(11))
+
+
+def test_two_conditions_hold_nothing_out() -> None:
+    assert folds_of(AnalyticSource(0, design=(3, 3))) == []
+
+
+def test_stretches_of_one_recording_are_predicted_without_those_that_touch_them() -> None:
+    folds = folds_of(AnalyticSource(0, design=(1,) * 24, repeated=False))
+    assert len(folds) == 6
+    for fold in folds:
+        assert not {n + step for n in fold.held for step in (-1, 1)} & set(fold.training)
+        assert list(fold.held) == list(range(fold.held[0], fold.held[0] + 4))
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_what_happens_in_a_held_out_cluster_changes_nothing_of_what_it_is_predicted_from(number: int) -> None:
+    """Spoil one cluster: its prediction stays the same to the last bit, and so does the choice of its fold."""
+    truth = (("straight", (4.0,)),)
+    effects = [EFFECTS[name] for name in ("straight", "bent", "payload")]
+    honest, spoiled = AnalyticSource(1, truth), AnalyticSource(1, truth)
+    rows = spoiled.clusters[number].residuals
+    rows += 50.0 * np.random.default_rng(number).standard_normal(rows.shape[1])
+    first, second = hold_out(honest, effects), hold_out(spoiled, effects)
+    assert first is not None and second is not None
+    fold = next(index for index, fold in enumerate(first.folds) if number in fold.held)
+    assert first.chosen[fold] == second.chosen[fold] == ("straight",)
+    predicted = [
+        source.clusters[number].mean - found.rest[number] for source, found in ((honest, first), (spoiled, second))
+    ]
+    np.testing.assert_allclose(predicted[0], predicted[1], atol=1e-9)
+
+
+def test_fitting_noise_does_not_lower_the_error_on_unseen_clusters() -> None:
+    worse = 0
+    for seed in range(10):
+        source = AnalyticSource(seed)
+        found = hold_out(source, [EFFECTS[name] for name in ("of_joints", "of_motors", "straight")])
+        assert found is not None
+        before = np.mean([item.error for item in source.clusters])
+        worse += found.errors.mean() >= before - 1e-12
+    assert worse == 10
+
+
+def test_a_true_effect_lowers_the_error_on_unseen_clusters_to_that_of_noise() -> None:
+    source = AnalyticSource(2, (("of_joints", tuple(2.0 * (-1.0) ** j for j in range(7))),))
+    found = hold_out(source, [EFFECTS[name] for name in ("of_joints", "of_motors", "straight")])
+    assert found is not None
+    assert all(names == ("of_joints",) for names in found.chosen)
+    expected = np.mean([item.expected for item in source.clusters])
+    assert found.errors.mean() < 2.0 * expected
+    assert np.mean([item.error for item in source.clusters]) > 20.0 * expected

@@ -1,0 +1,210 @@
+"""The search on a world with a closed form: what is planted is found, what is not there is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from analytic_world import EFFECTS, AnalyticSource, correlated
+from scipy.stats import binom
+
+from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, bounded, linearise
+from impact_rs_analysis.diagnosis.fit import Evidence, Fit, _broyden, evaluate_at, refine
+from impact_rs_analysis.diagnosis.search import Search, adjusted, tied
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+
+pytestmark = pytest.mark.usefixtures("few_draws")
+FREE = (0, 1)  # clusters in which nothing is hit, where there are any
+CONTACT = ("straight", "bent", "payload")
+
+
+def searched(source: AnalyticSource, only: tuple[str, ...] = CONTACT) -> Search:
+    return Search([EFFECTS[name] for name in only], Evidence.of(source))
+
+
+def test_nothing_is_found_where_nothing_is_hidden() -> None:
+    """At a false-discovery rate of 1 %, 30 campaigns raise three false alarms once in 300 tries."""
+    alarms = sum(searched(AnalyticSource(seed, correlation=correlated())).choose() is not None for seed in range(30))
+    assert alarms <= binom.ppf(0.997, 30, SIGNIFICANT)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"), [("straight", (0.8,)), ("straight", (30.0,)), ("bent", (2.0,)), ("bent", (9.0,))]
+)
+def test_a_hidden_effect_is_named_and_estimated_however_strong_it_is(name: str, values: tuple[float, ...]) -> None:
+    for seed in range(3):
+        search = searched(AnalyticSource(seed, ((name, values),)))
+        chosen = search.choose()
+        assert chosen is not None and chosen.candidate.names == (name,)
+        assert chosen.estimate[0] == pytest.approx(values[0], abs=0.15)
+        before = search.evidence.reference.lack_of_fit([item.mean for item in search.evidence.clusters])
+        after = chosen.lack_of_fit()
+        assert before is not None and after is not None and before < SIGNIFICANT < after
+
+
+def test_a_shape_that_moves_nothing_while_the_effect_is_off_is_found_all_the_same() -> None:
+    """The lever of a payload moves nothing while the payload has no mass."""
+    chosen = searched(AnalyticSource(3, (("payload", (4.0, -1.5)),))).choose()
+    assert chosen is not None and chosen.candidate.names == ("payload",)
+    np.testing.assert_allclose(chosen.estimate, (4.0, -1.5), atol=0.15)
+
+
+def test_two_hidden_effects_are_both_named() -> None:
+    chosen = searched(AnalyticSource(4, (("straight", (3.0,)), ("bent", (5.0,))))).choose()
+    assert chosen is not None and set(chosen.candidate.names) == {"straight", "bent"}
+
+
+def test_of_two_explanations_that_are_alike_the_one_with_fewer_parameters_is_chosen_and_the_other_ties() -> None:
+    search = searched(AnalyticSource(5, (("straight", (5.0,)),)), ("straight", "twin_of_straight", "bent"))
+    chosen = search.choose()
+    assert chosen is not None and chosen.candidate.names == ("straight",)
+    rivals = {rival.name: rival for rival in search.rivals(chosen)}
+    assert rivals["twin_of_straight"].tied and rivals["twin_of_straight"].instead_of == "straight"
+    assert rivals["twin_of_straight"].fit.estimate[0] == pytest.approx(10.0, abs=0.4)
+    assert "bent" not in rivals or not rivals["bent"].tied
+
+
+def test_a_rival_is_fitted_in_the_place_of_the_other_beside_all_else_that_was_found() -> None:
+    """Alone the twin would have to explain the bent effect as well; in the other's place it has its own value."""
+    truth = (("straight", (5.0,)), ("bent", (6.0,)))
+    search = searched(AnalyticSource(6, truth), ("straight", "twin_of_straight", "bent"))
+    chosen = search.choose()
+    assert chosen is not None and set(chosen.candidate.names) == {"straight", "bent"}
+    rival = next(rival for rival in search.rivals(chosen) if rival.name == "twin_of_straight")
+    assert rival.instead_of == "straight" and set(rival.fit.candidate.names) == {"bent", "twin_of_straight"}
+    part = rival.fit.candidate.part("twin_of_straight")
+    assert rival.fit.estimate[part][0] == pytest.approx(10.0, abs=0.4)
+
+
+def test_what_no_effect_explains_leaves_a_lack_of_fit() -> None:
+    search = searched(AnalyticSource(6, (("outside", (5.0,)),)))
+    chosen = search.choose()
+    rest = [item.mean for item in search.evidence.clusters] if chosen is None else chosen.rest
+    left = search.evidence.reference.lack_of_fit(rest)
+    assert left is not None and left < SIGNIFICANT
+
+
+def test_95_percent_intervals_hold_the_truth_95_times_in_100() -> None:
+    """Counted over 200 campaigns; the bounds are what chance allows a true share of 93 to 98 percent."""
+    count, inside = 200, 0
+    for seed in range(count):
+        source = AnalyticSource(seed, (("straight", (2.0,)),), correlation=correlated())
+        evidence = Evidence.of(source)
+        candidate = linearise(Candidate.of((EFFECTS["straight"],), source), source.clusters, range(6), source)
+        assert candidate is not None
+        fitted = Fit.of(candidate, evidence)
+        inside += abs(fitted.estimate[0] - 2.0) <= fitted.half_widths[0]
+    assert binom.ppf(0.005, count, 0.93) <= inside <= binom.ppf(0.995, count, 0.985)
+
+
+def test_intervals_are_wider_by_what_the_simulator_is_known_to_be_off_by_and_hold_the_truth_then() -> None:
+    count, inside = 100, 0
+    for seed in range(count):
+        source = AnalyticSource(seed, (("straight", (2.0,)),), discrepancy=1.0, simulator=seed)
+        candidate = linearise(Candidate.of((EFFECTS["straight"],), source), source.clusters, range(6), source)
+        assert candidate is not None
+        fitted = Fit.of(candidate, Evidence.of(source))
+        inside += abs(fitted.estimate[0] - 2.0) <= fitted.half_widths[0]
+    assert binom.ppf(0.005, count, 0.93) <= inside
+
+
+def test_an_update_of_the_sensitivities_gives_the_step_just_made_exactly() -> None:
+    source = AnalyticSource(7, (("bent", (9.0,)),))
+    search = searched(source, ("bent",))
+    before = search.singles["bent"]
+    after = evaluate_at(before, np.array([4.0]), search.evidence)
+    assert after is not None
+    updated = _broyden(before, after)
+    for jacobian, here, there in zip(updated.jacobians, before.offsets, after.offsets, strict=True):
+        np.testing.assert_allclose(jacobian @ np.array([4.0]), there - here, rtol=1e-12)
+
+
+def test_leaving_a_cluster_out_uses_all_others_and_the_guard_takes_its_neighbours_along() -> None:
+    source = AnalyticSource(8, (("straight", (2.0,)),))
+    candidate = searched(source).singles["straight"]
+    guard = [tuple(n for n in (c - 1, c + 1) if 0 <= n < 6) for c in range(6)]
+    for neighbours in (None, guard):
+        problem = Problem(candidate, source.clusters, neighbours)
+        for number in range(6):
+            out = {number, *(() if neighbours is None else neighbours[number])}
+            kept = [index for index in range(6) if index not in out]
+            direct = Problem(candidate.only(kept), [source.clusters[index] for index in kept]).solve()
+            np.testing.assert_allclose(problem.left_out[number], direct, rtol=1e-9)
+
+
+def test_errors_of_a_change_are_those_of_the_residuals_it_leaves() -> None:
+    source = AnalyticSource(9, (("of_joints", tuple(range(7))),))
+    problem = Problem(searched(source, ("of_joints",)).singles["of_joints"], source.clusters)
+    change = problem.solve()
+    direct = [np.mean(np.square(rest)) for rest in problem.rest(change)]
+    np.testing.assert_allclose(problem.errors(change), direct, rtol=1e-9)
+
+
+def test_bounds_hold_and_the_optimum_obeys_the_conditions_of_kuhn_and_tucker() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        root = rng.standard_normal((6, 4))
+        matrix, score = root.T @ root + 0.1 * np.eye(4), rng.standard_normal(4) * 3.0
+        lower, upper = -rng.uniform(0.0, 0.5, 4), rng.uniform(0.0, 0.5, 4)
+        change = bounded(matrix, score, lower, upper)
+        slope = score - matrix @ change
+        assert np.all(change >= lower - 1e-9) and np.all(change <= upper + 1e-9)
+        inside = (change > lower + 1e-6) & (change < upper - 1e-6)
+        np.testing.assert_allclose(slope[inside], 0.0, atol=1e-6)
+        assert np.all(slope[change <= lower + 1e-6] <= 1e-6) and np.all(slope[change >= upper - 1e-6] >= -1e-6)
+
+
+def test_a_bound_of_physics_is_not_passed() -> None:
+    search = searched(AnalyticSource(10, (("one_sided", (-3.0,)),)), ("one_sided",))
+    fitted = refine(search.singles["one_sided"], search.evidence)
+    assert fitted.estimate[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_most_effects_of_the_joints_that_are_absent_are_not_tried_in_contact() -> None:
+    ruled_out = 0
+    for seed in range(10):
+        source = AnalyticSource(seed, free=FREE)
+        search = searched(source, ("bent", "of_joints"))
+        tried = {number for number, added in source.asked if added and added[0][0] == "of_joints"}
+        assert tried == (set(FREE) if search.ruled_out else set(range(6)))
+        assert set(search.p_values(None)) == {"bent", "of_joints"}
+        ruled_out += bool(search.ruled_out)
+    assert ruled_out >= 6
+
+
+@pytest.mark.parametrize("size", [1.0, 30.0])
+def test_an_effect_of_the_joints_is_found_beside_one_of_the_contact(size: float) -> None:
+    values = tuple(size * (-1.0) ** joint for joint in range(7))
+    search = searched(AnalyticSource(2, (("of_joints", values), ("bent", (5.0,))), free=FREE), ("bent", "of_joints"))
+    assert not search.ruled_out
+    chosen = search.choose()
+    assert chosen is not None and set(chosen.candidate.names) == {"bent", "of_joints"}
+
+
+@pytest.mark.parametrize("size", [1.0, 30.0])
+def test_where_one_effect_explains_free_motion_others_of_the_joints_are_not_tried_in_contact(size: float) -> None:
+    values = tuple(size * (-1.0) ** joint for joint in range(7))
+    source = AnalyticSource(2, (("of_joints", values),), free=FREE)
+    search = searched(source, ("of_joints", "of_motors", "bent"))
+    assert search.ruled_out == {"of_motors"}
+    assert {number for number, added in source.asked if added and added[0][0] == "of_motors"} == set(FREE)
+    chosen = search.choose()
+    assert chosen is not None and chosen.candidate.names == ("of_joints",)
+
+
+def test_p_is_adjusted_for_every_effect_that_was_looked_at() -> None:
+    """Benjamini and Hochberg by hand: sorted p times n over rank, made monotone from the largest down."""
+    raw = {"a": 0.01, "b": 0.04, "c": 0.03, "d": 0.5}
+    found = adjusted(raw)
+    assert found["a"] == pytest.approx(0.04)
+    assert found["c"] == pytest.approx(min(0.03 * 4 / 2, 0.04 * 4 / 3))
+    assert found["b"] == pytest.approx(0.04 * 4 / 3)
+    assert found["d"] == pytest.approx(0.5)
+
+
+def test_a_fit_ties_with_itself_and_not_with_one_that_is_twice_as_wrong() -> None:
+    source = AnalyticSource(11, (("straight", (6.0,)), ("bent", (6.0,))))
+    search = searched(source)
+    both = search.choose()
+    assert both is not None
+    assert tied(both, both)
+    assert not tied(both, Fit.of(search.singles["bent"], search.evidence))

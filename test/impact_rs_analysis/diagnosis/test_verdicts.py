@@ -1,0 +1,125 @@
+"""What is said, and that the way it is said does not depend on how large an effect is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from analytic_world import EFFECTS, FEATURES, AnalyticSource
+
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.fit import Evidence
+from impact_rs_analysis.diagnosis.verdicts import p_told, rests_of, told
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model
+
+pytestmark = pytest.mark.usefixtures("few_draws")
+
+
+def said(source: AnalyticSource, *names: str) -> DiagnosisDocument:
+    known = {name: EFFECTS[name] for name in names or ("straight", "bent", "payload")}
+
+    class Knowing(Model):
+        @property
+        def known_effects(self):  # noqa: ANN202
+            return known
+
+    source.model = Knowing(name="nothing")
+    return diagnose(source, source.model)
+
+
+def test_nothing_is_missing_and_one_is_what_repetition_gives() -> None:
+    """Over 20 campaigns the error of a right model is 1 on average, and the verdict says so in nearly all."""
+    documents = [said(AnalyticSource(seed)) for seed in range(20)]
+    assert np.mean([d.held_out_error_before for d in documents]) == pytest.approx(1.0, abs=0.05)
+    assert all(d.noise_floor == 1.0 for d in documents)
+    assert sum(d.verdict == "NOTHING-MISSING" for d in documents) >= 18
+
+
+@pytest.mark.parametrize("value", [1.0, 5.0, 40.0])
+def test_the_headline_is_the_effect_however_large_it_is(value: float) -> None:
+    document = said(AnalyticSource(1, (("straight", (value,)),)))
+    assert document.verdict == "straight" and document.named == ("straight",)
+    effect = document.effects[0]
+    assert effect.verdict == "CONFIRMED" and effect.chosen_in_folds == 6
+    low, high = effect.parameters["a"].interval
+    assert low <= value <= high
+    assert document.held_out_error_after < 1.5
+    assert effect.sizes[0].value > effect.sizes[0].floor
+
+
+def test_p_is_told_as_a_bound_where_noise_is_not_known() -> None:
+    document = said(AnalyticSource(1, (("straight", (40.0,)),)))
+    assert document.design.least_p == p_told(1e-6) == 0.0005
+    assert document.lack_of_fit.before == pytest.approx(0.001)  # of 999 draws
+    assert document.effects[0].p_value == pytest.approx(0.003)  # three effects were looked at
+
+
+def test_what_is_significant_and_too_small_to_matter_is_said_with_its_size() -> None:
+    """60 repeats see a tenth of the noise; the floor is larger than all that it moves."""
+    document = said(AnalyticSource(2, (("straight", (0.06,)),), design=(60,) * 4))
+    assert document.verdict == "PRESENT-BUT-SMALL" and document.named == ("straight",)
+    assert document.effects[0].verdict == "PRESENT-BUT-SMALL"
+    assert "m/s" in document.summary and "at most" in document.summary
+
+
+def test_what_explains_most_and_not_all_is_named_and_the_rest_is_told_in_units() -> None:
+    document = said(AnalyticSource(3, (("straight", (20.0,)), ("outside", (5.0,)))))
+    assert document.verdict == "PARTLY{straight}" and document.named == ("straight",)
+    assert document.unexplained.share_of_excess == pytest.approx(25.0 / 425.0, rel=0.5)
+    rest = document.unexplained.where[0]
+    assert rest.unit == "m/s" and rest.value > rest.floor
+
+
+def test_what_nothing_explains_is_said() -> None:
+    document = said(AnalyticSource(4, (("outside", (5.0,)),)))
+    assert document.verdict == "NONE-EXPLAINS"
+
+
+def test_a_design_that_is_too_small_says_so_and_how_much_is_needed() -> None:
+    document = said(AnalyticSource(5, (("straight", (40.0,)),), design=(2, 2, 1)))
+    assert document.verdict == "TOO-FEW-REPEATS"
+    assert "1 more repeat" in document.summary
+    assert all(effect.verdict == "TOO-FEW-REPEATS" for effect in document.effects)
+
+
+def test_two_conditions_are_refused() -> None:
+    with pytest.raises(InputError, match="at least 3 are needed"):
+        said(AnalyticSource(6, design=(3, 3)))
+
+
+def test_effects_that_cannot_be_told_apart_are_confusable_both_ways() -> None:
+    document = said(AnalyticSource(7, (("straight", (5.0,)),)), "straight", "twin_of_straight", "bent")
+    assert document.verdict == "straight"
+    assert document.confusable == (("straight", "twin_of_straight"),)
+    verdicts = {effect.name: effect.verdict for effect in document.effects}
+    assert verdicts["straight"] == "CONFUSABLE-WITH{twin_of_straight}"
+    assert verdicts["twin_of_straight"] == "CONFUSABLE-WITH{straight}"
+    assert document.effect("twin_of_straight").parameters["c"].estimate == pytest.approx(10.0, abs=0.4)  # type: ignore[union-attr]
+
+
+def test_a_simulator_that_is_off_by_what_is_known_of_it_leaves_nothing_missing() -> None:
+    verdicts = [said(AnalyticSource(seed, discrepancy=0.6, simulator=seed)).verdict for seed in range(10)]
+    assert verdicts.count("NOTHING-MISSING") >= 9
+
+
+def test_what_is_left_is_told_in_the_unit_of_the_signal_without_the_noise() -> None:
+    """A shift of 3 in one signal of unit noise and 2,000 repeats is told as 3."""
+    source = AnalyticSource(8, design=(2_000, 2_000, 2_000))
+    own = np.array([f % 4 == 0 for f in range(FEATURES)])
+    clusters = tuple(replace(item, residuals=item.residuals + 3.0 * own / item.sigma) for item in source.clusters)
+    evidence = Evidence(source, (0, 1, 2), clusters)
+    rests = {rest.signal: rest for rest in rests_of(evidence, [item.mean for item in clusters])}
+    assert rests["signal 0"].value == pytest.approx(3.0, rel=1e-2)
+    assert all(rests[f"signal {number}"].value < 0.05 for number in (1, 2, 3))
+    assert rests["signal 0"].share > 0.99
+
+
+def test_the_scale_of_errors_is_that_of_repetition() -> None:
+    """Noise of variance 1 in n repeats: a mean residual of size s is told as s sqrt(n)."""
+    source = AnalyticSource(9, design=(4, 4, 4))
+    evidence = Evidence.of(source)
+    rest = [np.full(FEATURES, 2.0) / item.sigma for item in source.clusters]
+    assert told(evidence, rest) == pytest.approx(2.0 * np.sqrt(4.0))

@@ -1,0 +1,71 @@
+"""Payload: a point mass on the end effector weighs, and it resists being turned."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bench import (
+    ACROSS,
+    FIRST_MOMENT,
+    GRAVITY,
+    MASS_MATRIX,
+    MOTOR_INERTIA,
+    REACH,
+    TOOL_MASS,
+    bench,
+    run,
+    slope,
+    switched_on,
+)
+
+from impact_rs_sim.effects import library
+
+PAYLOAD = {"mass": 0.8, "com_x": 0.05, "com_y": -0.12, "com_z": 0.03}
+
+
+@pytest.mark.parametrize("q", [0.0, 0.7, -1.9])
+@pytest.mark.parametrize("sign", [1.0, -0.25])
+def test_payload_raises_the_torque_that_holds_the_arm_by_its_weight_times_lever(q, sign):
+    """Across, link x is (cos q, 0, -sin q) and link y is (-sin q, 0, -cos q): height of the mass, and dV/dq."""
+    values = {**PAYLOAD, "mass": sign * PAYLOAD["mass"]}
+    physics = switched_on(bench(ACROSS), "end_effector_payload", **values)
+    before = -FIRST_MOMENT * GRAVITY * np.cos(q)
+    lever = -(REACH + values["com_x"]) * np.cos(q) + values["com_y"] * np.sin(q)
+    found = physics.robot_model("arm").gravity_torque(np.array([q]))[0]
+    assert found == pytest.approx(before + values["mass"] * GRAVITY * lever, rel=1e-9)
+
+
+def test_payload_adds_the_inertia_of_a_point_mass_about_the_axis():
+    physics = switched_on(bench(), "end_effector_payload", **PAYLOAD)
+    added = PAYLOAD["mass"] * ((REACH + PAYLOAD["com_x"]) ** 2 + PAYLOAD["com_y"] ** 2)
+    motion = run(physics, lambda time: 2.0)
+    expected = 2.0 / (MASS_MATRIX + added + MOTOR_INERTIA)
+    assert slope(motion.time, motion.velocity, 0.2, 0.39) == pytest.approx(expected, rel=0.005)
+
+
+def test_payload_follows_the_parallel_axis_theorem_about_every_axis():
+    """About the origin of E, inertia and first moment of the point mass add to those of the tool."""
+    bare = bench()
+    tool = replace(bare.arms["arm"].end_effector, com=np.array([0.01, 0.02, -0.03]))
+    physics = replace(bare, arms={"arm": replace(bare.arms["arm"], end_effector=tool)})
+    loaded = switched_on(physics, "end_effector_payload", **PAYLOAD).arms["arm"].end_effector
+    place = np.array([PAYLOAD["com_x"], PAYLOAD["com_y"], PAYLOAD["com_z"]])
+
+    def of_points(mass, at):
+        cross = np.array([[0.0, -at[2], at[1]], [at[2], 0.0, -at[0]], [-at[1], at[0], 0.0]])
+        return -mass * cross @ cross
+
+    expected = tool.inertia + of_points(tool.mass, tool.com) + of_points(PAYLOAD["mass"], place)
+    np.testing.assert_allclose(loaded.inertia + of_points(loaded.mass, loaded.com), expected, atol=1e-12)
+    np.testing.assert_allclose(loaded.mass * loaded.com, tool.mass * tool.com + PAYLOAD["mass"] * place, atol=1e-12)
+
+
+@pytest.mark.parametrize(("on_the_flange", "lowest"), [(TOOL_MASS, -0.45), (0.0, 0.0), (2.0, -0.5)])
+def test_no_more_than_nine_tenths_of_what_is_on_the_flange_can_be_taken_away(on_the_flange, lowest):
+    physics = bench()
+    arm = physics.arms["arm"]
+    physics = replace(physics, arms={"arm": replace(arm, end_effector=replace(arm.end_effector, mass=on_the_flange))})
+    lower, upper = library()["end_effector_payload"].bounds(physics)
+    assert lower[0] == pytest.approx(lowest)
+    np.testing.assert_array_equal(upper, [3.0, 0.2, 0.2, 0.2])
+    np.testing.assert_array_equal(lower[1:], -0.2)

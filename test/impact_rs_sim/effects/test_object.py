@@ -1,0 +1,55 @@
+"""Object: a heavier one weighs more on the pad, and one with an offset turns about its centre of mass."""
+
+import numpy as np
+import pytest
+from bench import BOX, GRAVITY, PAD, REACH, bench, run, switched_on, with_support
+
+from impact_rs_sim.effects import library
+
+
+@pytest.mark.parametrize("scale", [0.5, 3.0])
+def test_object_mass_is_what_the_pad_carries(scale):
+    motion = run(switched_on(bench(), "object_mass", scale=scale), seconds=1.0, box=(REACH, 0.0, BOX / 2.0))
+    assert BOX / 2.0 - motion.box[-1, 2] == pytest.approx(scale * GRAVITY / 2.0e4, rel=0.02)
+
+
+def test_the_inertia_of_the_object_grows_with_its_mass():
+    physics = bench()
+    heavier = switched_on(physics, "object_mass", scale=2.5).object
+    np.testing.assert_allclose(heavier.inertia, 2.5 * physics.object.inertia)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_a_spinning_box_turns_about_the_place_where_its_centre_of_mass_is(axis):
+    """Let go with spin w about z and its middle at rest: the centre of mass c flies with w x c, the middle circles."""
+    offset = {"x": np.array([0.03, 0.0, 0.0]), "y": np.array([0.0, 0.03, 0.0])}[axis]
+    spin = 6.0
+    physics = switched_on(bench(), "object_com_offset", **{axis: 0.03})
+    start = np.array([5.0, 0.0, 3.0])
+    motion = run(physics, seconds=0.3, box=tuple(start), box_twist=(0.0, 0.0, 0.0, 0.0, 0.0, spin))
+    time = motion.time[:, None]
+    cosine, sine = np.cos(spin * motion.time), np.sin(spin * motion.time)
+    turned = np.stack((cosine * offset[0] - sine * offset[1], sine * offset[0] + cosine * offset[1], 0.0 * cosine), 1)
+    flight = spin * np.array([-offset[1], offset[0], 0.0])
+    expected = start + offset + flight * time - turned + np.array([0.0, 0.0, -GRAVITY / 2.0]) * time**2
+    np.testing.assert_allclose(motion.box, expected, atol=2e-3)
+    assert np.abs(motion.box - start)[-1, :2].max() > 0.02
+
+
+@pytest.mark.parametrize("offset", [0.03, -0.03])
+def test_a_box_stands_on_its_sides_wherever_its_centre_of_mass_is(offset):
+    """Upright on a table it stays where it is; laid over the edge of the pad it falls only with its weight outside."""
+    table = with_support(switched_on(bench(), "object_com_offset", z=offset), -1.0)
+    start = (1.0, 0.0, -1.0 + BOX / 2.0)
+    np.testing.assert_allclose(run(table, seconds=0.2, box=start).box[-1], start, atol=1e-3)
+    physics = switched_on(bench(), "object_com_offset", x=offset)
+    motion = run(physics, seconds=0.2, box=(REACH + PAD / 2.0, 0.0, BOX / 2.0))
+    fallen = BOX / 2.0 - motion.box[-1, 2]
+    assert fallen > 0.02 if offset > 0.0 else fallen == pytest.approx(GRAVITY / 2.0e4, abs=1e-3)
+
+
+def test_offsets_along_all_three_axes_add_to_what_is_there():
+    effect = library()["object_com_offset"]
+    once = effect.apply_vector(bench(), np.array([0.01, 0.02, 0.03]))
+    twice = effect.apply_vector(once, np.array([0.01, 0.0, -0.01]))
+    np.testing.assert_allclose(twice.object.com_offset, [0.02, 0.02, 0.02])

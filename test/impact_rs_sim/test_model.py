@@ -1,0 +1,116 @@
+"""Model files: checked without the robot, and refused when they meet one with another number of joints."""
+
+from pathlib import Path
+
+import pytest
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model, ModelEffect, check_model, load_model, save_model
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.scenario import load_scenario
+
+
+def item(name, **values):
+    units = {"offset": "N m", "coulomb": "N m", "breakaway": "N m", "stribeck": "rad/s", "scale": "-"}
+    return {
+        "name": name,
+        "parameters": {key: {"estimate": value, "unit": units[key.split("_")[0]]} for key, value in values.items()},
+    }
+
+
+def offsets(*joints):
+    return item("torque_offset", **{f"offset_joint{joint}": 0.1 * joint for joint in joints})
+
+
+def checked(*effects):
+    return check_model(Model.model_validate({"name": "m", "effects": effects}), "m.yaml")
+
+
+@pytest.fixture(scope="module")
+def physics():
+    return Physics.nominal(load_scenario("push"), "juice")
+
+
+def test_a_model_file_may_be_for_any_number_of_joints(physics):
+    for count in (1, 6, 7, 12):
+        checked(offsets(*range(1, count + 1)))
+    applied = checked(offsets(*range(1, 8))).apply(physics)
+    assert applied.arms["arm"].torque_offset == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])
+
+
+@pytest.mark.parametrize("count", [1, 6, 8])
+def test_a_model_for_another_number_of_joints_does_not_fit_the_arm(count, physics):
+    model = checked(offsets(*range(1, count + 1)))
+    with pytest.raises(InputError, match=rf"'m' is for arms with {count} joints \(effect torque_offset\).* has 7"):
+        model.apply(physics)
+
+
+def test_a_model_without_parameters_per_joint_fits_any_arm(physics):
+    assert load_model("nominal").apply(physics) is physics
+    softer = checked(item("joint_stiffness", scale=0.5)).apply(physics)
+    assert softer.arms["arm"].stiffness == pytest.approx(0.5 * physics.arms["arm"].stiffness)
+
+
+@pytest.mark.parametrize(
+    ("effects", "complaint"),
+    [
+        ([offsets(1, 2, 4)], r"offset_joint3: this key is missing \(added torque \[N m\]\); joint 4 is here"),
+        ([offsets()], r"offset_joint1: this key is missing"),
+        ([offsets(1, 2), item("joint_coulomb_friction", coulomb_joint1=0.1)], "has 1 joints, but torque_offset has 2"),
+        ([item("torque_offset", offset_joint1=0.1, offset_joint0=0.1)], "offset_joint0: unknown parameter"),
+        ([item("torque_offset", offset_joint1=0.1, offset_joint99999999999=0.1)], "unknown parameter"),
+        ([item("joint_stribeck_friction", breakaway_joint1=0.1)], "stribeck_velocity: this key is missing"),
+        ([item("joint_stiffness", scale_joint1=0.5)], "scale_joint1: unknown parameter; joint_stiffness has: scale"),
+    ],
+)
+def test_joints_are_numbered_from_1_without_gaps_and_alike_in_all_effects(effects, complaint):
+    with pytest.raises(InputError, match=rf"m\.yaml: effects.*{complaint}"):
+        checked(*effects)
+
+
+def mass(scale):
+    return item("object_mass", scale=scale)
+
+
+def test_every_effect_of_a_model_is_applied_on_top_of_those_before(physics):
+    both = checked(mass(1.2), mass(1.5), item("joint_stiffness", scale=0.5)).apply(physics)
+    assert both.object.mass == pytest.approx(1.2 * 1.5 * physics.object.mass)
+    assert both.arms["arm"].stiffness == pytest.approx(0.5 * physics.arms["arm"].stiffness)
+
+
+def test_a_child_has_another_estimate_of_what_its_parent_had_and_knows_its_parent(physics):
+    parent = checked(mass(1.2), offsets(*range(1, 8)))
+    child = parent.with_effect(ModelEffect.model_validate(mass(1.1)), "child", "parent.yaml")
+    assert [effect.name for effect in child.effects] == ["torque_offset", "object_mass"]
+    assert child.apply(physics).object.mass == pytest.approx(1.1 * physics.object.mass)
+    assert (child.parent, child.parent_digest) == ("parent.yaml", parent.digest)
+    assert parent.apply(physics).object.mass == pytest.approx(1.2 * physics.object.mass)
+
+
+def test_the_digest_is_of_the_physics_and_of_nothing_else():
+    one = checked(mass(1.2))
+    assert one.digest == one.model_copy(update={"name": "other", "note": "why", "parent": "p.yaml"}).digest
+    assert one.digest != checked(mass(1.21)).digest
+
+
+@pytest.mark.parametrize(
+    ("effect", "complaint"),
+    [
+        (item("ghost"), "unknown effect"),
+        (item("object_mass", offset=1.2), "unknown parameter"),
+        (mass(-3.0), "mass over its assumed value"),
+        ({**mass(1.2), "parameters": {"scale": {"estimate": 1.2, "unit": "kg"}}}, "expected the unit '-'"),
+    ],
+)
+def test_what_an_effect_does_not_allow_is_refused_with_file_and_key(effect, complaint):
+    with pytest.raises(InputError, match=rf"m\.yaml: effects\.0.*{complaint}"):
+        checked(effect)
+
+
+def test_a_model_that_is_written_is_read_back_and_never_overwritten(tmp_path: Path):
+    path = tmp_path / "models" / "mine.yaml"
+    written = checked(offsets(1, 2, 3), mass(1.2))
+    save_model(written, path)
+    assert load_model(path).effects == written.effects
+    with pytest.raises(InputError, match="never overwritten"):
+        save_model(written, path)

@@ -1,0 +1,122 @@
+"""Blind campaigns: what is hidden is drawn from the seed, within the bounds that effects declare."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_rs_sim.effects import library
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.unmodelled import OUTSIDE
+from impact_rs_trials.blind import RUNS, SIZES, TRUTH, draw, draw_outside, draw_truth, hide, make, tasks
+
+
+@pytest.mark.parametrize("name", sorted(library()))
+@pytest.mark.parametrize("joint_count", [6, 7])
+def test_hidden_values_are_some_scales_from_nominal_within_nine_tenths_of_the_bounds(name, joint_count):
+    for seed in range(40):
+        for magnitude in (1.0, 4.0, 50.0):
+            hidden = draw(name, magnitude, np.random.default_rng(seed), joint_count)
+            scalars = library()[name].scalars(joint_count)
+            assert len(hidden.values) == len(scalars)
+            for value, scalar in zip(hidden.values, scalars, strict=True):
+                if scalar.hidden is not None:
+                    assert scalar.hidden[0] <= value <= scalar.hidden[1]
+                    continue
+                room = 0.9 * np.array([scalar.nominal - scalar.lower, scalar.upper - scalar.nominal])
+                assert -room[0] - 1e-12 <= value - scalar.nominal <= room[1] + 1e-12
+                side = room[1] if value > scalar.nominal else room[0]
+                away = abs(value - scalar.nominal)
+                assert away == pytest.approx(side) or 0.7 <= away / (magnitude * scalar.scale) <= 1.3
+
+
+def test_a_hidden_payload_adds_mass_and_goes_up_to_nine_tenths_of_the_bound():
+    masses = [draw("end_effector_payload", size, np.random.default_rng(7), 7).values[0] for size in (1.0, 100.0)]
+    assert 0.07 <= masses[0] <= 0.13
+    assert masses[1] == pytest.approx(2.7)
+
+
+def test_effects_that_can_go_both_ways_do():
+    offsets = np.array([draw("torque_offset", 1.0, np.random.default_rng(seed), 7).values for seed in range(20)])
+    assert np.all((offsets > 0.0).any(axis=0) & (offsets < 0.0).any(axis=0))
+
+
+def test_the_same_seed_hides_the_same_as_ever():
+    """Numbers of the first release: published blind campaigns can be made again."""
+    (payload,) = draw_truth(5, "single", "end_effector_payload", None)
+    assert payload.values == pytest.approx(
+        (0.8294326025098256, 0.01218952892703902, -0.021239183866414085, -0.04780629373298296), rel=1e-14
+    )
+    (sticky,) = draw_truth(3, "single", "joint_stribeck_friction", None)
+    assert (sticky.values[0], sticky.values[-1]) == pytest.approx((0.20513311108996682, 0.07694738285947944), rel=1e-14)
+    first, second = draw_truth(11, "pair", None, None)
+    assert (first.name, second.name) == ("external_spring", "joint_stiffness")
+    physics = hide(Physics.nominal(load_scenario("push"), "juice"), [payload])
+    assert physics.arms["arm"].end_effector.mass == pytest.approx(0.6 + payload.values[0])
+
+
+@pytest.mark.parametrize("name", sorted(library()))
+def test_an_effect_twice_as_large_is_twice_as_far_from_nominal(name: str) -> None:
+    effect = library()[name]
+    small, large = (draw(name, size, np.random.default_rng(5), 7) for size in (0.5, 1.0))
+    for scalar, one, two in zip(effect.scalars(7), small.values, large.values, strict=True):
+        if scalar.hidden is None:
+            assert two - scalar.nominal == pytest.approx(2.0 * (one - scalar.nominal), rel=1e-9)
+
+
+@pytest.mark.parametrize(("kind", "count"), [("single", 1), ("pair", 2), ("null", 0), ("outside", 0)])
+def test_every_kind_hides_its_number_of_effects_and_the_seed_decides_which(kind: str, count: int) -> None:
+    drawn = [draw_truth(seed, kind, None, None) for seed in range(40)]
+    assert {len(hidden) for hidden in drawn} == {count}
+    assert all(len({item.name for item in hidden}) == count for hidden in drawn)
+    assert drawn == [draw_truth(seed, kind, None, None) for seed in range(40)]
+    if count:
+        assert len({item.name for hidden in drawn for item in hidden}) > 8
+        sizes = [item.magnitude for hidden in drawn for item in hidden]
+        assert 1.0 <= min(sizes) < 2.0 < 5.0 < max(sizes) <= 10.0
+
+
+def test_outside_effects_have_a_size_between_noticeable_and_four_times_that() -> None:
+    drawn = [draw_outside(seed, None, None) for seed in range(60)]
+    assert {name for name, _ in drawn} == set(OUTSIDE)
+    assert all(1.0 <= size <= 4.0 for _, size in drawn)
+    assert draw_outside(0, "backlash", 2.5) == ("backlash", 2.5)
+
+
+@pytest.mark.parametrize(
+    ("call", "complaint"),
+    [
+        (lambda: draw_truth(0, "triple", None, None), "no kind 'triple'"),
+        (lambda: draw_truth(0, "single", "gravity", None), "no effect 'gravity'"),
+        (lambda: draw_outside(0, "gravity", None), "no outside effect 'gravity'"),
+        (lambda: tasks(Path("."), 0, "huge", [], None, 0.0), "no size 'huge'"),
+    ],
+)
+def test_what_there_is_none_of_is_answered_with_what_there_is(call, complaint: str) -> None:
+    with pytest.raises(InputError, match=complaint):
+        call()
+
+
+def test_a_campaign_has_every_condition_with_its_repeats_and_the_truth_lies_beside_the_runs(tmp_path: Path) -> None:
+    seen = []
+
+    def record(function, todo):
+        seen.extend(todo)
+        return ["OK"] * len(todo)
+
+    progress = list(make(tmp_path, 7, record, "single", "object_mass", "small", 2.0))
+    size = SIZES["small"]
+    pushes = len(size.objects) * len(size.cases) * size.repeats
+    assert progress == [(number, len(seen)) for number in range(1, len(seen) + 1)]
+    assert sum(task.trial.spec.scenario.name == "push" for task in seen) == pushes
+    assert len({task.trial.seed for task in seen}) == len(seen)
+    truth = json.loads((tmp_path / TRUTH).read_text())
+    assert [effect["name"] for effect in truth["effects"]] == ["object_mass"]
+    (value,) = (entry["value"] for entry in truth["effects"][0]["parameters"].values())
+    assert (value,) == seen[0].hidden[0].values
+    assert {task.directory for task in seen} == {str(tmp_path / RUNS)}
+    with pytest.raises(InputError, match="another blind campaign"):
+        list(make(tmp_path, 8, record, "single", "object_mass", "small", 2.0))

@@ -1,0 +1,136 @@
+"""A short trial as a bag: every topic at its rate, transforms from measurements, numbers as the loop had them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from impact_rs_control.closed_loop import make_plant, run_closed_loop
+from impact_rs_control.plan import TrialPlan, plan_trial
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import Scene
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.bags.record import FrameSource, record_trial, scene_urdf
+from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
+
+TICKS = 250
+
+
+@pytest.fixture(scope="module")
+def plan() -> TrialPlan:
+    """A trial of a quarter of a second, impact included."""
+    scenario = load_scenario("push")
+    timing = scenario.timing.model_copy(
+        update={"nominal_impact": 0.2, "approach": 0.15, "window_before": 0.1, "window_after": 0.05, "duration": 0.25}
+    )
+    return plan_trial(Scene.resolve(scenario.model_copy(update={"timing": timing}), "juice", "case_1"))
+
+
+@pytest.fixture(scope="module")
+def bag(plan: TrialPlan, tmp_path_factory: pytest.TempPathFactory) -> TrialBag:
+    path = tmp_path_factory.mktemp("record") / "trial"
+    key = TrialKey("juice", "case_1", 1.0, 0)
+    outcome, _ = record_trial(plan, TrialInfo.of(plan, key, 3, "inprocess"), path)
+    assert outcome == "OK"
+    return TrialBag(path)
+
+
+@pytest.fixture(scope="module")
+def ticks(plan: TrialPlan) -> list:
+    """The same trial once more, without a bag."""
+    plant = make_plant(plan, 3)
+    found = [(tick, plant.truth()) for tick in run_closed_loop(plan, plant)]
+    plant.close()
+    return found
+
+
+def test_every_topic_has_its_rate(bag: TrialBag) -> None:
+    expected = {
+        topics.joint_states("arm"): TICKS + 1,
+        topics.motor_states("arm"): TICKS + 1,
+        topics.joint_command("arm"): TICKS + 1,
+        topics.controller_state("arm"): TICKS + 1,
+        topics.truth_joint_states("arm"): TICKS + 1,
+        topics.truth_contact_wrench("arm"): TICKS + 1,
+        topics.OBJECT_POSE: TICKS // 4 + 1,
+        topics.TRUTH_OBJECT_POSE: TICKS // 4 + 1,
+        topics.TF: TICKS // 20 + 1,
+        topics.CLOCK: TICKS // 20 + 1,
+        topics.impact_event("arm"): 1,
+        topics.TRIAL_INFO: 1,
+        topics.ROBOT_DESCRIPTION: 1,
+    }
+    assert {name: bag.counts[name] for name in expected} == expected
+
+
+def test_columns_hold_what_the_loop_measured_and_decided(bag: TrialBag, ticks: list) -> None:
+    joints, states = bag.joints(topics.joint_states("arm")), bag.controller("arm")
+    motors, truth = bag.joints(topics.motor_states("arm")), bag.joints(topics.truth_joint_states("arm"))
+    commands = bag.joints(topics.joint_command("arm"))
+    np.testing.assert_allclose(joints.time, np.arange(TICKS + 1) * 1e-3, atol=1e-12)
+    for row, (tick, true) in enumerate(ticks):
+        measured, command = tick.measurement.arms["arm"], tick.commands["arm"]
+        np.testing.assert_array_equal(joints.position[row], measured.position)
+        np.testing.assert_array_equal(joints.velocity[row], measured.velocity)
+        np.testing.assert_array_equal(joints.effort[row], measured.torque)
+        np.testing.assert_array_equal(motors.position[row], measured.motor_position)
+        np.testing.assert_array_equal(truth.position[row], true.arms["arm"].position)
+        np.testing.assert_array_equal(commands.effort[row], command.torque)
+        np.testing.assert_array_equal(states.feedback_acceleration[row], command.feedback)
+        np.testing.assert_array_equal(states.net_feedback[row], command.net_feedback)
+    detected = next(tick.commands["arm"].detection for tick, _ in ticks if tick.commands["arm"].detection)
+    assert bag.impact_time("arm") == pytest.approx(detected.time)
+    assert np.isnan(bag.impact_time("nobody"))
+
+
+def test_poses_of_the_object_are_those_of_the_tracker_and_of_the_truth(bag: TrialBag, ticks: list) -> None:
+    seen = [tick.measurement.object for tick, _ in ticks if tick.measurement.object is not None]
+    poses = bag.poses(topics.OBJECT_POSE)
+    np.testing.assert_array_equal(poses.position, [each.position for each in seen])
+    np.testing.assert_array_equal(poses.quaternion, [each.quaternion for each in seen])
+    np.testing.assert_allclose(poses.time, [each.time for each in seen], atol=1e-12)
+    true = [state.object.position for _, state in ticks if state.object is not None]
+    np.testing.assert_array_equal(bag.poses(topics.TRUTH_OBJECT_POSE).position, true)
+
+
+def test_frames_follow_the_measured_joints_and_the_last_sight_of_the_object(plan: TrialPlan) -> None:
+    frames = FrameSource(plan.scene)
+    q = plan.scene.arms["arm"].position
+    place, turn = np.array([0.4, -0.3, 0.5]), pin.rpy.rpyToMatrix(0.0, 0.0, 0.4)
+    quaternion = np.array(pin.Quaternion(turn).coeffs())
+    first = frames.placements({"arm": q}, None)
+    np.testing.assert_allclose(first["object"].translation, plan.scene.object.position)
+    np.testing.assert_allclose(
+        first["arm_end_effector"].homogeneous, plan.scene.models["arm"].placement(q).homogeneous, atol=1e-12
+    )
+    frames.placements({"arm": q}, (place, quaternion))
+    later = frames.placements({"arm": q}, None)
+    np.testing.assert_allclose(later["object"].translation, place)
+    np.testing.assert_allclose(later["object"].rotation, turn, atol=1e-12)
+    assert [tick for tick in range(45) if frames.due(tick)] == [0, 20, 40]
+
+
+def test_the_description_names_every_frame_that_is_sent(plan: TrialPlan) -> None:
+    names = FrameSource(plan.scene).placements({"arm": plan.scene.arms["arm"].position}, None)
+    text = scene_urdf(plan)
+    for name in names:
+        assert f'name="{name}"' in text
+
+
+def test_a_trial_that_hits_nothing_says_so(plan: TrialPlan, tmp_path: Path) -> None:
+    away = replace(plan.scene.object, position=plan.scene.object.position + [0.6, 0.0, 0.0])
+    missed = replace(plan, scene=replace(plan.scene, object=away))
+    info = TrialInfo.of(missed, TrialKey("juice", "case_1", 1.0, 0), 3, "inprocess")
+    outcome, net = record_trial(missed, info, tmp_path / "trial")
+    assert outcome == "NO-IMPACT"
+    found = TrialBag(tmp_path / "trial")
+    assert found.outcome == "NO-IMPACT"
+    np.testing.assert_array_equal(found.controller("arm").net_feedback[-1], net["arm"])
+    assert found.metadata["object"] == "juice"
+    assert "scenario_json" not in found.metadata
+    assert found.info == info
