@@ -125,7 +125,9 @@ def scoreboard(rows: list[dict[str, Any]]) -> str:
     if removed:
         lines.append(f"excess held-out error removed, median        {100.0 * statistics.median(removed):.1f} %")
     wrong = [row for row in rows if not row["correct"]]
-    lines += [f"  wrong: {row['name']}: truth {row['truth']}, named {row['named']}, {row['verdict']}" for row in wrong]
+    lines += [
+        f"  wrong: {row['name']}: truth {row['truth']}, named {row['named']}, {row.get('verdict')}" for row in wrong
+    ]
     return "\n".join(lines)
 
 
@@ -141,7 +143,11 @@ def main() -> None:
     parser.add_argument("--only", default="", help="run entries whose name starts with this (':' for '__')")
     parser.add_argument("--seconds", type=float, default=math.inf, help="start no further campaign after this time [s]")
     arguments = parser.parse_args()
-    wanted = [e for e in matrix(arguments.seeds, arguments.pairs, arguments.nulls) if e.name.startswith(arguments.only.replace(":", "__"))]
+    wanted = [
+        e
+        for e in matrix(arguments.seeds, arguments.pairs, arguments.nulls)
+        if e.name.startswith(arguments.only.replace(":", "__"))
+    ]
     rows, began = [], time.monotonic()
     with workers(Workforce(arguments.jobs)) as map_tasks:
         for number, entry in enumerate(wanted, start=1):

@@ -5,17 +5,19 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import plotly.graph_objects as go
 
-from impact_rs_analysis.diagnosis.compare import Cell, SignalLevel
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument, JointError
-from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED, Curve, Figure
 from impact_rs_analysis.report.labels import Tag, phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import quantity_text
+
+if TYPE_CHECKING:  # the figures of an analysis need nothing of a diagnosis
+    from impact_rs_analysis.diagnosis.compare import Cell, SignalLevel
+    from impact_rs_analysis.diagnosis.document import DiagnosisDocument, JointError
+    from impact_rs_analysis.diagnosis.history import VersionError
 
 GREY, GRID, ZERO = "#BBBBBB", "#E6E6E6", "#999999"
 TAG_COLOURS = {Tag.GOOD: GREEN, Tag.MAYBE: ORANGE, Tag.NO: GREY}

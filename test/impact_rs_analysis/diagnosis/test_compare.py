@@ -8,10 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impact_rs_analysis.diagnosis.compare import Comparison, compare
+from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
 from impact_rs_analysis.evidence.aligned import align, write_aligned
+from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY
+from impact_rs_analysis.evidence.rollouts import RolloutStore
 from impact_rs_analysis.evidence.runs import Runs, read_runs
-from impact_rs_analysis.report.loop import write_comparison
+from impact_rs_analysis.evidence.tracks import tracks_of_trials
+from impact_rs_analysis.evidence.trials import TrialSource
+from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
 from impact_rs_trials.bags.topics import TRUTH
@@ -24,16 +28,20 @@ def runs(hidden_campaign: Path) -> Runs:
     return read_runs(hidden_campaign, map)
 
 
+def against(runs: Runs, model: Model) -> ComparisonDocument:
+    return compare(TrialSource(runs, model, RolloutStore(map)))
+
+
 @pytest.fixture(scope="module")
-def nominal(runs: Runs) -> Comparison:
-    return compare(runs, load_model("nominal"), map)
+def nominal(runs: Runs) -> ComparisonDocument:
+    return against(runs, load_model("nominal"))
 
 
-def _bytes(comparison: Comparison) -> str:
-    return json.dumps(comparison.to_json(), allow_nan=False)
+def _bytes(comparison: ComparisonDocument) -> str:
+    return json.dumps(comparison.model_dump(mode="json"), allow_nan=False)
 
 
-def test_the_document_has_its_schema(nominal: Comparison) -> None:
+def test_the_document_has_its_schema(nominal: ComparisonDocument) -> None:
     document = json.loads(_bytes(nominal))
     assert {"score", "score_is", "noise_floor", "levels", "where"} <= set(document)
     assert set(document["levels"]) == {"jump", "free_motion", "trial"}
@@ -41,44 +49,43 @@ def test_the_document_has_its_schema(nominal: Comparison) -> None:
     assert all(keys <= set(cell) for cell in document["where"])
     sizes = [cell["times_noise"] for cell in document["where"]]
     assert sizes == sorted(sizes, reverse=True)
-    assert document["score"] > document["noise_floor"] > 0.0
+    assert document["score"] > document["noise_floor"] == 1.0
     entries = document["levels"]["jump"]["entries"]
     assert {entry["object"] for entry in entries} == {"parcel", "juice"}
     assert {"joint velocity jump", "object velocity", "end-effector velocity jump"} <= {e["signal"] for e in entries}
 
 
-def test_a_rougher_support_shows_in_the_push_and_not_in_free_motion(nominal: Comparison) -> None:
+def test_a_rougher_support_shows_in_the_push_and_not_in_free_motion(nominal: ComparisonDocument) -> None:
     assert nominal.where[0].phase == "push"
-    levels = nominal.to_json()["levels"]
-    assert levels["free_motion"]["times_noise"] < 1.5 < levels["trial"]["times_noise"]
+    assert nominal.levels["free_motion"].times_noise < 2.5 < nominal.levels["trial"].times_noise
 
 
-def test_the_true_model_scores_what_repetition_gives(runs: Runs, nominal: Comparison) -> None:
+def test_the_true_model_scores_what_repetition_gives(runs: Runs, nominal: ComparisonDocument) -> None:
     value = ParameterValue(estimate=TRUE_SCALE, unit="-", ci95=None)
     true = Model(name="true", effects=(ModelEffect(name="support_friction", parameters={"scale": value}),))
-    found = compare(runs, true, map)
-    assert found.noise_floor is not None
-    assert found.score < 2.0 * found.noise_floor
+    found = against(runs, true)
+    assert found.noise_floor == 1.0
+    assert found.score < 2.0
     assert found.score < 0.4 * nominal.score
 
 
 def test_the_truth_is_never_read(
-    hidden_campaign: Path, tmp_path: Path, rewrite_bag: Callable, nominal: Comparison
+    hidden_campaign: Path, tmp_path: Path, rewrite_bag: Callable, nominal: ComparisonDocument
 ) -> None:
     stripped = tmp_path / "elsewhere"
     for path in hidden_campaign.glob("*/*"):
         (stripped / path.parent.name).mkdir(parents=True, exist_ok=True)
         rewrite_bag(path, stripped / path.parent.name / path.name, lambda topic: not topic.startswith(TRUTH))
-    assert _bytes(compare(read_runs(stripped, map), load_model("nominal"), map)) == _bytes(nominal)
+    assert _bytes(against(read_runs(stripped, map), load_model("nominal"))) == _bytes(nominal)
 
 
 def test_without_repeats_the_score_stands_and_the_noise_floor_is_none(hidden_campaign: Path, tmp_path: Path) -> None:
     shutil.copytree(hidden_campaign / "push/juice__case_1__s1.000__r0", tmp_path / "juice__case_1__s1.000__r0")
-    found = compare(read_runs(tmp_path, map), load_model("nominal"), map)
+    found = against(read_runs(tmp_path, map), load_model("nominal"))
     assert found.noise_floor is None
     assert found.score > 0.0
     assert "not repeated" in found.remarks[0]
-    json.dumps(found.to_json(), allow_nan=False)
+    _bytes(found)
 
 
 def test_an_aligned_bag_is_read_by_others_and_its_residual_is_the_difference(runs: Runs, tmp_path: Path) -> None:
@@ -102,12 +109,21 @@ def test_an_aligned_bag_is_read_by_others_and_its_residual_is_the_difference(run
         write_aligned(align(trial, load_model("nominal")), tmp_path)
 
 
-def test_the_report_is_one_file_that_needs_no_network(runs: Runs, nominal: Comparison, tmp_path: Path) -> None:
+def test_the_report_is_one_file_that_needs_no_network(runs: Runs, nominal: ComparisonDocument, tmp_path: Path) -> None:
     trial = next(trial for trial in runs.trials if trial.condition.object == "juice")
-    path = write_comparison(nominal, [align(trial, load_model("nominal"))], None, tmp_path)
+    path = write_comparison(nominal, tracks_of_trials([align(trial, load_model("nominal"))]), None, tmp_path)
     text = path.read_text(encoding="utf-8")
     body = text.split("<script>", 1)[0]
     assert "src=" not in body and "http" not in body
     assert "Where it fails" in body
     assert text.count("plotly.js v") <= 2  # embedded once
     assert json.loads((tmp_path / "compare.json").read_text()) == json.loads(_bytes(nominal))
+
+
+def test_the_discrepancy_of_the_twin_is_told_and_can_be_left_out(runs: Runs, nominal: ComparisonDocument) -> None:
+    assert nominal.discrepancy.used and "mujoco" in nominal.discrepancy.provenance
+    without = compare(TrialSource(runs, load_model("nominal"), RolloutStore(map), NO_DISCREPANCY))
+    assert not without.discrepancy.used
+    assert without.score > nominal.score
+    force = {s.signal: s for s in nominal.levels["trial"].signals if s.phase == "impact"}["contact force"]
+    assert force.unit == "N" and 0.1 < force.discrepancy < 5.0

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument, add_effect, read_document
+from impact_rs_analysis.diagnosis.add import add_effect
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
 from impact_rs_analysis.diagnosis.history import versions
 from impact_rs_analysis.diagnosis.scoring import score
 from impact_rs_sim.errors import InputError

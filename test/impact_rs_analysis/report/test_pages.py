@@ -15,8 +15,10 @@ from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_docume
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.tracks import TrackSet
 from impact_rs_analysis.report import page as skeleton
-from impact_rs_analysis.report import write_comparison, write_diagnosis, write_history
 from impact_rs_analysis.report.analysis import AnalysisPage, Listing
+from impact_rs_analysis.report.comparison import write_comparison
+from impact_rs_analysis.report.diagnosis import write_diagnosis
+from impact_rs_analysis.report.history import write_history
 from impact_rs_analysis.report.page import p_text, quantity_text, sentence_text, subscripts_text
 from impact_rs_sim.errors import InputError
 

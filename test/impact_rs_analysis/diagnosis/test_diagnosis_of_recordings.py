@@ -12,11 +12,17 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from impact_rs_analysis.imports import compare_recording, diagnose_recording, is_foreign, load_mapping, read_recordings
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, read_document
+from impact_rs_analysis.diagnosis.hold_out import folds_of
+from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_cli.main import main
+from impact_rs_sim.effects.formula import FormulaParameter, FormulaSpec
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.recording import _typestore
+from impact_rs_trials.recordings.mapping import load_mapping
+from impact_rs_trials.recordings.recording import _typestore, is_foreign, read_recordings
 
 RATE = 50.0  # Hz
 DURATION = 36.0  # s
@@ -72,8 +78,18 @@ def write_bag(path: Path, columns: Columns, storage: StoragePlugin = StoragePlug
     return next(file for file in path.iterdir() if file.suffix in (".db3", ".mcap"))
 
 
-def effect(found: dict[str, Any], name: str) -> dict[str, Any]:
-    return next(entry for entry in found["effects"] if entry["name"] == name)
+def source_of(path: Path, model: Model | None = None) -> RecordingSource:
+    mapping = load_mapping("joint_state")
+    return RecordingSource(read_recordings(path, mapping), mapping, model or Model(name="nominal"))
+
+
+def diagnosed_recording(path: Path) -> DiagnosisDocument:
+    source = source_of(path)
+    return diagnose(source, source.model)
+
+
+def effect(found: DiagnosisDocument, name: str) -> EffectDocument:
+    return next(entry for entry in found.effects if entry.name == name)
 
 
 @pytest.fixture(scope="module")
@@ -82,21 +98,21 @@ def planted() -> Columns:
 
 
 def test_planted_friction_and_offset_are_found_joint_by_joint(planted: Columns, tmp_path: Path) -> None:
-    found = diagnose_recording(write_npz(tmp_path / "planted.npz", planted))
-    assert set(found["named"]) == {"joint_coulomb_friction", "torque_offset"}
+    found = diagnosed_recording(write_npz(tmp_path / "planted.npz", planted))
+    assert set(found.named) == {"joint_coulomb_friction", "torque_offset"}
     friction = effect(found, "joint_coulomb_friction")
     for joint, true in enumerate(TRUE_COULOMB):
-        assert friction["parameters"][f"coulomb_joint{joint + 1}"]["estimate"] == pytest.approx(true, abs=0.08)
+        assert friction.parameters[f"coulomb_joint{joint + 1}"].estimate == pytest.approx(true, abs=0.08)
     offset = effect(found, "torque_offset")
     for joint, true in enumerate(TRUE_OFFSET):
-        assert offset["parameters"][f"offset_joint{joint + 1}"]["estimate"] == pytest.approx(true, abs=0.08)
-    verdicts = [entry["verdict"] for entry in offset["joints"]]
+        assert offset.parameters[f"offset_joint{joint + 1}"].estimate == pytest.approx(true, abs=0.08)
+    verdicts = [value.verdict for value in offset.parameters.values()]
     assert verdicts[0] == verdicts[1] == verdicts[3] == "CONFIRMED"
     assert {verdicts[index] for index in (2, 4, 5, 6)} == {"NO-IMPROVEMENT"}
-    assert effect(found, "end_effector_payload")["verdict"] == "NO-IMPROVEMENT"
-    assert effect(found, "restitution")["reason"] == "not measured: no contact was recorded"
-    assert found["held_out_error_after"] < 0.3 * found["held_out_error_before"]
-    json.dumps(found, allow_nan=False)
+    assert effect(found, "end_effector_payload").verdict == "NO-IMPROVEMENT"
+    assert effect(found, "restitution").reason == "not measured: no contact was measured"
+    assert found.held_out_error_after < 0.3 * found.held_out_error_before
+    json.dumps(found.model_dump(mode="json"), allow_nan=False)
 
 
 def test_a_diagnosed_recording_makes_a_better_model(
@@ -121,15 +137,88 @@ def test_a_diagnosed_recording_makes_a_better_model(
 
 
 def test_planted_payload_is_found(tmp_path: Path) -> None:
-    found = diagnose_recording(write_npz(tmp_path / "loaded.npz", synthetic(TRUE_COULOMB, payload=TRUE_PAYLOAD)))
-    assert "end_effector_payload" in found["named"]
-    payload = effect(found, "end_effector_payload")["parameters"]
-    assert payload["mass"]["estimate"] == pytest.approx(TRUE_PAYLOAD, abs=0.1)
+    found = diagnosed_recording(write_npz(tmp_path / "loaded.npz", synthetic(TRUE_COULOMB, payload=TRUE_PAYLOAD)))
+    assert set(found.named) == {"joint_coulomb_friction", "end_effector_payload"}
+    mass = effect(found, "end_effector_payload").parameters["mass"]
+    assert mass.interval[0] <= TRUE_PAYLOAD <= mass.interval[1]
+    assert mass.estimate == pytest.approx(TRUE_PAYLOAD, abs=0.05)
+
+
+def test_friction_written_as_a_formula_explains_as_much_as_the_library_s_own(planted: Columns, tmp_path: Path) -> None:
+    """Both act on the motors; a formula that does was not measured in a recording before."""
+    joints = [f"joint{joint + 1}" for joint in range(7)]
+    spec = FormulaSpec(
+        name="dry",
+        sentence="Friction of the test.",
+        motor_torque={joint: f"-c{n} * tanh(dq{n} / 0.005)" for n, joint in enumerate(joints, start=1)},
+        parameters={
+            f"c{n}": FormulaParameter(unit="N m", lower=0.0, upper=5.0, scale=0.1) for n in range(1, len(joints) + 1)
+        },
+    )
+    source = source_of(write_npz(tmp_path / "planted.npz", planted), Model(name="own", formulas=(spec,)))
+    found = diagnose(source, source.model, ["dry", "torque_offset"])
+    assert set(found.named) == {"dry", "torque_offset"}
+    for number, true in enumerate(TRUE_COULOMB, start=1):
+        assert effect(found, "dry").parameters[f"c{number}"].estimate == pytest.approx(true, abs=0.08)
+
+
+def test_whole_recordings_are_held_out_where_there_are_several(planted: Columns, tmp_path: Path) -> None:
+    for number in range(3):
+        rows = slice(600 * number, 600 * (number + 1))
+        write_npz(tmp_path / f"part_{number}.npz", {name: values[rows] for name, values in planted.items()})
+    source = source_of(tmp_path)
+    folds = folds_of(source)
+    assert len(folds) == 3
+    for fold in folds:
+        assert len({source.clusters[number].unit for number in fold.held}) == 1
+        units = {source.clusters[number].unit for number in fold.training}
+        assert len(units) == 2 and not units & {source.clusters[number].unit for number in fold.held}
+
+
+def test_a_diagnosis_of_version_0_1_0_is_still_read(tmp_path: Path) -> None:
+    old = {
+        "kind": "recording",
+        "verdict": "end_effector_payload",
+        "effects": [
+            {
+                "name": "end_effector_payload",
+                "sentence": "Something is mounted.",
+                "verdict": "CONFIRMED",
+                "reason": None,
+                "parameters": {
+                    "mass": {"estimate": 0.5, "ci95": [0.4, 0.6], "unit": "kg", "meaning": "added mass"},
+                    "first_moment_z": {"estimate": -0.05, "ci95": [-0.1, 0.0], "unit": "kg m", "meaning": "moment"},
+                },
+                "joints": [],
+                "held_out_error_before": 0.4,
+                "held_out_error_after": 0.2,
+                "p_value": 1e-6,
+            }
+        ],
+        "confusable": [],
+        "named": ["end_effector_payload"],
+        "noise_floor": 0.1,
+        "held_out_error_before": 0.4,
+        "held_out_error_after": 0.2,
+        "unexplained": {"share_of_excess": 0.1, "where": []},
+        "next_experiment": {"advice": "hold still", "splits": []},
+        "remarks": [],
+        "recording": {"files": ["/somewhere/a.db3"]},
+        "model": {"name": "nominal", "digest": "0"},
+        "formulas": [],
+    }
+    old["recording"] |= {"robot": "franka_fer", "end_effector_mass_kg": 0.0, "samples": 700, "recorded_s": 24.0}
+    old["recording"] |= {"used_s": 22.0, "sampled_Hz": 30.0, "low_pass_Hz": 3.0, "low_pass": "Butterworth"}
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps(old))
+    found = read_document(path)
+    assert (found.source, found.runs.conditions, found.error_unit) == ("recordings", ("a.db3",), "N m")
+    assert effect(found, "end_effector_payload").parameters["com_z"].estimate == pytest.approx(-0.1)
 
 
 def test_a_rigid_robot_lacks_nothing(tmp_path: Path) -> None:
-    found = diagnose_recording(write_npz(tmp_path / "rigid.npz", synthetic()))
-    assert (found["verdict"], found["named"]) == ("NOTHING-MISSING", [])
+    found = diagnosed_recording(write_npz(tmp_path / "rigid.npz", synthetic()))
+    assert (found.verdict, found.named) == ("NOTHING-MISSING", ())
 
 
 def test_all_kinds_of_files_say_the_same(planted: Columns, tmp_path: Path) -> None:
@@ -253,7 +342,7 @@ def test_bad_recordings_are_refused_in_one_line(
     spoil(columns)
     path = write_npz(tmp_path / "bad.npz", columns)
     with pytest.raises(InputError) as caught:
-        compare_recording(path)
+        source_of(path)
     assert str(path) in str(caught.value) and expected in str(caught.value)
 
 
@@ -278,14 +367,14 @@ def test_foreign_topics_and_empty_files_end_with_code_2(
 def test_a_real_robot_lacks_joint_friction_and_no_payload(real_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", str(real_bag), "--json"]) == 0
     compared = json.loads(capsys.readouterr().out)
-    rigid = [row["error"] for row in compared["levels"]["free_motion"]["signals"]]
+    rigid = [row["error"] for row in compared["levels"]["recording"]["signals"]]
     assert rigid == pytest.approx([0.48, 0.31, 0.33, 0.46, 0.44, 0.31, 0.27], abs=0.02)
     assert main(["diagnose", str(real_bag), "--mapping", "joint_state", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = DiagnosisDocument.model_validate_json(capsys.readouterr().out)
     friction = effect(found, "joint_coulomb_friction")
-    assert friction["verdict"] == "CONFIRMED"
-    assert sum(entry["verdict"] == "CONFIRMED" for entry in friction["joints"]) >= 4
+    assert friction.verdict == "CONFIRMED"
+    assert sum(value.verdict == "CONFIRMED" for value in friction.parameters.values()) >= 4
     payload = effect(found, "end_effector_payload")
-    assert payload["verdict"] != "CONFIRMED" and abs(payload["parameters"]["mass"]["estimate"]) < 0.2
-    after = np.array([row["after"] for row in found["joints"]])
+    assert payload.verdict != "CONFIRMED" and abs(payload.parameters["mass"].estimate) < 0.2
+    after = np.array([row.after for row in found.joints])
     assert np.all(after < [0.34, 0.23, 0.25, 0.25, 0.25, 0.12, 0.11])
