@@ -24,7 +24,7 @@ from impact_rs_analysis.diagnosis.document import (
 from impact_rs_analysis.diagnosis.experiment import next_experiment
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
-from impact_rs_analysis.diagnosis.search import Search, adjusted
+from impact_rs_analysis.diagnosis.search import Rival, Search, adjusted
 from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P
 from impact_rs_analysis.diagnosis.verdicts import (
     MOST_RESTS,
@@ -74,10 +74,13 @@ def diagnose(source: Source, model: Model, only: Sequence[str] | None = None) ->
     effects = [known[name] for name in known if name not in present and (only is None or name in only)]
     search = Search(effects, Evidence.of(source))
     chosen = None if search.evidence.reference.shortage is not None else search.choose()
+    rivals: Sequence[Rival] = ()
+    if chosen is not None:
+        chosen, rivals = search.settle(chosen)
     found = Findings(
         search=search,
         chosen=chosen,
-        rivals=() if chosen is None else tuple(search.rivals(chosen)),
+        rivals=tuple(rivals),
         hold_out=None if chosen is None else hold_out(source, effects),
         p_values=_p_values(search, chosen),
     )

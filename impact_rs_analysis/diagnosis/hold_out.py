@@ -90,7 +90,10 @@ def hold_out(source: Source, effects: Sequence[Effect]) -> HoldOut | None:
     names = []
     for fold in folds:
         evidence = Evidence.of(source, fold.training)
-        found = Search(effects, evidence, SHORTLIST_OF_FOLD).choose(thrifty=True)
+        search = Search(effects, evidence, SHORTLIST_OF_FOLD)
+        found = search.choose(thrifty=True)
+        if found is not None and source.cheap:
+            found, _ = search.settle(found)
         added = () if found is None else found.candidate.split(found.estimate)
         names.append(() if found is None else found.candidate.names)
         both = source.predict([(n, what) for n in fold.held for what in ((), added)], "hold-out")

@@ -299,6 +299,29 @@ class Search:
                 chosen = measure_again(pair)
         return chosen
 
+    def settle(self, chosen: Fit) -> tuple[Fit, list[Rival]]:
+        """Exchange what an effect with fewer parameters explains as well, and find out what else could stand there.
+
+        A constant vertical pull is a payload before it is a spring, and a payload before it is a gain of every joint.
+        """
+        joints = self.source.joint_count
+        known = {name: single.effects[0] for name, single in self.singles.items()}
+        rivals = self.rivals(chosen)
+        for _ in range(MOST_EFFECTS):
+            simpler = [
+                rival
+                for rival in rivals
+                if rival.tied
+                and rival.fit.score <= chosen.score * math.exp(TIE)
+                and known[rival.name].complexity(joints) < known[rival.instead_of].complexity(joints)
+            ]
+            if not simpler:
+                break
+            best = min(simpler, key=lambda rival: (known[rival.name].complexity(joints), rival.fit.score))
+            chosen = measure_again(best.fit)
+            rivals = self.rivals(chosen)
+        return chosen, rivals
+
     def rivals(self, chosen: Fit, count: int = 3) -> list[Rival]:
         """What could stand in the place of every chosen effect, fitted beside the others that are chosen."""
         found = []
