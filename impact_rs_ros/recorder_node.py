@@ -37,7 +37,7 @@ _HEADER_FIRST = 4  # byte of the stamp behind the CDR encapsulation
 _SEQUENCE_FIRST = 8  # the same with the length of a sequence before it
 
 
-class Recording:
+class OpenTrial:
     """One trial on its way into a bag.
 
     Args:
@@ -111,7 +111,7 @@ class RecorderNode(NodeProgram):
         self._arms: list[str] = []
         self._inbox = Inbox(self.node, "inbox", RECORD, raw=True)
         self._open = ExitStack()  # the bag of the trial that is recorded
-        self._recording: Recording | None = None
+        self._recording: OpenTrial | None = None
         self._messages = 0
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
         self.node.create_service(FinishTrial, "~/finish_trial", self._on_finish)
@@ -182,7 +182,7 @@ class RecorderNode(NodeProgram):
             bag.describe(info)
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
             bag.write_raw(topics.ROBOT_DESCRIPTION, 0, serialize_message(String(data=request.robot_description)))
-            self._recording = Recording(bag, self._arms, plan)
+            self._recording = OpenTrial(bag, self._arms, plan)
         except InputError as error:
             self.log.error(f"trial refused: {error}")
             response.message = str(error)
@@ -228,7 +228,7 @@ class RecorderNode(NodeProgram):
         response.counts = list(recording.counts.values())
         return response
 
-    def _complete(self, recording: Recording, expected: dict[str, int]) -> str:
+    def _complete(self, recording: OpenTrial, expected: dict[str, int]) -> str:
         """Receive until everything is there; returns what is missing."""
         deadline = time.monotonic() + self.parameter("completion_timeout")
         while True:

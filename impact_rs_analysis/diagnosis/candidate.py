@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import lsq_linear
+import scipy
 
 from impact_rs_analysis.diagnosis.reference import Reference, combined_half_width
 from impact_rs_analysis.evidence.cluster import Added, Cluster, Source
@@ -358,4 +358,4 @@ def bounded(information: Array, score: Array, lower: Array, upper: Array) -> Arr
     if np.all(change >= lower - 1e-12) and np.all(change <= upper + 1e-12):
         return np.asarray(change)
     root = np.linalg.cholesky(information).T
-    return np.asarray(lsq_linear(root, np.linalg.solve(root.T, score), bounds=(lower, upper)).x)
+    return np.asarray(scipy.optimize.lsq_linear(root, np.linalg.solve(root.T, score), bounds=(lower, upper)).x)

@@ -103,7 +103,7 @@ class ConditionScore(Schema):
     score: float = Field(description="its score, in the unit of the whole")
 
 
-class Skipped(Schema):
+class LeftOut(Schema):
     """A bag that was left out."""
 
     name: str = Field(description="path below the folder")
@@ -124,7 +124,7 @@ class ComparisonDocument(Schema):
     levels: dict[str, Level] = Field(description="jump, free_motion and trial; of a recording: recording")
     where: tuple[Cell, ...] = Field(description="places by size")
     not_measured: tuple[str, ...] = Field((), description="what the measurements say nothing of")
-    skipped: tuple[Skipped, ...] = Field((), description="bags that were left out")
+    skipped: tuple[LeftOut, ...] = Field((), description="bags that were left out")
     recording: RecordingDocument | None = Field(None, description="what was read of recordings")
     discrepancy: DiscrepancyDocument = Field(default_factory=DiscrepancyDocument, description="of the twin itself")
     remarks: tuple[str, ...] = Field((), description="what a reader should know")
@@ -180,7 +180,7 @@ def _of_trials(source: TrialSource) -> ComparisonDocument:
         noise_floor=noise_floor_of(clusters),
         levels=levels,
         where=tuple(_where(clusters)),
-        skipped=tuple(Skipped(name=path.removeprefix(f"{runs.directory}/"), reason=why) for path, why in runs.skipped),
+        skipped=tuple(LeftOut(name=path.removeprefix(f"{runs.directory}/"), reason=why) for path, why in runs.skipped),
         discrepancy=discrepancy_of(source),
         remarks=(*source.remarks, *remarks),
     )

@@ -33,8 +33,7 @@ from collections.abc import Sequence
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
+import scipy
 
 from impact_rs_analysis.diagnosis.thresholds import DRAWS, LEAST_FREEDOM
 from impact_rs_analysis.evidence.cluster import Cluster
@@ -104,7 +103,7 @@ class Reference(ABC):
 
     def quantile(self) -> float:
         """Half width of a 95 % interval in standard errors of :meth:`covariance`."""
-        return float(student.ppf(0.975, max(self.freedom, 1)))
+        return float(scipy.stats.t.ppf(0.975, max(self.freedom, 1)))
 
 
 def rarity(observed: float, null: Array) -> float:
@@ -120,7 +119,7 @@ def _frames(rows: int, count: int, seed: int) -> Array:
     return np.swapaxes(basis * np.sign(np.einsum("bii->bi", upper))[:, None, :], 1, 2)
 
 
-class _Layout:
+class _Rows:
     """Rows of the clusters of one layout: first the means, then the contrasts."""
 
     def __init__(self, numbers: list[int], clusters: Sequence[Cluster]) -> None:
@@ -160,11 +159,11 @@ class RotationReference(Reference):
     """Reference from repeats, see the module; arguments as for :class:`Reference`."""
 
     @cached_property
-    def _layouts(self) -> list[_Layout]:
+    def _layouts(self) -> list[_Rows]:
         numbers: dict[str, list[int]] = {}
         for number, item in enumerate(self.clusters):
             numbers.setdefault(item.layout, []).append(number)
-        return [_Layout(chosen, self.clusters) for chosen in numbers.values()]
+        return [_Rows(chosen, self.clusters) for chosen in numbers.values()]
 
     @property
     def freedom(self) -> int:
@@ -219,7 +218,7 @@ class RotationReference(Reference):
         return np.asarray(np.einsum("bp,bp->b", total, total))
 
     @staticmethod
-    def _noise(rng: np.random.Generator, layout: _Layout) -> Array:
+    def _noise(rng: np.random.Generator, layout: _Rows) -> Array:
         """Weights of the contrasts in draws of mean rows, ``(B, means, contrasts)``."""
         weights = rng.standard_normal((DRAWS, layout.means, layout.freedom))
         return np.asarray(weights / np.sqrt(rng.chisquare(layout.freedom, DRAWS))[:, None, None])
@@ -246,7 +245,7 @@ class RotationReference(Reference):
         p = rarity(observed / max(noise, 1e-300), null / np.maximum(noise_null, 1e-300))
         return max(p, rarity(observed, absolute)) if self.discrepant else p
 
-    def _rest_by_chance(self, rng: np.random.Generator, layout: _Layout) -> Array:
+    def _rest_by_chance(self, rng: np.random.Generator, layout: _Rows) -> Array:
         """Squares of mean rows from noise and discrepancy together, ``(B,)``."""
         contrasts = layout.rows[layout.means :]
         amplitude = self.clusters[layout.numbers[0]].discrepancy
@@ -332,5 +331,5 @@ def combined_half_width(noise: Array, quantile: float, jackknife: Array, cluster
         clusters: Number of clusters left out in turn.
         discrepancy: Standard errors from model discrepancy, ``(p,)``.
     """
-    own = np.maximum(quantile * noise, student.ppf(0.975, max(clusters - 1, 1)) * jackknife)
-    return np.asarray(np.hypot(own, norm.ppf(0.975) * discrepancy))
+    own = np.maximum(quantile * noise, scipy.stats.t.ppf(0.975, max(clusters - 1, 1)) * jackknife)
+    return np.asarray(np.hypot(own, scipy.stats.norm.ppf(0.975) * discrepancy))

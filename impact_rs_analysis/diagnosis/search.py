@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
-from scipy.stats import false_discovery_control
+import scipy
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, Where, concerns, in_free_motion, linearise, wanted
 from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit, evaluate_at, measure_again, refine, see_all
@@ -386,4 +386,4 @@ def adjusted(p_values: dict[str, float]) -> dict[str, float]:
     """Benjamini and Hochberg's adjustment."""
     if not p_values:
         return {}
-    return dict(zip(p_values, false_discovery_control(list(p_values.values())).tolist(), strict=True))
+    return dict(zip(p_values, scipy.stats.false_discovery_control(list(p_values.values())).tolist(), strict=True))

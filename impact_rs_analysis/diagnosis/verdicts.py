@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+import scipy
 
 from impact_rs_analysis.diagnosis.document import (
     AT_BOUND,
@@ -429,5 +429,5 @@ def change_interval(before: Sequence[Array], after: Sequence[Array], evidence: E
         part = evidence.only(kept)
         alone.append(told(part, [after[n] for n in kept]) - told(part, [before[n] for n in kept]))
     spread = math.sqrt((count - 1) / count * float(np.sum(np.square(np.array(alone) - np.mean(alone)))))
-    half = float(student.ppf(0.975, count - 1)) * spread
+    half = float(scipy.stats.t.ppf(0.975, count - 1)) * spread
     return whole - half, whole + half

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.signal import butter, sosfiltfilt, welch
+import scipy
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, JointFriction, ObjectPhysics, Physics
@@ -63,7 +63,9 @@ class Motion:
 
 
 def _low_pass(values: Array, cut_off: float, rate: float) -> Array:
-    return np.asarray(sosfiltfilt(butter(ORDER, cut_off, fs=rate, output="sos"), values, axis=0))
+    return np.asarray(
+        scipy.signal.sosfiltfilt(scipy.signal.butter(ORDER, cut_off, fs=rate, output="sos"), values, axis=0)
+    )
 
 
 def prepare(recording: Recording, cut_off: float) -> Motion:
@@ -113,7 +115,7 @@ def prepare(recording: Recording, cut_off: float) -> Motion:
 
 def _noise(raw: Array, cut_off: float, rate: float) -> Array:
     """Noise below the cut-off if it is as dense there as just above, where no motion is meant to be, ``(n,)`` [N m]."""
-    frequency, density = welch(raw, rate, nperseg=min(raw.shape[0], 256), axis=0)
+    frequency, density = scipy.signal.welch(raw, rate, nperseg=min(raw.shape[0], 256), axis=0)
     above = (frequency >= 1.5 * cut_off) & (frequency <= min(3.0 * cut_off, 0.45 * rate))
     if not np.any(above):
         above = frequency >= 1.2 * cut_off
