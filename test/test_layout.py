@@ -30,14 +30,6 @@ MODULES = sorted(path for package in (*PACKAGES, "impact_msgs_py") for path in (
 SLOW = ("scipy", "matplotlib", "distributed", "dask", "pyarrow", "h5py")
 LATE = (*SLOW, "fsspec")
 
-REWRITTEN = "recordings become a source of evidence, and the diagnosis gets one engine: both are being rewritten"
-
-
-def rewritten(*packages: str, among: tuple[str, ...]) -> list:
-    """Parameters of a test, of which some cannot pass yet."""
-    mark = pytest.mark.xfail(strict=True, reason=REWRITTEN)
-    return [pytest.param(name, marks=mark) if name in packages else name for name in among]
-
 
 @pytest.fixture(scope="module")
 def graph() -> grimp.ImportGraph:
@@ -71,9 +63,7 @@ def test_ros_is_known_to_its_nodes_alone(graph: grimp.ImportGraph) -> None:
 @pytest.mark.parametrize(
     ("lower", "higher"),
     [
-        pytest.param(
-            "measure", "report", marks=pytest.mark.xfail(strict=True, reason="the page of the paper moves to report")
-        ),
+        ("measure", "report"),
         ("measure", "diagnosis"),
         ("evidence", "measure"),
         ("evidence", "diagnosis"),
@@ -86,7 +76,7 @@ def test_the_analysis_is_built_upwards(graph: grimp.ImportGraph, lower: str, hig
     assert not chains, f"{higher} <- {lower}"
 
 
-@pytest.mark.parametrize("package", rewritten("impact_rs_analysis", "impact_rs_cli", among=PACKAGES))
+@pytest.mark.parametrize("package", PACKAGES)
 def test_nothing_in_a_package_imports_in_a_circle(graph: grimp.ImportGraph, package: str) -> None:
     """Neither modules, nor the folders they lie in."""
     inside = graph.find_descendants(package)
@@ -111,7 +101,7 @@ def _no_circle(links: dict[str, set[str]]) -> None:
         pytest.fail(f"a circle: {' <- '.join(error.args[1])}")
 
 
-@pytest.mark.parametrize("package", rewritten("impact_rs_analysis", "impact_rs_cli", among=PACKAGES))
+@pytest.mark.parametrize("package", PACKAGES)
 def test_imports_stand_at_the_top_of_modules(package: str) -> None:
     """Slow and optional libraries aside; and ROS 2, which a campaign needs for trials through nodes alone."""
     late = {
@@ -137,7 +127,15 @@ def _imported(node: ast.AST) -> list[str]:
     return [str(node.module)] if isinstance(node, ast.ImportFrom) else []
 
 
-@pytest.mark.parametrize("package", rewritten("impact_rs_analysis", among=PACKAGES))
+@pytest.mark.parametrize(
+    "package",
+    [
+        pytest.param(name, marks=pytest.mark.xfail(strict=True, reason="diagnosis and evidence are being rewritten"))
+        if name == "impact_rs_analysis"
+        else name
+        for name in PACKAGES
+    ],
+)
 def test_no_module_waits_for_a_slow_library_that_it_may_not_need(package: str) -> None:
     """SciPy itself loads its parts when they are used: ``import scipy`` and ``scipy.optimize.least_squares``."""
     slow = [
@@ -150,7 +148,7 @@ def test_no_module_waits_for_a_slow_library_that_it_may_not_need(package: str) -
     assert not slow
 
 
-@pytest.mark.parametrize("package", rewritten("impact_rs_trials", "impact_rs_analysis", among=ABOVE_SIM))
+@pytest.mark.parametrize("package", ABOVE_SIM)
 def test_no_module_above_physics_knows_an_effect_by_name(package: str) -> None:
     """Neither as a string nor as a name; what is called alike in the physics (restitution) is no effect."""
     effects = set(library())
@@ -183,9 +181,7 @@ def _strings_and_names(node: ast.AST, properties: set[str]) -> Iterator[str]:
     yield from (name for name in names.get(type(node), list)() if name and name not in properties)
 
 
-@pytest.mark.parametrize(
-    "package", rewritten("impact_rs_trials", "impact_rs_analysis", "impact_rs_cli", among=ABOVE_SIM)
-)
+@pytest.mark.parametrize("package", ABOVE_SIM)
 def test_no_module_above_physics_counts_joints_in_figures(package: str) -> None:
     """Neither by a constant that stands for it, nor by a seven to count to or to spell parameters out for."""
     counted = {"range", "scalars", "nominal", "steps", "complexity"}
@@ -200,7 +196,6 @@ def test_no_module_above_physics_counts_joints_in_figures(package: str) -> None:
     assert not found
 
 
-@pytest.mark.xfail(strict=True, reason=REWRITTEN)
 def test_no_two_classes_share_a_name() -> None:
     where: dict[str, list[str]] = defaultdict(list)
     for path in MODULES:

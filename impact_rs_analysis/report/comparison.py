@@ -28,8 +28,8 @@ MOST_PLACES = 8
 
 
 @dataclass(frozen=True)
-class Row:
-    """One row of a table.
+class Line:
+    """One line of a table.
 
     Attributes:
         label: What it is of.
@@ -57,8 +57,8 @@ class LevelPart:
     title: str
     what: str
     times_noise: float
-    jumps: tuple[Row, ...]
-    signals: tuple[Row, ...]
+    jumps: tuple[Line, ...]
+    signals: tuple[Line, ...]
     plot: Plot | None
     open: bool
 
@@ -77,7 +77,7 @@ class WherePart:
     """
 
     plots: tuple[Plot, ...]
-    places: tuple[Row, ...]
+    places: tuple[Line, ...]
 
 
 @dataclass(frozen=True)
@@ -202,10 +202,10 @@ def level_parts(document: ComparisonDocument) -> tuple[LevelPart, ...]:
                 what=level.what,
                 times_noise=level.times_noise,
                 jumps=tuple(
-                    Row(f"{place_text(row, scenario=several)}: {row.signal} {row.index}", row) for row in level.entries
+                    Line(f"{place_text(row, scenario=several)}: {row.signal} {row.index}", row) for row in level.entries
                 ),
                 signals=tuple(
-                    Row(f"{phase_text(row.phase)}: {row.signal} {row.index}".rstrip(), row) for row in level.signals
+                    Line(f"{phase_text(row.phase)}: {row.signal} {row.index}".rstrip(), row) for row in level.signals
                 ),
                 plot=Plot(f"level-{name}", signals_plot(by_joint)) if by_joint else None,
                 open=name == list(filled)[-1],
@@ -224,7 +224,7 @@ def where_part(document: ComparisonDocument) -> WherePart:
             for number, (title, drawn) in enumerate(where_plots(document.where, by_phase=of_recordings))
         ),
         places=tuple(
-            Row(f"{_place(cell, several)}: {cell.signal} {cell.index}", cell) for cell in document.where[:MOST_PLACES]
+            Line(f"{_place(cell, several)}: {cell.signal} {cell.index}", cell) for cell in document.where[:MOST_PLACES]
         ),
     )
 

@@ -184,7 +184,7 @@ MUTANTS = [
     Mutant(
         name="wrench_without_inverse_inertia",
         file=FILE,
-        original="            push = dposv(inertia, jacobian.T @ plan.wrench[index])[1]\n",
+        original="            push = scipy.linalg.lapack.dposv(inertia, jacobian.T @ plan.wrench[index])[1]\n",
         mutated="            push = jacobian.T @ plan.wrench[index]\n",
         wrong="Lambda^-1 is J J^T: the inertia is left out of a_p_f.",
         tests=TESTS,
@@ -192,8 +192,8 @@ MUTANTS = [
     Mutant(
         name="wrench_without_motor_inertia",
         file=FILE,
-        original="push = dposv(inertia, ",
-        mutated="push = dposv(terms.mass_matrix, ",
+        original="push = scipy.linalg.lapack.dposv(inertia, ",
+        mutated="push = scipy.linalg.lapack.dposv(terms.mass_matrix, ",
         wrong="Lambda of a_p_f has the link inertia alone.",
         tests=TESTS,
     ),

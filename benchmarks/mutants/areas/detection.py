@@ -82,7 +82,7 @@ MUTANTS = [
     Mutant(
         name="wrench_by_pseudo_inverse",
         file=FILE,
-        original="        self.wrench = dposv(mobility[:, :6], mobility[:, 6])[1]\n",
+        original="        self.wrench = scipy.linalg.lapack.dposv(mobility[:, :6], mobility[:, 6])[1]\n",
         mutated="        self.wrench = np.linalg.pinv(jacobian.T, rcond=0.5) @ self._residual\n",
         wrong="The wrench is not the dynamically consistent inverse of J^T applied to the residual.",
         tests=TESTS,
