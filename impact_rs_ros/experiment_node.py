@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -36,10 +37,6 @@ class ExperimentNode(NodeProgram):
         self._cancelling = threading.Event()
         self._trials = 0
         self._aborted = 0
-        try:
-            self._session.watch(list(load_scenario(self.parameter("scenario")).robots))
-        except InputError as error:
-            self.node.get_logger().error(str(error))
         group = ReentrantCallbackGroup()
         self._servers = [
             ActionServer(
@@ -57,6 +54,13 @@ class ExperimentNode(NodeProgram):
             )
         ]
 
+    def start(self) -> None:
+        try:
+            self._session.watch(list(load_scenario(self.parameter("scenario")).robots))
+        except InputError as error:
+            self.log.error(str(error))
+        super().start()
+
     def make_executor(self) -> Executor:
         return MultiThreadedExecutor(num_threads=4)
 
@@ -68,11 +72,12 @@ class ExperimentNode(NodeProgram):
         with self._busy:  # the trial that runs closes its bag
             for server in self._servers:
                 server.destroy()
+        self._session.close()
 
     def _on_goal(self, goal: Any) -> GoalResponse:
         del goal
         if self._busy.locked() or self._cancelling.is_set():
-            self.node.get_logger().warning("goal rejected: another trial or campaign is running")
+            self.log.warning("goal rejected: another trial or campaign is running")
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
 
@@ -89,11 +94,15 @@ class ExperimentNode(NodeProgram):
         def cancelled() -> bool:
             return bool(handle.is_cancel_requested or self._cancelling.is_set())
 
+        self.log.info(f"running {key.name}")
+        started = time.monotonic()
         result = self._session.run(plan, key, seed, directory, feedback, cancelled, plant_model)
         self._trials += 1
         if result.outcome == "ABORTED":
             self._aborted += 1
-            self.node.get_logger().warning(f"{key.name}: {result.message}")
+            self.log.warning(f"aborted {key.name}: {result.message}")
+        else:
+            self.log.info(f"ended {key.name}: {result.outcome} after {time.monotonic() - started:.1f} s")
         return result
 
     def _run_trial(self, handle: Any) -> RunTrial.Result:
@@ -138,6 +147,7 @@ class ExperimentNode(NodeProgram):
                 held.enter_context(owned(open_store(directory)))
                 todo = open_campaign(directory, manifest)
                 answer.skipped = len(manifest.keys) - len(todo)
+                self.log.info(f"campaign {directory}: {len(todo)} of {len(manifest.keys)} trials are to be run")
                 for number, key in enumerate(todo):
                     if handle.is_cancel_requested or self._cancelling.is_set():
                         answer.message = "cancelled"
@@ -152,6 +162,7 @@ class ExperimentNode(NodeProgram):
                         answer.finished += 1
             except Exception as error:  # a node outlives every campaign
                 return self._failed(handle, answer, error)
+        self.log.info(f"campaign {directory}: {answer.finished} trials finished, {answer.failed} failed")
         answer.success = answer.failed == 0 and not answer.message
         _close(handle, answer.success)
         return answer
@@ -159,7 +170,7 @@ class ExperimentNode(NodeProgram):
     def _failed(self, handle: Any, answer: Any, error: Exception) -> Any:
         expected = isinstance(error, InputError)
         answer.message = str(error) if expected else f"{type(error).__name__}: {error}"
-        self.node.get_logger().error(answer.message if expected else full_traceback(error))
+        self.log.error(answer.message if expected else full_traceback(error))
         _close(handle, False)
         return answer
 

@@ -55,11 +55,13 @@ class ImpactMapNode(NodeProgram):
             _fill(response, problem, compute_impact_map(problem, engine), name)
             response.success = True
             self._answered += 1
+            self.log.info(f"answered {name}, case {request.case_name!r}, by engine {engine}")
         except (InputError, ImpactMapError) as error:
+            self.log.warning(f"refused: {error}")
             response.message = str(error)
             self._refused += 1
         except Exception as error:  # whatever was asked, the node goes on
-            self.node.get_logger().error(full_traceback(error))
+            self.log.error(full_traceback(error))
             response.message = f"the impact map failed: {type(error).__name__}: {error}"
             self._refused += 1
         response.engine = engine

@@ -119,6 +119,12 @@ def value(node: Node, name: str) -> Any:
     return node.get_parameter(name).value
 
 
+def text(node: Node, kind: str) -> str:
+    """Present values of all parameters of a node with their units, for its log."""
+    values = ((parameter, value(node, parameter.name)) for parameter in PARAMETERS[kind])
+    return ", ".join(f"{p.name} {v}" + ("" if p.unit == "-" else f" {p.unit}") for p, v in values)
+
+
 def markdown() -> str:
     """``docs/parameters.md``."""
     lines = [

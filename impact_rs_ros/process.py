@@ -33,16 +33,24 @@ class NodeProgram:
 
     def __init__(self) -> None:
         self.node = Node(self.kind)
+        self.log = self.node.get_logger()
         parameters.declare(self.node, self.kind)
         self.executor = self.make_executor()
         self.executor.add_node(self.node)
-        self.now = 0  # ns, trial time, for diagnostics
         self._diagnostics = self.node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, STREAM)
         self._diagnosed = time.monotonic()
 
     def make_executor(self) -> Executor:
         """Who runs services, actions and parameters."""
         return SingleThreadedExecutor()
+
+    def start(self) -> None:
+        """Get ready; called once, before the first turn."""
+        self.log.info(f"ready: {parameters.text(self.node, self.kind)}")
+
+    def trial_time(self) -> int:
+        """Trial time for ``/diagnostics`` [ns]."""
+        return 0
 
     def parameter(self, name: str) -> Any:
         """Present value of a parameter."""
@@ -65,7 +73,8 @@ class NodeProgram:
         self._diagnosed = clock
         line, numbers = self.status()
         message = DiagnosticArray()
-        message.header.stamp = Time(sec=self.now // 1_000_000_000, nanosec=self.now % 1_000_000_000)
+        seconds, nanoseconds = divmod(self.trial_time(), 1_000_000_000)
+        message.header.stamp = Time(sec=seconds, nanosec=nanoseconds)
         message.status = [
             DiagnosticStatus(
                 level=DiagnosticStatus.OK if line.startswith("ok") else DiagnosticStatus.WARN,
@@ -100,6 +109,7 @@ def run(program: type[NodeProgram]) -> None:
     try:
         node = program()
         try:
+            node.start()
             while not stopping and rclpy.ok() and (supervisor is None or os.getppid() == int(supervisor)):
                 node.turn()
         except (ExternalShutdownException, KeyboardInterrupt):

@@ -37,6 +37,70 @@ _HEADER_FIRST = 4  # byte of the stamp behind the CDR encapsulation
 _SEQUENCE_FIRST = 8  # the same with the length of a sequence before it
 
 
+class Recording:
+    """One trial on its way into a bag.
+
+    Args:
+        bag: Its bag, open.
+        arms: Names of the arms.
+        plan: The trial, where it is one of ours.
+    """
+
+    def __init__(self, bag: BagWriter, arms: list[str], plan: TrialPlan | None) -> None:
+        self.bag = bag
+        self.counts: Counter[str] = Counter()
+        self._arms = arms
+        self._plan = plan
+        self._stamp_at = {
+            topic: _SEQUENCE_FIRST if kind == topics.TF_MESSAGE else _HEADER_FIRST
+            for topic, kind in topics.recorded(arms).items()
+        }
+        self._transforms = Transforms(plan) if plan is not None and not available(topics.TF_MESSAGE) else None
+        self._last: dict[str, int] = {}
+        self._poses: tuple[bytes, bytes] | None = None
+
+    def store(self, topic: str, data: bytes) -> None:
+        """Write a message, unless it was sent again because the answer to it was lost."""
+        now = 0
+        if topic != topics.TRUTH_MODEL:  # said once, and without a stamp
+            seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_at[topic])
+            now = seconds * 1_000_000_000 + nanoseconds
+        if topic != topics.DIAGNOSTICS:
+            if self._last.get(topic) == now:
+                return
+            self._last[topic] = now
+        self.bag.write_raw(topic, now, data)
+        self.counts[topic] += 1
+        if topic == topics.OBJECT_POSE:
+            self._poses = (self._poses or (data, data))[0], data
+        if self._transforms is not None:
+            for at, transforms in self._transforms.receive(topic, now, data):
+                self.bag.write_raw(topics.TF, at, transforms)
+                self.counts[topics.TF] += 1
+
+    def missing(self, expected: dict[str, int]) -> str:
+        """Which of the expected numbers of messages are not reached yet, in words; empty: none."""
+        return ", ".join(
+            f"{topic} {self.counts[topic]} of {count}"
+            for topic, count in expected.items()
+            if self.counts[topic] < count
+        )
+
+    def outcome(self) -> Outcome:
+        """How the trial ended, by what was recorded."""
+        hit = all(self.counts[topics.impact_event(arm)] for arm in self._arms)
+        if self._plan is None:
+            return "OK" if hit else "NO-IMPACT"
+        return outcome_of(self._plan, hit, self._lift())
+
+    def _lift(self) -> float:
+        """How far the tracked object rose [m]."""
+        if self._poses is None:
+            return 0.0
+        first, last = (deserialize_message(data, PoseStamped).pose.position.z for data in self._poses)
+        return float(last - first)
+
+
 class RecorderNode(NodeProgram):
     """Writes with a :class:`~impact_rs_trials.bags.writer.BagWriter`."""
 
@@ -45,18 +109,19 @@ class RecorderNode(NodeProgram):
     def __init__(self) -> None:
         super().__init__()
         self._arms: list[str] = []
-        self._inbox: Inbox
-        self._bag: BagWriter | None = None
-        self._open = ExitStack()
-        self._counts: Counter[str] = Counter()
-        self._plan: TrialPlan | None = None
-        self._poses: tuple[bytes, bytes] | None = None
+        self._inbox = Inbox(self.node, "inbox", RECORD, raw=True)
+        self._open = ExitStack()  # the bag of the trial that is recorded
+        self._recording: Recording | None = None
+        self._messages = 0
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
         self.node.create_service(FinishTrial, "~/finish_trial", self._on_finish)
+
+    def start(self) -> None:
         try:
             self._connect(list(load_scenario(self.parameter("scenario")).robots))
         except InputError as error:
-            self.node.get_logger().error(str(error))
+            self.log.error(str(error))
+        super().start()
 
     def turn(self) -> None:
         self.executor.spin_once(timeout_sec=self.parameter("drain_period"))
@@ -64,19 +129,13 @@ class RecorderNode(NodeProgram):
         self.diagnose()
 
     def status(self) -> tuple[str, dict[str, object]]:
-        return "ok", {"messages": self._counts.total()}
+        return "ok", {"messages": self._messages}
 
     def _connect(self, arms: list[str]) -> None:
-        if arms == self._arms:
-            return
-        if self._arms:
-            self._inbox.close()
-        recorded = {topic: kind for topic, kind in topics.recorded(arms).items() if topic not in LATCHED}
-        self._inbox = Inbox(self.node, recorded, RECORD, raw=True)
-        self._stamp_at = {
-            topic: _SEQUENCE_FIRST if kind == topics.TF_MESSAGE else _HEADER_FIRST for topic, kind in recorded.items()
-        }
-        self._arms = arms
+        if arms != self._arms:
+            recorded = topics.recorded(arms).items()
+            self._inbox.connect({topic: kind for topic, kind in recorded if topic not in LATCHED})
+            self._arms = arms
 
     def _await_publishers(self) -> None:
         """Wait until every topic of the trial has its publishers; a recorder that was just started meets them late.
@@ -99,30 +158,13 @@ class RecorderNode(NodeProgram):
 
     def _drain(self) -> None:
         """Write what has been received; outside a trial, throw it away."""
-        if not self._arms:
-            return
-        bag = self._bag
-        if bag is None:
+        if self._recording is None:
             self._inbox.clear()
             return
+        self._inbox.gather()
         for topic, data in self._inbox.take():
-            if topic == topics.TRUTH_MODEL:  # said once, and without a stamp
-                now = 0
-            else:
-                seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_at[topic])
-                now = seconds * 1_000_000_000 + nanoseconds
-            if topic != topics.DIAGNOSTICS:
-                if self._last.get(topic) == now:  # sent again, because the answer to it was lost
-                    continue
-                self._last[topic] = now
-            bag.write_raw(topic, now, data)
-            self._counts[topic] += 1
-            if topic == topics.OBJECT_POSE:
-                self._poses = (self._poses or (data, data))[0], data
-            if self._transforms is not None:
-                for at, transforms in self._transforms.receive(topic, now, data):
-                    bag.write_raw(topics.TF, at, transforms)
-                    self._counts[topics.TF] += 1
+            self._recording.store(topic, data)
+        self._messages = self._recording.counts.total()
 
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
@@ -140,34 +182,28 @@ class RecorderNode(NodeProgram):
             bag.describe(info)
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
             bag.write_raw(topics.ROBOT_DESCRIPTION, 0, serialize_message(String(data=request.robot_description)))
+            self._recording = Recording(bag, self._arms, plan)
         except InputError as error:
+            self.log.error(f"trial refused: {error}")
             response.message = str(error)
             return response
         except Exception as error:  # a node outlives every trial
             self._open.close()
-            self.node.get_logger().error(f"cannot open the bag: {full_traceback(error)}")
+            self.log.error(f"cannot open the bag: {full_traceback(error)}")
             response.message = f"recorder: {type(error).__name__}: {error}"
             return response
-        self._bag = bag
-        self._plan = plan
-        self._poses = None
-        self._transforms = Transforms(plan) if plan is not None and not available(topics.TF_MESSAGE) else None
-        self._counts = Counter()
-        self._last: dict[str, int] = {}
+        self.log.info(f"recording {request.bag_path}")
         response.success = True
         return response
 
     def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
-        bag = self._bag
-        if bag is None:
+        recording = self._recording
+        if recording is None:
             response.message = "recorder: there is no bag to finish"
             return response
-        expected = dict(zip(request.topics, request.counts, strict=False))
-        missing = self._complete(expected)
-        hit = all(self._counts[topics.impact_event(arm)] for arm in self._arms)
-        outcome: Outcome = "OK" if hit else "NO-IMPACT"
-        if self._plan is not None:
-            outcome = outcome_of(self._plan, hit, self._lift())
+        bag = recording.bag
+        missing = self._complete(recording, dict(zip(request.topics, request.counts, strict=False)))
+        outcome = recording.outcome()
         if request.aborted or missing:
             outcome = "ABORTED"
             response.message = request.reason or f"messages were published and not received: {missing}"
@@ -178,45 +214,44 @@ class RecorderNode(NodeProgram):
             except OSError as error:
                 outcome = "ABORTED"
                 response.message = f"the bag cannot be closed: {error}"
-            self._bag = None
+            self._recording = None
             self._open.close()
+        text = f"recorded {bag.path}: {outcome}, {bag.messages} messages"
+        if outcome == "ABORTED":
+            self.log.warning(f"{text}: {response.message}")
+        else:
+            self.log.info(text)
         response.success = outcome != "ABORTED" or bool(request.aborted)
         response.outcome = outcome
         response.messages = bag.messages
-        response.topics = list(self._counts)
-        response.counts = list(self._counts.values())
+        response.topics = list(recording.counts)
+        response.counts = list(recording.counts.values())
         return response
 
-    def _lift(self) -> float:
-        """How far the tracked object rose [m]."""
-        if self._poses is None:
-            return 0.0
-        first, last = (deserialize_message(data, PoseStamped).pose.position.z for data in self._poses)
-        return float(last - first)
-
-    def _complete(self, expected: dict[str, int]) -> str:
+    def _complete(self, recording: Recording, expected: dict[str, int]) -> str:
         """Receive until everything is there; returns what is missing."""
         deadline = time.monotonic() + self.parameter("completion_timeout")
         while True:
             self._drain()
-            missing = {topic: count for topic, count in expected.items() if self._counts[topic] < count}
+            missing = recording.missing(expected)
             left = deadline - time.monotonic()
             if not missing or left <= 0.0:
-                return ", ".join(f"{topic} {self._counts[topic]} of {count}" for topic, count in missing.items())
+                return missing
             self._inbox.wait(left)
 
     def _abort(self) -> None:
         """Close the bag as far as it got; it stays readable under its hidden name."""
         try:
             with self._open:  # it is closed, too, where what is left cannot be written
-                if self._bag is not None:
+                if self._recording is not None:
                     self._drain()
         except OSError as error:  # its folder is gone or full; the next trial has another bag
-            self.node.get_logger().error(f"the bag of an aborted trial cannot be closed: {error}")
-        self._bag = None
+            self.log.error(f"the bag of an aborted trial cannot be closed: {error}")
+        self._recording = None
 
     def close(self) -> None:
         self._abort()
+        self._inbox.close()
 
 
 def main() -> None:

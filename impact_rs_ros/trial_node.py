@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import gc
 import time
-from abc import abstractmethod
+from abc import ABC, abstractmethod
+from typing import Generic, TypeVar
 
 from impact_rs.srv import ConfigureTrial, FinishTrial
 
@@ -22,26 +23,71 @@ from impact_rs_trials.bags.trial_info import TrialInfo
 SLICE = 0.02  # s, how long a running trial may keep a node from its services
 
 
-class TrialNode(NodeProgram):
-    """A node that takes part in the lockstep."""
+class LockstepTrial(ABC):
+    """One trial as one node of the lockstep runs it.
+
+    Args:
+        plan: The trial.
+
+    Attributes:
+        now: Trial time [ns].
+        failure: Why it could not go on; empty: it did.
+    """
+
+    def __init__(self, plan: TrialPlan) -> None:
+        self.now = 0
+        self.failure = ""
+        self._last = plan.scene.scenario.timing.ticks
+        self._maker = MessageMaker(RosidlTypes(), plan)
+        self._tick_times: list[float] = []
+
+    @abstractmethod
+    def work(self, until: float) -> None:
+        """Do what there is to do, at least until ``until`` on the monotonic clock."""
+
+    @abstractmethod
+    def end(self) -> str:
+        """Leave the trial; returns its outcome as this node sees it."""
+
+    @abstractmethod
+    def status(self) -> tuple[str, dict[str, object]]:
+        """A line and numbers for ``/diagnostics``."""
+
+    def tick_statistics(self) -> dict[str, object]:
+        """Wall-clock time per tick since the last time this was asked for."""
+        times, self._tick_times = sorted(self._tick_times), []
+        if not times:
+            return {"ticks": 0}
+        return {
+            "ticks": len(times),
+            "tick_time_median [s]": f"{times[len(times) // 2]:.6f}",
+            "tick_time_largest [s]": f"{times[-1]:.6f}",
+        }
+
+
+AnyTrial = TypeVar("AnyTrial", bound=LockstepTrial)
+
+
+class TrialNode(NodeProgram, Generic[AnyTrial]):
+    """A node that takes part in the lockstep.
+
+    Attributes:
+        trial: The trial that runs, or the last one; None before the first.
+        running: Whether there is a trial that was configured and not finished.
+    """
 
     background = False
 
     def __init__(self) -> None:
         super().__init__()
         self.arms: list[str] = []
-        self.plan: TrialPlan | None = None
-        self.maker: MessageMaker | None = None
-        self.tick_times: list[float] = []
-        self.failure = ""
-        self.inbox: Inbox
-        self.outbox: Outbox
+        self.trial: AnyTrial | None = None
+        self.running = False
+        self._name = ""
+        self.inbox = Inbox(self.node, "inbox", AWAITED, raw=True)
+        self.outbox = Outbox(self.node, STREAM)
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
         self.node.create_service(FinishTrial, "~/finish_trial", self._on_finish)
-        try:
-            self._connect(list(load_scenario(self.parameter("scenario")).robots))
-        except InputError as error:
-            self.node.get_logger().error(str(error))
 
     @abstractmethod
     def received(self, arms: list[str]) -> dict[str, str]:
@@ -56,95 +102,96 @@ class TrialNode(NodeProgram):
         """Published signals of every tick, by topic."""
 
     @abstractmethod
-    def prepare(self, plan: TrialPlan, info: TrialInfo) -> None:
-        """Make ready for a trial, as if there had been none before."""
+    def prepare(self, plan: TrialPlan, info: TrialInfo) -> AnyTrial:
+        """A trial that can begin, as if there had been none before."""
 
-    @abstractmethod
-    def end(self) -> str:
-        """Leave the trial; returns its outcome as this node sees it."""
-
-    @abstractmethod
-    def work(self, until: float) -> None:
-        """Do what there is to do in a trial, at least until ``until`` on the monotonic clock."""
+    def start(self) -> None:
+        try:
+            self._connect(list(load_scenario(self.parameter("scenario")).robots))
+        except InputError as error:
+            self.log.error(str(error))
+        super().start()
 
     def turn(self) -> None:
-        if self.plan is None:
+        if not self.running or self.trial is None:
             super().turn()
             return
-        self.work(time.monotonic() + SLICE)
+        self.work(self.trial, time.monotonic() + SLICE)
         self.executor.spin_once(timeout_sec=0.0)
         self.diagnose()
 
-    def tick_statistics(self) -> dict[str, object]:
-        """Wall-clock time per tick since the last time this was asked for."""
-        times, self.tick_times = sorted(self.tick_times), []
-        if not times:
-            return {"ticks": 0}
-        return {
-            "ticks": len(times),
-            "tick_time_median [s]": f"{times[len(times) // 2]:.6f}",
-            "tick_time_largest [s]": f"{times[-1]:.6f}",
-        }
+    def work(self, trial: AnyTrial, until: float) -> None:
+        """Do what there is to do in a trial, at least until ``until`` on the monotonic clock."""
+        trial.work(until)
+
+    def trial_time(self) -> int:
+        return 0 if self.trial is None else self.trial.now
+
+    def status(self) -> tuple[str, dict[str, object]]:
+        return ("ok", {"ticks": 0}) if self.trial is None else self.trial.status()
 
     def _connect(self, arms: list[str]) -> None:
         """Publish and subscribe for these arms; what is there already stays, and stays matched."""
-        if arms == self.arms:
-            return
-        if self.arms:
-            self.inbox.close()
-            self.outbox.close()
-        self.inbox = Inbox(self.node, self.received(arms), AWAITED, raw=True)
-        self.outbox = Outbox(self.node, self.published(arms), STREAM)
-        self.arms = arms
+        if arms != self.arms:
+            self.inbox.connect(self.received(arms))
+            self.outbox.connect(self.published(arms))
+            self.arms = arms
 
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
         try:
-            if self.plan is not None:
+            if self.running:
                 self._leave()
             info = TrialInfo.from_message(request.trial)
             plan = info.spec.plan
             self._connect(list(plan.arms))
             self.inbox.clear()
             self.outbox.reset(self.streams(StreamMaker(plan), list(plan.arms)))
-            self.failure = ""
-            self.maker = MessageMaker(RosidlTypes(), plan)
-            self.prepare(plan, info)
-            self.plan = plan
+            self.trial = self.prepare(plan, info)
         except InputError as error:
+            self.log.error(f"trial refused: {error}")
             response.message = str(error)
             return response
         except Exception as error:  # a node outlives every trial
-            self.node.get_logger().error(f"cannot prepare the trial: {full_traceback(error)}")
+            self.log.error(f"cannot prepare the trial: {full_traceback(error)}")
             response.message = f"{self.kind}: {type(error).__name__}: {error}"
             return response
+        self.running = True
+        self._name = f"{info.scenario}/{info.key.name}"
         gc.collect()
         gc.freeze()  # the next trial's collection looks at what is new, and no more
         gc.disable()  # a collection takes longer than a tick
+        self.log.info(f"configured {self._name}, seed {info.seed}")
         response.success = True
         return response
 
     def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
-        if self.plan is None:
+        if not self.running or self.trial is None:
             response.message = f"{self.kind}: there is no trial to finish"
             return response
         self.outbox.flush()
         self.diagnose(now=True)
-        outcome = self._leave()
-        response.success = not self.failure
-        response.message = self.failure
-        response.outcome = "ABORTED" if request.aborted or self.failure else outcome
+        outcome, failure = self._leave(), self.trial.failure
+        response.success = not failure
+        response.message = failure
+        response.outcome = "ABORTED" if request.aborted or failure else outcome
         response.messages = sum(self.outbox.counts.values())
         response.topics = list(self.outbox.counts)
         response.counts = list(self.outbox.counts.values())
+        text = f"finished {self._name}: {response.outcome}, {response.messages} messages published"
+        if response.outcome == "ABORTED":
+            self.log.warning(f"{text}: {failure or request.reason}")
+        else:
+            self.log.info(text)
         return response
 
     def _leave(self) -> str:
         gc.enable()
-        self.plan = None
-        return self.end()
+        self.running = False
+        return "" if self.trial is None else self.trial.end()
 
     def close(self) -> None:
-        if self.plan is not None:
+        if self.running:
             self._leave()
+        self.inbox.close()

@@ -89,19 +89,22 @@ class TrialSession:
         self._trial_info = node.create_publisher(TrialInfoMessage, topics.TRIAL_INFO, LATCHED)
         self._description = node.create_publisher(String, topics.ROBOT_DESCRIPTION, LATCHED)
         self._arms: list[str] = []
-        self._watched: list[Inbox] = []
+        self._states = Inbox(node, "states", WATCH)
+        self._events = Inbox(node, "events", EVENT)
+        self._newest: dict[str, Any] = {}  # controller states by topic
 
     def watch(self, arms: list[str]) -> None:
         """Follow the controllers of these arms."""
         if arms != self._arms:
-            for inbox in self._watched:
-                inbox.close()
             kinds = topics.recorded(arms)
-            self._watched = [
-                Inbox(self._node, {name(arm): kinds[name(arm)] for arm in arms}, qos)
-                for name, qos in ((topics.controller_state, WATCH), (topics.impact_event, EVENT))
-            ]
+            for inbox, name in ((self._states, topics.controller_state), (self._events, topics.impact_event)):
+                inbox.connect({name(arm): kinds[name(arm)] for arm in arms})
             self._arms = arms
+
+    def close(self) -> None:
+        """Follow nothing any more."""
+        self._states.close()
+        self._events.close()
 
     def run(
         self,
@@ -128,8 +131,9 @@ class TrialSession:
         path = directory / key.name
         maker = MessageMaker(RosidlTypes(), plan)
         self.watch(list(plan.arms))
-        for inbox in self._watched:
-            inbox.clear()
+        self._states.clear()
+        self._events.clear()
+        self._newest.clear()
         progress = Progress()
         reason = ""
         try:
@@ -238,14 +242,13 @@ class TrialSession:
         feedback(progress)
 
     def _look(self, progress: Progress) -> None:
-        states = {}
-        for topic, message in (sample for inbox in self._watched for sample in inbox.take()):
-            if topic.endswith("impact_event"):
-                progress.detected_time = float(np.fmin(progress.detected_time, message.detected_time))
-            else:
-                states[topic] = message
-        if len(states) == len(self._arms):
-            newest = list(states.values())
+        self._events.gather()
+        for _, message in self._events.take():
+            progress.detected_time = float(np.fmin(progress.detected_time, message.detected_time))
+        self._states.gather()
+        self._newest.update(self._states.take())
+        if len(self._newest) == len(self._arms):
+            newest = list(self._newest.values())
             stamps = [state.header.stamp for state in newest]
             progress.time = min(stamp.sec + stamp.nanosec / 1e9 for stamp in stamps)
             progress.mode = min(state.mode for state in newest)

@@ -6,8 +6,8 @@ What a laboratory would build from the same numbers, link parameters included, a
 * Every drive is a body of its own that turns with inertia B_rho; a fixed tendon of length ``theta - q`` with stiffness
   K and damping D couples it to its link. The spring acts in every step and is damped implicitly.
 * The torque law of the paper (eq. torque_control_law) runs with the loop's period, beside steps of 1/8000 s.
-* The pad is no shape but four points with a quarter of its stiffness and damping each, placed so that they stand for a
-  homogeneous layer: its stiffness against tilting comes out as well. The object rests on a support of finite stiffness.
+* The pad is no shape but four points with a quarter of its stiffness and damping each, in its corners or where they
+  stand for a homogeneous layer. The object rests on a support of finite stiffness.
 * Friction follows MuJoCo's elliptic cones, which its solver relaxes in its own way.
 
 Friction laws, delay and scatter are written here once more, from their definition.
@@ -51,9 +51,9 @@ class ContactSettings:
     that bounds rate and m_c from above, creep where it sticks bounds them from below.
 
     Attributes:
-        pad_spread: Where the pad's four elements are, of the way from its middle to its edges [-]. In the Gauss points
-            of the face (``LAYER``) four elements are as stiff as a homogeneous layer against pressing and tilting;
-            in its ``CORNERS`` three times as stiff against tilting.
+        pad_spread: Where the pad's four elements are, of the way from its middle to its edges [-]. In the ``CORNERS``,
+            as the contact points of our plant, they are three times as stiff against tilting as a homogeneous layer
+            of the same stiffness against pressing, whose elements sit in the Gauss points of the face (``LAYER``).
         pad_virtual_mass: Of each of the pad's elements [kg].
         pad_friction_rate: Rate of the pad's friction [1/s].
         support_stiffness: Stiffness of the support under each corner of the object [N/m].
@@ -63,7 +63,7 @@ class ContactSettings:
         friction_stiffness_ratio: Regularisation of the normal force over that of friction [-].
     """
 
-    pad_spread: float = LAYER
+    pad_spread: float = CORNERS
     pad_virtual_mass: float = 0.005
     pad_friction_rate: float = 1000.0
     support_stiffness: float = 5e5
@@ -324,7 +324,7 @@ def friction_law(friction: JointFriction) -> Callable[[Array], Array] | None:
     if np.any(friction.coulomb) or np.any(friction.stribeck):
 
         def dry(velocity: Array) -> Array:
-            excess = friction.stribeck / np.exp((velocity / friction.stribeck_velocity) ** 2)
+            excess = friction.stribeck * np.exp(-((velocity / friction.stribeck_velocity) ** 2))
             return -np.tanh(velocity / friction.smoothing) * (friction.coulomb + excess)
 
         terms.append(dry)

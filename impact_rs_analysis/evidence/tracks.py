@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-from impact_rs_analysis.evidence.aligned import AlignedTrial
-from impact_rs_analysis.evidence.recordings import RecordingSource
-from impact_rs_analysis.evidence.runs import Condition
 from impact_rs_sim.robot import Array
+
+if TYPE_CHECKING:  # a page that shows tracks does not need what they are made from
+    from impact_rs_analysis.evidence.aligned import AlignedTrial
+    from impact_rs_analysis.evidence.recordings import RecordingSource
+    from impact_rs_analysis.evidence.runs import Condition
 
 AXES = "xyz"
 

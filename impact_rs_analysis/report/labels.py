@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
-from impact_rs_analysis.diagnosis.compare import Cell, JumpLevel
 from impact_rs_analysis.diagnosis.document import CONFIRMED, NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE
+
+if TYPE_CHECKING:
+    from impact_rs_analysis.diagnosis.compare import Cell, JumpLevel
 
 PHASES = {"free": "Free motion", "impact": "Impact (first 80 ms)", "push": "Push"}
 LEVELS = {

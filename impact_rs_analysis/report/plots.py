@@ -5,27 +5,31 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import plotly.graph_objects as go
 
-from impact_rs_analysis.diagnosis.compare import Cell, SignalLevel
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument, JointError
-from impact_rs_analysis.diagnosis.history import VersionError
+from impact_rs_analysis.diagnosis.document import TIMES
 from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED, Curve, Figure
 from impact_rs_analysis.report.labels import Tag, phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import quantity_text
+
+if TYPE_CHECKING:  # the figures of an analysis need nothing of a diagnosis
+    from impact_rs_analysis.diagnosis.compare import Cell, SignalLevel
+    from impact_rs_analysis.diagnosis.document import DiagnosisDocument, JointError
+    from impact_rs_analysis.diagnosis.history import VersionError
 
 GREY, GRID, ZERO = "#BBBBBB", "#E6E6E6", "#999999"
 TAG_COLOURS = {Tag.GOOD: GREEN, Tag.MAYBE: ORANGE, Tag.NO: GREY}
 DASHES = {"solid": "solid", "dashed": "dash", "none": "solid"}
 SIGNED = [[0.0, "#B2182B"], [0.25, "#EF8A62"], [0.5, "#F7F7F7"], [0.75, "#67A9CF"], [1.0, "#2166AC"]]
 MOST_EFFECTS = 12
+DECADE = 10.0  # between smallest and largest, from which an axis is logarithmic
 NOTICEABLE = 2.0  # multiples of repetition from which a place is shown
 DARKEST = (3.0, 20.0)  # multiples of repetition that have the darkest colour, at least and at most
 
-_AXIS = {"automargin": True, "gridcolor": GRID, "zerolinecolor": ZERO, "title": {"standoff": 6}}
+_AXIS = {"automargin": True, "gridcolor": GRID, "zerolinecolor": ZERO, "title": {"standoff": 6, "font": {"size": 13}}}
 _BELOW = {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom", "x": 0, "xanchor": "left"}
 TEMPLATE = go.layout.Template(
     layout={
@@ -106,15 +110,17 @@ def _curve(curve: Curve, axis: str, shared: bool) -> go.Scatter:
 
 def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
     """Held-out error of the best effects; None where nothing was measured of any."""
-    bars = [effect for effect in document.effects if effect.held_out_error_after is not None][:MOST_EFFECTS]
-    if not bars:
+    shown = [
+        (effect, effect.held_out_error_after) for effect in document.effects if effect.held_out_error_after is not None
+    ][:MOST_EFFECTS]
+    if not shown:
         return None
     drawn = go.Figure(
-        go.Bar(
-            orientation="h",
-            y=[_plain(effect.name) for effect in bars],
-            x=[effect.held_out_error_after for effect in bars],
-            marker={"color": [TAG_COLOURS[tag_of(effect.verdict)] for effect in bars]},
+        go.Scatter(
+            y=[_plain(effect.name) for effect, _ in shown],
+            x=[error for _, error in shown],
+            mode="markers",
+            marker={"color": [TAG_COLOURS[tag_of(effect.verdict)] for effect, _ in shown], "size": 13},
             hovertemplate="%{y}: %{x:.3g}<extra></extra>",
             showlegend=False,
         )
@@ -122,21 +128,26 @@ def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
     marks = {"without": (document.held_out_error_before, "#555555", "dash")}
     marks["noise alone"] = (document.noise_floor, GREEN, "dot")
     for label, (value, colour, dash) in marks.items():
-        drawn.add_shape(
-            _vertical(value) | {"line": {"color": colour, "width": 2, "dash": dash}, "layer": "above"},
-            name=label, showlegend=True,
-        )  # fmt: skip
-    largest = max(document.held_out_error_before, *(effect.held_out_error_after or 0.0 for effect in bars))
+        line = {"color": colour, "width": 2, "dash": dash}
+        drawn.add_shape(_vertical(value) | {"line": line}, name=label, showlegend=True)
+    numbers = [document.held_out_error_before, document.noise_floor, *(error for _, error in shown)]
+    unit = "× repetition" if document.error_unit == TIMES else document.error_unit
     return drawn.update_layout(
         template=TEMPLATE,
-        height=130 + 24 * len(bars),
-        xaxis={
-            "title": {"text": f"error on unseen data [{_plain(document.error_unit)}]"},
-            "range": [0.0, 1.05 * max(largest, document.noise_floor)],
-            "fixedrange": True,
-        },
+        height=130 + 24 * len(shown),
+        xaxis={"title": {"text": f"held-out error [{_plain(unit)}]"}, "fixedrange": True} | _range(numbers),
         yaxis={"autorange": "reversed", "fixedrange": True},
     )
+
+
+def _range(numbers: Sequence[float]) -> dict[str, Any]:
+    """An axis from zero, or a logarithmic one where the smallest number could not be seen on it."""
+    smallest, largest = min(numbers), max(numbers)
+    if smallest <= 0.0 or largest < DECADE * smallest:
+        return {"range": [0.0, 1.05 * largest]}
+    low, high = math.log10(smallest), math.log10(largest)
+    margin = 0.05 * (high - low)
+    return {"type": "log", "range": [low - margin, high + margin], "dtick": 1}
 
 
 def joints_plot(rows: Sequence[JointError]) -> go.Figure:

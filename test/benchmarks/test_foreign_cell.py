@@ -120,11 +120,11 @@ def test_the_object_rests_on_its_support_without_a_jump(plan) -> None:
 class PressedPad:
     """Object in front of a pad that cannot move, without gravity and support: what the pad does to it."""
 
-    def __init__(self, plan) -> None:
+    def __init__(self, plan, spread: float = cell_module.CORNERS) -> None:
         physics = replace(plan.scene.physics, support_height=None, gravity=np.zeros(3))
         self.pad = physics.arms["arm"]
         self.thing = physics.object
-        self.model = cell_module.compile_scene(physics, STEP)
+        self.model = cell_module.compile_scene(physics, STEP, cell_module.ContactSettings(pad_spread=spread))
         self.data = mujoco.MjData(self.model)
         impact = plan.scene.arms["arm"].position
         for kind, index in itertools.product(("joint", "motor"), range(impact.size)):
@@ -154,14 +154,17 @@ def pressed(plan) -> PressedPad:
     return PressedPad(plan)
 
 
-def test_a_pressed_pad_gives_way_by_force_over_stiffness_and_tilts_as_a_homogeneous_layer(pressed) -> None:
+@pytest.mark.parametrize(("spread", "shape"), [(cell_module.LAYER, 1.0 / 12.0), (cell_module.CORNERS, 1.0 / 4.0)])
+def test_a_pressed_pad_gives_way_by_force_over_stiffness_and_tilts_as_it_says(plan, spread, shape) -> None:
+    """Against tilting a layer of stiffness K and width w has K w^2 / 12, four springs in its corners K w^2 / 4."""
+    pressed = PressedPad(plan, spread)
     force, moment = 20.0, 0.05  # N, N m
     for _ in range(3000):
         pressed.step((0.0, force, 0.0, 0.0, 0.0, moment))
     assert pressed.depth == pytest.approx(force / pressed.pad.pad_stiffness, rel=0.01)
     width = pressed.pad.end_effector.pad_size[0]
     tilt = 2.0 * pressed.data.qpos[pressed.object.qposadr[0] + 6]
-    assert tilt == pytest.approx(moment / (pressed.pad.pad_stiffness * width**2 / 12.0), rel=0.02)
+    assert tilt == pytest.approx(moment / (pressed.pad.pad_stiffness * width**2 * shape), rel=0.02)
 
 
 def test_an_object_thrown_at_the_pad_moves_as_spring_and_damper_say_until_they_would_pull(pressed) -> None:

@@ -2,7 +2,7 @@
 
 from mutant import Mutant
 
-from areas import controller, detection, diagnosis, drive, fit, impact_map, net_feedback, plant, references
+from areas import controller, detection, diagnosis, drive, effects, fit, impact_map, net_feedback, plant, references
 
 AREAS: dict[str, list[Mutant]] = {
     "detection": detection.MUTANTS,
@@ -10,6 +10,7 @@ AREAS: dict[str, list[Mutant]] = {
     "references": references.MUTANTS,
     "drive": drive.MUTANTS,
     "plant": plant.MUTANTS,
+    "effects": effects.MUTANTS,
     "impact_map": impact_map.MUTANTS,
     "net_feedback": net_feedback.MUTANTS,
     "fit": fit.MUTANTS,

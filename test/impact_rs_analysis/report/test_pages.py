@@ -15,8 +15,10 @@ from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_docume
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.tracks import TrackSet
 from impact_rs_analysis.report import page as skeleton
-from impact_rs_analysis.report import write_comparison, write_diagnosis, write_history
 from impact_rs_analysis.report.analysis import AnalysisPage, Listing
+from impact_rs_analysis.report.comparison import write_comparison
+from impact_rs_analysis.report.diagnosis import write_diagnosis
+from impact_rs_analysis.report.history import write_history
 from impact_rs_analysis.report.page import p_text, quantity_text, sentence_text, subscripts_text
 from impact_rs_sim.errors import InputError
 
@@ -77,7 +79,7 @@ def test_a_diagnosis_shows_everything_that_it_knows(diagnosed: Page) -> None:
         "object_mass + joint_coulomb_friction",
         "Model 'nominal' lacks object_mass and joint_coulomb_friction.",
         "12 trials of 2 conditions",
-        "10 degrees of freedom",
+        "10 degrees of freedom of the noise",
         "1.0 is what repetition alone gives",
         "61.8 → 1.6 times what repetition alone gives; change −60.2 [−71.2, −49.2]",
         "Held out: Conditions with all their repeats.",
@@ -122,6 +124,13 @@ def test_figures_and_tracks_lie_beside_the_page(diagnosed: Page) -> None:
     assert (hit["impact"], free["impact"]) == (0.9, None)
     assert len(hit["time"]) == len(hit["signals"][0]["measured"]) <= 500
     assert hit["signals"][0]["predicted"][-1] is None  # what is missing stays missing
+
+
+def test_errors_that_lie_decades_apart_are_all_seen(diagnosed: Page) -> None:
+    axis = diagnosed.data["effects"]["layout"]["xaxis"]  # type: ignore[index]
+    assert axis["type"] == "log"
+    low, high = (10.0**end for end in axis["range"])
+    assert low < 1.0 < 61.8 < high
 
 
 def test_versions_of_one_name_are_not_drawn_on_top_of_each_other(diagnosed: Page) -> None:

@@ -123,7 +123,7 @@ def run(
     still = scenario.scatter.model_copy(update={name: 0.0 for name in type(scenario.scatter).model_fields})
     scenario = scenario.model_copy(update={"scatter": still})
     body = BodyState(np.array(box), np.eye(3), np.array(box_twist))
-    plant = Plant(scenario, physics, {"arm": np.array([start])}, body, seed=0)
+    plant = Plant.for_trial(scenario, physics, {"arm": np.array([start])}, body, seed=0)
     rows = []
     try:
         for _ in range(round(seconds / scenario.timing.control_period)):
