@@ -1,7 +1,8 @@
 """Are p values what they say? ``./run python benchmarks/calibration.py --draws 2000 -o docs/calibration_table.md``.
 
 Nothing is hidden: residuals are normal noise with the covariance of features along a trial, in which few directions
-carry most of it, in designs of conditions x repeats; for recordings, noise that remembers some samples, in 24 stretches.
+carry most of it, in designs of conditions x repeats; for recordings, noise that remembers some samples, in 24
+stretches.
 Every draw goes through the code of a diagnosis: effects with 1 and with 7 parameters, the smallest adjusted p of six
 effects, and lack of fit. A right test calls 1 % of nulls significant at 1 %, and 5 % at 5 %.
 """

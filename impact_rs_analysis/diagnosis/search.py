@@ -186,10 +186,20 @@ class Search:
         Args:
             thrifty: Leave out what only sharpens the last digits: residuals trial by trial, and pairs.
         """
-        chosen: Fit | None = None
+        chosen = self._extend(None, thrifty)
+        if chosen is not None:
+            chosen = self._without_the_superfluous(chosen)
+            if not thrifty and self.source.repeated and len(chosen.candidate.effects) >= 2:
+                chosen = self._try_pairs(chosen)
+        return chosen
+
+    def _extend(self, chosen: Fit | None, thrifty: bool) -> Fit | None:
+        """Add effects as long as one is accepted."""
         first = self.evidence.excess(self.evidence.errors)
         decidable = self.evidence.reference.shortage is None
-        for _ in range(MOST_EFFECTS):
+        while chosen is None or len(chosen.candidate.effects) < MOST_EFFECTS:
+            if chosen is not None and (left := chosen.lack_of_fit()) is not None and left > SIGNIFICANT:
+                break
             p_values = self.p_values(chosen)
             evidence = self.evidence if chosen is None else chosen.evidence
             errors = self.evidence.errors if chosen is None else chosen.held_out
@@ -206,13 +216,6 @@ class Search:
             if best is None or excess - evidence.excess(best.held_out) <= needed or excess <= LEAST_REST * first:
                 break
             chosen = best if thrifty else measure_again(best)
-            left = chosen.lack_of_fit()
-            if left is not None and left > SIGNIFICANT:
-                break
-        if chosen is not None:
-            chosen = self._without_the_superfluous(chosen)
-            if not thrifty and self.source.repeated and len(chosen.candidate.effects) >= 2:
-                chosen = self._try_pairs(chosen)
         return chosen
 
     def beside(self, chosen: Fit | None, name: str) -> Fit:
@@ -318,7 +321,8 @@ class Search:
             if not simpler:
                 break
             best = min(simpler, key=lambda rival: (known[rival.name].complexity(joints), rival.fit.score))
-            chosen = measure_again(best.fit)
+            # What the other explained besides may be missing now.
+            chosen = self._extend(measure_again(best.fit), thrifty=False) or chosen
             rivals = self.rivals(chosen)
         return chosen, rivals
 

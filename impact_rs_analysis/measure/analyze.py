@@ -28,7 +28,7 @@ LARGEST_SPREAD = 0.05  # s between the impacts of two arms; later, velocity feed
 
 
 @dataclass(frozen=True)
-class Skipped:
+class SkippedBag:
     """Something in the folder that did not enter the analysis.
 
     Attributes:
@@ -148,7 +148,7 @@ class Analysis:
     directory: Path
     sets: tuple[ExperimentSet, ...]
     incomplete: tuple[Incomplete, ...]
-    skipped: tuple[Skipped, ...]
+    skipped: tuple[SkippedBag, ...]
     missing: tuple[str, ...]
     no_impact: tuple[str, ...]
     apart: tuple[tuple[str, float], ...] = ()
@@ -218,13 +218,13 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
     bags = find_bags(directory)
     if not bags:
         raise InputError("this folder holds no trials (a trial is a subfolder that is a rosbag2 bag)", file=directory)
-    skipped: list[Skipped] = []
+    skipped: list[SkippedBag] = []
     measured: list[TrialFeedback] = []
     for count, path in enumerate(bags, start=1):
         try:
             measured.append(net_feedback(TrialBag(path)))
         except BagError as error:
-            skipped.append(Skipped(path.name, error.reason))
+            skipped.append(SkippedBag(path.name, error.reason))
         if progress is not None:
             progress(count, len(bags))
     if not measured:
@@ -253,19 +253,19 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
     )
 
 
-def _missing(directory: Path, skipped: list[Skipped]) -> list[str]:
+def _missing(directory: Path, skipped: list[SkippedBag]) -> list[str]:
     """Names of the manifest's trials that have no folder; a broken manifest is reported and does not stop anything."""
     if not (directory / MANIFEST).exists():
         return []
     try:
         manifest = load(Manifest, directory / MANIFEST)
     except InputError as error:
-        skipped.append(Skipped(MANIFEST, error.message))
+        skipped.append(SkippedBag(MANIFEST, error.message))
         return []
     return [key.name for key in manifest.keys if not (directory / key.name).exists()]
 
 
-def _one_scenario_each(trials: list[TrialFeedback], skipped: list[Skipped]) -> list[TrialFeedback]:
+def _one_scenario_each(trials: list[TrialFeedback], skipped: list[SkippedBag]) -> list[TrialFeedback]:
     """Leave out trials recorded with another version of the scenario than most others of that name."""
     versions: dict[str, Counter[str]] = defaultdict(Counter)
     for trial in trials:
@@ -277,7 +277,7 @@ def _one_scenario_each(trials: list[TrialFeedback], skipped: list[Skipped]) -> l
             kept.append(trial)
         else:
             reason = f"recorded with another version of scenario {trial.info.scenario!r} than most trials of the folder"
-            skipped.append(Skipped(trial.name, reason))
+            skipped.append(SkippedBag(trial.name, reason))
     return kept
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from impact_rs_analysis.evidence.runs import find_bags
-from impact_rs_analysis.measure.analyze import Skipped
+from impact_rs_analysis.measure.analyze import SkippedBag
 from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
@@ -55,7 +55,7 @@ class Exported:
     """
 
     trials: int
-    skipped: tuple[Skipped, ...]
+    skipped: tuple[SkippedBag, ...]
 
 
 def check_target(path: Path) -> None:
@@ -117,7 +117,7 @@ def _complete_or_gone(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
-def trial_row(path: Path) -> dict[str, Any] | Skipped:
+def trial_row(path: Path) -> dict[str, Any] | SkippedBag:
     """One trial in one row: what was run, how it ended and what was measured; or why it cannot be read.
 
     Where the net feedback is no measurement (nothing was hit, the object was dropped, the recording has holes),
@@ -127,7 +127,7 @@ def trial_row(path: Path) -> dict[str, Any] | Skipped:
         bag = TrialBag(path)
         impact_times = {f"{arm}_impact_time_s": _or_none(bag.impact_time(arm)) for arm in bag.info.robots}
     except BagError as error:
-        return Skipped(path.name, error.reason)
+        return SkippedBag(path.name, error.reason)
     net, impact, remark = None, None, ""
     try:
         measured = net_feedback(bag)
@@ -172,14 +172,14 @@ def _identity(info: TrialInfo) -> dict[str, Any]:
     }
 
 
-def _parquet(directory: Path, bags: list[Path], target: Path, map_tasks: Map) -> Iterator[Skipped | None]:
+def _parquet(directory: Path, bags: list[Path], target: Path, map_tasks: Map) -> Iterator[SkippedBag | None]:
     import pyarrow
     import pyarrow.parquet
 
     del directory
     rows = []
     for row in map_tasks(trial_row, bags):
-        if isinstance(row, Skipped):
+        if isinstance(row, SkippedBag):
             yield row
         else:
             rows.append(row)
@@ -199,7 +199,7 @@ def _column(name: str, values: list[Any]) -> Any:
     return pyarrow.array(values, kind or pyarrow.string())
 
 
-def _hdf5(directory: Path, bags: list[Path], target: Path, map_tasks: Map) -> Iterator[Skipped | None]:
+def _hdf5(directory: Path, bags: list[Path], target: Path, map_tasks: Map) -> Iterator[SkippedBag | None]:
     import h5py
 
     del map_tasks
@@ -212,7 +212,7 @@ def _hdf5(directory: Path, bags: list[Path], target: Path, map_tasks: Map) -> It
                 yield None
             except BagError as error:
                 del file[name]
-                yield Skipped(path.name, error.reason)
+                yield SkippedBag(path.name, error.reason)
 
 
 def _hdf5_trial(group: Any, bag: TrialBag) -> None:

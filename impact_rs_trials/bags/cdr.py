@@ -48,7 +48,7 @@ class _NoColumnsError(Exception):
 
 
 @dataclass(frozen=True)
-class _Layout:
+class _RowLayout:
     """Where the parts of a message lie.
 
     Attributes:
@@ -89,12 +89,12 @@ class _Walker:
         self._texts: list[str] = []
         self._fixed: list[tuple[int, int]] = []
 
-    def layout(self, kind: str) -> _Layout:
+    def layout(self, kind: str) -> _RowLayout:
         """Layout of a message of type ``kind``."""
         self._message(kind, "")
         if self._at > len(self._data):
             raise _NoColumnsError
-        return _Layout(tuple(self._numbers), tuple(self._texts), tuple(self._fixed))
+        return _RowLayout(tuple(self._numbers), tuple(self._texts), tuple(self._fixed))
 
     def _message(self, kind: str, prefix: str) -> None:
         for name, (node, payload) in _fields(self._store, kind):

@@ -12,9 +12,9 @@ from impact_rs_analysis.diagnosis.compare import (
     ComparisonDocument,
     ConditionScore,
     JumpLevel,
+    LeftOut,
     Level,
     SignalLevel,
-    Skipped,
 )
 from impact_rs_analysis.diagnosis.document import (
     TIMES,
@@ -112,7 +112,7 @@ def comparison() -> ComparisonDocument:
                 index="joint3", error=0.021, unit="N m", floor=0.01, share=0.05, times_noise=2.9,
             ),
         ),
-        skipped=(Skipped(name="juice__case_2__r7", reason="NO-IMPACT: nothing was hit"),),
+        skipped=(LeftOut(name="juice__case_2__r7", reason="NO-IMPACT: nothing was hit"),),
         discrepancy=DiscrepancyDocument(used=True, provenance="two engines, 9 conditions"),
         remarks=("the gripper was open",),
     )  # fmt: skip
