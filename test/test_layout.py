@@ -127,19 +127,7 @@ def _imported(node: ast.AST) -> list[str]:
     return [str(node.module)] if isinstance(node, ast.ImportFrom) else []
 
 
-<<<<<<< HEAD
 @pytest.mark.parametrize("package", PACKAGES)
-=======
-@pytest.mark.parametrize(
-    "package",
-    [
-        pytest.param(name, marks=pytest.mark.xfail(strict=True, reason="diagnosis and evidence are being rewritten"))
-        if name == "impact_rs_analysis"
-        else name
-        for name in PACKAGES
-    ],
-)
->>>>>>> cli
 def test_no_module_waits_for_a_slow_library_that_it_may_not_need(package: str) -> None:
     """SciPy itself loads its parts when they are used: ``import scipy`` and ``scipy.optimize.least_squares``."""
     slow = [

@@ -28,13 +28,8 @@ MOST_PLACES = 8
 
 
 @dataclass(frozen=True)
-<<<<<<< HEAD
 class PlaceRow:
     """One row of a table.
-=======
-class Line:
-    """One line of a table.
->>>>>>> cli
 
     Attributes:
         label: What it is of.
@@ -62,13 +57,8 @@ class LevelPart:
     title: str
     what: str
     times_noise: float
-<<<<<<< HEAD
     jumps: tuple[PlaceRow, ...]
     signals: tuple[PlaceRow, ...]
-=======
-    jumps: tuple[Line, ...]
-    signals: tuple[Line, ...]
->>>>>>> cli
     plot: Plot | None
     open: bool
 
@@ -87,11 +77,7 @@ class WherePart:
     """
 
     plots: tuple[Plot, ...]
-<<<<<<< HEAD
     places: tuple[PlaceRow, ...]
-=======
-    places: tuple[Line, ...]
->>>>>>> cli
 
 
 @dataclass(frozen=True)
@@ -216,19 +202,12 @@ def level_parts(document: ComparisonDocument) -> tuple[LevelPart, ...]:
                 what=level.what,
                 times_noise=level.times_noise,
                 jumps=tuple(
-<<<<<<< HEAD
                     PlaceRow(f"{place_text(row, scenario=several)}: {row.signal} {row.index}", row)
                     for row in level.entries
                 ),
                 signals=tuple(
                     PlaceRow(f"{phase_text(row.phase)}: {row.signal} {row.index}".rstrip(), row)
                     for row in level.signals
-=======
-                    Line(f"{place_text(row, scenario=several)}: {row.signal} {row.index}", row) for row in level.entries
-                ),
-                signals=tuple(
-                    Line(f"{phase_text(row.phase)}: {row.signal} {row.index}".rstrip(), row) for row in level.signals
->>>>>>> cli
                 ),
                 plot=Plot(f"level-{name}", signals_plot(by_joint)) if by_joint else None,
                 open=name == list(filled)[-1],
@@ -247,12 +226,8 @@ def where_part(document: ComparisonDocument) -> WherePart:
             for number, (title, drawn) in enumerate(where_plots(document.where, by_phase=of_recordings))
         ),
         places=tuple(
-<<<<<<< HEAD
             PlaceRow(f"{_place(cell, several)}: {cell.signal} {cell.index}", cell)
             for cell in document.where[:MOST_PLACES]
-=======
-            Line(f"{_place(cell, several)}: {cell.signal} {cell.index}", cell) for cell in document.where[:MOST_PLACES]
->>>>>>> cli
         ),
     )
 
