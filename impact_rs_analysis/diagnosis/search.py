@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, Where, concerns, in_free_motion, linearise, wanted
-from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit, evaluate_at, measure_again, refine, see_all
+from impact_rs_analysis.diagnosis.fit import HOPELESS, STEPS, Evidence, Fit, evaluate_at, measure_again, refine, see_all
 from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_FREEDOM,
     LEAST_GAIN,
@@ -31,6 +31,7 @@ from impact_rs_analysis.diagnosis.thresholds import (
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
 
+STEPS_OF_FOLD = 2  # of Gauss-Newton in the folds of the hold-out; the third changes the last digits
 PAIRS = 2  # tried where effects were found one by one
 AMONG = 10  # effects that pairs are made of
 
@@ -212,7 +213,9 @@ class Search:
             # What is small is linear: a proposal that gains nothing there will not gain by being fitted properly.
             if chosen is not None:
                 linear = [entry for entry in linear if excess - evidence.excess(entry.held_out) > 0.5 * needed]
-            best = self._best(linear[: self._shortlist], chosen)
+            if thrifty and linear:
+                linear = [entry for entry in linear if entry.score <= HOPELESS * linear[0].score]
+            best = self._best(linear[: self._shortlist], chosen, STEPS_OF_FOLD if thrifty else STEPS)
             if best is None or excess - evidence.excess(best.held_out) <= needed or excess <= LEAST_REST * first:
                 break
             chosen = best if thrifty else measure_again(best)
@@ -224,12 +227,12 @@ class Search:
             return Fit.of(self._starts[name], self.evidence)
         return Fit.of(chosen.candidate.beside(self._starts[name]), chosen.evidence)
 
-    def _best(self, shortlist: Sequence[Fit], chosen: Fit | None) -> Fit | None:
+    def _best(self, shortlist: Sequence[Fit], chosen: Fit | None, steps: int) -> Fit | None:
         """The shortlist fitted through the model: the best, and of those as good the one with the fewest parameters."""
         found: list[Fit] = []
         for entry in shortlist:
             beat = min((proposal.score for proposal in found), default=np.inf)
-            found.append(refine(entry.candidate, entry.evidence, HOPELESS * beat))
+            found.append(refine(entry.candidate, entry.evidence, HOPELESS * beat, steps))
         if not found:
             return None
         top = min(proposal.score for proposal in found)
@@ -342,7 +345,7 @@ class Search:
                     proposals.append((other, Fit.of(moved, chosen.evidence)))
             proposals.sort(key=lambda entry: entry[1].score)
             for other, linear in proposals[:count]:
-                if linear.score > HOPELESS**2 * chosen.score:
+                if linear.score > HOPELESS * chosen.score:
                     continue
                 fitted = see_all(refine(linear.candidate, chosen.evidence, HOPELESS * chosen.score))
                 found.append(Rival(other, name, fitted, tied(chosen, fitted)))
