@@ -90,11 +90,14 @@ def _write_bags(directory: Path, measurements: Measurements, model: Model, termi
 def _show(document: ComparisonDocument, terminal: Terminal) -> None:
     floor = document.noise_floor
     alone = "" if floor is None else f", noise alone gives {number(floor)}"
+    of_trials = document.source == "trials"
+    many = "" if document.trials == 1 else "s"
+    where = (
+        f" in {len(document.conditions)} condition{'' if len(document.conditions) == 1 else 's'}" if of_trials else ""
+    )
     terminal.say(
-        f"Model {document.model.name!r} against {document.trials} {document.source} in {len(document.conditions)} "
-        f"{'conditions' if document.source == 'trials' else 'files'}: score {number(document.score)}"
-        + (" N m" if document.score_unit == "N m" else "")
-        + alone
+        f"Model {document.model.name!r} against {document.trials} {document.source.removesuffix('s')}{many}{where}: "
+        f"score {number(document.score)}{'' if of_trials else ' ' + document.score_unit}{alone}"
     )
     if (facts := document.recording) is not None:
         terminal.say(
