@@ -37,6 +37,9 @@ class ExperimentNode(NodeProgram):
         self._cancelling = threading.Event()
         self._trials = 0
         self._aborted = 0
+        self._servers: list[ActionServer] = []
+
+    def offer(self) -> None:
         group = ReentrantCallbackGroup()
         self._servers = [
             ActionServer(
@@ -54,12 +57,8 @@ class ExperimentNode(NodeProgram):
             )
         ]
 
-    def start(self) -> None:
-        try:
-            self._session.watch(list(load_scenario(self.parameter("scenario")).robots))
-        except InputError as error:
-            self.log.error(str(error))
-        super().start()
+    def connect(self, arms: list[str]) -> None:
+        self._session.watch(arms)
 
     def make_executor(self) -> Executor:
         return MultiThreadedExecutor(num_threads=4)

@@ -1,17 +1,15 @@
-"""The five nodes as processes: started, watched, restarted and stopped together."""
+"""The five nodes and somebody who calls them: trials through the nodes, and what to do when one of them dies."""
 
 from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import rclpy
@@ -21,18 +19,16 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 
-from impact_rs_ros.process import SUPERVISOR
+from impact_rs_ros.node_processes import NODES, STOP_TIMEOUT, NodeProcesses
 from impact_rs_sim.model import Model, model_text
-from impact_rs_sim.paths import config_directory
-from impact_rs_sim.scenario import load_scenario, scenario_path
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.trial_info import TrialKey
 from impact_rs_trials.campaign import Manifest, TrialReport, keep_failure
 from impact_rs_trials.store import open_store
 
-NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
 START_TIMEOUT = 60.0  # s, for all nodes to answer; imports take some seconds on a busy machine
-STOP_TIMEOUT = 5.0  # s, for a node to leave in order
 ANSWER_TIMEOUT = 5.0  # s, for a node to answer something harmless
 CHECK_PERIOD = 30.0  # s, between two questions to the experiment node in a long trial
 ATTEMPTS = 2  # of a trial
@@ -48,85 +44,71 @@ class NodeHangs(GraphError):
 
 
 class Graph:
-    """Processes of the five nodes; a context manager.
-
-    Nodes that run already in the same domain would answer as well; where that matters, give the graph its own domain.
+    """The five nodes, and this process as somebody who calls them; :meth:`running` starts all.
 
     Args:
-        scenario: Name or path of the scenario the nodes start with.
-        domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
-        parameters: Parameter file; None: ``config/nodes.yaml``.
-        quiet: Nodes write to a file, shown when one dies, and not to the terminal.
+        nodes: Processes of the nodes.
+        node: Node of this process.
     """
 
-    def __init__(
-        self, scenario: str, domain_id: int | None = None, parameters: Path | None = None, quiet: bool = True
-    ) -> None:
-        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+    def __init__(self, nodes: NodeProcesses, node: Node) -> None:
+        self.nodes = nodes
+        self.processes = nodes.processes
+        self.node = node
+        self.run_trial = ActionClient(node, RunTrial, "run_trial")
+        self.run_campaign = ActionClient(node, RunCampaign, "run_campaign")
+        self._services = [
+            node.create_client(ConfigureTrial, f"{name}/configure_trial")
+            for name in ("plant", "controller", "recorder")
+        ]
+        self._services.append(node.create_client(ComputeImpactMap, "compute_impact_map"))
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
         self._revived: list[str] = []
-        path = scenario_path(scenario)
-        self._scenario = str(path.resolve()) if scenario.endswith((".yaml", ".yml")) else scenario
-        self._parameters = parameters or config_directory() / "nodes.yaml"
-        self._quiet = quiet
-        self._environment = dict(os.environ)
-        self._environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        self._environment.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small; more threads only get in the way
-        self._environment[SUPERVISOR] = str(os.getpid())
-        if domain_id is not None:
-            self._environment["ROS_DOMAIN_ID"] = str(domain_id)
-        os.environ.setdefault(
-            "ROS_AUTOMATIC_DISCOVERY_RANGE", self._environment["ROS_AUTOMATIC_DISCOVERY_RANGE"]
-        )  # this process talks to them
-        self._domain = int(self._environment.get("ROS_DOMAIN_ID") or 0)
 
-    def __enter__(self) -> Self:
-        self._logs = tempfile.TemporaryDirectory(prefix="impact_rs_")
-        if self._quiet:
-            self._environment["ROS_LOG_DIR"] = self._logs.name
-        try:
+    @classmethod
+    @contextmanager
+    def running(
+        cls, scenario: str, domain_id: int | None = None, parameters: Path | None = None, quiet: bool = True
+    ) -> Iterator[Self]:
+        """A context manager with the nodes, which end with it.
+
+        Nodes that run already in the same domain would answer as well; where that matters, give the graph its own
+        domain.
+
+        Args:
+            scenario: Name or path of the scenario the nodes start with.
+            domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
+            parameters: Parameter file; None: ``config/nodes.yaml``.
+            quiet: Nodes write to a file, shown when one dies, and not to the terminal.
+
+        Raises:
+            InputError: There is no such scenario.
+            GraphError: A node ended, or does not come up.
+        """
+        with ExitStack() as stack:
+            logs = stack.enter_context(tempfile.TemporaryDirectory(prefix="impact_rs_"))
+            nodes = NodeProcesses.of(scenario, Path(logs), domain_id, parameters, quiet)
+            stack.callback(nodes.stop)
             for name in NODES:
-                self._start(name)
-            self._context = Context()
-            rclpy.init(context=self._context, domain_id=self._domain)
-            self.node = rclpy.create_node(f"runner_{os.getpid()}", context=self._context)
-            self._executor = SingleThreadedExecutor(context=self._context)
-            self._executor.add_node(self.node)
-            self.run_trial = ActionClient(self.node, RunTrial, "run_trial")
-            self.run_campaign = ActionClient(self.node, RunCampaign, "run_campaign")
-            self._services = [
-                self.node.create_client(ConfigureTrial, f"{name}/configure_trial")
-                for name in ("plant", "controller", "recorder")
-            ]
-            self._services.append(self.node.create_client(ComputeImpactMap, "compute_impact_map"))
-            self.wait_until_ready()
-        except BaseException:
-            self.stop()
-            raise
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop()
-
-    def _start(self, name: str) -> None:
-        command = [sys.executable, "-m", f"impact_rs_ros.{name}_node", "--ros-args"]
-        command += ["--params-file", str(self._parameters), "-p", f"scenario:={self._scenario}"]
-        if self._quiet:
-            command += ["--log-level", "warn"]
-        with open(self._log(name), "ab") as log:
-            output = log if self._quiet else None
-            self.processes[name] = subprocess.Popen(
-                command,
-                env=self._environment,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT if self._quiet else None,
-                start_new_session=True,  # Ctrl-C reaches the runner alone, which stops the nodes in order
+                nodes.start(name)
+            os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")  # this process talks to them
+            context = Context()
+            rclpy.init(
+                context=context, domain_id=int(os.environ.get("ROS_DOMAIN_ID") or 0) if domain_id is None else domain_id
             )
+            stack.callback(rclpy.try_shutdown, context=context)
+            graph = cls(nodes, rclpy.create_node(f"runner_{os.getpid()}", context=context))
+            stack.callback(graph.close)
+            graph.wait_until_ready()
+            yield graph
 
-    def _log(self, name: str) -> Path:
-        return Path(self._logs.name) / f"{name}.log"
+    def close(self) -> None:
+        """Take down what calls the nodes."""
+        self._executor.shutdown(timeout_sec=1.0)
+        self.run_trial.destroy()
+        self.run_campaign.destroy()
+        self.node.destroy_node()
 
     def spin(self, timeout: float) -> None:
         """Let messages arrive for at most ``timeout`` [s]; returns as soon as one did."""
@@ -156,9 +138,8 @@ class Graph:
                 self._revived.pop()
 
     def _check_starting(self) -> None:
-        for name, process in self.processes.items():
-            if process.poll() is not None:
-                raise GraphError(f"node {name} ended with {_how(process)} while starting: {self.last_words(name)}")
+        for name, how in self.nodes.dead().items():
+            raise GraphError(f"node {name} ended with {how} while starting: {self.nodes.last_words(name)}")
 
     def answers(self, name: str) -> bool:
         """Whether a node answers something harmless."""
@@ -181,34 +162,18 @@ class Graph:
         """End every node that lives and does not answer; returns their names."""
         hung = [name for name, process in self.processes.items() if process.poll() is None and not self.answers(name)]
         for name in hung:
-            self.processes[name].kill()
-            self.processes[name].wait()
+            self.nodes.kill(name)
         return hung
 
     def revive(self, hung: Sequence[str] = ()) -> list[str]:
         """Start the nodes again that have died, or ``hung``; returns a line about each."""
         lines = []
-        for name, process in list(self.processes.items()):
-            if process.poll() is not None:
-                how = "did not answer any more" if name in hung else f"died ({_how(process)})"
-                lines.append(f"node {name} {how} and is started again: {self.last_words(name)}")
-                self._start(name)
-                self._revived.append(name)
+        for name, how in self.nodes.dead().items():
+            what = "did not answer any more" if name in hung else f"died ({how})"
+            lines.append(f"node {name} {what} and is started again: {self.nodes.last_words(name)}")
+            self.nodes.start(name)
+            self._revived.append(name)
         return lines
-
-    def output(self, name: str) -> str:
-        """What a quiet node wrote."""
-        return self._log(name).read_text(errors="replace")
-
-    def outputs(self) -> str:
-        """What quiet nodes wrote, warnings and tracebacks, node by node."""
-        written = {name: self.output(name).strip() for name in self.processes}
-        return "\n\n".join(f"node {name} wrote:\n{text}" for name, text in written.items() if text)
-
-    def last_words(self, name: str) -> str:
-        """Last line that a quiet node wrote."""
-        lines = self.output(name).strip().splitlines()
-        return lines[-1] if lines else "it wrote nothing" if self._quiet else "see its output above"
 
     def call_trial(self, goal: RunTrial.Goal, feedback: Any = None) -> RunTrial.Result:
         """Run one trial.
@@ -256,7 +221,7 @@ class Graph:
             self.spin(0.1)
             for name in watched:
                 if self.processes[name].poll() is not None:
-                    raise GraphError(f"node {name} died: {self.last_words(name)}")
+                    raise GraphError(f"node {name} died: {self.nodes.last_words(name)}")
             if deadline is not None and time.monotonic() > deadline:
                 raise GraphError(f"no answer within {timeout:g} s")
             if time.monotonic() > checked + CHECK_PERIOD:
@@ -264,41 +229,6 @@ class Graph:
                 if not self.answers("experiment"):
                     raise NodeHangs("the experiment node does not answer")
         return future.result()
-
-    def stop(self) -> None:
-        """Stop every node, in order where possible, by force where not."""
-        running = {name: process for name, process in self.processes.items() if process.poll() is None}
-        # The experiment first: it closes the trial that runs.
-        for name in ("experiment", *NODES):
-            if name in running:
-                process = running.pop(name)
-                process.terminate()  # SIGTERM: also a node that still imports ends without a word
-                if name == "experiment":
-                    _wait_for(process, time.monotonic() + STOP_TIMEOUT)
-        deadline = time.monotonic() + STOP_TIMEOUT
-        for process in self.processes.values():
-            _wait_for(process, deadline)
-        if hasattr(self, "_context"):
-            self._executor.shutdown(timeout_sec=1.0)
-            self.run_trial.destroy()
-            self.run_campaign.destroy()
-            self.node.destroy_node()
-            rclpy.try_shutdown(context=self._context)
-            del self._context
-        self._logs.cleanup()
-
-
-def _wait_for(process: subprocess.Popen[bytes], deadline: float) -> None:
-    try:
-        process.wait(max(0.0, deadline - time.monotonic()))
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-
-
-def _how(process: subprocess.Popen[bytes]) -> str:
-    code = process.returncode
-    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
 
 
 def run_trials_through_nodes(
@@ -324,7 +254,7 @@ def run_trials_through_nodes(
     """
     if not keys:
         return
-    with Graph(manifest.scenario, domain_id) as graph:
+    with Graph.running(manifest.scenario, domain_id) as graph:
         for key in keys:
             yield run_trial(graph, directory, manifest, key, plant_model)
 
@@ -362,7 +292,7 @@ def run_trial(
             graph.wait_until_ready()
         if len(revived) > len(hung) or outcome != "ABORTED":
             break
-    trace = graph.outputs() if outcome == "ABORTED" else ""
+    trace = graph.nodes.outputs() if outcome == "ABORTED" else ""
     report = TrialReport(key, outcome, "; ".join(filter(None, (message, *ended))), trace)
     return keep_failure(open_store(directory), report)
 
@@ -387,7 +317,7 @@ def up(scenario: str, domain_id: int | None = None) -> int:
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        with Graph(scenario, domain_id, quiet=False) as graph:
+        with Graph.running(scenario, domain_id, quiet=False) as graph:
             print(_instructions(known.name, next(iter(known.objects)), next(iter(known.cases))), flush=True)
             while not stopping:
                 for line in graph.revive():

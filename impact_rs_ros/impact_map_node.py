@@ -39,6 +39,8 @@ class ImpactMapNode(NodeProgram):
         super().__init__()
         self._answered = 0
         self._refused = 0
+
+    def offer(self) -> None:
         self.node.create_service(ComputeImpactMap, "compute_impact_map", self._on_request)
 
     def status(self) -> tuple[str, dict[str, object]]:

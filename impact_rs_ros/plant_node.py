@@ -196,6 +196,9 @@ class PlantNode(TrialNode[PlantTrial]):
     def __init__(self) -> None:
         super().__init__()
         self._over: Future | None = None  # present from the start of the ticks to their end
+
+    def offer(self) -> None:
+        super().offer()
         # The answer comes when the trial is over; meanwhile the other services stay open.
         self.node.create_service(Trigger, "~/run_trial", self._on_run, callback_group=MutuallyExclusiveCallbackGroup())
 

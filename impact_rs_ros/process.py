@@ -18,7 +18,10 @@ from rclpy.signals import SignalHandlerOptions
 
 from impact_rs_ros import parameters
 from impact_rs_ros.qos import STREAM
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
+from impact_rs_trials.spec import TrialSpec
 
 SUPERVISOR = "IMPACT_RS_SUPERVISOR"  # process id of the runner; a node does not outlive it
 IDLE = 0.05  # s, how long an idle node waits for work before it looks around
@@ -45,8 +48,24 @@ class NodeProgram:
         return SingleThreadedExecutor()
 
     def start(self) -> None:
-        """Get ready; called once, before the first turn."""
+        """Get ready; called once, before the first turn.
+
+        A scene is made, because what that loads takes a second; whoever finds a service of the node finds it ready.
+        """
+        try:
+            scenario = load_scenario(self.parameter("scenario"))
+            self.connect(list(scenario.robots))
+            _ = TrialSpec.of(scenario, next(iter(scenario.objects)), next(iter(scenario.cases))).scene
+        except InputError as error:
+            self.log.error(str(error))
+        self.offer()
         self.log.info(f"ready: {parameters.text(self.node, self.kind)}")
+
+    def connect(self, arms: list[str]) -> None:
+        """Publish and subscribe what there is to these arms; again with others, with theirs in place of that."""
+
+    def offer(self) -> None:
+        """Offer services and actions."""
 
     def trial_time(self) -> int:
         """Trial time for ``/diagnostics`` [ns]."""

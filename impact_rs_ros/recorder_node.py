@@ -25,7 +25,6 @@ from impact_rs_ros.process import NodeProgram, run
 from impact_rs_ros.qos import RECORD
 from impact_rs_ros.transforms import Transforms
 from impact_rs_sim.errors import InputError, full_traceback
-from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.outcome import outcome_of
 from impact_rs_trials.bags.trial_info import Outcome, TrialInfo
@@ -113,15 +112,10 @@ class RecorderNode(NodeProgram):
         self._open = ExitStack()  # the bag of the trial that is recorded
         self._recording: OpenTrial | None = None
         self._messages = 0
+
+    def offer(self) -> None:
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
         self.node.create_service(FinishTrial, "~/finish_trial", self._on_finish)
-
-    def start(self) -> None:
-        try:
-            self._connect(list(load_scenario(self.parameter("scenario")).robots))
-        except InputError as error:
-            self.log.error(str(error))
-        super().start()
 
     def turn(self) -> None:
         self.executor.spin_once(timeout_sec=self.parameter("drain_period"))
@@ -131,7 +125,7 @@ class RecorderNode(NodeProgram):
     def status(self) -> tuple[str, dict[str, object]]:
         return "ok", {"messages": self._messages}
 
-    def _connect(self, arms: list[str]) -> None:
+    def connect(self, arms: list[str]) -> None:
         if arms != self._arms:
             recorded = topics.recorded(arms).items()
             self._inbox.connect({topic: kind for topic, kind in recorded if topic not in LATCHED})
@@ -175,7 +169,7 @@ class RecorderNode(NodeProgram):
             plan = info.spec.plan if info.scenario_json else None
             if not request.bag_path:
                 raise InputError("ConfigureTrial.bag_path is empty; the recorder needs to know where to write")
-            self._connect(list(info.robots))
+            self.connect(list(info.robots))
             self._await_publishers()
             self._inbox.clear()
             bag = self._open.enter_context(BagWriter.create(Path(request.bag_path), self._arms))

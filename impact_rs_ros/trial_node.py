@@ -16,7 +16,6 @@ from impact_rs_ros.process import NodeProgram
 from impact_rs_ros.qos import AWAITED, STREAM
 from impact_rs_ros.streams import Stream, StreamMaker
 from impact_rs_sim.errors import InputError, full_traceback
-from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.messages import MessageMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 
@@ -86,8 +85,6 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self._name = ""
         self.inbox = Inbox(self.node, "inbox", AWAITED, raw=True)
         self.outbox = Outbox(self.node, STREAM)
-        self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
-        self.node.create_service(FinishTrial, "~/finish_trial", self._on_finish)
 
     @abstractmethod
     def received(self, arms: list[str]) -> dict[str, str]:
@@ -105,12 +102,9 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     def prepare(self, plan: TrialPlan, info: TrialInfo) -> AnyTrial:
         """A trial that can begin, as if there had been none before."""
 
-    def start(self) -> None:
-        try:
-            self._connect(list(load_scenario(self.parameter("scenario")).robots))
-        except InputError as error:
-            self.log.error(str(error))
-        super().start()
+    def offer(self) -> None:
+        self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
+        self.node.create_service(FinishTrial, "~/finish_trial", self._on_finish)
 
     def turn(self) -> None:
         if not self.running or self.trial is None:
@@ -130,8 +124,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     def status(self) -> tuple[str, dict[str, object]]:
         return ("ok", {"ticks": 0}) if self.trial is None else self.trial.status()
 
-    def _connect(self, arms: list[str]) -> None:
-        """Publish and subscribe for these arms; what is there already stays, and stays matched."""
+    def connect(self, arms: list[str]) -> None:
         if arms != self.arms:
             self.inbox.connect(self.received(arms))
             self.outbox.connect(self.published(arms))
@@ -145,7 +138,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
                 self._leave()
             info = TrialInfo.from_message(request.trial)
             plan = info.spec.plan
-            self._connect(list(plan.arms))
+            self.connect(list(plan.arms))
             self.inbox.clear()
             self.outbox.reset(self.streams(StreamMaker(plan), list(plan.arms)))
             self.trial = self.prepare(plan, info)

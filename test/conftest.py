@@ -84,7 +84,7 @@ def graph(domain_ids: Callable[[], int]) -> Iterator[Graph]:
     from impact_rs_ros.graph import Graph
 
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    with Graph("push", domain_ids()) as running:
+    with Graph.running("push", domain_ids()) as running:
         yield running
 
 

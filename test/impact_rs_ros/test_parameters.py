@@ -10,7 +10,8 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.parameter import Parameter as RclParameter
 
 from impact_rs_ros import parameters
-from impact_rs_ros.graph import NODES, Graph
+from impact_rs_ros.graph import Graph
+from impact_rs_ros.node_processes import NODES
 
 ROOT = Path(__file__).resolve().parents[2]
 

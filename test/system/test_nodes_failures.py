@@ -19,7 +19,8 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
 from impact_rs_ros import graph as graph_module
-from impact_rs_ros.graph import NODES, Graph, GraphError, run_trial, run_trials_through_nodes
+from impact_rs_ros.graph import Graph, GraphError, run_trial, run_trials_through_nodes
+from impact_rs_ros.node_processes import NODES
 from impact_rs_sim.effects import library
 from impact_rs_sim.effects.formula import FormulaParameter, FormulaSpec
 from impact_rs_sim.model import Model, ModelEffect
@@ -304,7 +305,7 @@ def test_a_node_ends_in_order_when_it_is_told_to(graph: Graph) -> None:
         process = graph.processes[name]
         process.send_signal(number)
         assert process.wait(PATIENCE) == 0
-        assert "Traceback" not in graph.output(name)
+        assert "Traceback" not in graph.nodes.output(name)
     assert len(graph.revive()) == 2
     graph.wait_until_ready()
 

@@ -1,0 +1,135 @@
+"""The five nodes as processes: started, asked how they are, and stopped together."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Self
+
+from impact_rs_ros.process import SUPERVISOR
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.scenario import scenario_path
+
+NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
+STOP_TIMEOUT = 5.0  # s, for a node to leave in order
+
+
+class NodeProcesses:
+    """Processes of the nodes; none runs until :meth:`start`.
+
+    Args:
+        arguments: Arguments of every node, behind ``--ros-args``.
+        environment: Environment of every node.
+        logs: Folder that they write into.
+        quiet: Whether they write to files there, and not to the terminal.
+
+    Attributes:
+        processes: The process of every node, by its name.
+    """
+
+    def __init__(self, arguments: list[str], environment: Mapping[str, str], logs: Path, quiet: bool) -> None:
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._arguments = arguments
+        self._environment = dict(environment)
+        self._logs = logs
+        self._quiet = quiet
+
+    @classmethod
+    def of(
+        cls, scenario: str, logs: Path, domain_id: int | None = None, parameters: Path | None = None, quiet: bool = True
+    ) -> Self:
+        """The nodes of a scenario.
+
+        Args:
+            scenario: Name or path of the scenario the nodes start with.
+            logs: Folder that they write into.
+            domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
+            parameters: Parameter file; None: ``config/nodes.yaml``.
+            quiet: Whether they write to files there, and not to the terminal; then only what is wrong.
+
+        Raises:
+            InputError: There is no such scenario.
+        """
+        path = scenario_path(scenario)
+        known = str(path.resolve()) if scenario.endswith((".yaml", ".yml")) else scenario
+        arguments = ["--params-file", str(parameters or config_directory() / "nodes.yaml"), "-p", f"scenario:={known}"]
+        environment = dict(os.environ)
+        environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        environment.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small; more threads only get in the way
+        environment[SUPERVISOR] = str(os.getpid())
+        if domain_id is not None:
+            environment["ROS_DOMAIN_ID"] = str(domain_id)
+        if quiet:
+            arguments += ["--log-level", "warn"]
+            environment["ROS_LOG_DIR"] = str(logs)
+        return cls(arguments, environment, logs, quiet)
+
+    def start(self, name: str) -> None:
+        """Start a node."""
+        with open(self._log(name), "ab") as log:
+            self.processes[name] = subprocess.Popen(
+                [sys.executable, "-m", f"impact_rs_ros.{name}_node", "--ros-args", *self._arguments],
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=log if self._quiet else None,
+                stderr=subprocess.STDOUT if self._quiet else None,
+                start_new_session=True,  # Ctrl-C reaches the runner alone, which stops the nodes in order
+            )
+
+    def dead(self) -> dict[str, str]:
+        """How each node ended that is not running any more, by its name."""
+        return {name: _how(process) for name, process in self.processes.items() if process.poll() is not None}
+
+    def kill(self, name: str) -> None:
+        """End a node by force."""
+        self.processes[name].kill()
+        self.processes[name].wait()
+
+    def output(self, name: str) -> str:
+        """What a quiet node wrote."""
+        return self._log(name).read_text(errors="replace")
+
+    def outputs(self) -> str:
+        """What quiet nodes wrote, warnings and tracebacks, node by node."""
+        written = {name: self.output(name).strip() for name in self.processes}
+        return "\n\n".join(f"node {name} wrote:\n{text}" for name, text in written.items() if text)
+
+    def last_words(self, name: str) -> str:
+        """Last line that a quiet node wrote."""
+        lines = self.output(name).strip().splitlines()
+        return lines[-1] if lines else "it wrote nothing" if self._quiet else "see its output above"
+
+    def stop(self) -> None:
+        """Stop every node, in order where possible, by force where not."""
+        running = {name: process for name, process in self.processes.items() if process.poll() is None}
+        # The experiment first: it closes the trial that runs.
+        for name in ("experiment", *NODES):
+            if name in running:
+                process = running.pop(name)
+                process.terminate()  # SIGTERM: also a node that still imports ends without a word
+                if name == "experiment":
+                    _wait_for(process, time.monotonic() + STOP_TIMEOUT)
+        deadline = time.monotonic() + STOP_TIMEOUT
+        for process in self.processes.values():
+            _wait_for(process, deadline)
+
+    def _log(self, name: str) -> Path:
+        return self._logs / f"{name}.log"
+
+
+def _wait_for(process: subprocess.Popen[bytes], deadline: float) -> None:
+    try:
+        process.wait(max(0.0, deadline - time.monotonic()))
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def _how(process: subprocess.Popen[bytes]) -> str:
+    code = process.returncode
+    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
