@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 
 from impact_rs_control.plan import TrialPlan, plan_trial, tick_times
+from impact_rs_sim.friction_compensation import TASKS, AccelerationSamples, ArmFriction, FrictionCompensation
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
@@ -156,3 +157,27 @@ def test_the_rotation_reference_is_the_rate_of_the_orientation(excite: TrialPlan
     for tick in (250, 400, 700):
         turn = pin.log3(arm.orientation[tick + 1] @ arm.orientation[tick - 1].T) / (2.0 * period)
         np.testing.assert_allclose(turn, arm.rotation.velocity[tick, 0] * arm.pad_normal, atol=1e-4)
+
+
+def test_a_compensation_is_planned_for_its_own_mode_and_time() -> None:
+    """A feedforward that grows with time, another one before the impact than after it, between its samples as well."""
+    period, duration = 0.01, PUSH.scenario.timing.duration
+    taken = np.arange(int(duration / period + 1e-9) + 1)[:, None] * period
+    slopes = {"ante": np.arange(1.0, len(TASKS) + 1.0), "post": -np.arange(1.0, len(TASKS) + 1.0)}
+    friction = ArmFriction(**{name: AccelerationSamples.of(taken * slope) for name, slope in slopes.items()})
+    compensation = FrictionCompensation(
+        scenario=PUSH.scenario.name,
+        scenario_digest=PUSH.scenario.digest,
+        runs=1,
+        seed=0,
+        period=period,
+        sets={PUSH.object_name: {PUSH.case_name: {"arm": friction}}},
+    )
+    scenario = PUSH.scenario.model_copy(update={"friction_compensation": compensation})
+    arm = plan_trial(replace(PUSH, scenario=scenario)).arms["arm"]
+    times = tick_times(PUSH)[:, None]
+    np.testing.assert_allclose(arm.ante_friction, times * slopes["ante"], atol=1e-9)
+    np.testing.assert_allclose(arm.post_friction, times * slopes["post"], atol=1e-9)
+    without = plan_trial(PUSH).arms["arm"]
+    assert not np.any(without.ante_friction)
+    assert not np.any(without.post_friction)
