@@ -1,0 +1,59 @@
+"""Scales of the evidence: pure error, and the size on which 1 is what repetition alone gives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from impact_rs_analysis.diagnosis.fit import Evidence
+from impact_rs_analysis.evidence.cluster import Cluster, Feature, pooled_error, size_of
+
+FEATURES = tuple(Feature("impact", "velocity", "x", number, "m/s", 0.01) for number in range(50))
+
+
+def cluster(residuals: np.ndarray, pure: float = 1.0, discrepancy: float = 0.0, unit: str = "0") -> Cluster:
+    count = residuals.shape[1]
+    return Cluster(
+        unit, ("a", "b", "c"), "hit", unit, True, FEATURES[:count], residuals, np.ones(count), np.full(count, pure),
+        np.full(count, discrepancy),
+    )  # fmt: skip
+
+
+def test_the_pure_error_is_unbiased_however_few_the_repeats() -> None:
+    """Two repeats have one degree of freedom each: the mean square over many pairs is the true variance."""
+    rng = np.random.default_rng(0)
+    rows = [2.0 * rng.standard_normal((2, 4000)) + 100.0 * k for k in range(3)]
+    found = pooled_error(rows)
+    assert found is not None
+    assert np.mean(np.square(found)) == pytest.approx(4.0, rel=0.05)
+
+
+def test_without_repeats_there_is_no_pure_error() -> None:
+    assert pooled_error([np.ones((1, 3)), np.zeros((1, 3))]) is None
+
+
+@pytest.mark.parametrize("repeats", [1, 2, 5])
+def test_the_size_of_pure_repetition_is_one_for_any_number_of_repeats(repeats: int) -> None:
+    rng = np.random.default_rng(repeats)
+    items = [cluster(rng.standard_normal((repeats, 50))) for _ in range(200)]
+    assert size_of([i.error for i in items], [i.expected for i in items]) == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_discrepancy_that_is_known_belongs_to_what_is_expected_and_repeats_do_not_lower_it() -> None:
+    item = cluster(np.zeros((100, 3)), pure=1.0, discrepancy=2.0)
+    assert item.expected == pytest.approx(1.0 / 100.0 + 4.0)
+
+
+def test_a_size_without_any_noise_is_the_residual_itself() -> None:
+    item = cluster(np.full((1, 3), 3.0), pure=0.0)
+    assert size_of([item.error], [item.expected]) == pytest.approx(3.0)
+
+
+def test_neighbours_on_the_same_recording_guard_a_stretch_and_those_of_another_do_not() -> None:
+    class Stretches:
+        repeated = False
+
+    items = tuple(cluster(np.zeros((1, 3)), unit="first" if n < 3 else "second") for n in range(6))
+    evidence = Evidence(Stretches(), tuple(range(6)), items)  # type: ignore[arg-type]
+    assert evidence.guard == ((1,), (0, 2), (1,), (4,), (3, 5), (4,))
+    assert evidence.only([0, 2, 3, 4]).guard == ((), (), (3,), (2,))
