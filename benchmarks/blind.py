@@ -70,7 +70,7 @@ def run(entry: Entry, directory: Path, size: str, map_tasks: Map) -> dict[str, A
     document = directory / "diagnosis.json"
     started = time.perf_counter()
     if not document.exists():
-        source = TrialSource(read_runs(directory / RUNS, map_tasks), load_model("nominal"), RolloutStore(map_tasks))
+        source = TrialSource.of(read_runs(directory / RUNS, map_tasks), load_model("nominal"), RolloutStore(map_tasks))
         write_document(diagnose(source, source.model), document)
     elapsed = time.perf_counter() - started
     read = read_document(document)

@@ -91,10 +91,10 @@ class Measurements:
         key = f"{model.digest} {[spec.name for spec in model.formulas]}"
         if key not in self._sources:
             if self.trials is not None:
-                source: Source = TrialSource(self.trials, model, self._store, self._discrepancy)
+                source: Source = TrialSource.of(self.trials, model, self._store, self._discrepancy)
             else:
                 assert self.mapping is not None
-                source = RecordingSource(self.recordings, self.mapping, model)
+                source = RecordingSource.of(self.recordings, self.mapping, model)
             self._sources[key] = source
         return self._sources[key]
 

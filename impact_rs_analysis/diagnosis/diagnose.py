@@ -72,7 +72,7 @@ def diagnose(source: Source, model: Model, only: Sequence[str] | None = None) ->
     known = source.model.known_effects
     present = {item.name for item in source.model.effects}
     effects = [known[name] for name in known if name not in present and (only is None or name in only)]
-    search = Search(effects, Evidence.of(source))
+    search = Search.screened(effects, Evidence.of(source))
     chosen = None if search.evidence.reference.shortage is not None else search.choose()
     rivals: Sequence[Rival] = ()
     if chosen is not None:
@@ -200,7 +200,7 @@ def _joints(source: Source, before: Sequence[Array], after: Sequence[Array]) -> 
 
 
 def _remarks(found: Findings, source: Source) -> list[str]:
-    remarks = list(getattr(source, "remarks", ()))
+    remarks = list(source.remarks)
     reference = found.evidence.reference
     if reference.shortage is not None:
         remarks.append(f"too few repeats to decide anything: {reference.shortage}")

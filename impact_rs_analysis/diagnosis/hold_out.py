@@ -90,7 +90,7 @@ def hold_out(source: Source, effects: Sequence[Effect]) -> HoldOut | None:
     names = []
     for fold in folds:
         evidence = Evidence.of(source, fold.training)
-        search = Search(effects, evidence, SHORTLIST_OF_FOLD)
+        search = Search.screened(effects, evidence, SHORTLIST_OF_FOLD)
         found = search.choose(thrifty=True)
         if found is not None and source.cheap:
             found, _ = search.settle(found)

@@ -70,12 +70,24 @@ class Search:
     def __init__(self, effects: Sequence[Effect], evidence: Evidence, shortlist: int = SHORTLIST) -> None:
         self.evidence, self._shortlist = evidence, shortlist
         self.source = evidence.source
+        self._effects = tuple(effects)
         self.singles: dict[str, Candidate] = {}
+        self._starts: dict[str, Candidate] = {}
         self.unmeasured: set[str] = set()
-        absent = self._absent(effects)
+        self.ruled_out: set[str] = set()
+
+    @classmethod
+    def screened(cls, effects: Sequence[Effect], evidence: Evidence, shortlist: int = SHORTLIST) -> Search:
+        """A search that knows what every effect does to the clusters; arguments as for the class."""
+        search = cls(effects, evidence, shortlist)
+        search._screen()
+        return search
+
+    def _screen(self) -> None:
+        absent = self._absent(self._effects)
         self.ruled_out = set(absent)
-        self._prefetch([effect for effect in effects if effect.name not in self.ruled_out], concerns)
-        for effect in effects:
+        self._prefetch([effect for effect in self._effects if effect.name not in self.ruled_out], concerns)
+        for effect in self._effects:
             known = absent.get(effect.name)
             candidate = self._linearised(effect) if known is None else known
             if candidate is None:
@@ -84,7 +96,7 @@ class Search:
                 self.unmeasured.add(effect.name)
             else:
                 self.singles[effect.name] = candidate
-        self._starts = {name: self._start(candidate) for name, candidate in self.singles.items()}
+                self._starts[effect.name] = self._start(candidate)
 
     def _linearised(self, effect: Effect, where: Where = concerns) -> Candidate | None:
         candidate = Candidate.of((effect,), self.source)

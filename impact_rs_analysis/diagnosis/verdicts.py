@@ -398,7 +398,8 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float 
         verdict = f"{CONFUSABLE}{{{', '.join(sorted(rivals))}}}" if rivals else CONFIRMED
     if evidence.source.repeated:
         return verdict, p_told(p), None, None
-    sigma = float(evidence.source.sigma[int(joint.removeprefix("joint")) - 1])  # type: ignore[attr-defined]
+    item = evidence.clusters[0]
+    sigma = next(float(s) for f, s in zip(item.features, item.sigma, strict=True) if f.index == joint)
     return verdict, p_told(p), sigma * math.sqrt(error_without), sigma * math.sqrt(error)
 
 

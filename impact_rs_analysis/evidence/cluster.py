@@ -118,6 +118,7 @@ class Source(ABC):
         physics: Physics of one cluster under the model, for bounds of parameters and the number of joints.
         repeated: Whether clusters hold repeats; if not, clusters are stretches of time.
         cheap: Whether predictions cost so little that several starting points can be tried.
+        remarks: What a reader should know of the measurements.
     """
 
     model: Model
@@ -125,6 +126,7 @@ class Source(ABC):
     physics: Physics
     repeated: bool
     cheap: bool
+    remarks: Sequence[str] = ()
 
     @property
     def joint_count(self) -> int:

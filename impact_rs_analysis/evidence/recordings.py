@@ -16,6 +16,7 @@ from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature, Source
 from impact_rs_analysis.evidence.torque_balance import ARM, Motion, TorqueBalance, physics_of, prepare
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import Recording
@@ -26,6 +27,14 @@ LEAST_STRETCHES = 12
 SLOW = 0.05  # rad/s
 SIGNAL = "torque"
 PHASES = ("moving up", "moving down", "slow")
+
+REMARKS = (
+    "one recording is one condition: stretches of time are held out in its place, and whether the estimates hold at "
+    "other speeds, poses or temperatures is not tested",
+    "nothing was repeated, so there is no pure error: the noise floor is that of the torque signal, and a model error "
+    "larger than it does not have to come from an effect of the library",
+)
+BEHIND_MOTORS = "the torque was measured behind the motors, so their inertia is not in it"
 
 
 @dataclass(frozen=True)
@@ -55,6 +64,21 @@ class RecordingFacts:
     signals: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of a recording.
+
+    Attributes:
+        name: File and time.
+        unit: File.
+        rows: Its samples among those of all recordings.
+    """
+
+    name: str
+    unit: str
+    rows: slice
+
+
 class RecordingSource(Source):
     """Recordings of free motion against the torque balance of a model.
 
@@ -62,38 +86,49 @@ class RecordingSource(Source):
         recordings: What was recorded.
         mapping: What is where in it, and what was mounted.
         model: What is believed.
+        motions: Filtered recordings.
+        physics: Of the arm under the model.
+        stretches: How they are cut.
 
     Attributes:
-        motions: Filtered recordings.
         balance: Predicts their torque.
         rest: Recorded minus predicted torque of the model, ``(k, n)`` [N m].
         sigma: Scale of every joint, ``(n,)`` [N m].
-
-    Raises:
-        InputError: Sampled too slowly, or too short to hold anything out.
     """
 
     repeated = False
     cheap = True
 
-    def __init__(self, recordings: Sequence[Recording], mapping: Mapping, model: Model) -> None:
+    def __init__(
+        self,
+        recordings: Sequence[Recording],
+        mapping: Mapping,
+        model: Model,
+        motions: Sequence[Motion],
+        physics: Physics,
+        stretches: Sequence[Stretch],
+    ) -> None:
         self.recordings, self.mapping, self.model = tuple(recordings), mapping, model
-        self.motions: tuple[Motion, ...] = tuple(prepare(recording, mapping.low_pass) for recording in recordings)
-        self.physics = model.apply(physics_of(mapping, list(self.motions)))
-        self.balance = TorqueBalance(list(self.motions))
-        self.rest = self.balance.recorded - self.balance.predict(self.physics)
+        self.motions, self.physics = tuple(motions), physics
+        self.balance = TorqueBalance(list(motions))
+        self.rest = self.balance.recorded - self.balance.predict(physics)
         self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.rest), axis=0)), 1e-12)
-        self._stretches = _cut(self.recordings, self.motions)
+        self._stretches = tuple(stretches)
         self._predicted: dict[Added, Array | None] = {}
         self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))
-        self.remarks = [
-            "one recording is one condition: stretches of time are held out in its place, and whether the estimates "
-            "hold at other speeds, poses or temperatures is not tested",
-            "nothing was repeated, so there is no pure error: the noise floor is that of the torque signal, and a "
-            "model error larger than it does not have to come from an effect of the library",
-        ]
-        if self.physics.arms[ARM].motor_inertia_reduced.max() == 0.0:
-            self.remarks.append("the torque was measured behind the motors, so their inertia is not in it")
+        behind_motors = physics.arms[ARM].motor_inertia_reduced.max() == 0.0
+        self.remarks = (*REMARKS, BEHIND_MOTORS) if behind_motors else REMARKS
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording], mapping: Mapping, model: Model) -> RecordingSource:
+        """Filter recordings and predict them.
+
+        Raises:
+            InputError: Sampled too slowly, or too short to hold anything out.
+        """
+        motions = [prepare(recording, mapping.low_pass) for recording in recordings]
+        physics = model.apply(physics_of(mapping, motions))
+        return cls(recordings, mapping, model, motions, physics, _cut(recordings, motions))
 
     @property
     def facts(self) -> RecordingFacts:
@@ -184,14 +219,7 @@ def _feature(phase: str, joint: int) -> Feature:
     return Feature(phase, SIGNAL, f"joint{joint + 1}", 0, "N m", 0.0)
 
 
-@dataclass(frozen=True)
-class _Stretch:
-    name: str
-    unit: str
-    rows: slice
-
-
-def _cut(recordings: Sequence[Recording], motions: Sequence[Motion]) -> list[_Stretch]:
+def _cut(recordings: Sequence[Recording], motions: Sequence[Motion]) -> list[Stretch]:
     """Cut the motions into stretches of one length.
 
     Raises:
@@ -207,7 +235,7 @@ def _cut(recordings: Sequence[Recording], motions: Sequence[Motion]) -> list[_St
         start = float(motion.time[motion.kept][0])
         for low, high in zip(edges[:-1], edges[1:], strict=True):
             name = f"{recording.path.name}, {start + low / rate:.1f} to {start + high / rate:.1f} s"
-            found.append(_Stretch(name, str(recording.path), slice(first + int(low), first + int(high))))
+            found.append(Stretch(name, str(recording.path), slice(first + int(low), first + int(high))))
         first += size
     if len(found) < LEAST_STRETCHES:
         raise InputError(

@@ -87,26 +87,47 @@ class TrialSource(Source):
         runs: The trials.
         model: What is believed.
         store: Runs the twin.
-        discrepancy: Of the twin; None: as measured.
-
-    Attributes:
+        clusters: Residuals of the model by condition, in the order of ``runs.conditions``.
         discrepancy: Of the twin.
-        conditions: What was measured, in the order of the clusters.
         remarks: What a reader should know.
 
-    Raises:
-        InputError: With this model nothing is hit, or the model blows up.
+    Attributes:
+        conditions: What was measured, in the order of the clusters.
     """
 
     repeated = True
     cheap = False
 
-    def __init__(self, runs: Runs, model: Model, store: RolloutStore, discrepancy: Discrepancy | None = None) -> None:
-        self.runs, self.model, self.store = runs, model, store
-        self.discrepancy = measured_discrepancy() if discrepancy is None else discrepancy
+    def __init__(
+        self,
+        runs: Runs,
+        model: Model,
+        store: RolloutStore,
+        clusters: tuple[Cluster, ...],
+        discrepancy: Discrepancy,
+        remarks: Sequence[str] = (),
+    ) -> None:
+        self.runs, self.model, self.store, self.clusters = runs, model, store, clusters
+        self.discrepancy, self.remarks = discrepancy, tuple(remarks)
         self.conditions = runs.conditions
         self.physics = model.apply(self.conditions[0].plan.scene.physics)
-        self.clusters, self.remarks = clusters_of(runs, residuals(runs, model, store), self.discrepancy)
+
+    @classmethod
+    def of(cls, runs: Runs, model: Model, store: RolloutStore, discrepancy: Discrepancy | None = None) -> TrialSource:
+        """Run the twin of every trial, started where the trial started.
+
+        Args:
+            runs: The trials.
+            model: What is believed.
+            store: Runs the twin.
+            discrepancy: Of the twin; None: as measured.
+
+        Raises:
+            InputError: With this model nothing is hit, or the model blows up.
+        """
+        discrepancy = measured_discrepancy() if discrepancy is None else discrepancy
+        clusters, remarks = clusters_of(runs, residuals(runs, model, store), discrepancy)
+        return cls(runs, model, store, clusters, discrepancy, remarks)
 
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         """See :meth:`Source.predict`; every condition starts where its plan says."""

@@ -29,7 +29,7 @@ def runs(hidden_campaign: Path) -> Runs:
 
 
 def against(runs: Runs, model: Model) -> ComparisonDocument:
-    return compare(TrialSource(runs, model, RolloutStore(map)))
+    return compare(TrialSource.of(runs, model, RolloutStore(map)))
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,7 @@ def test_the_report_is_one_file_that_needs_no_network(runs: Runs, nominal: Compa
 
 def test_the_discrepancy_of_the_twin_is_told_and_can_be_left_out(runs: Runs, nominal: ComparisonDocument) -> None:
     assert nominal.discrepancy.used and "mujoco" in nominal.discrepancy.provenance
-    without = compare(TrialSource(runs, load_model("nominal"), RolloutStore(map), NO_DISCREPANCY))
+    without = compare(TrialSource.of(runs, load_model("nominal"), RolloutStore(map), NO_DISCREPANCY))
     assert not without.discrepancy.used
     assert without.score > nominal.score
     force = {s.signal: s for s in nominal.levels["trial"].signals if s.phase == "impact"}["contact force"]

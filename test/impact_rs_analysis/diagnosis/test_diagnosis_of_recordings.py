@@ -80,7 +80,7 @@ def write_bag(path: Path, columns: Columns, storage: StoragePlugin = StoragePlug
 
 def source_of(path: Path, model: Model | None = None) -> RecordingSource:
     mapping = load_mapping("joint_state")
-    return RecordingSource(read_recordings(path, mapping), mapping, model or Model(name="nominal"))
+    return RecordingSource.of(read_recordings(path, mapping), mapping, model or Model(name="nominal"))
 
 
 def diagnosed_recording(path: Path) -> DiagnosisDocument:

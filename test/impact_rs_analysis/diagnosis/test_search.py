@@ -18,7 +18,7 @@ CONTACT = ("straight", "bent", "payload")
 
 
 def searched(source: AnalyticSource, only: tuple[str, ...] = CONTACT) -> Search:
-    return Search([EFFECTS[name] for name in only], Evidence.of(source))
+    return Search.screened([EFFECTS[name] for name in only], Evidence.of(source))
 
 
 def test_nothing_is_found_where_nothing_is_hidden() -> None:
