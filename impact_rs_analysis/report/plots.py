@@ -31,8 +31,8 @@ DARKEST = (3.0, 20.0)  # multiples of repetition that have the darkest colour, a
 
 _AXIS = {"automargin": True, "gridcolor": GRID, "zerolinecolor": ZERO, "title": {"standoff": 6, "font": {"size": 13}}}
 _BELOW = {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom", "x": 0, "xanchor": "left"}
-TEMPLATE = go.layout.Template(
-    layout={
+TEMPLATE = {  # as plain data: Plotly loads what makes an object of it, a fifth of a second, when something is drawn
+    "layout": {
         "font": {"family": "system-ui, sans-serif", "size": 12, "color": "#1A1A1A"},
         "margin": {"l": 10, "r": 10, "t": 26, "b": 10},
         "xaxis": _AXIS,
@@ -42,7 +42,7 @@ TEMPLATE = go.layout.Template(
         "paper_bgcolor": "white",
         "plot_bgcolor": "rgba(0,0,0,0)",  # lines below the data are to be seen
     }
-)
+}
 
 
 def curves_plot(figure: Figure) -> go.Figure:
