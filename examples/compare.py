@@ -1,0 +1,37 @@
+"""Hold a model against measured trials, and see where it fails.
+
+Shows trials as a source of evidence, and the comparison document. Prints the score of the model, 1.0 being what
+repetition alone gives, and the signals that are furthest off, in their units. The folder is any with trials of ours;
+the default is the one that examples/campaign.py makes, where nothing is hidden.
+
+    ./run python examples/compare.py [FOLDER] [MODEL]
+"""
+
+import sys
+from pathlib import Path
+
+from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
+from impact_rs_analysis.evidence.rollouts import RolloutStore
+from impact_rs_analysis.evidence.runs import read_runs
+from impact_rs_analysis.evidence.trials import TrialSource
+from impact_rs_sim.model import load_model
+
+FOLDER = Path("campaigns/example")
+
+
+def main(folder: Path = FOLDER, model: str | Path = "nominal") -> ComparisonDocument:
+    """Print how far the model is from the trials."""
+    source = TrialSource(read_runs(folder, map), load_model(model), RolloutStore(map))
+    document = compare(source)
+    print(f"model {document.model.name!r} against {document.trials} trials: score {document.score:.2f}")
+    for condition in document.conditions:
+        print(f"  {condition.name}: {condition.score:.2f}")
+    for place in document.where[:5]:
+        print(f"  {place.phase}: {place.signal} {place.index} off by {place.error:+.3g} {place.unit}")
+    for remark in document.remarks:
+        print(f"note: {remark}")
+    return document
+
+
+if __name__ == "__main__":
+    main(*(Path(argument) for argument in sys.argv[1:3]))

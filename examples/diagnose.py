@@ -1,0 +1,55 @@
+"""Hide a physical effect in the robot, and let the diagnosis find it.
+
+Shows how trials of another plant are recorded, and the diagnosis of what the nominal model lacks. The support is 1.6
+times as rough as anybody knows; three effects are considered. Prints the verdict on each with estimate and interval.
+Takes a minute or two; what it has run is kept, the trials in the folder and runs of the twin in ~/.cache/impact_rs.
+
+    ./run python examples/diagnose.py [FOLDER]
+"""
+
+import sys
+from pathlib import Path
+
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.evidence.rollouts import RolloutStore
+from impact_rs_analysis.evidence.runs import read_runs
+from impact_rs_analysis.evidence.trials import TrialSource
+from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.bags.record import record_trial
+from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
+from impact_rs_trials.spec import TrialSpec
+
+HIDDEN = ModelEffect(name="support_friction", parameters={"scale": ParameterValue(estimate=1.6, unit="-")})
+CONDITIONS = [("parcel", "case_1"), ("juice", "case_1"), ("juice", "case_2"), ("cat_food", "case_2")]
+EFFECTS = ["support_friction", "object_mass", "restitution"]
+
+
+def record(folder: Path, conditions: list[tuple[str, str]] = CONDITIONS, repeats: int = 3) -> None:
+    """Record trials of the plant that hides something."""
+    for name, case in conditions:
+        plan = TrialSpec.of(load_scenario("push"), name, case).plan
+        physics = Model(name="truth", effects=(HIDDEN,)).apply(plan.scene.physics)
+        for key in (TrialKey(name, case, 1.0, repeat) for repeat in range(repeats)):
+            if not (folder / key.name).exists():
+                info = TrialInfo.of(plan, key, key.seed(0), "inprocess")
+                print(key.name, record_trial(plan, info, folder / key.name, physics)[0])
+
+
+def main(folder: Path, effects: list[str] = EFFECTS) -> DiagnosisDocument:
+    """Diagnose the trials of a folder."""
+    model = load_model("nominal")
+    document = diagnose(TrialSource(read_runs(folder, map), model, RolloutStore(map)), model, effects)
+    print(f"{document.verdict}: {document.summary}")
+    for effect in document.effects:
+        for name, found in effect.parameters.items():
+            interval = "" if found.ci95 is None else f", 95 % interval {found.ci95[0]:.3f} to {found.ci95[1]:.3f}"
+            print(f"  {effect.name}: {effect.verdict}, {name} {found.estimate:.3f} {found.unit}{interval}")
+    return document
+
+
+if __name__ == "__main__":
+    chosen = Path(*sys.argv[1:2] or ["campaigns/example_hidden"])
+    record(chosen)
+    main(chosen)
