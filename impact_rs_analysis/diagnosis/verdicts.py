@@ -214,8 +214,8 @@ def headline(found: Findings) -> Headline:
     stays = after is not None and after < SIGNIFICANT
     large = any(rest.value > rest.floor for rest in rests_of(evidence, found.unexplained))
     if chosen is None:
-        small = stays or any(p < SIGNIFICANT for p in found.p_values.values())
-        verdict = NONE if stays and large else SMALL if small else NOTHING
+        # An effect may be significant alone; where all that differs is noise, it explains nothing that is missing.
+        verdict = NONE if stays and large else SMALL if stays else NOTHING
     elif stays and large and share > LEAST_REST:
         verdict = f"{PARTLY}{{{', '.join(found.names)}}}" if share < 1.0 - MOST else NONE
     elif not any(matters(chosen, name) for name in found.names):
@@ -314,8 +314,10 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
         reason = "predicts unseen data as well where it takes the other's place"
     elif p < SIGNIFICANT and best is None:
         size = sizes_of(fitted, name)
-        verdict = SMALL
-        reason = f"at most {size[0].value:.2g} {size[0].unit} of the {size[0].signal}" if size else ""
+        verdict, reason = NO_IMPROVEMENT, "significant, but what is left is not predicted much better with it"
+        if size and all(entry.value <= entry.floor for entry in size):
+            verdict = SMALL
+            reason = f"at most {size[0].value:.2g} {size[0].unit} of the {size[0].signal}"
     else:
         verdict, reason = NO_IMPROVEMENT, ""
         if name in search.ruled_out:

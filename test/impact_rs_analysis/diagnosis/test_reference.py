@@ -143,3 +143,21 @@ def test_intervals_take_the_quantile_of_the_estimator_that_made_them() -> None:
 def test_rarity_counts_the_observation_itself() -> None:
     assert rarity(5.0, np.arange(9.0)) == pytest.approx(5.0 / 10.0)
     assert rarity(100.0, np.arange(9.0)) == pytest.approx(1.0 / 10.0)
+
+
+def test_an_effect_is_seen_although_conditions_disagree_about_it_by_more_than_it_is_large() -> None:
+    """It is held against the scatter of repeats, not against all that differs: the disagreement is no noise."""
+    jacobians = sensitivity(21, 6, 1)
+    source = AnalyticSource(21, design=(2,) * 6)
+    shifted = [
+        replace(item, residuals=item.residuals + (2.0 + 6.0 * (-1.0) ** number) * own[:, 0])
+        for number, (item, own) in enumerate(zip(source.clusters, jacobians, strict=True))
+    ]
+    reference = RotationReference(shifted)
+    assert reference.p_value(jacobians, information(reference, jacobians)) < 0.01
+
+
+def test_the_quantile_is_that_of_student_with_the_degrees_of_freedom_of_the_repeats() -> None:
+    reference = RotationReference(AnalyticSource(0, design=(2, 3, 2)).clusters)
+    assert reference.freedom == 4
+    assert reference.quantile() == pytest.approx(student.ppf(0.975, 4))

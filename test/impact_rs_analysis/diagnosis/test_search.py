@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from analytic_world import EFFECTS, AnalyticSource, correlated
@@ -129,6 +131,16 @@ def test_leaving_a_cluster_out_uses_all_others_and_the_guard_takes_its_neighbour
             kept = [index for index in range(6) if index not in out]
             direct = Problem(candidate.only(kept), [source.clusters[index] for index in kept]).solve()
             np.testing.assert_allclose(problem.left_out[number], direct, rtol=1e-9)
+
+
+def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
+    """Clusters that say the same amount: the estimate is their mean, its standard error s / sqrt(c) (Quenouille, Tukey)."""
+    source = AnalyticSource(12)
+    ones = tuple(np.ones((item.sigma.size, 1)) for item in source.clusters)
+    problem = Problem(replace(searched(source).singles["straight"], jacobians=ones), source.clusters)
+    means = np.array([item.mean.mean() for item in source.clusters])
+    assert problem.solve()[0] == pytest.approx(means.mean(), rel=1e-5)
+    assert problem.jackknife()[0] == pytest.approx(means.std(ddof=1) / np.sqrt(6), rel=1e-4)
 
 
 def test_errors_of_a_change_are_those_of_the_residuals_it_leaves() -> None:
