@@ -134,7 +134,7 @@ def test_leaving_a_cluster_out_uses_all_others_and_the_guard_takes_its_neighbour
 
 
 def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
-    """Clusters that say the same amount: the estimate is their mean, its standard error s / sqrt(c) (Quenouille, Tukey)."""
+    """Clusters that say the same amount: the estimate is their mean, its standard error s / sqrt(c) (Tukey 1958)."""
     source = AnalyticSource(12)
     ones = tuple(np.ones((item.sigma.size, 1)) for item in source.clusters)
     problem = Problem(replace(searched(source).singles["straight"], jacobians=ones), source.clusters)
@@ -201,6 +201,22 @@ def test_where_one_effect_explains_free_motion_others_of_the_joints_are_not_trie
     assert {number for number, added in source.asked if added and added[0][0] == "of_motors"} == set(FREE)
     chosen = search.choose()
     assert chosen is not None and chosen.candidate.names == ("of_joints",)
+
+
+def test_beside_an_effect_that_looks_much_like_it_p_of_nothing_is_still_uniform() -> None:
+    """Half of what the second moves is the first's; counted over 150 nulls, bounds of chance in 1 of 10,000 runs."""
+    draws, found = 150, []
+    for seed in range(draws):
+        source = AnalyticSource(seed, (("straight", (3.0,)),), correlation=correlated())
+        search = searched(source, ("straight", "one_sided"))
+        chosen = Fit.of(search.singles["straight"], search.evidence)
+        own = search.singles["one_sided"]
+        alike = tuple(a + 2.0 * b for a, b in zip(own.jacobians, chosen.candidate.jacobians, strict=True))
+        joined = search.evidence.problem(chosen.candidate.beside(replace(own, jacobians=alike)))
+        found.append(joined.p_value(chosen.left.reference, slice(1, 2)))
+    for level in (0.05, 0.3):
+        low, high = binom.ppf([5e-5, 1 - 5e-5], draws, level)
+        assert low <= np.count_nonzero(np.array(found) < level) <= high
 
 
 def test_p_is_adjusted_for_every_effect_that_was_looked_at() -> None:
