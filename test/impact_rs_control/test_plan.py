@@ -130,6 +130,18 @@ def test_both_references_are_at_the_impact_pose_at_the_nominal_time(push: TrialP
             np.testing.assert_allclose(arm.orientation[tick], place.rotation, atol=1e-8)
 
 
+@pytest.mark.parametrize("scene", [PUSH, GRAB], ids=["push", "grab"])
+def test_pads_end_where_the_scaled_common_motion_takes_them(scene: Scene) -> None:
+    """Half of velocity times duration along the task's axis, with the mean over the arms of the predicted velocity."""
+    plan = plan_trial(scene, SCALE)
+    answer = compute_impact_map(ImpactProblem.at_nominal_impact(scene), "pinocchio")
+    axis, timing = scene.scenario.axis_index, scene.scenario.timing
+    common = np.mean([twist[axis] for twist in answer.end_effector_twist.values()])
+    for arm in plan.arms.values():
+        way = arm.post_position.position[-1] - arm.post_position.position[at_impact(plan)]
+        assert way[axis] == pytest.approx(SCALE * common * timing.push / 2.0, rel=1e-9)
+
+
 def test_an_excursion_turns_about_the_normal_and_peaks_at_the_speed_of_its_case(excite: TrialPlan) -> None:
     arm = excite.arms["arm"]
     settings = EXCITE.scenario.excursion

@@ -106,6 +106,14 @@ def test_pads_that_hold_an_object_end_at_its_faces_and_rise_together(timing):
     assert np.all(paths["left"].position[-1, 2] > POSITION[2] + 0.1)
 
 
+def test_outside_of_its_via_points_a_path_goes_straight_on_whatever_its_acceleration_was():
+    start, end = (ViaPoint(time, POSITION, VELOCITY, np.ones(3)) for time in (0.5, 1.0))
+    path = sample_path([start, end], np.array([0.2, 0.5, 1.0, 1.4]))
+    np.testing.assert_allclose(path.velocity, np.broadcast_to(VELOCITY, (4, 3)), atol=1e-9)
+    np.testing.assert_allclose(path.acceleration, np.outer([0.0, 1.0, 1.0, 0.0], np.ones(3)), atol=1e-6)
+    np.testing.assert_allclose(path.position[3] - path.position[2], 0.4 * VELOCITY, atol=1e-9)
+
+
 def smooth_step(share):
     """Velocity of a quintic from rest that covers half of velocity times duration, over that velocity."""
     return 3.0 * share**2 - 2.0 * share**3

@@ -175,6 +175,18 @@ def test_the_state_of_an_object_off_its_centre_reads_back_as_it_was_set() -> Non
     np.testing.assert_allclose(found.twist, state.twist, atol=1e-9)
 
 
+@pytest.mark.parametrize("height", [0.04, -0.04])
+def test_the_faces_of_an_object_are_where_they_were_wherever_its_weight_is(height: float) -> None:
+    """It stands on its support, neither in it nor above it."""
+    physics = replace(SCENE.physics, object=offset((0.02, -0.01, height)).object)
+    start = BodyState(SCENE.object.position + [0.0, -0.4, 0.0], np.eye(3), np.zeros(6))
+    with world(physics) as made:
+        made.set_object(start)
+        for _ in range(500):
+            made.step()
+        np.testing.assert_allclose(made.object_state().position, start.position, atol=1e-4)
+
+
 def test_an_object_off_its_centre_turns_about_its_centre_of_mass() -> None:
     """Spin w about z without gravity: the geometric centre circles the centre of mass, which goes straight on."""
     com, spin, time = np.array([0.05, 0.0, 0.0]), 4.0, 0.2
