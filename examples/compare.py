@@ -21,7 +21,7 @@ FOLDER = Path("campaigns/example")
 
 def main(folder: Path = FOLDER, model: str | Path = "nominal") -> ComparisonDocument:
     """Print how far the model is from the trials."""
-    source = TrialSource(read_runs(folder, map), load_model(model), RolloutStore(map))
+    source = TrialSource.of(read_runs(folder, map), load_model(model), RolloutStore(map))
     document = compare(source)
     print(f"model {document.model.name!r} against {document.trials} trials: score {document.score:.2f}")
     for condition in document.conditions:

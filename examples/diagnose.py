@@ -40,7 +40,7 @@ def record(folder: Path, conditions: list[tuple[str, str]] = CONDITIONS, repeats
 def main(folder: Path, effects: list[str] = EFFECTS) -> DiagnosisDocument:
     """Diagnose the trials of a folder."""
     model = load_model("nominal")
-    document = diagnose(TrialSource(read_runs(folder, map), model, RolloutStore(map)), model, effects)
+    document = diagnose(TrialSource.of(read_runs(folder, map), model, RolloutStore(map)), model, effects)
     print(f"{document.verdict}: {document.summary}")
     for effect in document.effects:
         for name, found in effect.parameters.items():
