@@ -30,4 +30,4 @@ def main(folder: Path = FOLDER, scales: list[float] = SCALES) -> ExperimentSet:
 
 
 if __name__ == "__main__":
-    main(*(Path(argument) for argument in sys.argv[1:2]))
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER)

@@ -123,3 +123,12 @@ def test_the_scale_of_errors_is_that_of_repetition() -> None:
     evidence = Evidence.of(source)
     rest = [np.full(FEATURES, 2.0) / item.sigma for item in source.clusters]
     assert told(evidence, rest) == pytest.approx(2.0 * np.sqrt(4.0))
+
+
+def test_where_nothing_is_left_but_noise_next_to_nothing_is_told() -> None:
+    """Noise of 1 in 3 repeats is 0.58 in their mean; what is told of it is what exceeds that by chance."""
+    told_values = []
+    for seed in range(10):
+        evidence = Evidence.of(AnalyticSource(seed))
+        told_values += [rest.value for rest in rests_of(evidence, [item.mean for item in evidence.clusters])]
+    assert np.mean(told_values) < 0.15
