@@ -20,7 +20,7 @@ BAG = Path("campaigns/example/cat_food__case_2__s1.000__r0")
 
 def main(path: Path = BAG) -> tuple[float, float]:
     """Print what the bag says; returns the velocity along the measured axis before and after the impact [m/s]."""
-    bag = TrialBag(path)
+    bag = TrialBag.open(path)
     info, arm = bag.info, bag.info.robots[0]
     print(f"{info.scenario}/{info.object}/{info.case_name}: {bag.outcome}, {sum(bag.counts.values())} messages")
 

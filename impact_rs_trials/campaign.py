@@ -205,7 +205,7 @@ def run_one(directory: Path, trial: Trial) -> TrialReport:
 
 def _outcome(path: Path) -> Outcome:
     try:
-        found = TrialBag(path).outcome
+        found = TrialBag.open(path).outcome
     except BagError as error:
         logger.info("a finished bag counts as ABORTED: %s", error)
         return "ABORTED"

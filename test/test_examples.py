@@ -46,7 +46,7 @@ def test_examples_run_and_say_what_is_so(
 
     example = load("diagnose")
     example.record(tmp_path / "hidden", [("parcel", "case_1")], repeats=1)
-    ((bag,),) = ([TrialBag(path)] for path in (tmp_path / "hidden").glob("parcel*"))
+    ((bag,),) = ([TrialBag.open(path)] for path in (tmp_path / "hidden").glob("parcel*"))
     assert bag.outcome == "OK"
     monkeypatch.setenv("XDG_CACHE_HOME", str(diagnosed.parent / "cache"))
     document = example.main(hidden_campaign, ["support_friction"])

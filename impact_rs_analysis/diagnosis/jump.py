@@ -132,7 +132,7 @@ def _estimate(trials: Sequence[MeasuredTrial]) -> tuple[float, float] | None:
     velocities, nets = [], []
     for trial in trials:
         try:
-            feedback = net_feedback(TrialBag(trial.path))
+            feedback = net_feedback(TrialBag.open(trial.path))
         except BagError:
             continue
         velocities.append(feedback.info.reference_post_velocity)

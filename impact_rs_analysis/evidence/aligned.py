@@ -83,7 +83,7 @@ class AlignedTrial:
 def align(trial: MeasuredTrial, model: Model) -> AlignedTrial:
     """Run the twin of a trial and put both on one clock."""
     plan = trial.condition.plan
-    measured = signals_of_bag(TrialBag(trial.path))
+    measured = signals_of_bag(TrialBag.open(trial.path))
     predicted = run_twin(plan, model.apply(plan.scene.physics), trial.start, observed_until(plan))
     time = predicted.time[predicted.time <= measured.time[-1] + 1e-9]
     return AlignedTrial(trial.condition, trial.path, time, _track(measured, plan, time), _track(predicted, plan, time))

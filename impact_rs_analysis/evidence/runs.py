@@ -116,7 +116,7 @@ def find_bags(directory: Path) -> list[Path]:
 def read_trial(path: Path) -> MeasuredTrial | tuple[str, str]:
     """One trial, or path and reason why it cannot be used."""
     try:
-        bag = TrialBag(path)
+        bag = TrialBag.open(path)
         if bag.outcome == "NO-IMPACT":
             return str(path), "NO-IMPACT: nothing was hit"
         if bag.outcome not in ("OK", "DROPPED"):
@@ -154,7 +154,7 @@ def runs_digest(directory: Path) -> str:
     rows = []
     for path in find_bags(directory):
         try:
-            info = TrialBag(path).info
+            info = TrialBag.open(path).info
         except BagError:
             continue
         scenario = hashlib.sha256(info.scenario_json.encode()).hexdigest()

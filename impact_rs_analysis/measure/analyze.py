@@ -222,7 +222,7 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
     measured: list[TrialFeedback] = []
     for count, path in enumerate(bags, start=1):
         try:
-            measured.append(net_feedback(TrialBag(path)))
+            measured.append(net_feedback(TrialBag.open(path)))
         except BagError as error:
             skipped.append(SkippedBag(path.name, error.reason))
         if progress is not None:

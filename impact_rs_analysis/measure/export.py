@@ -124,7 +124,7 @@ def trial_row(path: Path) -> dict[str, Any] | SkippedBag:
     ``remark`` says why.
     """
     try:
-        bag = TrialBag(path)
+        bag = TrialBag.open(path)
         impact_times = {f"{arm}_impact_time_s": _or_none(bag.impact_time(arm)) for arm in bag.info.robots}
     except BagError as error:
         return SkippedBag(path.name, error.reason)
@@ -208,7 +208,7 @@ def _hdf5(directory: Path, bags: list[Path], target: Path, map_tasks: Map) -> It
         for path in bags:
             name = str(path.relative_to(directory))
             try:
-                _hdf5_trial(file.create_group(name), TrialBag(path))
+                _hdf5_trial(file.create_group(name), TrialBag.open(path))
                 yield None
             except BagError as error:
                 del file[name]

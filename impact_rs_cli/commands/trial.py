@@ -49,7 +49,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         report(0, 1)
         outcome = run_one(args.output, manifest.trial(key)).outcome
         report(1, 1)
-    trial = net_feedback(TrialBag(path))
+    trial = net_feedback(TrialBag.open(path))
     terminal.result(
         {
             "bag": str(path),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import weakref
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -89,61 +90,54 @@ class PoseColumns:
 
 
 class TrialBag:
-    """One trial on disk; a topic is read when it is asked for.
+    """One trial on disk, by :meth:`open`; a topic is read when it is asked for.
 
     Args:
         path: Folder of the bag.
+        reader: Open; the bag closes it.
+        info: Identity of the trial.
+        metadata: What the recorder noted beside the messages.
 
-    Raises:
-        BagError: The folder is no readable bag, or holds no ``/trial_info``.
+    Attributes:
+        counts: Number of messages by topic.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, reader: Reader, info: TrialInfo, metadata: dict[str, str]) -> None:
         self.path = path
-        self._store = typestore()
+        self.info = info
+        self.metadata = metadata
+        self.counts = {connection.topic: connection.msgcount for connection in reader.connections}
+        self._reader = reader
+        weakref.finalize(self, reader.close)
+
+    @classmethod
+    def open(cls, path: Path) -> TrialBag:
+        """The trial in a folder.
+
+        Raises:
+            BagError: The folder is no readable bag, or holds no ``/trial_info``.
+        """
         if not path.is_dir():
             raise BagError(path, "a bare file; a trial is a folder with metadata.yaml")
         if not (path / "metadata.yaml").is_file():
             reason = "no metadata.yaml: the recording was cut off" if any(path.iterdir()) else "an empty folder"
             raise BagError(path, reason)
-        self._reader = Reader(path)
-        try:
-            self._reader.open()
-            weakref.finalize(self, self._reader.close)
-            self.counts = {connection.topic: connection.msgcount for connection in self._reader.connections}
-            self.metadata: dict[str, str] = dict(self._reader.storage.metadata.custom or {})
-        except (ReaderError, OSError) as error:
-            raise BagError(path, f"not a readable bag ({error})") from None
-        except Exception as error:  # a damaged file can fail anywhere inside the library
-            raise BagError(path, f"damaged bag ({type(error).__name__}: {error})") from None
-        if self.counts.get(topics.TRIAL_INFO) is None:
-            raise BagError(path, f"no {topics.TRIAL_INFO}: not a trial of impact_rs")
-        info = self.messages(topics.TRIAL_INFO)
-        if not info:
-            raise BagError(path, f"{topics.TRIAL_INFO} is empty: the recording was cut off")
-        try:
-            self.info = TrialInfo.from_message(info[0])
-        except AttributeError as error:
-            raise BagError(path, f"{topics.TRIAL_INFO} is of another kind: {error}") from None
+        with ExitStack() as opened:
+            try:
+                reader = opened.enter_context(Reader(path))
+                metadata = dict(reader.storage.metadata.custom or {})
+            except (ReaderError, OSError) as error:
+                raise BagError(path, f"not a readable bag ({error})") from None
+            except Exception as error:  # a damaged file can fail anywhere inside the library
+                raise BagError(path, f"damaged bag ({type(error).__name__}: {error})") from None
+            bag = cls(path, reader, _identity(path, reader), metadata)
+            opened.pop_all()
+        return bag
 
     @property
     def outcome(self) -> str:
         """``OK``, ``NO-IMPACT``, ``DROPPED`` or ``ABORTED``; the last where the recorder wrote nothing."""
         return self.metadata.get("outcome", "ABORTED")
-
-    def _raw(self, topic: str) -> tuple[str, list[bytes]]:
-        """Type and serialized messages of a topic."""
-        connections = [c for c in self._reader.connections if c.topic == topic]
-        if not connections:
-            return "", []
-        try:
-            rows = [data for _, _, data in self._reader.messages(connections=connections)]
-        except Exception as error:  # as above
-            raise BagError(self.path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
-        expected = connections[0].msgcount
-        if len(rows) < expected:
-            raise BagError(self.path, f"{topic}: damaged ({len(rows)} of {expected} messages are left)")
-        return connections[0].msgtype, rows
 
     def messages(self, topic: str) -> list[Any]:
         """All messages of a topic, as objects of the ``rosbags`` typestore.
@@ -151,17 +145,13 @@ class TrialBag:
         Raises:
             BagError: The bag breaks off inside this topic.
         """
-        kind, rows = self._raw(topic)
-        try:
-            return [self._store.deserialize_cdr(data, kind) for data in rows]
-        except Exception as error:
-            raise BagError(self.path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
+        return _messages(self.path, self._reader, topic)
 
     def _columns(self, topic: str) -> dict[str, Array]:
         """All numbers of a topic by field path, and ``time`` from the header stamps [s]."""
-        kind, rows = self._raw(topic)
+        kind, rows = _raw(self.path, self._reader, topic)
         try:
-            columns = decode(self._store, kind, rows)
+            columns = decode(typestore(), kind, rows)
         except Exception as error:
             raise BagError(self.path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
         if columns:
@@ -189,6 +179,41 @@ class TrialBag:
         """Detected impact time of an arm [s]; NaN where nothing was detected."""
         found = self.messages(topics.impact_event(arm))
         return float(found[0].detected_time) if found else math.nan
+
+
+def _raw(path: Path, reader: Reader, topic: str) -> tuple[str, list[bytes]]:
+    """Type and serialized messages of a topic."""
+    connections = [c for c in reader.connections if c.topic == topic]
+    if not connections:
+        return "", []
+    try:
+        rows = [data for _, _, data in reader.messages(connections=connections)]
+    except Exception as error:  # a damaged file can fail anywhere inside the library
+        raise BagError(path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
+    expected = connections[0].msgcount
+    if len(rows) < expected:
+        raise BagError(path, f"{topic}: damaged ({len(rows)} of {expected} messages are left)")
+    return connections[0].msgtype, rows
+
+
+def _messages(path: Path, reader: Reader, topic: str) -> list[Any]:
+    kind, rows = _raw(path, reader, topic)
+    try:
+        return [typestore().deserialize_cdr(data, kind) for data in rows]
+    except Exception as error:
+        raise BagError(path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
+
+
+def _identity(path: Path, reader: Reader) -> TrialInfo:
+    if all(connection.topic != topics.TRIAL_INFO for connection in reader.connections):
+        raise BagError(path, f"no {topics.TRIAL_INFO}: not a trial of impact_rs")
+    found = _messages(path, reader, topics.TRIAL_INFO)
+    if not found:
+        raise BagError(path, f"{topics.TRIAL_INFO} is empty: the recording was cut off")
+    try:
+        return TrialInfo.from_message(found[0])
+    except AttributeError as error:
+        raise BagError(path, f"{topics.TRIAL_INFO} is of another kind: {error}") from None
 
 
 def _column(columns: dict[str, Array], name: str) -> Array:

@@ -36,7 +36,7 @@ def test_every_topic_of_a_trial_is_encoded_as_rosbags_does(push_campaign: Path) 
 
 def test_every_column_of_a_trial_is_decoded_as_rosbags_does(push_campaign: Path) -> None:
     path = push_campaign / "cat_food__case_2__s1.000__r0"
-    bag = TrialBag(path)
+    bag = TrialBag.open(path)
     messages = bag.messages(topics.controller_state("arm"))
     columns = bag.controller("arm")
     for name in ("mode", "gamma", "twist", "commanded_torque", "qp_iterations", "feedback_acceleration"):
@@ -78,7 +78,7 @@ def test_somebody_elses_reader_reads_our_bag(push_campaign: Path) -> None:
 
     path = next((push_campaign / "cat_food__case_2__s1.000__r0").glob("*.mcap"))
     states = [m.ros_msg for m in read_ros2_messages(str(path), topics=["/arm/controller_state"])]
-    ours = TrialBag(path.parent).controller("arm")
+    ours = TrialBag.open(path.parent).controller("arm")
     assert len(states) == ours.time.size
     np.testing.assert_array_equal([m.twist for m in states[::100]], ours.twist[::100])
 
@@ -96,14 +96,14 @@ def test_somebody_elses_reader_reads_our_bag(push_campaign: Path) -> None:
 def test_what_is_no_trial_says_why(tmp_path: Path, make, reason: str) -> None:
     make(tmp_path / "bag")
     with pytest.raises(BagError, match=reason):
-        TrialBag(tmp_path / "bag")
+        TrialBag.open(tmp_path / "bag")
 
 
 def test_a_foreign_bag_says_why(push_campaign: Path, tmp_path: Path, rewrite_bag) -> None:
     source = push_campaign / "cat_food__case_2__s1.000__r0"
     rewrite_bag(source, tmp_path / "bag", lambda topic: topic != topics.TRIAL_INFO)
     with pytest.raises(BagError, match="not a trial of impact_rs"):
-        TrialBag(tmp_path / "bag")
+        TrialBag.open(tmp_path / "bag")
 
 
 def test_a_bag_of_version_0_1_0_is_read_although_a_field_has_another_name_since() -> None:
@@ -111,7 +111,7 @@ def test_a_bag_of_version_0_1_0_is_read_although_a_field_has_another_name_since(
         definition = next(c.msgdef.data for c in reader.connections if c.topic == topics.TRIAL_INFO)
     assert "string scenario_yaml" in definition
     assert "scenario_json" not in definition
-    bag = TrialBag(OLD_BAG)
+    bag = TrialBag.open(OLD_BAG)
     assert bag.outcome == "OK"
     assert bag.info.key == TrialKey("cat_food", "case_2", 1.0, 0)
     assert Scenario.model_validate_json(bag.info.scenario_json).name == bag.info.scenario == "push"
@@ -125,7 +125,7 @@ def test_a_trial_read_by_the_definition_that_an_old_bag_carries_is_the_same() ->
     (path,) = OLD_BAG.glob("*.mcap")
     (message,) = (m.ros_msg for m in read_ros2_messages(str(path), topics=[topics.TRIAL_INFO]))
     assert not hasattr(message, "scenario_json")
-    assert TrialInfo.from_message(message) == TrialBag(OLD_BAG).info
+    assert TrialInfo.from_message(message) == TrialBag.open(OLD_BAG).info
 
 
 def test_a_trial_without_its_scenario_says_which_field_is_missing() -> None:
@@ -141,10 +141,10 @@ def test_a_cell_that_tells_no_truth_gives_the_same_bag_without_it(push_campaign:
     from impact_rs_sim.scene import Scene
     from impact_rs_trials.bags.record import record_cell
 
-    told = TrialBag(push_campaign / "cat_food__case_2__s1.000__r0")
+    told = TrialBag.open(push_campaign / "cat_food__case_2__s1.000__r0")
     plan = plan_trial(Scene.resolve(load_scenario("push"), "cat_food", "case_2"))
     outcome, _ = record_cell(plan, told.info, tmp_path / "bag", make_plant(plan, told.info.seed))
-    silent = TrialBag(tmp_path / "bag")
+    silent = TrialBag.open(tmp_path / "bag")
     assert outcome == told.outcome
     assert any(topic.startswith(topics.TRUTH) for topic in told.counts)
     assert silent.counts == {topic: n for topic, n in told.counts.items() if not topic.startswith(topics.TRUTH)}

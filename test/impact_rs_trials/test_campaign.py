@@ -72,7 +72,7 @@ def test_a_half_written_bag_is_run_again_and_gives_the_same_trial(
     (hidden / "half.mcap").write_bytes(b"")
     assert run_one(tmp_path, manifest.trial(key)).outcome == "OK"
     assert not hidden.exists()
-    ours, theirs = (TrialBag(folder / key.name).controller("arm") for folder in (tmp_path, push_campaign))
+    ours, theirs = (TrialBag.open(folder / key.name).controller("arm") for folder in (tmp_path, push_campaign))
     assert (ours.feedback_acceleration == theirs.feedback_acceleration).all()
 
 

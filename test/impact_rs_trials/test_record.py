@@ -37,7 +37,7 @@ def bag(plan: TrialPlan, tmp_path_factory: pytest.TempPathFactory) -> TrialBag:
     key = TrialKey("juice", "case_1", 1.0, 0)
     outcome, _ = record_trial(plan, TrialInfo.of(plan, key, 3, "inprocess"), path)
     assert outcome == "OK"
-    return TrialBag(path)
+    return TrialBag.open(path)
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,7 @@ def test_a_trial_that_hits_nothing_says_so(plan: TrialPlan, tmp_path: Path) -> N
     info = TrialInfo.of(missed, TrialKey("juice", "case_1", 1.0, 0), 3, "inprocess")
     outcome, net = record_trial(missed, info, tmp_path / "trial")
     assert outcome == "NO-IMPACT"
-    found = TrialBag(tmp_path / "trial")
+    found = TrialBag.open(tmp_path / "trial")
     assert found.outcome == "NO-IMPACT"
     np.testing.assert_array_equal(found.controller("arm").net_feedback[-1], net["arm"])
     assert found.metadata["object"] == "juice"

@@ -29,7 +29,7 @@ def manifest(request: pytest.FixtureRequest) -> Manifest:
 def inprocess(manifest: Manifest, tmp_path_factory: pytest.TempPathFactory) -> TrialBag:
     folder = tmp_path_factory.mktemp("inprocess")
     run_one(folder, manifest.trial(manifest.keys[0]))
-    return TrialBag(folder / manifest.keys[0].name)
+    return TrialBag.open(folder / manifest.keys[0].name)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def through_nodes(graph: Graph, manifest: Manifest, tmp_path_factory: pytest.Tem
         folder = tmp_path_factory.mktemp(name)
         report = run_trial(graph, folder, manifest, manifest.keys[0])
         assert (report.outcome, report.message) == ("OK", "")
-        bags.append(TrialBag(folder / manifest.keys[0].name))
+        bags.append(TrialBag.open(folder / manifest.keys[0].name))
     return bags
 
 

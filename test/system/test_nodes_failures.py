@@ -62,7 +62,7 @@ def test_a_node_killed_in_mid_trial_ends_the_trial_and_not_the_campaign(
     assert time.monotonic() - killed[0] < 8.0
     assert (result.success, result.outcome) == (False, "ABORTED")
     assert result.message
-    bag = TrialBag(Path(result.bag_path))
+    bag = TrialBag.open(Path(result.bag_path))
     assert bag.outcome == "ABORTED"
     assert 200 < bag.counts[topics.joint_states("arm")] < 1801
     assert len(bag.joints(topics.joint_states("arm")).time) == bag.counts[topics.joint_states("arm")]
@@ -136,7 +136,7 @@ def test_in_real_time_the_plant_does_not_wait_and_every_sample_is_recorded(graph
     finally:
         realtime(False)
     assert result.success, result.message
-    bag = TrialBag(Path(result.bag_path))
+    bag = TrialBag.open(Path(result.bag_path))
     assert bag.counts[topics.joint_states("arm")] == bag.counts[topics.truth_joint_states("arm")] == 1801
     assert 1 <= bag.counts[topics.joint_command("arm")] <= 1801  # a busy machine misses ticks
 
@@ -146,7 +146,7 @@ def test_an_excursion_ends_well_without_impact(graph: Graph, tmp_path: Path) -> 
     manifest = make_manifest("excite", [next(iter(scenario.objects))], [next(iter(scenario.cases))], [1.0], trials=1)
     report = run_trial(graph, tmp_path, manifest, manifest.keys[0])
     assert (report.outcome, report.message) == ("OK", "")
-    bag = TrialBag(tmp_path / manifest.keys[0].name)
+    bag = TrialBag.open(tmp_path / manifest.keys[0].name)
     assert bag.counts[topics.impact_event("arm")] == 0
     assert bag.counts[topics.joint_states("arm")] == scenario.timing.ticks + 1
 
@@ -157,7 +157,7 @@ def test_effects_hidden_in_the_plant_change_the_trial_and_stay_hidden(graph: Gra
     key = manifest.keys[0]
     report = run_trial(graph, tmp_path / "nodes", manifest, key, plant_model=model)
     assert (report.outcome, report.message) == ("OK", "")
-    bag = TrialBag(tmp_path / "nodes" / key.name)
+    bag = TrialBag.open(tmp_path / "nodes" / key.name)
     assert bag.info.model_yaml == ""
     assert bag.counts[topics.TRUTH_MODEL] == 1
     for file in bag.path.glob("*.yaml"):
@@ -165,10 +165,10 @@ def test_effects_hidden_in_the_plant_change_the_trial_and_stay_hidden(graph: Gra
 
     plan = bag.info.spec.plan
     record_trial(plan, bag.info, tmp_path / "inprocess", model.apply(plan.scene.physics))
-    expected = TrialBag(tmp_path / "inprocess").joints(topics.joint_states("arm"))
+    expected = TrialBag.open(tmp_path / "inprocess").joints(topics.joint_states("arm"))
     np.testing.assert_allclose(bag.joints(topics.joint_states("arm")).position, expected.position, rtol=0.0, atol=1e-9)
     record_trial(plan, bag.info, tmp_path / "nominal")
-    nominal = TrialBag(tmp_path / "nominal").joints(topics.joint_states("arm"))
+    nominal = TrialBag.open(tmp_path / "nominal").joints(topics.joint_states("arm"))
     assert np.abs(nominal.position - expected.position).max() > 1e-6
 
 
@@ -236,7 +236,7 @@ def test_a_cancelled_trial_leaves_a_readable_bag(graph: Graph, tmp_path: Path) -
     spin_until(graph, result.done, "no result")
     assert result.result().status == GoalStatus.STATUS_CANCELED
     assert result.result().result.outcome == "ABORTED"
-    assert TrialBag(Path(result.result().result.bag_path)).outcome == "ABORTED"
+    assert TrialBag.open(Path(result.result().result.bag_path)).outcome == "ABORTED"
 
 
 @pytest.mark.parametrize(
@@ -317,7 +317,7 @@ def test_trials_of_a_campaign_run_in_nodes_that_are_gone_afterwards(
     before = set(descendants(os.getpid()))
     reports = list(run_trials_through_nodes(tmp_path, manifest, manifest.keys, domain_ids()))
     assert [(report.outcome, report.message) for report in reports] == [("OK", "")]
-    assert TrialBag(tmp_path / manifest.keys[0].name).info.key == manifest.keys[0]
+    assert TrialBag.open(tmp_path / manifest.keys[0].name).info.key == manifest.keys[0]
     assert set(descendants(os.getpid())) <= before
 
 

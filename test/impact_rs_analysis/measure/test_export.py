@@ -35,7 +35,7 @@ def test_parquet_has_a_row_per_trial(campaign: Path, tmp_path: Path) -> None:
     assert (found.trials, [bag.name for bag in found.skipped]) == (3, ["cut_off"])
     rows = {row["trial"]: row for row in parquet.read_table(tmp_path / "new" / "push.parquet").to_pylist()}
     assert len(rows) == 3
-    bag, row = TrialBag(campaign / NAME), rows[NAME]
+    bag, row = TrialBag.open(campaign / NAME), rows[NAME]
     assert (row["scenario"], row["object"], row["case"], row["repeat"]) == ("push", "cat_food", "case_2", 0)
     assert (row["seed"], row["outcome"], row["impact"]) == (bag.info.seed, "OK", True)
     assert row["net_feedback_m_s"] == net_feedback(bag).net
@@ -47,7 +47,7 @@ def test_parquet_has_a_row_per_trial(campaign: Path, tmp_path: Path) -> None:
 def test_hdf5_has_every_measured_signal_with_its_unit(campaign: Path, tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     assert export(campaign, tmp_path / "push.h5", map, ignored).trials == 3
-    bag = TrialBag(campaign / NAME)
+    bag = TrialBag.open(campaign / NAME)
     with h5py.File(tmp_path / "push.h5") as file:
         assert len(file) == 3
         trial = file[NAME]

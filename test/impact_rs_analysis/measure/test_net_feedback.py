@@ -28,12 +28,12 @@ def test_the_integral_stops_at_the_end_of_the_window() -> None:
 
 def test_the_analysis_gets_what_the_controller_integrated(push_campaign: Path) -> None:
     for path in push_campaign.glob("cat_food__*"):
-        bag = TrialBag(path)
+        bag = TrialBag.open(path)
         assert net_feedback(bag).net == pytest.approx(bag.controller("arm").net_feedback[-1, 1], abs=1e-12)
 
 
 def test_a_trial_hits_near_the_nominal_time(push_campaign: Path) -> None:
-    trial = net_feedback(TrialBag(push_campaign / "cat_food__case_2__s1.000__r0"))
+    trial = net_feedback(TrialBag.open(push_campaign / "cat_food__case_2__s1.000__r0"))
     assert trial.impact
     assert trial.impact_times[0] == pytest.approx(trial.info.nominal_impact_time, abs=0.02)
 
@@ -42,7 +42,7 @@ def test_a_trial_without_detected_impact_is_flagged(push_campaign: Path, tmp_pat
     rewrite_bag(
         push_campaign / "cat_food__case_2__s1.000__r0", tmp_path / "bag", lambda topic: "impact_event" not in topic
     )
-    assert not net_feedback(TrialBag(tmp_path / "bag")).impact
+    assert not net_feedback(TrialBag.open(tmp_path / "bag")).impact
 
 
 def test_a_bag_without_controller_states_is_refused(push_campaign: Path, tmp_path: Path, rewrite_bag) -> None:
@@ -50,7 +50,7 @@ def test_a_bag_without_controller_states_is_refused(push_campaign: Path, tmp_pat
         push_campaign / "cat_food__case_2__s1.000__r0", tmp_path / "bag", lambda topic: "controller_state" not in topic
     )
     with pytest.raises(BagError, match="controller states"):
-        net_feedback(TrialBag(tmp_path / "bag"))
+        net_feedback(TrialBag.open(tmp_path / "bag"))
 
 
 def test_a_truncated_bag_is_refused(push_campaign: Path, tmp_path: Path) -> None:
@@ -59,7 +59,7 @@ def test_a_truncated_bag_is_refused(push_campaign: Path, tmp_path: Path) -> None
     file = next(bag.glob("*.mcap"))
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     with pytest.raises(BagError):
-        net_feedback(TrialBag(bag))
+        net_feedback(TrialBag.open(bag))
 
 
 PERIOD = 1e-3  # s
