@@ -139,6 +139,14 @@ class TrialBag:
         """``OK``, ``NO-IMPACT``, ``DROPPED`` or ``ABORTED``; the last where the recorder wrote nothing."""
         return self.metadata.get("outcome", "ABORTED")
 
+    def serialized(self, topic: str) -> list[bytes]:
+        """All messages of a topic as they were recorded (CDR).
+
+        Raises:
+            BagError: The bag breaks off inside this topic.
+        """
+        return _raw(self.path, self._reader, topic)[1]
+
     def messages(self, topic: str) -> list[Any]:
         """All messages of a topic, as objects of the ``rosbags`` typestore.
 
