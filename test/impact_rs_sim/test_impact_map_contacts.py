@@ -89,3 +89,17 @@ def test_bullet_finds_the_same_contact_points() -> None:
     for first, second in zip(*answers, strict=True):
         assert first[0] == second[0]
         np.testing.assert_allclose(first[1:], second[1:], atol=2e-6)
+
+
+@pytest.mark.parametrize("gap", [0.0005, 0.0, -0.0005])
+def test_each_point_lies_on_its_own_body_and_the_gap_between_them(gap: float) -> None:
+    """The pad's face is the plane y = -0.061 m, and its normal goes into the object."""
+    for point in contacts_of(moved(nominal(), (0.0, -gap, 0.0)), "arm"):
+        assert point.partner_position[1] == pytest.approx(-0.061, abs=1e-9)
+        assert point.position[1] == pytest.approx(-0.061 - gap, abs=1e-9)
+
+
+def test_each_pair_has_its_own_friction() -> None:
+    problem = nominal(pad_friction=0.7, support_friction=0.2)
+    assert {point.friction for point in contacts_of(problem, "arm")} == {0.7}
+    assert {point.friction for point in contacts_of(problem, "support")} == {0.2}

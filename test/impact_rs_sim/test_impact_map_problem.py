@@ -109,3 +109,13 @@ def test_unknown_motor_inertia_lists_the_known_ones() -> None:
 
 def test_touching_within_the_tolerance_passes() -> None:
     check_problem(replace(GOOD, object=BodyState(BODY.position + [0.0, 0.0005, 0.0], BODY.rotation, BODY.twist)))
+
+
+@pytest.mark.parametrize("motor", ["reduced", "rotor", "zero"])
+def test_the_nominal_question_takes_restitution_motor_inertia_and_states_from_the_scene(motor: str) -> None:
+    scene = replace(SCENE, physics=replace(SCENE.physics, restitution=0.35))
+    problem = ImpactProblem.at_nominal_impact(scene, motor)
+    assert problem.restitution == 0.35
+    np.testing.assert_array_equal(problem.motor_inertia["arm"], scene.physics.arms["arm"].motor_inertia(motor))
+    np.testing.assert_array_equal(problem.arms["arm"].velocity, scene.arms["arm"].velocity)
+    np.testing.assert_array_equal(problem.object.position, scene.object.position)
