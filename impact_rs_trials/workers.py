@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import pickle
 import tempfile
@@ -111,9 +112,18 @@ def _connected(address: str) -> Client:
     if not address:
         raise InputError(f"--scheduler '': {expected}")
     try:
+        # A client that fails to start stays behind with a thread and closes itself whenever it is collected, on
+        # whatever thread that happens, even on the starting loop of the next client, which then never starts.
+        asyncio.run(_answers(address))
         return Client(address, timeout=ANSWER_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError(f"no scheduler answers at {address!r}: {expected} ({error})") from None
+
+
+async def _answers(address: str) -> None:
+    from distributed.comm import connect
+
+    await (await connect(address, timeout=ANSWER_TIMEOUT)).close()
 
 
 def _check_workers(client: Client, address: str) -> None:

@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -124,8 +125,10 @@ def test_no_scheduler_is_told_and_leaves_nothing(
 
 @pytest.mark.parametrize("address", ["", "nonsense", "foo://host:1", "tcp://127.0.0.1:port"])
 def test_an_address_that_is_none_is_told(address: str) -> None:
+    before = threading.enumerate()
     with pytest.raises(InputError, match="expected tcp://host:port"), client_of(Workforce(scheduler=address)):
         pass
+    assert threading.enumerate() == before  # a client left behind keeps the next one from starting
 
 
 def test_workers_with_several_threads_are_refused() -> None:
