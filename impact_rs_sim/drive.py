@@ -11,11 +11,29 @@ inertia emerges. One step is one period of the loop; semi-implicit Euler, veloci
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
 from impact_rs_sim.physics import ArmPhysics
 from impact_rs_sim.robot import Array
+from impact_rs_sim.scene import ArmState
+
+
+@dataclass(frozen=True)
+class DriveStart:
+    """How the drive of one arm starts.
+
+    Attributes:
+        torque: tau_J, ``(n,)`` [N m].
+        torque_rate: dtau_J, ``(n,)`` [N m/s].
+        earlier: Desired torques that were sent before, each with its time after the start (negative) [s]; a delayed
+            actuation still delivers them. Without any, ``torque`` was desired for ever.
+    """
+
+    torque: Array
+    torque_rate: Array
+    earlier: tuple[tuple[float, Array], ...] = ()
 
 
 class Drive:
@@ -62,14 +80,23 @@ class Drive:
 
     def reset(self, link_position: Array, load: Array) -> None:
         """Rest in equilibrium: the spring carries ``load`` ``(n,)`` [N m] at link position ``(n,)`` [rad]."""
-        self.position = link_position + load / self._stiffness
-        self.velocity = np.zeros_like(load)
-        self.elastic_torque = load.copy()
-        self.transmission_torque = load.copy()
+        still = np.zeros_like(load)
+        self.start(ArmState(link_position, still), DriveStart(load, still))
+
+    def start(self, link: ArmState, drive: DriveStart) -> None:
+        """Start with a spring that carries ``drive.torque``, stretched at ``drive.torque_rate``."""
+        self.position = link.position + drive.torque / self._stiffness
+        self.velocity = link.velocity + drive.torque_rate / self._stiffness
+        self.elastic_torque = drive.torque.copy()
+        self.transmission_torque = drive.torque + self._damping / self._stiffness * drive.torque_rate
         self._desired = None
         self._clock = 0.0
         self._commands.clear()
-        self._commands.append((-np.inf, load))
+        self._commands.extend(drive.earlier or ((-np.inf, drive.torque),))
+
+    def passed(self, desired: Array) -> Array:
+        """Torque on the links over the coming period, ``(n,)`` [N m]."""
+        return self.transmission_torque
 
     def sense(self, link_position: Array, link_velocity: Array) -> None:
         """Update the transmission torque from the present motor and link state; arrays are updated in place."""
@@ -124,3 +151,47 @@ class Drive:
             if overlap > 0.0:
                 total += overlap / self.period * torque
         return total
+
+
+class LinkTorque:
+    """A joint torque that was measured, straight into the links of one arm: motors, gears and torque loop are left out.
+
+    The link receives tau_J + D K^-1 dtau_J (paper eq. EOM_link), with dtau_J from one period to the next. Attributes as
+    in :class:`Drive`.
+
+    Args:
+        physics: Stiffness and damping.
+        period: Time between two torques [s].
+    """
+
+    def __init__(self, physics: ArmPhysics, period: float) -> None:
+        self.period = period
+        self._stiffness, self._damping = physics.stiffness, physics.damping
+        count = physics.stiffness.size
+        self._rate = np.zeros(count)
+        self.elastic_torque = np.zeros(count)
+        self.position = np.zeros(count)
+        self.velocity = np.zeros(count)
+
+    def start(self, link: ArmState, drive: DriveStart) -> None:
+        """See :meth:`Drive.start`."""
+        self.elastic_torque, self._rate = drive.torque, drive.torque_rate
+        self.sense(link.position, link.velocity)
+
+    def passed(self, desired: Array) -> Array:
+        """See :meth:`Drive.passed`."""
+        rate = (desired - self.elastic_torque) / self.period
+        return np.asarray(desired + self._damping / self._stiffness * rate)
+
+    def step(self, desired: Array) -> None:
+        """See :meth:`Drive.step`."""
+        self._rate = (desired - self.elastic_torque) / self.period
+        self.elastic_torque = desired
+
+    def sense(self, link_position: Array, link_velocity: Array) -> None:
+        """See :meth:`Drive.sense`; the motor is where the spring wants it."""
+        self.position = link_position + self.elastic_torque / self._stiffness
+        self.velocity = link_velocity + self._rate / self._stiffness
+
+    def load(self, torque: Array) -> None:
+        """See :meth:`Drive.load`; what acts on the motors is in the measured torque already."""

@@ -13,16 +13,14 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.bullet_world import BulletWorld
-from impact_rs_sim.drive import Drive
+from impact_rs_sim.drive import Drive, DriveStart, LinkTorque
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.mechanics import Mechanics
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scatter, Scenario
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.sensors import ArmMeasurement, ArmSensors, ObjectMeasurement, ObjectTracker
-
-SOLVER_ITERATIONS = 60
-SOLVER_RESIDUAL = 1e-12
 
 
 @dataclass(frozen=True)
@@ -80,7 +78,7 @@ class PlantExtension:
         """Further torque on the links over the next control period, ``(n,)`` [N m], or None."""
         return None
 
-    def after_sense(self, plant: Plant, arm: str, drive: Drive) -> None:
+    def after_sense(self, plant: Plant, arm: str, drive: Drive | LinkTorque) -> None:
         """Called in every period of the torque loop, after the drive has sensed the link."""
 
 
@@ -89,10 +87,7 @@ class Plant:
 
     Args:
         scenario: Times and sensors.
-        physics: The true physics of this trial.
-        world: Its Bullet world; arms and object are in place.
-        drives: Drives by arm, in equilibrium.
-        links: True joint state by arm.
+        mechanics: Arms and object, in place.
         sensors: Sensors by arm.
         tracker: Tracker of the object.
         extension: Something that the physics cannot say.
@@ -101,23 +96,17 @@ class Plant:
     def __init__(
         self,
         scenario: Scenario,
-        physics: Physics,
-        world: BulletWorld,
-        drives: dict[str, Drive],
-        links: dict[str, ArmState],
+        mechanics: Mechanics,
         sensors: dict[str, ArmSensors],
         tracker: ObjectTracker,
         extension: PlantExtension | None = None,
     ) -> None:
-        self.physics = physics
+        self.physics = mechanics.physics
+        self._mechanics = mechanics
         self._timing = scenario.timing
         self._substeps = scenario.timing.substeps
         self._samples = scenario.timing.ticks + 1
         self._tick = 0
-        self._world = world
-        self._drives = drives
-        self._links = links
-        self._loaded = {name: physics.robot_model(name) for name, arm in physics.arms.items() if arm.loads}
         self._arm_sensors = sensors
         self._tracker = tracker
         self._tracker_ticks = _tracker_ticks(scenario)
@@ -151,28 +140,22 @@ class Plant:
         physics, initial, object_state = _scatter(
             scenario.scatter, physics, initial, object_state, np.random.default_rng(scatter_seed)
         )
-        world = BulletWorld.load(
-            physics,
-            time_step=timing.drive_period,
-            gravity=True,
-            compliant_pads=True,
-            iterations=SOLVER_ITERATIONS,
-            residual_threshold=SOLVER_RESIDUAL,
+        mechanics = Mechanics.load(physics, timing.drive_period)
+        still = {name: np.zeros_like(q) for name, q in initial.items()}
+        carried = {name: physics.robot_model(name).gravity_torque(q) for name, q in initial.items()}
+        mechanics.start(
+            {name: ArmState(q, still[name]) for name, q in initial.items()},
+            {name: DriveStart(carried[name], still[name]) for name in initial},
+            object_state,
+            may_sleep=extension is None,
         )
-        world.set_object(object_state)
-        if extension is None and _rests(physics, object_state):
-            world.rest_object()
-        drives, links, sensors = {}, {}, {}
-        for (name, arm), arm_seed in zip(physics.arms.items(), arm_seeds, strict=True):
-            q = initial[name]
-            drives[name] = Drive(arm, timing.drive_period)
-            drives[name].reset(q, physics.robot_model(name).gravity_torque(q))
-            links[name] = ArmState(q, np.zeros_like(q))
-            world.set_arm(name, links[name])
-            sensors[name] = ArmSensors(scenario.sensors, q.size, samples, np.random.default_rng(arm_seed))
+        sensors = {
+            name: ArmSensors(scenario.sensors, initial[name].size, samples, np.random.default_rng(arm_seed))
+            for name, arm_seed in zip(physics.arms, arm_seeds, strict=True)
+        }
         tracked = samples // _tracker_ticks(scenario) + 1
         tracker = ObjectTracker(scenario.sensors, tracked, np.random.default_rng(tracker_seed))
-        plant = cls(scenario, physics, world, drives, links, sensors, tracker, extension)
+        plant = cls(scenario, mechanics, sensors, tracker, extension)
         if extension is not None:
             extension.begin(plant)
         return plant
@@ -180,11 +163,11 @@ class Plant:
     @property
     def world(self) -> BulletWorld:
         """The Bullet world, for extensions."""
-        return self._world
+        return self._mechanics.world
 
     def link_state(self, arm: str) -> ArmState:
         """True joint state of an arm, for extensions."""
-        return self._links[arm]
+        return self._mechanics.links[arm]
 
     @property
     def time(self) -> float:
@@ -198,8 +181,8 @@ class Plant:
     def measure(self) -> Measurement:
         """What the sensors say now. Calling it twice gives the same answer."""
         arms = {}
-        for name, drive in self._drives.items():
-            link = self._links[name]
+        for name, drive in self._mechanics.drives.items():
+            link = self._mechanics.links[name]
             arms[name] = self._arm_sensors[name].measure(
                 self._tick,
                 link.position,
@@ -210,7 +193,7 @@ class Plant:
             )
         tracked = None
         if self._tracked:
-            state = self._world.object_state()
+            state = self.world.object_state()
             sample = self._tick // self._tracker_ticks
             tracked = self._tracker.measure(sample, self.time, state.position, state.rotation)
         return Measurement(self.time, arms, tracked)
@@ -218,17 +201,17 @@ class Plant:
     def truth(self) -> Truth:
         """The true state now."""
         arms = {}
-        for name, drive in self._drives.items():
-            link = self._links[name]
+        for name, drive in self._mechanics.drives.items():
+            link = self._mechanics.links[name]
             arms[name] = ArmTruth(
                 link.position,
                 link.velocity,
                 drive.elastic_torque.copy(),
                 drive.position.copy(),
                 drive.velocity.copy(),
-                self._world.pad_force(name),
+                self.world.pad_force(name),
             )
-        return Truth(self.time, arms, self._world.object_state() if self._tracked else None)
+        return Truth(self.time, arms, self.world.object_state() if self._tracked else None)
 
     def step(self, desired: dict[str, Array]) -> None:
         """Advance by one control period with desired torques ``(n,)`` [N m] by arm.
@@ -236,65 +219,37 @@ class Plant:
         Raises:
             InputError: A torque is not finite or has the wrong length.
         """
-        for name in self._drives:
+        for name, link in self._mechanics.links.items():
             torque = desired[name]
-            if torque.shape != self._links[name].position.shape or not np.isfinite(torque).all():
+            if torque.shape != link.position.shape or not np.isfinite(torque).all():
                 raise InputError(
-                    f"desired torque of arm {name!r} must be {self._links[name].position.size} finite numbers [N m], "
+                    f"desired torque of arm {name!r} must be {link.position.size} finite numbers [N m], "
                     f"got {torque.tolist()}"
                 )
         if self._tick + 1 >= self._samples:
             raise InputError(f"the trial is over after {self._timing.duration} s")
-        world = self._world
-        loads = {name: self._load_torque(name) for name in self._loaded}
+        held = {name: [desired[name]] * self._substeps for name in self.physics.arms}
         extension = self._extension
-        if extension is not None:
-            for name in self._drives:
-                more = extension.joint_torque(self, name)
-                if more is not None:
-                    loads[name] = loads.get(name, 0.0) + more
-        for _ in range(self._substeps):
-            for name, drive in self._drives.items():
-                torque = drive.transmission_torque
-                world.apply_torque(name, torque + loads[name] if name in loads else torque)
-                drive.step(desired[name])
-            world.step()
-            for name, drive in self._drives.items():
-                link = world.arm_state(name)
-                drive.sense(link.position, link.velocity)
-                if extension is not None:
-                    extension.after_sense(self, name, drive)
-                self._links[name] = link
+        if extension is None:
+            self._mechanics.step(held, self.time)
+        else:
+            further = {name: extension.joint_torque(self, name) for name in held}
+            self._mechanics.step(
+                held,
+                self.time,
+                {name: torque for name, torque in further.items() if torque is not None},
+                lambda name: extension.after_sense(self, name, self._mechanics.drives[name]),
+            )
         self._tick += 1
-
-    def _load_torque(self, name: str) -> Array:
-        """Torque on the links of everything outside the model, ``(n,)`` [N m]; what acts on the motors goes there.
-
-        Held over one control period.
-        """
-        link = self._links[name]
-        on_links, on_motors = self.physics.load_torques(
-            name, self._loaded[name], self.time, link.position, link.velocity
-        )
-        self._drives[name].load(on_motors)
-        return on_links
 
     def close(self) -> None:
         """Free the Bullet world."""
-        self._world.close()
+        self._mechanics.close()
 
 
 def _tracker_ticks(scenario: Scenario) -> int:
     """Control ticks from one sample of the object tracker to the next."""
     return max(1, round(scenario.sensors.object_period / scenario.timing.control_period))
-
-
-def _rests(physics: Physics, state: BodyState) -> bool:
-    """Whether the object stays where it is until it is touched: at rest on a support that does not let it slide."""
-    if physics.support_height is None or np.any(state.twist):
-        return False
-    across, down = float(np.hypot(*physics.gravity[:2])), -float(physics.gravity[2])
-    return across < physics.support_friction * down
 
 
 def _scatter(

@@ -1,0 +1,132 @@
+"""Arms with their drives, object and support in one Bullet world: what moves, and nothing that measures.
+
+The plant adds sensors, scatter and a clock to it (:mod:`impact_rs_sim.plant`); a replay starts it in a measured state
+and drives it with recorded torque.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from impact_rs_sim.bullet_world import BulletWorld
+from impact_rs_sim.drive import Drive, DriveStart, LinkTorque
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scene import ArmState, BodyState
+
+SOLVER_ITERATIONS = 60
+SOLVER_RESIDUAL = 1e-12
+
+
+class Mechanics:
+    """Arms with drives, object and support; :meth:`load` makes them.
+
+    Args:
+        physics: What they are.
+        world: Their Bullet world.
+        drives: Drives by arm.
+    """
+
+    def __init__(self, physics: Physics, world: BulletWorld, drives: Mapping[str, Drive | LinkTorque]) -> None:
+        self.physics, self.world, self.drives = physics, world, drives
+        self.links: dict[str, ArmState] = {}
+        self._loaded = {name: physics.robot_model(name) for name, arm in physics.arms.items() if arm.loads}
+
+    @classmethod
+    def load(cls, physics: Physics, period: float, drive: type[Drive] | type[LinkTorque] = Drive) -> Mechanics:
+        """Everything in a world of its own.
+
+        Args:
+            physics: What there is.
+            period: Period of the torque loop, and step of Bullet [s].
+            drive: What stands between desired torque and links.
+
+        Raises:
+            NotABody: Mass and inertia of an end effector are those of no body.
+        """
+        world = BulletWorld.load(
+            physics,
+            time_step=period,
+            gravity=True,
+            compliant_pads=True,
+            iterations=SOLVER_ITERATIONS,
+            residual_threshold=SOLVER_RESIDUAL,
+        )
+        return cls(physics, world, {name: drive(arm, period) for name, arm in physics.arms.items()})
+
+    def start(
+        self,
+        arms: Mapping[str, ArmState],
+        drives: Mapping[str, DriveStart],
+        thing: BodyState,
+        may_sleep: bool = True,
+    ) -> None:
+        """Put everything into a state.
+
+        Args:
+            arms: Joint states by arm.
+            drives: State of the drives by arm.
+            thing: State of the object.
+            may_sleep: Whether an object that rests is left alone until something touches it, which is cheap.
+        """
+        self.world.set_object(thing)
+        if may_sleep and _rests(self.physics, thing):
+            self.world.rest_object()
+        for name, link in arms.items():
+            self.links[name] = link
+            self.world.set_arm(name, link)
+            self.drives[name].start(link, drives[name])
+
+    def step(
+        self,
+        desired: Mapping[str, Sequence[Array]],
+        time: float,
+        further: Mapping[str, Array] | None = None,
+        after_sense: Callable[[str], None] | None = None,
+    ) -> None:
+        """Advance by as many periods of the torque loop as there are desired torques.
+
+        Args:
+            desired: By arm, desired torque of every period, ``(n,)`` [N m] each.
+            time: Time now, for loads that depend on it [s].
+            further: By arm, a torque on the links besides, ``(n,)`` [N m].
+            after_sense: Called with the name of an arm whenever its drive has sensed the links.
+        """
+        world, drives, links = self.world, self.drives, self.links
+        loads = {name: self._load_torque(name, time) for name in self._loaded}
+        for name, torque in (further or {}).items():
+            loads[name] = loads.get(name, 0.0) + torque
+        for wanted in zip(*desired.values(), strict=True):
+            for name, torque in zip(desired, wanted, strict=True):
+                drive = drives[name]
+                passed = drive.passed(torque)
+                world.apply_torque(name, passed + loads[name] if name in loads else passed)
+                drive.step(torque)
+            world.step()
+            for name, drive in drives.items():
+                link = world.arm_state(name)
+                drive.sense(link.position, link.velocity)
+                if after_sense is not None:
+                    after_sense(name)
+                links[name] = link
+
+    def _load_torque(self, name: str, time: float) -> Array:
+        """Torque on the links of everything outside the model, ``(n,)`` [N m]; what acts on the motors goes there."""
+        link = self.links[name]
+        on_links, on_motors = self.physics.load_torques(name, self._loaded[name], time, link.position, link.velocity)
+        self.drives[name].load(on_motors)
+        return on_links
+
+    def close(self) -> None:
+        """Free the Bullet world."""
+        self.world.close()
+
+
+def _rests(physics: Physics, state: BodyState) -> bool:
+    """Whether the object stays where it is until it is touched: at rest on a support that does not let it slide."""
+    if physics.support_height is None or np.any(state.twist):
+        return False
+    across, down = float(np.hypot(*physics.gravity[:2])), -float(physics.gravity[2])
+    return across < physics.support_friction * down
