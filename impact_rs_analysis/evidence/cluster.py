@@ -23,6 +23,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -75,6 +76,9 @@ class Cluster:
         sigma: Scale of each feature in its own unit, ``(F,)``.
         pure: Pure error of each feature over its scale, ``(F,)`` [-].
         discrepancy: Model discrepancy of each feature over its scale, ``(F,)`` [-].
+        patterns: How it moves the features together, ``(k, F)`` [-]: a sum of these rows with normal amplitudes, whose
+            squares add up to those of ``discrepancy``; None: every feature by itself.
+        alike: Clusters of one name have the same amplitudes; None: those of one layout.
     """
 
     name: str
@@ -87,11 +91,20 @@ class Cluster:
     sigma: Array
     pure: Array
     discrepancy: Array
+    patterns: Array | None = None
+    alike: str | None = None
 
     @property
     def count(self) -> int:
         """Number of repeats."""
         return int(self.residuals.shape[0])
+
+    @cached_property
+    def moved_together(self) -> Array:
+        """What discrepancy of amplitude 1 does, row by row, ``(k, F)`` [-]."""
+        if self.patterns is not None:
+            return self.patterns
+        return np.diag(self.discrepancy)[self.discrepancy > 0.0]
 
     @property
     def mean(self) -> Array:
