@@ -21,6 +21,7 @@ from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_GAIN,
     LEAST_GAIN_OF_FIRST,
     LEAST_REST,
+    LEAST_TO_DISAGREE,
     MOST_EFFECTS,
     NOTHING,
     SHORTLIST,
@@ -393,9 +394,11 @@ def consistent(fitted: Fit, first: int = 0) -> bool:
 
     A p value asks whether noise could do it. What a simulator gets wrong is no noise, but it fits other values in other
     conditions: an interval that knows how far they disagree, of the same significance over all parameters, still has to
-    leave out that nothing happens.
+    leave out that nothing happens. From too few conditions nobody knows how far they disagree.
     """
     candidate = fitted.candidate
+    if sum(bool(np.any(jacobian)) for jacobian in candidate.jacobians) < LEAST_TO_DISAGREE:
+        return True
     own = np.array([number >= first and not scalar.shape for number, scalar in enumerate(candidate.scalars)])
     if fitted.evidence.reference.shortage is not None or not np.any(own):
         return True

@@ -158,9 +158,29 @@ class Source(ABC):
             ``(F,)`` each; None where nothing is hit although it should be, or where the effects leave no body.
         """
 
+    def differences(self, numbers: Sequence[int], before: Added, after: Added, what: str) -> list[Array | None]:
+        """What a change of effects does to features, in their units, mean over the repeats of every cluster.
+
+        Args:
+            numbers: Of the clusters.
+            before: What is switched on before.
+            after: What is switched on after.
+            what: What it is for, to tell the user.
+
+        Returns:
+            ``(F,)`` each; None where one of the two cannot be predicted.
+        """
+        found = self.predict([(number, added) for added in (before, after) for number in numbers], what)
+        return [difference(a, b) for a, b in zip(found[: len(numbers)], found[len(numbers) :], strict=True)]
+
     @abstractmethod
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """Residuals with effects on top of the model, on the scale of ``like``; None where that cannot be simulated."""
+
+
+def difference(before: Array | None, after: Array | None) -> Array | None:
+    """After minus before, where both are known."""
+    return None if before is None or after is None else np.asarray(after - before)
 
 
 def size_of(errors: Array | Sequence[float], expected: Array | Sequence[float]) -> float:

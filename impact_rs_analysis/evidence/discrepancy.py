@@ -144,13 +144,17 @@ def read_patterns(path: Path) -> list[Patterns]:
         InputError: It cannot be read.
     """
     tables: dict[str, tuple[list[str], list[list[float]]]] = {}
+    header: list[str] = []
     try:
         with path.open(encoding="utf-8", newline="") as file:
             for line in csv.reader(file):
                 if line[0] == "kind":
                     header = line[3:]
                 else:
-                    tables.setdefault(line[0], (header, []))[1].append([float(value) for value in line[3:]])
+                    values = [float(value) for value in line[3:]]
+                    if len(values) != len(header):
+                        raise ValueError(f"{len(values)} values under {len(header)} features")
+                    tables.setdefault(line[0], (header, []))[1].append(values)
     except (OSError, ValueError, IndexError) as error:
         raise InputError(f"no table of patterns: {error}", file=path) from None
     return [

@@ -27,9 +27,12 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 
 EDGE = 0.006  # s, averaged at each end of a bin for its momentum change
-ONSET = 0.25  # share of the loss of speed at which an impact is said to have begun
+ONSET = 0.05  # share of the ante-impact speed that is lost when an impact is said to have begun
+MOST_OF_LOSS = 0.4  # share of all that is lost, which a light object may keep below ONSET
+TIMES_NOISE = 6.0  # the least of it over the noise of the velocity
+LEAST_LOSS = 0.004  # share of the speed; less is no impact
+QUIET = 0.008  # s, in the begin of a window, before the impact
 LOSS_WITHIN = 0.08  # s after the window's begin
-LEAST_LOSS = 0.01  # share of the speed; less is no impact
 JUMP_BEFORE = (-0.018, -0.003)  # s from the begin of the impact
 JUMP_WINDOWS = ((0.0, 0.004), (0.004, 0.010), (0.010, 0.020), (0.020, 0.040), (0.040, 0.080))  # s
 SETTLED = 3
@@ -96,6 +99,7 @@ def extract(
     motor: bool,
     tracked: bool,
     pushes: int | None,
+    levels: dict[str, float],
 ) -> Array | None:
     """Feature vector of windows; None if nothing was hit where something should be.
 
@@ -107,6 +111,7 @@ def extract(
         motor: Whether motor position and velocity are looked at.
         tracked: Whether the object is.
         pushes: Bins of the push.
+        levels: By arm, loss of speed with which the impact begins [m/s].
     """
     parts: list[Array] = []
     onsets: dict[str, float] = {}
@@ -133,7 +138,7 @@ def extract(
         if last is None:
             continue
         dynamics = _Dynamics(last.time, last.arms[name], commands[-1].get(name), physics, model, motor)
-        onset = onset_of(last.time, dynamics.twists[:, :3])
+        onset = onset_of(last.time, dynamics.twists[:, :3], levels[name])
         if onset is None:
             return None
         onsets[name] = onset
@@ -148,29 +153,44 @@ def extract(
     return np.concatenate(parts)
 
 
-def onset_of(time: Array, velocity: Array) -> float | None:
-    """When the end effector had lost ``ONSET`` of what the impact takes of its speed, between two ticks [s].
+def onset_level(time: Array, velocity: Array) -> float | None:
+    """Loss of speed at which an impact is said to have begun [m/s]; None where no more than noise is lost.
 
-    A share of the loss and not of the speed, for a light object takes little.
+    A share of the speed, above the noise, and not so much that a light object does not take it.
+
+    Args:
+        time: Ticks, ``(k,)`` [s]; the first 8 ms are before the impact.
+        velocity: Of the end effector as measured, ``(k, 3)`` [m/s].
+    """
+    loss, speed = _loss(time, velocity)
+    noise = float(np.std(loss[: max(3, np.count_nonzero(time <= time[0] + QUIET))]))
+    level = min(max(ONSET * speed, TIMES_NOISE * noise), MOST_OF_LOSS * float(loss.max()))
+    return level if level > max(0.5 * TIMES_NOISE * noise, LEAST_LOSS * speed) else None
+
+
+def onset_of(time: Array, velocity: Array, level: float) -> float | None:
+    """When the end effector had lost so much speed, between two ticks [s]; None where it never does.
 
     Args:
         time: Ticks, ``(k,)`` [s]; the first 8 ms are before the impact.
         velocity: Of the end effector, ``(k, 3)`` [m/s].
-
-    Returns:
-        None where no more is lost within ``LOSS_WITHIN`` than ``LEAST_LOSS`` of the speed.
+        level: Loss, as measured runs have it (:func:`onset_level`) [m/s].
     """
-    rows = time <= time[0] + 0.008
-    before = velocity[rows].mean(axis=0)
-    near = time <= time[0] + LOSS_WITHIN
-    loss = np.linalg.norm(before) - (velocity @ before / np.linalg.norm(before))[near]
-    most = float(loss.max())
-    if most < LEAST_LOSS * np.linalg.norm(before):
+    loss, _ = _loss(time, velocity)
+    rising = np.nonzero((loss[:-1] < level) & (loss[1:] >= level))[0]
+    if rising.size == 0:
         return None
-    level = ONSET * most
-    row = int(np.nonzero((loss[:-1] < level) & (loss[1:] >= level))[0][0])
+    row = int(rising[0])
     share = (level - loss[row]) / (loss[row + 1] - loss[row])
     return float(time[row] + share * (time[row + 1] - time[row]))
+
+
+def _loss(time: Array, velocity: Array) -> tuple[Array, float]:
+    """Loss of speed along the direction before the impact, for a while after it, ``(k,)``, and that speed [m/s]."""
+    before = velocity[time <= time[0] + QUIET].mean(axis=0)
+    speed = float(np.linalg.norm(before))
+    near = time <= time[0] + LOSS_WITHIN
+    return speed - velocity[near] @ before / speed, speed
 
 
 def _impact_features(onset: float, dynamics: _Dynamics) -> list[Array]:

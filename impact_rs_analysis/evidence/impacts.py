@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from impact_rs_analysis.evidence.features import LOSS_WITHIN, onset_of
+from impact_rs_analysis.evidence.features import LOSS_WITHIN, onset_level, onset_of
 from impact_rs_analysis.evidence.replay import BEFORE_IMPACT
 from impact_rs_analysis.evidence.run import Run
 from impact_rs_analysis.evidence.signals import ArmSignals
@@ -21,8 +21,8 @@ FAST = 0.25  # share of the largest speed; nothing is hit on purpose below it
 QUIET = 0.02  # s before the largest force that may belong to the impact
 
 
-def impacts_of(run: Run) -> dict[str, float]:
-    """Begin of the impact of every arm [s].
+def impacts_of(run: Run) -> dict[str, tuple[float, float]]:
+    """By arm, begin of the impact [s] and the loss of speed that says so [m/s].
 
     Raises:
         InputError: An arm hits nothing.
@@ -33,14 +33,15 @@ def impacts_of(run: Run) -> dict[str, float]:
         time = run.signals.time
         velocity, force = observed_force(time, arm, model)
         row = first_rise(force, np.linalg.norm(velocity, axis=1), run.period)
-        begin = None
+        begin, level = None, None
         if row is not None:
             first = max(0, row - round((BEFORE_IMPACT + 0.01) / run.period))
             rows = slice(first, row + round(LOSS_WITHIN / run.period))
-            begin = onset_of(time[rows], velocity[rows])
-        if begin is None:
-            raise InputError(f"arm {name!r} hits nothing: no sudden force stops it")
-        found[name] = begin
+            level = onset_level(time[rows], velocity[rows])
+            begin = None if level is None else onset_of(time[rows], velocity[rows], level)
+        if begin is None or level is None:
+            raise InputError(f"arm {name!r} hits nothing: no sudden force slows it down")
+        found[name] = (begin, level)
     return found
 
 

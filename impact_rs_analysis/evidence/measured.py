@@ -22,7 +22,6 @@ from impact_rs_sim.robot import Array
 from impact_rs_trials.spec import TrialSpec
 
 SAMPLED = ("position", "velocity", "torque", "motor_position", "motor_velocity", "command")
-BESIDE = 0.02  # s, of the object's track that is kept on either side of a window, to interpolate
 
 
 @dataclass(frozen=True)
@@ -38,6 +37,7 @@ class Setup:
         tracked: Whether the object is.
         pushes: Bins of the push; None: nothing is hit.
         kept: Which of the features are looked at.
+        levels: By arm, loss of speed with which the impact begins [m/s].
     """
 
     windows: tuple[Window, ...]
@@ -48,14 +48,16 @@ class Setup:
     tracked: bool
     pushes: int | None
     kept: tuple[int, ...]
+    levels: dict[str, float]
 
     @cached_property
     def digest(self) -> str:
         """Identity of all of it."""
         text = [repr((self.physics, self.drive_period, self.drive, self.motor, self.tracked, self.pushes, self.kept))]
+        text.append(repr(self.levels))
         for window in self.windows:
             text.append(repr(window.contact))
-            arrays = [window.time, window.object.position, window.object.rotation, window.object.twist]
+            arrays = [window.time, window.seen, window.object.position, window.object.rotation, window.object.twist]
             for name, arm in window.arms.items():
                 drive = window.drives[name]
                 arrays += [arm.position, arm.velocity, drive.torque, drive.torque_rate]
@@ -77,6 +79,7 @@ class Setup:
             self.motor,
             self.tracked,
             self.pushes,
+            self.levels,
         )
         return None if found is None else found[list(self.kept)]
 
@@ -126,7 +129,8 @@ class MeasuredRun:
         Raises:
             InputError: Nothing is hit where something should be, or the signals do not cover the windows.
         """
-        impacts = impacts_of(run) if run.hit else {}
+        found = impacts_of(run) if run.hit else {}
+        impacts = {name: begin for name, (begin, _) in found.items()}
         windows = windows_of(run, impacts)
         if not windows:
             raise InputError("nothing moves for as long as a window of free motion")
@@ -150,6 +154,7 @@ class MeasuredRun:
             tracked=tracked,
             pushes=pushes,
             kept=tuple(range(len(features))),
+            levels={name: level for name, (_, level) in found.items()},
         )
         signals = tuple(_within(run.signals, window) for window in windows)
         measured = setup.features_of(signals)
@@ -193,7 +198,7 @@ def _within(signals: Signals, window: Window) -> Signals:
     for name, arm in signals.arms.items():
         values = {key: getattr(arm, key) for key in SAMPLED}
         arms[name] = replace(arm, **{key: value[rows] if value.size else value for key, value in values.items()})
-    seen = (signals.object_time >= window.time[0] - BESIDE) & (signals.object_time <= window.time[-1] + BESIDE)
+    seen = np.isin(signals.object_time, window.seen)
     return Signals(
         window.time, arms, signals.object_time[seen], signals.object_position[seen], signals.object_yaw[seen]
     )

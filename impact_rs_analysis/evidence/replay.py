@@ -53,6 +53,7 @@ class Window:
         object: State of the object at its start.
         torque: By arm, driving torques in the order in which they act, ``(m, n)`` [N m].
         acting: By arm, which of them acts in every period of the torque loop, ``((k - 1) s,)``.
+        seen: When the object was tracked, ``(m,)`` [s].
     """
 
     contact: bool
@@ -62,6 +63,7 @@ class Window:
     object: BodyState
     torque: dict[str, Array]
     acting: dict[str, NDArray[np.int32]]
+    seen: Array
 
     @property
     def substeps(self) -> int:
@@ -139,7 +141,9 @@ def _window(run: Run, start: float, end: float, thing: BodyState, contact: bool)
             torques[name] = np.column_stack([np.interp(ends, time, column) for column in arm.torque.T])
             acting[name] = np.arange(grid.size, dtype=np.int32)
         drives[name] = DriveStart(torque, rate, earlier)
-    return Window(contact, ticks, arms, drives, thing, torques, acting)
+    tracked = run.signals.object_time
+    seen = tracked[contact & (tracked >= ticks[0] - 1e-9) & (tracked <= ticks[-1] + 1e-9)]
+    return Window(contact, ticks, arms, drives, thing, torques, acting, seen)
 
 
 def _near(time: Array, moment: float) -> slice:
@@ -231,8 +235,10 @@ def _replayed(window: Window, mechanics: Mechanics) -> Signals:
         name: ArmSignals(own["q"], own["dq"], own["tau"], own["m"], own["dm"], np.zeros(0))
         for name, own in columns.items()
     }
-    seen = window.time if window.contact else np.zeros(0)
-    return Signals(window.time, arms, seen, pose[: seen.size], np.unwrap(yaw[: seen.size]))
+    # The object as it was tracked, for means over few samples depend on when they were taken.
+    seen, columns_of = window.seen, (*pose.T, np.unwrap(yaw))
+    poses = [np.interp(seen, window.time, column) for column in columns_of] if seen.size else [seen] * len(columns_of)
+    return Signals(window.time, arms, seen, np.column_stack(poses[:3]), poses[3])
 
 
 def _resting(signals: Signals, nominal: BodyState, until: float) -> BodyState:

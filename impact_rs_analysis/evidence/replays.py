@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
 from impact_rs_analysis.evidence.ante_impact import obliqueness
-from impact_rs_analysis.evidence.cluster import Added, Cluster, Source, pooled_error
+from impact_rs_analysis.evidence.cluster import Added, Cluster, Source, difference, pooled_error
 from impact_rs_analysis.evidence.discrepancy import Discrepancy, Kind, measured_discrepancy
 from impact_rs_analysis.evidence.measured import MeasuredRun
 from impact_rs_analysis.evidence.runs import Runs
@@ -166,6 +167,19 @@ class ReplaySource(Source):
         return self.store(
             [Replay(self.conditions[number][0].setup, self.model, added) for number, added in wanted], what
         )
+
+    def differences(self, numbers: Sequence[int], before: Added, after: Added, what: str) -> list[Array | None]:
+        """See :meth:`Source.differences`; repeats are replayed one by one, for a bounce is another in each of them."""
+        groups = [self.conditions[number] for number in numbers]
+        tasks = [Replay(run.setup, self.model, added) for added in (before, after) for group in groups for run in group]
+        found = self.store(tasks, what)
+        half = len(tasks) // 2
+        changes = iter([difference(a, b) for a, b in zip(found[:half], found[half:], strict=True)])
+        means: list[Array | None] = []
+        for group in groups:
+            own = [change for change in islice(changes, len(group)) if change is not None]
+            means.append(np.mean(own, axis=0) if len(own) == len(group) else None)
+        return means
 
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.measure_again`; every run is replayed from where it started."""
