@@ -79,8 +79,9 @@ def check_jumps(path: Path, what: str, time: Array, log: Array | None, largest: 
         InputError: They do; the message says where, and what to do.
     """
     steps = np.diff(time)
-    jumps = np.zeros(steps.size, dtype=bool) if log is None else np.abs(steps - np.diff(log)) > largest
-    wrong = jumps | (steps > largest) if pauses else jumps
+    long = steps > largest
+    jumps = long & (np.abs(steps - np.diff(log)) > largest) if log is not None else np.zeros_like(long)
+    wrong = long if pauses else jumps
     if not np.any(wrong):
         return
     index = int(np.argmax(wrong))

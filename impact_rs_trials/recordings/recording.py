@@ -141,8 +141,13 @@ def _check_time(path: Path, time: Array, what: str, low_pass: float) -> None:
         )
 
 
-def check_recording(recording: Recording, mapping: Mapping) -> None:
+def check_recording(recording: Recording, mapping: Mapping, briefly: float = 0.0) -> None:
     """Finite, within the robot's limits, and in the unit that the mapping says.
+
+    Args:
+        recording: What was recorded.
+        mapping: Knows robot and units.
+        briefly: Share of the samples in which a velocity or torque may be beyond its limit, as in an impact [-].
 
     Raises:
         InputError: It is not; the message names signal, joint, time, value and what was expected.
@@ -163,12 +168,12 @@ def check_recording(recording: Recording, mapping: Mapping) -> None:
     )  # fmt: skip
     fastest = 1.2 * np.array(limits.velocity_rad_s)
     _refuse(
-        recording, "velocity", np.abs(recording.velocity) > fastest, "rad/s",
+        recording, "velocity", _often(np.abs(recording.velocity) > fastest, briefly), "rad/s",
         lambda j: f"at most {fastest[j] / 1.2:.3g} rad/s", mapping,
     )  # fmt: skip
     strongest = 1.2 * np.array(limits.torque_Nm)
     _refuse(
-        recording, "torque", np.abs(recording.torque) > strongest, "N m",
+        recording, "torque", _often(np.abs(recording.torque) > strongest, briefly), "N m",
         lambda j: f"at most {strongest[j] / 1.2:.3g} N m", mapping,
     )  # fmt: skip
     derived = np.gradient(recording.position, recording.time, axis=0)
@@ -181,6 +186,11 @@ def check_recording(recording: Recording, mapping: Mapping) -> None:
                 f"{mapping.signals['velocity'].unit}), wrong sign or other joints",
                 file=recording.path,
             )
+
+
+def _often(wrong: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
+    """``(k, n)``, without the joints in which at most this share of the samples is wrong."""
+    return wrong & (wrong.mean(axis=0) > share)
 
 
 def _refuse(
