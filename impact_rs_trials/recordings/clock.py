@@ -110,13 +110,15 @@ def tell_gaps(found: list[Gap], start: float) -> str:
 
 
 def even_grid(time: Array) -> Array:
-    """Times of equal distance, the median one, from the first stamp to the last, ``(k,)`` [s].
+    """Times of equal distance from the first stamp to the last, ``(k,)`` [s].
 
-    Where every stamp is one of the grid's but for rounding, they are as many, and samples can be taken as they are.
+    The distance is the mean of the steps that are no gaps, for a median is one of the steps, and those of wall clocks
+    are rounded. Where every stamp is one of the grid's there are as many of both, and samples are taken as they are.
     """
-    length = time[-1] - time[0]
-    count = max(1, round(length / float(np.median(np.diff(time)))))
-    return time[0] + length / count * np.arange(count + 1)
+    length, steps = time[-1] - time[0], np.diff(time)
+    usual = np.abs(steps / np.median(steps) - 1.0) < 0.5
+    count = max(1, round(length / float(np.mean(steps[usual]))))
+    return np.asarray(time[0] + length / count * np.arange(count + 1))
 
 
 def on_the_grid(time: Array, grid: Array) -> bool:

@@ -220,6 +220,8 @@ def read_run(laboratory: Laboratory, run: Run) -> LaboratoryRun:
     for name, one in series.items():
         _check(path, name, one)
     _check_overlap(path, series)
+    origin = float(series["position"].time[0])  # numbers of the wall clock have no room for microseconds
+    series = {name: replace(one, time=one.time - origin) for name, one in series.items()}
 
     first, last = _piece(run, series, remarks)
     base = series["position"]
