@@ -49,6 +49,7 @@ IMPACT_WINDOW = 0.008  # s, over which the change of joint velocity is largest a
 SLOW_JOINTS = 200.0  # Hz
 SLOW_POSE = 60.0  # Hz
 IMPACT_SHARE = 0.02  # of the samples, in which an impact may take a velocity or torque beyond the data sheet
+ROUNDED = 1e-6  # s, stamps that are nearer to each other are the same
 BEYOND = 0.1  # s, command and pose are kept this long before and after the joint signals
 
 REST = 0.1  # s, from which the first pose of the object is taken
@@ -398,11 +399,17 @@ def _on_grid(series: Series, raw: Array, grid: Array) -> Array:
 
 
 def _part(series: Series | None, grid: Array, none: Array) -> tuple[Array, Array]:
-    """Stamps from the start of the grid, and numbers, of what lies about it."""
+    """Stamps from the start of the grid, and numbers, of what lies about it.
+
+    What was stamped with a state gets its very time, so that nobody takes it for an instant later.
+    """
     if series is None:
         return np.zeros(0), none
     inside = (series.time >= grid[0] - BEYOND) & (series.time <= grid[-1] + BEYOND)
-    return series.time[inside] - grid[0], series.values[inside]
+    period = grid[1] - grid[0]
+    nearest = grid[0] + period * np.rint((series.time[inside] - grid[0]) / period)
+    time = np.where(np.abs(series.time[inside] - nearest) < ROUNDED, nearest, series.time[inside])
+    return time - grid[0], series.values[inside]
 
 
 def _tell_rates(raw: Array, grid: Array, series: dict[SignalName, Series], remarks: list[str]) -> None:
