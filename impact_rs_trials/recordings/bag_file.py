@@ -93,7 +93,7 @@ class BagFile:
                 for connection in chosen:
                     _register(self._store, connection)
                     self._messages[connection.topic] = []
-                for connection, log, data in reader.messages(connections=chosen):
+                for connection, log, data in reader.messages(connections=chosen) if chosen else ():  # [] is all
                     message = self._store.deserialize_cdr(data, connection.msgtype)
                     self._messages[connection.topic].append((log, message))
         except InputError:

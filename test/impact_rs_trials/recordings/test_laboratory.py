@@ -332,6 +332,7 @@ def test_a_clock_that_was_set_is_told_from_a_pause_by_the_log(laboratory: Labora
         ({"joints": NORMAL_JOINTS[:6], "order": range(6)}, "joint *joint7 is missing; the message names panda_joint1"),
         ({"joints": [f"wheel_{i}" for i in range(7)], "order": range(7)}, "joint *joint1 is missing; the messages"),
         ({"joints": NORMAL_JOINTS, "order": range(6)}, "has 6 numbers for 7 joint names"),
+        ({"topics": {"/joint_states": "/a", "/effort_controller/commands": "/b", "/mocap/box/pose": "/c"}}, "found /a"),
         ({"stamps": False}, "no header is stamped (all are zero): set time.stamp to log in the mapping"),
         ({"pose": "TFMessage"}, "box, table all fit child_frame *; name one of them in a mapping file"),
     ],
