@@ -30,6 +30,7 @@ from impact_rs_trials.recordings.clock import (
 )
 from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, Run, read_runs
 from impact_rs_trials.recordings.mapping import REQUIRED, Mapping, SignalName
+from impact_rs_trials.recordings.plausibility import check_object, check_touch, check_weight, gravity_torques
 from impact_rs_trials.recordings.recording import Recording, check_recording
 from impact_rs_trials.recordings.series import Names, Series
 from impact_rs_trials.recordings.sources import read_series
@@ -51,15 +52,6 @@ SLOW_POSE = 60.0  # Hz
 IMPACT_SHARE = 0.02  # of the samples, in which an impact may take a velocity or torque beyond the data sheet
 ROUNDED = 1e-6  # s, stamps that are nearer to each other are the same
 BEYOND = 0.1  # s, command and pose are kept this long before and after the joint signals
-
-REST = 0.1  # s, from which the first pose of the object is taken
-HEIGHT_TOLERANCE = 0.05  # m
-REACH = 2.0  # m, from the base of the arm
-UPRIGHT = np.deg2rad(5.0)  # rad
-MOVED = 0.002  # m
-GRAVITY_RATIO = (0.5, 1.5)  # of the measured torque along the arm's own weight
-GRAVITY_NOTICED = 1.0  # N m rms, a weight that can be noticed in the torques
-CHECKED = 200  # samples in which the weight is compared
 
 
 @dataclass(frozen=True)
@@ -160,10 +152,6 @@ class Laboratory:
         """Nominal rigid-body model of the arm."""
         return Physics.nominal(self.scenario, next(iter(self.scenario.objects))).robot_model(self.arm)
 
-    def gravity_torques(self, position: Array) -> Array:
-        """g(q) at positions ``(k, n)`` [rad], ``(k, n)`` [N m]."""
-        return np.array([self.model.gravity_torque(q) for q in position]).reshape(position.shape)
-
 
 def read_laboratory(
     directory: Path, experiment: Experiment, map_tasks: Map
@@ -234,14 +222,8 @@ def read_run(laboratory: Laboratory, run: Run) -> LaboratoryRun:
     time = grid - grid[0]
     recording = Recording(path, time, arm["position"], arm["velocity"], arm["torque"], {})
     check_recording(recording, mapping, IMPACT_SHARE if run.hit else 0.0)
-    _check_weight(
-        laboratory,
-        path,
-        "torque",
-        arm["position"],
-        arm["torque"],
-        "wrong sign or unit, or without the arm's own weight?",
-    )
+    remedy = "wrong sign or unit, or without the arm's own weight?"
+    check_weight(path, "torque", laboratory.model, arm["position"], arm["torque"], remedy)
 
     count = len(mapping.joints)
     none = np.zeros((0, count))
@@ -255,7 +237,7 @@ def read_run(laboratory: Laboratory, run: Run) -> LaboratoryRun:
     object_time, pose = _part(series.get("object_pose"), grid, np.zeros((0, 7)))
     if object_time.size:
         pose = _in_inertial_frame(laboratory.motion_capture, run, pose)
-        _check_object(laboratory, run, object_time, pose, remarks)
+        remarks += _check_object(laboratory, run, time, arm["position"], object_time, pose)
     elif run.hit:
         remarks.append("the object was not tracked: it starts where the scenario places it")
     wrench_time, wrench = _part(series.get("wrench"), grid, np.zeros((0, 6)))
@@ -443,26 +425,14 @@ def _with_weight(
     """Desired torque with gravity, ``(m, n)`` [N m]; what the mapping says of it must fit the numbers."""
     at = np.column_stack([np.interp(command_time, time, column) for column in position.T])
     included = laboratory.mapping.command_includes_gravity
-    whole = command if included else command + laboratory.gravity_torques(at)
-    remedy = "false: without" if included else "true: with"
-    _check_weight(laboratory, path, "command", at, whole, f"is command_includes_gravity {remedy} the arm's own weight?")
+    whole = command if included else command + gravity_torques(laboratory.model, at)
+    remedy = (
+        "command_includes_gravity: false in the mapping, where it comes without the arm's own weight"
+        if included
+        else "command_includes_gravity: true in the mapping, where it holds the arm's own weight already"
+    )
+    check_weight(path, "command", laboratory.model, at, whole, remedy)
     return whole
-
-
-def _check_weight(laboratory: Laboratory, path: Path, name: str, position: Array, torque: Array, remedy: str) -> None:
-    """Torques hold the arm's own weight once: neither twice, nor with the wrong sign, nor not at all."""
-    rows = np.unique(np.linspace(0, position.shape[0] - 1, CHECKED).astype(int))
-    weight = laboratory.gravity_torques(position[rows])
-    power = float(np.sum(np.square(weight)))
-    if power < GRAVITY_NOTICED**2 * rows.size:
-        return
-    ratio = float(np.sum(weight * torque[rows])) / power
-    if not GRAVITY_RATIO[0] < ratio < GRAVITY_RATIO[1]:
-        raise InputError(
-            f"{name} holds {ratio:.2f} times the weight of arm {laboratory.arm!r} of scenario "
-            f"{laboratory.scenario.name!r}, expected about 1: {remedy}",
-            file=path,
-        )
 
 
 # ---- object ---------------------------------------------------------------------------------------------------------
@@ -484,35 +454,18 @@ def _in_inertial_frame(motion_capture: MotionCapture, run: Run, pose: Array) -> 
     return placed
 
 
-def _check_object(laboratory: Laboratory, run: Run, time: Array, pose: Array, remarks: list[str]) -> None:
-    """At first the object stands on the support and within reach."""
+def _check_object(
+    laboratory: Laboratory, run: Run, time: Array, position: Array, object_time: Array, pose: Array
+) -> list[str]:
+    """The object stands where it can, and the pad meets it; what the user should know of both."""
     assert run.object is not None
     scenario = laboratory.scenario
-    rows = time <= time[0] + REST
-    centre = np.median(pose[rows, :3], axis=0)
-    rotation = pin.Quaternion(pose[0, 3:]).matrix()
+    remarks = check_object(run.path, scenario, laboratory.arm, run.object, object_time, pose)
+    during = (object_time >= time[0]) & (object_time <= time[-1])
+    if not np.any(during):
+        return remarks
+    at = np.column_stack([np.interp(object_time[during], time, column) for column in position.T])
     size = np.array(scenario.object(run.object).size)
-    height = scenario.support.height + float(np.abs(rotation[2]) @ size) / 2.0
-    where = f"the centre of {run.object!r} is first at {np.round(centre, 3).tolist()} m"
-    remedy = "pose in another frame or unit? motion_capture in the experiment file says where its world is"
-    if abs(centre[2] - height) > HEIGHT_TOLERANCE:
-        raise InputError(
-            f"{where}, expected {height:.3f} m high on the support ({centre[2] - height:+.3f} m off): {remedy}",
-            file=run.path,
-        )
-    base = np.array(scenario.robots[laboratory.arm].base.position)
-    distance = float(np.linalg.norm(centre - base))
-    if distance > REACH:
-        raise InputError(
-            f"{where}, {distance:.2f} m from the base of arm {laboratory.arm!r}, expected less than "
-            f"{REACH:g} m: {remedy}",
-            file=run.path,
-        )
-    tilt = float(np.arccos(np.clip(np.max(np.abs(rotation[2])), 0.0, 1.0)))
-    if tilt > UPRIGHT or np.argmax(np.abs(rotation[2])) != 2:
-        remarks.append(
-            f"the z axis of {run.object!r} does not point up at first: motion_capture.bodies says how it lies in the "
-            "tracked frame"
-        )
-    if float(np.max(np.linalg.norm(pose[:, :3] - centre, axis=1))) < MOVED:
-        remarks.append(f"{run.object!r} never moves by {1e3 * MOVED:g} mm: is it the body that is hit?")
+    touching = check_touch(run.path, laboratory.model, run.object, size, at, pose[during])
+    slow = object_time.size > 1 and float(np.median(np.diff(object_time))) > 1.0 / SLOW_POSE
+    return remarks if slow else [*remarks, *touching]  # a slow tracker does not see where they meet
