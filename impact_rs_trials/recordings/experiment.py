@@ -67,12 +67,17 @@ class Experiment(Schema):
         default_factory=MotionCapture,
         description="world frame of the motion capture in the scenario's inertial frame; absent: they are the same",
     )
-    _folder: Path = PrivateAttr(default_factory=Path)
+    _file: Path | None = PrivateAttr(None)
+
+    @property
+    def file(self) -> Path | None:
+        """Where it was read from."""
+        return self._file
 
     @property
     def folder(self) -> Path:
         """Folder of the file, from which its paths are seen."""
-        return self._folder
+        return Path() if self.file is None else self.file.parent
 
     def load_scenario(self) -> Scenario:
         """The scenario.
@@ -103,7 +108,7 @@ def load_experiment(path: Path) -> Experiment:
     if path.is_dir():
         raise InputError("a folder where an experiment file is expected, experiment.yaml for example", file=path)
     experiment = load(Experiment, path)
-    experiment._folder = path.parent
+    experiment._file = path
     scenario = _in_key(path, "scenario", experiment.scenario, experiment.load_scenario)
     _in_key(path, "mapping", experiment.mapping, experiment.load_mapping)
     for name in experiment.motion_capture.bodies:
@@ -126,6 +131,11 @@ class Run:
     object: str | None
     hit: bool
     condition: str
+
+    @property
+    def name(self) -> str:
+        """Name of the recording, without the ending of a file."""
+        return self.path.name if self.path.is_dir() else self.path.stem
 
 
 def read_runs(directory: Path, experiment: Experiment, scenario: Scenario) -> list[Run]:

@@ -132,18 +132,27 @@ class Laboratory:
         if len(scenario.robots) != 1:
             raise InputError(
                 f"scenario {scenario.name!r} has {len(scenario.robots)} arms ({', '.join(scenario.robots)}); "
-                "recordings of a laboratory are read for one arm"
+                "recordings of a laboratory are read for one arm",
+                file=experiment.file,
+                key="scenario",
+                value=experiment.scenario,
             )
         ((arm, robot),) = scenario.robots.items()
         if robot.robot_facts != mapping.facts:
             raise InputError(
                 f"the mapping is for robot {mapping.robot!r}, arm {arm!r} of scenario {scenario.name!r} is "
-                f"{robot.facts!r}; expected the same"
+                f"{robot.facts!r}; expected the same",
+                file=experiment.file,
+                key="mapping",
+                value=experiment.mapping,
             )
         if mapping.torque_measured_at != "link":
             raise InputError(
                 "torque_measured_at is 'motor' in the mapping; runs with contact need the torque behind the gears "
-                "(link), the torque asked of the motors is signals.command"
+                "(link), the torque asked of the motors is signals.command",
+                file=experiment.file,
+                key="mapping",
+                value=experiment.mapping,
             )
         return cls(scenario, arm, mapping, experiment.motion_capture)
 
@@ -174,21 +183,24 @@ def read_laboratory(
     read: list[LaboratoryRun] = []
     skipped: list[tuple[str, str]] = []
     tasks = [(laboratory, run) for run in table]
-    for run, result in zip(table, map_tasks(_read_or_skip, tasks), strict=True):
+    for run, result in zip(table, map_tasks(_try_to_read, tasks), strict=True):
         if isinstance(result, LaboratoryRun):
             read.append(result)
+        elif isinstance(result, TooShort):
+            skipped.append((str(run.path), result.message))
         else:
-            skipped.append((str(run.path), result))
+            raise result
     if not read:
         raise InputError(f"no run can be used; {Path(skipped[0][0]).name}: {skipped[0][1]}", file=directory)
     return read, skipped
 
 
-def _read_or_skip(task: tuple[Laboratory, Run]) -> LaboratoryRun | str:
+def _try_to_read(task: tuple[Laboratory, Run]) -> LaboratoryRun | InputError:
+    """Errors come back as results: a worker would try what it raised again."""
     try:
         return read_run(*task)
-    except TooShort as error:
-        return error.message
+    except InputError as error:
+        return error
 
 
 def read_run(laboratory: Laboratory, run: Run) -> LaboratoryRun:
@@ -201,7 +213,7 @@ def read_run(laboratory: Laboratory, run: Run) -> LaboratoryRun:
     mapping, path = laboratory.mapping, run.path
     wanted: list[SignalName] = [*ARM_SIGNALS, "command", "wrench", *(OBJECT_SIGNALS if run.hit else ())]
     needed = {name for name in wanted if name in (*REQUIRED, "command", *OBJECT_SIGNALS)}
-    names = Names(object=run.object or "*", arm=laboratory.arm, run=path.stem)
+    names = Names(object=run.object or "*", arm=laboratory.arm, run=run.name)
     series = read_series(path, mapping, wanted, needed & (set(REQUIRED) | set(mapping.signals)), names)
     remarks = list(dict.fromkeys(remark for one in series.values() for remark in one.remarks))
     if run.hit:
@@ -243,7 +255,7 @@ def read_run(laboratory: Laboratory, run: Run) -> LaboratoryRun:
     wrench_time, wrench = _part(series.get("wrench"), grid, np.zeros((0, 6)))
     return LaboratoryRun(
         path=path,
-        name=path.stem if path.is_file() else path.name,
+        name=run.name,
         object=run.object,
         hit=run.hit,
         condition=run.condition,

@@ -76,6 +76,7 @@ class BagFormat:
     joints: Sequence[str] = tuple(JOINTS)
     order: Sequence[int] = tuple(ORDER)
     pose: str = "PoseStamped"
+    command: str = "Float64MultiArray"
     child: str = "box"
     stamps: bool = True
     topics: dict[str, str] = field(default_factory=dict)  # others than usual, by the usual one
@@ -117,10 +118,35 @@ class BagFormat:
             other = replace(transform, child_frame_id="table")
             return make["tf2_msgs/msg/TFMessage"](transforms=[other, transform])
 
-        layout = make[std + "MultiArrayLayout"](dim=[], data_offset=0)
+        def command(nanoseconds: int, row: int) -> object:
+            torque = signals.command[row]
+            if self.command == "Float64MultiArray":
+                return make[std + "Float64MultiArray"](
+                    layout=make[std + "MultiArrayLayout"](dim=[], data_offset=0), data=torque
+                )
+            none, names = np.zeros(0), list(self.joints)
+            torque = torque[list(self.order)]
+            if self.command == "JointState":
+                return make["sensor_msgs/msg/JointState"](
+                    header=header(nanoseconds), name=names, position=none, velocity=none, effort=torque
+                )
+            point = make["trajectory_msgs/msg/JointTrajectoryPoint"](
+                positions=none,
+                velocities=none,
+                accelerations=none,
+                effort=torque,
+                time_from_start=make["builtin_interfaces/msg/Duration"](sec=0, nanosec=0),
+            )
+            return make["trajectory_msgs/msg/JointTrajectory"](
+                header=header(nanoseconds), joint_names=names, points=[point]
+            )
+
         kinds = {
             "/joint_states": "sensor_msgs/msg/JointState",
-            "/effort_controller/commands": std + "Float64MultiArray",
+            "/effort_controller/commands": {
+                "JointState": "sensor_msgs/msg/JointState",
+                "JointTrajectory": "trajectory_msgs/msg/JointTrajectory",
+            }.get(self.command, std + self.command),
             "/mocap/box/pose": {
                 "Odometry": "nav_msgs/msg/Odometry",
                 "TFMessage": "tf2_msgs/msg/TFMessage",
@@ -135,8 +161,7 @@ class BagFormat:
             }
             state = make[kinds["/joint_states"]](header=header(time), name=list(self.joints), **numbers)
             messages.append((int(log) + LOG_LATE, "/joint_states", state))
-            command = make[kinds["/effort_controller/commands"]](layout=layout, data=signals.command[row])
-            messages.append((int(log) + COMMAND_LATE, "/effort_controller/commands", command))
+            messages.append((int(log) + COMMAND_LATE, "/effort_controller/commands", command(time, row)))
         for row, time in enumerate(signals.object_time):
             messages.append((int(time) + POSE_LATE, "/mocap/box/pose", pose(time, signals.pose[row])))
         with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:

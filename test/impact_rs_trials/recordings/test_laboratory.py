@@ -66,6 +66,20 @@ def test_fingers_on_the_same_topic_are_told_from_joints_of_the_arm(laboratory: L
     assert_known(laboratory.read()[0], laboratory.signals, 150e-6)
 
 
+@pytest.mark.parametrize(
+    ("command", "names", "field"),
+    [("JointState", "name", "effort"), ("JointTrajectory", "joint_names", "points.0.effort")],
+)
+def test_a_command_with_stamps_and_names_keeps_its_stamps(
+    laboratory: LaboratoryFolder, command: str, names: str, field: str
+) -> None:
+    laboratory.bag(command=command)
+    laboratory.mapping({"command": {"type": None, "names": names, "field": field}})
+    (run,) = laboratory.read()
+    assert_known(run, laboratory.signals)
+    assert run.remarks == ()
+
+
 @pytest.mark.parametrize("pose", ["TransformStamped", "Odometry", "TFMessage"])
 def test_a_pose_is_read_from_whatever_message_holds_it(laboratory: LaboratoryFolder, pose: str) -> None:
     laboratory.bag(pose=pose)
