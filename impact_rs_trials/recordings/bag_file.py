@@ -218,12 +218,8 @@ class BagFile:
         rows: list[Array] = []
         width = self._mapping.width(name)
         for index, message in enumerate(messages):
-            try:
-                row = _get(message, source.field)
-                joints = () if source.names is None else tuple(_get(message, source.names))
-            except (AttributeError, IndexError, ValueError) as error:
-                text = f"{place}: {connection.msgtype} has no such field ({error})"
-                raise InputError(text, file=self._path) from None
+            row = self._field(place, message, source.field)
+            joints = () if source.names is None else tuple(self._field(place, message, source.names))
             if joints not in orders:
                 orders[joints] = self._order(place, joints) if joints else list(range(width))
             order = orders[joints]
@@ -247,6 +243,21 @@ class BagFile:
                 f"{place}: joint {self._mapping.joints[0]} is missing; the messages name {seen}", file=self._path
             )
         return kept, np.array(rows) * self._mapping.factor(name)
+
+    def _field(self, place: str, message: Any, path: str) -> Any:
+        """What lies at a path of fields and indices, ``points.0.effort``."""
+        found = message
+        try:
+            for part in path.split("."):
+                found = found[int(part)] if part.isdigit() else getattr(found, part)
+        except (AttributeError, IndexError, TypeError):
+            fields = [field for field in vars(message) if not field.startswith("__")]
+            raise InputError(
+                f"{place}: {message.__msgtype__} has no such field{did_you_mean(path, fields)}; it has: "
+                f"{', '.join(fields)}",
+                file=self._path,
+            ) from None
+        return found
 
     def _order(self, place: str, names: tuple[str, ...]) -> list[int] | None:
         """Where the mapping's joints are among the names of a message; None where none of them is."""
@@ -288,7 +299,7 @@ class BagFile:
             ]
         found = []
         for log, message in messages:
-            holder = message if source.field is None else _get(message, source.field)
+            holder = message if source.field is None else self._field(place, message, source.field)
             numbers = self._pose(place, holder) if name == "object_pose" else self._wrench(place, holder)
             found.append((log, getattr(message, "header", None), numbers))
         return found
@@ -340,13 +351,6 @@ def _stamps(headers: list[Any]) -> Array:
 
 def _xyz(vector: Any) -> list[float]:
     return [float(vector.x), float(vector.y), float(vector.z)]
-
-
-def _get(message: Any, path: str) -> Any:
-    """What lies at a path of fields and indices, ``points.0.effort``."""
-    for part in path.split("."):
-        message = message[int(part)] if part.isdigit() else getattr(message, part)
-    return message
 
 
 def _stands_for(pattern: str, name: str) -> str:

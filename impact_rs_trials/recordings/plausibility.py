@@ -134,7 +134,7 @@ def check_touch(path: Path, model: RobotModel, name: str, size: Array, position:
         how = "short of" if nearest > 0.0 else "inside"
         return [
             f"where they are nearest, the middle of the pad is {1e3 * abs(nearest):.1f} mm {how} {name!r}: motion "
-            "capture and robot disagree by that much, or their clocks do, or the pad hits beside its middle"
+            "capture and robot disagree by that much, or their clocks do; or another object is hit, or only by an edge"
         ]
     how = (
         f"never comes nearer to {name!r} than {nearest:.3f} m"

@@ -78,6 +78,7 @@ class BagFormat:
     pose: str = "PoseStamped"
     command: str = "Float64MultiArray"
     child: str = "box"
+    wrench: bool = False
     stamps: bool = True
     topics: dict[str, str] = field(default_factory=dict)  # others than usual, by the usual one
 
@@ -152,6 +153,8 @@ class BagFormat:
                 "TFMessage": "tf2_msgs/msg/TFMessage",
             }.get(self.pose, geometry + self.pose),
         }
+        if self.wrench:
+            kinds["/wrench"] = geometry + "WrenchStamped"
         messages: list[tuple[int, str, object]] = []
         logs = np.maximum.accumulate(signals.time)  # the log's clock never runs backwards
         for row, (time, log) in enumerate(zip(signals.time, logs, strict=True)):
@@ -162,6 +165,11 @@ class BagFormat:
             state = make[kinds["/joint_states"]](header=header(time), name=list(self.joints), **numbers)
             messages.append((int(log) + LOG_LATE, "/joint_states", state))
             messages.append((int(log) + COMMAND_LATE, "/effort_controller/commands", command(time, row)))
+        for time in signals.time[::2] if self.wrench else ():
+            force = make[geometry + "Vector3"](x=1.0, y=float(time), z=3.0)
+            wrench = make[geometry + "Wrench"](force=force, torque=make[geometry + "Vector3"](x=4.0, y=5.0, z=6.0))
+            stamped = make[geometry + "WrenchStamped"](header=header(time), wrench=wrench)
+            messages.append((int(time) + LOG_LATE, "/wrench", stamped))
         for row, time in enumerate(signals.object_time):
             messages.append((int(time) + POSE_LATE, "/mocap/box/pose", pose(time, signals.pose[row])))
         with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:

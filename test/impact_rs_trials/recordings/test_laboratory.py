@@ -87,6 +87,23 @@ def test_a_pose_is_read_from_whatever_message_holds_it(laboratory: LaboratoryFol
     assert_known(laboratory.read()[0], laboratory.signals, 150e-6)
 
 
+def test_a_wrench_is_read_where_there_is_one(laboratory: LaboratoryFolder) -> None:
+    laboratory.bag(wrench=True)
+    laboratory.mapping({"wrench": {"topic": "/wrench", "unit": "N, N m", "factor": -1.0}})
+    (run,) = laboratory.read()
+    np.testing.assert_allclose(run.wrench_time, 1e-9 * laboratory.signals.time[::2], atol=1e-6)
+    np.testing.assert_array_equal(run.wrench[:, 1], -laboratory.signals.time[::2])
+    np.testing.assert_array_equal(run.wrench[:, [0, 2, 3, 4, 5]], np.tile([-1.0, -3.0, -4.0, -5.0, -6.0], (350, 1)))
+
+
+def test_on_the_clock_of_the_log_everything_is_as_late_as_it_is_logged(laboratory: LaboratoryFolder) -> None:
+    laboratory.bag(stamps=False)
+    laboratory.mapping({}, time={"stamp": "log"})
+    (run,) = laboratory.read()
+    assert run.command_time[0] == pytest.approx(150e-6, abs=1e-6)
+    assert run.object_time[0] == pytest.approx(0.004, abs=1e-6)
+
+
 def test_a_name_in_a_topic_may_be_that_of_the_object_or_the_arm(laboratory: LaboratoryFolder) -> None:
     laboratory.bag(topics={"/mocap/box/pose": "/mocap/parcel/pose", "/joint_states": "/arm/joint_states"})
     laboratory.mapping({"object_pose": {"topic": "/mocap/{object}/pose"}, "position": {"topic": "/{arm}/joint_states"}})
@@ -165,6 +182,31 @@ def test_a_parquet_time_that_tells_its_unit_is_believed(laboratory: LaboratoryFo
 def test_arrays_have_their_own_times(laboratory: LaboratoryFolder) -> None:
     np.savez(laboratory.path / "run_1.npz", **arrays(laboratory.signals))
     assert_known(laboratory.read()[0], laboratory.signals)
+
+
+def test_a_slower_signal_of_the_arm_is_interpolated_onto_its_grid(laboratory: LaboratoryFolder) -> None:
+    known = laboratory.signals
+    motors = {"motor_time": 1e-9 * known.time[::3], "theta": known.torque[::3]}
+    np.savez(laboratory.path / "run_1.npz", **arrays(known), **motors)
+    laboratory.mapping({"motor_position": {"array": "theta", "time_array": "motor_time", "unit": "rad"}})
+    (run,) = laboratory.read()
+    np.testing.assert_allclose(run.motor_position, known.torque, atol=5e-3)
+    assert run.motor_velocity.shape == (0, 7)
+
+
+def test_position_and_quaternion_of_the_object_may_be_two_arrays(laboratory: LaboratoryFolder) -> None:
+    known = laboratory.signals
+    parts = {"p": 1e3 * known.pose[:, :3], "wxyz": known.pose[:, [6, 3, 4, 5]]}
+    np.savez(laboratory.path / "run_1.npz", **arrays(known), **parts)
+    time = {"time_array": "object_time"}
+    laboratory.mapping(
+        {
+            "object_pose": None,
+            "object_position": {"array": "p", "unit": "mm", **time},
+            "object_quaternion": {"array": "wxyz", "unit": "-", "quaternion_order": "wxyz", **time},
+        }
+    )
+    assert_known(laboratory.read()[0], known)
 
 
 def test_arrays_of_an_hdf5_file_may_lie_in_groups(laboratory: LaboratoryFolder) -> None:
@@ -354,6 +396,16 @@ def test_bags_that_do_not_fit_the_mapping_are_refused_with_what_was_found(
     with pytest.raises(InputError, match="run_1: ") as caught:
         laboratory.read()
     assert complaint in str(caught.value)
+
+
+def test_a_field_that_is_not_there_is_told_with_those_that_are(laboratory: LaboratoryFolder) -> None:
+    laboratory.bag()
+    laboratory.mapping({"torque": {"field": "efort"}})
+    with pytest.raises(InputError, match="has no such field; did you mean 'effort'.; it has: header, name, position"):
+        laboratory.read()
+    laboratory.mapping({"object_pose": {"field": "poze"}})
+    with pytest.raises(InputError, match="object_pose.*has no such field; did you mean 'pose'"):
+        laboratory.read()
 
 
 def test_two_arms_on_one_topic_ask_for_the_names_of_one(laboratory: LaboratoryFolder) -> None:
