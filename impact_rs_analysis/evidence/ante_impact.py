@@ -78,4 +78,5 @@ def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced
         object=touching,
         motor_inertia={name: arm.motor_inertia(motor_inertia) for name, arm in physics.arms.items()},
         restitution=physics.restitution,
+        measured=True,
     )

@@ -118,7 +118,7 @@ def extract(
     last = windows[-1] if contact and contact[-1] else None
     for name, (physics, model) in arms.items():
         free = [
-            _Dynamics(w.time, w.arms[name], c.get(name), physics, model, motor)
+            Balances(w.time, w.arms[name], c.get(name), physics, model, motor)
             for w, c, hit in zip(windows, commands, contact, strict=True)
             if not hit
         ]
@@ -137,7 +137,7 @@ def extract(
             )
         if last is None:
             continue
-        dynamics = _Dynamics(last.time, last.arms[name], commands[-1].get(name), physics, model, motor)
+        dynamics = Balances(last.time, last.arms[name], commands[-1].get(name), physics, model, motor)
         onset = onset_of(last.time, dynamics.twists[:, :3], levels[name])
         if onset is None:
             return None
@@ -193,7 +193,7 @@ def _loss(time: Array, velocity: Array) -> tuple[Array, float]:
     return speed - velocity[near] @ before / speed, speed
 
 
-def _impact_features(onset: float, dynamics: _Dynamics) -> list[Array]:
+def _impact_features(onset: float, dynamics: Balances) -> list[Array]:
     """Jump and first 80 ms; windows begin between two ticks, so that an impact a little later changes nothing much."""
     time = dynamics.time
     velocity, twist = _Integral(time, dynamics.arm.velocity), _Integral(time, dynamics.twists)
@@ -211,7 +211,7 @@ def _impact_features(onset: float, dynamics: _Dynamics) -> list[Array]:
     return [jump, np.concatenate(linear), np.concatenate(force), np.concatenate(rotation)]
 
 
-def _push_features(onset: float, dynamics: _Dynamics, pushes: int) -> list[Array]:
+def _push_features(onset: float, dynamics: Balances, pushes: int) -> list[Array]:
     motor, wrench, velocity = [], [], []
     twist = _Integral(dynamics.time, dynamics.twists[:, :3])
     for start, end in zip(PUSH[:pushes], PUSH[1:], strict=False):
@@ -256,8 +256,17 @@ def _between(time: Array, values: Array, moment: float) -> Array:
     return np.asarray((1.0 - share) * values[row] + share * values[row + 1])
 
 
-class _Dynamics:
-    """Rigid-body terms of the nominal model along a motion."""
+class Balances:
+    """Torque balances of the nominal model along a motion.
+
+    Args:
+        time: Ticks, ``(k,)`` [s].
+        arm: Measured or replayed.
+        command: Desired torque, ``(k, n)`` [N m]; None: not known.
+        physics: Nominal, of the drives.
+        model: Nominal rigid-body model.
+        motor: Whether motor position and velocity are looked at.
+    """
 
     def __init__(
         self, time: Array, arm: ArmSignals, command: Array | None, physics: ArmPhysics, model: RobotModel, motor: bool
@@ -288,20 +297,26 @@ class _Dynamics:
         self._momentum = _Integral(time, self.momentum)
         self._known = _Integral(time, self.known)
 
+    @staticmethod
+    def middle(start: float, end: float) -> tuple[float, float]:
+        """What a bin is averaged over [s]: means over its ends, of the momentum, stand at their middles."""
+        return start + 0.5 * EDGE, end - 0.5 * EDGE
+
+    def motor_terms(self, start: float, end: float) -> tuple[Array, Array]:
+        """Mean motor acceleration over a bin, ``(n,)`` [rad/s^2], and mean torque that is passed on [N m]."""
+        begin, stop = self.middle(start, end)
+        ramp = self._motor_velocity.mean(end - EDGE, end) - self._motor_velocity.mean(start, start + EDGE)
+        return ramp / (stop - begin), self._damped.mean(begin, stop)
+
     def balance(self, start: float, end: float) -> tuple[Array, Array]:
         """Motor-side and link-side balance over a bin, ``(n,)`` each [N m]; the former is 0 without a command."""
-        head, tail = (start, start + EDGE), (end - EDGE, end)
-        # Means over the ends stand at their middles; the torque is averaged between exactly these.
-        middle = (start + 0.5 * EDGE, end - 0.5 * EDGE)
-        span = middle[1] - middle[0]
-        damped = self._damped.mean(*middle)
-        ramp = self._motor_velocity.mean(*tail) - self._motor_velocity.mean(*head)
-        change = self._momentum.mean(*tail) - self._momentum.mean(*head)
-        link = damped + self._known.mean(*middle) - change / span
+        begin, stop = self.middle(start, end)
+        ramp, damped = self.motor_terms(start, end)
+        change = self._momentum.mean(end - EDGE, end) - self._momentum.mean(start, start + EDGE)
+        link = damped + self._known.mean(begin, stop) - change / (stop - begin)
         if self._command is None:
             return np.zeros_like(link), link
-        motor = self._command.mean(*middle) - damped - self.physics.motor_inertia_reduced * ramp / span
-        return motor, link
+        return self._command.mean(begin, stop) - damped - self.physics.motor_inertia_reduced * ramp, link
 
     def link_balance(self, start: float, end: float) -> Array:
         """Link-side balance over a short window that begins and ends between ticks, ``(n,)`` [N m]."""

@@ -160,7 +160,7 @@ class ReplaySource(Source):
                 raise InputError(f"with model {model.name!r} the replay is not finite", file=run.path)
             residuals.append(run.measured - values)
         clusters, remarks = clusters_of(runs, residuals, discrepancy)
-        return cls(runs, model, store, clusters, discrepancy, remarks)
+        return cls(runs, model, store, clusters, discrepancy, (*runs.remarks, *remarks))
 
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         """See :meth:`Source.predict`; of every condition the first run is replayed."""

@@ -1,0 +1,172 @@
+"""The jump of a laboratory's runs: measured post-impact velocity with its interval, beside three motor inertias.
+
+Without reference spreading there is no net feedback to cross zero. What there is: the velocity of the end effector 20
+to 40 ms after the impact, and the impact map asked in the ante-impact state of every run. Errors are taken run by run,
+prediction minus measurement over measurement; repeats and conditions make the interval (Student's t).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+from impact_rs_analysis.evidence.ante_impact import ante_impact_state, problem_of
+from impact_rs_analysis.evidence.features import AXES, JUMP_BEFORE, SETTLED
+from impact_rs_analysis.evidence.measured import MeasuredRun
+from impact_rs_analysis.evidence.runs import Runs
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import ImpactMapError, compute_impact_map
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
+from impact_rs_sim.robot import Array
+
+ENGINE = "pinocchio"
+
+
+@dataclass(frozen=True)
+class MeasuredJump:
+    """Post-impact velocity of one condition along the direction of the hit.
+
+    Attributes:
+        condition: Condition.
+        runs: Runs of it.
+        before: Mean speed before the impact [m/s].
+        after: Mean speed 20 to 40 ms after it, along the same direction [m/s].
+        interval: 95 % interval of ``after`` [m/s]; None of a single run.
+        predicted: Mean speed after it, by motor inertia [m/s].
+        errors: Mean of (predicted - measured) / measured, by motor inertia [%].
+    """
+
+    condition: str
+    runs: int
+    before: float
+    after: float
+    interval: tuple[float, float] | None
+    predicted: dict[str, float]
+    errors: dict[str, float]
+
+
+@dataclass(frozen=True)
+class LaboratoryJumps:
+    """Jumps of all conditions.
+
+    Attributes:
+        jumps: By condition.
+        errors: Mean absolute error of every motor inertia over the conditions [%].
+        remarks: What could not be said.
+    """
+
+    jumps: tuple[MeasuredJump, ...]
+    errors: dict[str, float]
+    remarks: tuple[str, ...]
+
+    @property
+    def nearest(self) -> str:
+        """Motor inertia with the smallest mean absolute error."""
+        return min(self.errors, key=lambda name: self.errors[name])
+
+    def to_json(self) -> dict[str, Any]:
+        """Content of ``analyze --json``."""
+        return {
+            "conditions": [
+                {
+                    "condition": jump.condition,
+                    "runs": jump.runs,
+                    "speed_before": jump.before,
+                    "speed_after": jump.after,
+                    "ci95": None if jump.interval is None else list(jump.interval),
+                    "predicted": jump.predicted,
+                    "error_percent": jump.errors,
+                }
+                for jump in self.jumps
+            ],
+            "mean_absolute_error_percent": self.errors,
+            "nearest": self.nearest,
+            "remarks": list(self.remarks),
+        }
+
+
+def jumps_of(runs: Runs) -> LaboratoryJumps:
+    """Measured and predicted jumps of every condition in which something is hit.
+
+    Raises:
+        InputError: Nothing is hit in any run, or no impact map can be computed.
+    """
+    found, remarks = [], list(runs.remarks)
+    for condition, group in runs.conditions.items():
+        if not group[0].hit:
+            continue
+        try:
+            found.append(_jump_of(condition, group))
+        except (ImpactMapError, InputError) as error:
+            remarks.append(f"impact map of {condition}: {error}")
+    if not found:
+        why = f": {remarks[-1]}" if remarks else ": nothing is hit in any run"
+        raise InputError(f"no jump to analyse{why}", file=runs.directory)
+    errors = {name: float(np.mean([abs(jump.errors[name]) for jump in found])) for name in MOTOR_INERTIA_MODELS}
+    return LaboratoryJumps(tuple(found), errors, tuple(remarks))
+
+
+def _jump_of(condition: str, group: Sequence[MeasuredRun]) -> MeasuredJump:
+    before, after = np.array([_speeds(run) for run in group]).T
+    predicted = {name: np.array([_predicted(run, name) for run in group]) for name in MOTOR_INERTIA_MODELS}
+    interval = None
+    if len(group) > 1:
+        half = float(scipy.stats.t.ppf(0.975, len(group) - 1) * after.std(ddof=1) / math.sqrt(len(group)))
+        interval = (float(after.mean()) - half, float(after.mean()) + half)
+    return MeasuredJump(
+        condition=condition,
+        runs=len(group),
+        before=float(before.mean()),
+        after=float(after.mean()),
+        interval=interval,
+        predicted={name: float(values.mean()) for name, values in predicted.items()},
+        errors={name: float(np.mean((values - after) / after)) * 100.0 for name, values in predicted.items()},
+    )
+
+
+def _speeds(run: MeasuredRun) -> tuple[float, float]:
+    """Speed before and after the impact along the direction before it, mean over the arms [m/s]."""
+    pairs = []
+    values = {
+        (f.signal, f.index, f.bin): value
+        for f, value in zip(run.features, run.measured, strict=True)
+        if f.phase == "impact"
+    }
+    for name, direction in _directions(run).items():
+        label = f"{name}." if len(run.setup.physics.arms) > 1 else ""
+        # The feature is the change against the mean over the last milliseconds before the impact.
+        change = np.array([values["end-effector velocity", f"{label}{axis}", SETTLED] for axis in AXES])
+        baseline = _baseline(run, name)
+        pairs.append((float(_ante_velocity(run, name) @ direction), float((baseline + change) @ direction)))
+    before, after = np.mean(pairs, axis=0)
+    return float(before), float(after)
+
+
+def _ante_velocity(run: MeasuredRun, name: str) -> Array:
+    state = ante_impact_state(run)[name]
+    return np.asarray((run.setup.physics.robot_model(name).jacobian(state.position) @ state.velocity)[:3])
+
+
+def _directions(run: MeasuredRun) -> dict[str, Array]:
+    found = {name: _ante_velocity(run, name) for name in run.setup.physics.arms}
+    return {name: velocity / np.linalg.norm(velocity) for name, velocity in found.items()}
+
+
+def _baseline(run: MeasuredRun, name: str) -> Array:
+    """Mean velocity of the end effector over the window that the features are changes against, ``(3,)`` [m/s]."""
+    window, model = run.signals[-1], run.setup.physics.robot_model(name)
+    onset, arm = run.impacts[name], window.arms[name]
+    rows = (window.time >= onset + JUMP_BEFORE[0]) & (window.time <= onset + JUMP_BEFORE[1])
+    twists = [model.jacobian(q)[:3] @ dq for q, dq in zip(arm.position[rows], arm.velocity[rows], strict=True)]
+    return np.asarray(np.mean(twists, axis=0))
+
+
+def _predicted(run: MeasuredRun, motor_inertia: str) -> float:
+    """Speed after the impact by the impact map, along the direction before it, mean over the arms [m/s]."""
+    result = compute_impact_map(problem_of(run, run.setup.physics, motor_inertia), ENGINE)
+    return float(np.mean([result.end_effector_twist[name][:3] @ way for name, way in _directions(run).items()]))
