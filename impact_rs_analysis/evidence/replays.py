@@ -168,9 +168,11 @@ class ReplaySource(Source):
             [Replay(self.conditions[number][0].setup, self.model, added) for number, added in wanted], what
         )
 
-    def differences(self, numbers: Sequence[int], before: Added, after: Added, what: str) -> list[Array | None]:
+    def differences(
+        self, numbers: Sequence[int], before: Added, after: Added, what: str, every: bool = True
+    ) -> list[Array | None]:
         """See :meth:`Source.differences`; repeats are replayed one by one, for a bounce is another in each of them."""
-        groups = [self.conditions[number] for number in numbers]
+        groups = [self.conditions[number][: None if every else 1] for number in numbers]
         tasks = [Replay(run.setup, self.model, added) for added in (before, after) for group in groups for run in group]
         found = self.store(tasks, what)
         half = len(tasks) // 2
