@@ -109,7 +109,7 @@ class BulletWorld:
                 zero.
         """
         for name, arm in physics.arms.items():
-            _check_body(name, arm.end_effector)
+            check_body(name, arm.end_effector)
         client = _connected()
         client.setPhysicsEngineParameter(
             fixedTimeStep=time_step,
@@ -306,7 +306,12 @@ def _make_support(client: BulletClient, physics: Physics, arms: dict[str, int]) 
     return int(body)
 
 
-def _check_body(name: str, end_effector: EndEffector) -> None:
+def check_body(name: str, end_effector: EndEffector) -> None:
+    """Refuse an end effector that is no rigid body.
+
+    Raises:
+        NotABody: Its mass is not positive, or its moments of inertia are those of no body.
+    """
     smallest, middle, largest = np.linalg.eigvalsh(end_effector.inertia)
     if end_effector.mass <= 0.0 or smallest <= 0.0 or largest > (1.0 + 1e-6) * (smallest + middle):
         raise NotABody(

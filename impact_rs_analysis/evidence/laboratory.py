@@ -166,7 +166,7 @@ def _window_terms(run: Run, name: str, arm: ArmSignals, start: float) -> Array:
         motor_velocity=arm.motor_velocity[rows] if arm.motor_velocity.size else arm.motor_velocity,
     )
     physics = run.physics.arms[name]
-    balances = Balances(time[rows], cut, None, physics, run.physics.robot_model(name), run.motor_measured)
+    balances = Balances(time[rows], cut, None, physics, run.physics.robot_model(name), run.motor_measured, coarse=True)
     begin, end = balances.middle(float(time[rows][0]), float(time[rows][-1]))
     ramp, passed = balances.motor_terms(float(time[rows][0]), float(time[rows][-1]))
     sent, values = run.command_time[name], run.command[name]
