@@ -23,6 +23,7 @@ from impact_rs_sim.version import package_version
 from impact_rs_trials.workers import Map
 
 CACHE_VERSION = 10
+BATCH = 8  # replays of one run that are sent to a worker together; a few seconds at most
 
 Progress = Callable[[str, int, int], None]
 
@@ -91,6 +92,19 @@ def run_replay(task: Replay) -> Array | None:
     return None if blown_up and task.added else found
 
 
+def run_batch(tasks: Sequence[Replay]) -> list[Array | None]:
+    """Features of replays of one run, as :func:`run_replay`."""
+    return [run_replay(task) for task in tasks]
+
+
+def _batches(missing: dict[str, Replay]) -> list[list[str]]:
+    """Replays of one run side by side: what they start from travels once, and shares its free motion."""
+    grouped: dict[str, list[str]] = {}
+    for digest, task in missing.items():
+        grouped.setdefault(task.setup.digest, []).append(digest)
+    return [own[start : start + BATCH] for own in grouped.values() for start in range(0, len(own), BATCH)]
+
+
 def cache_directory() -> Path:
     """Where results are kept: ``$XDG_CACHE_HOME/impact_rs`` or ``~/.cache/impact_rs``."""
     base = os.environ.get("XDG_CACHE_HOME")
@@ -118,13 +132,15 @@ class ReplayStore:
         for task, digest in zip(tasks, digests, strict=True):
             if digest not in self._known and not self._load(digest):
                 missing.setdefault(digest, task)
-        total = len(missing)
-        for done, (digest, result) in enumerate(
-            zip(missing, self._map(run_replay, list(missing.values())), strict=True), start=1
-        ):
-            self._known[digest] = result
-            self._save(digest, result)
-            self._progress(what, done, total)
+        batches = _batches(missing)
+        done = 0
+        results = self._map(run_batch, [tuple(missing[digest] for digest in batch) for batch in batches])
+        for batch, found in zip(batches, results, strict=True):
+            for digest, result in zip(batch, found, strict=True):
+                self._known[digest] = result
+                self._save(digest, result)
+            done += len(batch)
+            self._progress(what, done, len(missing))
         return [self._known[digest] for digest in digests]
 
     def _load(self, digest: str) -> bool:

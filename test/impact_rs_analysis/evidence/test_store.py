@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import pytest
 
 from impact_rs_analysis.evidence.measured import MeasuredRun, Setup
 from impact_rs_analysis.evidence.run import Run
-from impact_rs_analysis.evidence.store import Replay, ReplayStore, run_replay
+from impact_rs_analysis.evidence.store import BATCH, Replay, ReplayStore, run_batch, run_replay
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.scene import ArmState
@@ -28,11 +28,11 @@ def counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Callable[.
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     run: list[Replay] = []
 
-    def map_tasks(function: Callable, tasks: Iterable[Replay]) -> list:
-        assert function is run_replay
-        tasks = list(tasks)
-        run.extend(tasks)
-        return [np.array([len(run), float(len(task.added))]) for task in tasks]
+    def map_tasks(function: Callable, batches: Iterable[Sequence[Replay]]) -> list:
+        assert function is run_batch
+        batches = list(batches)
+        run.extend(task for batch in batches for task in batch)
+        return [[np.array([len(run), float(len(task.added))]) for task in batch] for batch in batches]
 
     return map_tasks, run
 
@@ -66,9 +66,10 @@ def test_a_replay_that_hits_nothing_is_kept_as_well(
 ) -> None:
     calls = []
 
-    def nothing(function: Callable, tasks: Iterable[Replay]) -> list:
-        calls.extend(tasks)
-        return [None for _ in tasks]
+    def nothing(function: Callable, batches: Iterable[Sequence[Replay]]) -> list:
+        batches = list(batches)
+        calls.extend(batches)
+        return [[None for _ in batch] for batch in batches]
 
     task = Replay(setup, Model(name="nominal"))
     assert ReplayStore(nothing)([task]) == [None]
@@ -92,3 +93,26 @@ def test_a_fit_that_takes_away_more_than_there_is_gets_no_replay_and_a_model_tha
     model = Model(name="hollow", effects=(ModelEffect(name="end_effector_payload", parameters=believed),))
     with pytest.raises(InputError, match="end effector of arm 'arm': mass .* kg .* is no rigid body"):
         run_replay(Replay(setup, model))
+
+
+def test_replays_of_one_run_travel_together_and_come_back_in_order(
+    setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    other = replace(setup, drive="joint torque")
+    sizes = []
+
+    def map_tasks(function: Callable, batches: Iterable[Sequence[Replay]]) -> list:
+        batches = list(batches)
+        for batch in batches:
+            assert len({task.setup.digest for task in batch}) == 1
+            sizes.append(len(batch))
+        return [[np.array([task.added[0][1][0]]) for task in batch] for batch in batches]
+
+    values = [0.01 * number for number in range(BATCH + 2)]
+    tasks = [
+        Replay(one, Model(name="nominal"), (("restitution", (value,)),)) for value in values for one in (setup, other)
+    ]
+    found = ReplayStore(map_tasks)(tasks)
+    assert [float(item[0]) for item in found] == [value for value in values for _ in range(2)]
+    assert sorted(sizes) == [2, 2, BATCH, BATCH]
