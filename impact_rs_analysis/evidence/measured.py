@@ -21,6 +21,7 @@ from impact_rs_analysis.evidence.signals import Signals
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.spec import TrialSpec
 
 KEPT = 64  # free motions in the memory of a process, about 0.2 MB each
@@ -78,7 +79,7 @@ class Setup:
                 for window in self.windows
             ],
             [window.contact for window in self.windows],
-            {name: (arm, self.physics.robot_model(name)) for name, arm in self.physics.arms.items()},
+            {name: (arm, _model(self.digest, self.physics, name)) for name, arm in self.physics.arms.items()},
             self.motor,
             self.tracked,
             self.pushes,
@@ -205,6 +206,19 @@ class MeasuredRun:
             features=tuple(self.features[row] for row in rows),
             measured=self.measured[rows],
         )
+
+
+_models: OrderedDict[tuple[str, str], RobotModel] = OrderedDict()
+
+
+def _model(digest: str, physics: Physics, arm: str) -> RobotModel:
+    """Nominal rigid-body model of a run's arm; a process makes it once."""
+    key = digest, arm
+    if key not in _models:
+        _models[key] = physics.robot_model(arm)
+        while len(_models) > KEPT:
+            _models.popitem(last=False)
+    return _models[key]
 
 
 _free_motions: OrderedDict[tuple[str, bytes], list[Signals]] = OrderedDict()
