@@ -130,8 +130,9 @@ class Source(ABC):
 
     @property
     def joint_count(self) -> int:
-        """Number of joints of an arm."""
-        return next(iter(self.physics.arms.values())).facts.joint_count
+        """Number of joints of an arm; 0 where there is none."""
+        arm = next(iter(self.physics.arms.values()), None)
+        return 0 if arm is None else arm.facts.joint_count
 
     @abstractmethod
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
