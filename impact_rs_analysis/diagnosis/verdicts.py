@@ -95,7 +95,7 @@ class Findings:
 
 
 def told(evidence: Evidence, rest: Sequence[Array]) -> float:
-    """Size of residuals as the user reads it: in multiples of repetition, or of recordings in N m rms.
+    """Size of residuals as the user reads it: in multiples of repetition, or rms in the unit of the source.
 
     Args:
         evidence: The clusters.
@@ -103,8 +103,9 @@ def told(evidence: Evidence, rest: Sequence[Array]) -> float:
     """
     if evidence.source.repeated:
         return evidence.size(np.array([float(np.mean(np.square(values))) for values in rest]))
-    torque = [values * item.sigma for item, values in zip(evidence.clusters, rest, strict=True)]
-    return float(np.sqrt(np.mean(np.square(np.concatenate(torque)))))
+    weight = evidence.source.told_weight
+    weighted = [values * weight(item) for item, values in zip(evidence.clusters, rest, strict=True)]
+    return float(np.sqrt(np.mean(np.square(np.concatenate(weighted)))))
 
 
 def noise_told(evidence: Evidence) -> float:
@@ -116,7 +117,7 @@ def noise_told(evidence: Evidence) -> float:
 
 def unit_told(evidence: Evidence) -> str:
     """Unit of :func:`told`."""
-    return TIMES if evidence.source.repeated else "N m"
+    return TIMES if evidence.source.repeated else evidence.source.told_unit
 
 
 def p_told(value: float) -> float:
@@ -209,7 +210,8 @@ def headline(found: Findings) -> Headline:
     if not evidence.source.repeated:
         noise, left = noise_told(evidence), told(evidence, found.unexplained)
         if chosen is None:
-            return Headline(NONE if left > 2.0 * noise else NOTHING, share, before, after)
+            # Where nobody knows the noise, what no effect explains is not known to be more than that.
+            return Headline(NONE if left > 2.0 * noise > 0.0 else NOTHING, share, before, after)
         return Headline("+".join(found.names), share, before, after)
     stays = after is not None and after < SIGNIFICANT
     large = any(rest.value > rest.floor for rest in rests_of(evidence, found.unexplained))

@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.table import Table
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
+from impact_rs_analysis.diagnosis.document import TIMES
 from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.diagnosis.jump import JOINTS
 from impact_rs_analysis.evidence.aligned import aligned_trials, check_free, write_aligned
@@ -31,7 +32,13 @@ example:
 A recording of a real robot in free motion (a bag with sensor_msgs/JointState, CSV or NPZ) is compared on joint torque:
   {PROGRAM} compare recording.db3 --mapping joint_state
 
-Units: each difference says its own; scores are multiples of what repetition alone gives, of recordings N m."""
+A table with one row per impact, of one free body on a plane or of an arm and an object (--scenario), is compared
+on the velocities just after; docs/impact_tables.md lists its columns:
+  {PROGRAM} compare --impacts tosses.csv
+  {PROGRAM} compare --impacts pushes.csv --scenario push
+
+Units: each difference says its own; scores are multiples of what repetition alone gives, of recordings N m,
+of impacts without repeats m/s."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -95,9 +102,10 @@ def _show(document: ComparisonDocument, terminal: Terminal) -> None:
     where = (
         f" in {len(document.conditions)} condition{'' if len(document.conditions) == 1 else 's'}" if of_trials else ""
     )
+    on_scale = of_trials or document.score_unit == TIMES
     terminal.say(
         f"Model {document.model.name!r} against {document.trials} {document.source.removesuffix('s')}{many}{where}: "
-        f"score {number(document.score)}{'' if of_trials else ' ' + document.score_unit}{alone}"
+        f"score {number(document.score)}{'' if on_scale else ' ' + document.score_unit}{alone}"
     )
     if (facts := document.recording) is not None:
         terminal.say(
@@ -125,7 +133,9 @@ def _show_joints(document: ComparisonDocument, terminal: Terminal) -> None:
 
 
 def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
-    table = Table(title="How large the differences are [times what repetition alone gives]")
+    alone = "the rms of the signal" if document.noise_floor is None else "what noise alone gives"
+    times = TIMES if document.source == "trials" or document.score_unit == TIMES else f"times {alone}"
+    table = Table(title=f"How large the differences are [{times}]")
     table.add_column("level")
     table.add_column("difference", justify="right")
     table.add_column("worst signal")

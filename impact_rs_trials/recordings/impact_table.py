@@ -174,7 +174,9 @@ def _csv(path: Path) -> tuple[list[str], Cells]:
     header = [name.strip() for name in lines[0]]
     for number, row in enumerate(lines[1:], start=1):
         if len(row) != len(header):
-            raise InputError(f"expected {len(header)} cells as in the header, got {len(row)}", file=path, key=_row(number))
+            raise InputError(
+                f"expected {len(header)} cells as in the header, got {len(row)}", file=path, key=_row(number)
+            )
     return header, [dict(zip(header, row, strict=True)) for row in lines[1:]]
 
 
@@ -293,7 +295,9 @@ class _Reader:
             )
         if joints:
             expected = ", ".join(f"{arm} has {self._joints(arm)}" for arm in self._arms)
-            raise InputError(f"column {joints[0]!r} is of no joint of scenario {self._name} ({expected})", file=self.path)
+            raise InputError(
+                f"column {joints[0]!r} is of no joint of scenario {self._name} ({expected})", file=self.path
+            )
         free = [name for name in known if name not in self._where]
         for text in unread:
             name = text.partition("[")[0].strip()
@@ -337,8 +341,8 @@ class _Reader:
             )
         if self.scenario is None and not (shaped or "ixx" in self._where):
             raise InputError(
-                "nothing says how hard the body is to turn; expected principal moments ('ixx [kg m^2]' ...) or its size "
-                f"('size_x [m]' ...); there are: {', '.join(self.header)}",
+                "nothing says how hard the body is to turn; expected principal moments ('ixx [kg m^2]' ...) or its "
+                f"size ('size_x [m]' ...); there are: {', '.join(self.header)}",
                 file=self.path,
             )
 
@@ -425,7 +429,9 @@ class _Reader:
         normal = self._values(number, cells, _triple("n"))
         length = float(np.linalg.norm(normal))
         if abs(length - 1.0) > UNIT_LENGTH:
-            raise self._wrong(number, "length of (nx, ny, nz) [-]", round(length, 6), "expected a unit normal: length 1")
+            raise self._wrong(
+                number, "length of (nx, ny, nz) [-]", round(length, 6), "expected a unit normal: length 1"
+            )
         return normal / length
 
     def _given_points(self, number: int, cells: Mapping[str, Any]) -> list[Array]:
@@ -454,9 +460,7 @@ class _Reader:
             )
         return name
 
-    def _assumption(
-        self, number: int, cells: Mapping[str, Any], thing: str
-    ) -> tuple[Physics, dict[str, RobotModel]]:
+    def _assumption(self, number: int, cells: Mapping[str, Any], thing: str) -> tuple[Physics, dict[str, RobotModel]]:
         """Physics of a row before any effect; rows that assume the same share one."""
         names = ("mass", "ixx", "iyy", "izz", *_triple("size_"), "friction", "restitution")
         own = {name: self._value(number, cells, name) for name in names if name in self._where}
@@ -480,7 +484,10 @@ class _Reader:
             if min(values) < 0.0:
                 joint = int(np.argmin(values))
                 raise self._wrong(
-                    number, f"column '{self._of_joints(arm, 'B')[joint]}'", values[joint], "expected a number >= 0 [kg m^2]"
+                    number,
+                    f"column '{self._of_joints(arm, 'B')[joint]}'",
+                    values[joint],
+                    "expected a number >= 0 [kg m^2]",
                 )
         key = (thing, *own.items(), *motors.items())
         if key not in self._physics:
