@@ -6,15 +6,17 @@ Trials are compared on three levels:
 * **free motion**: torque balances and deflections in windows without contact,
 * **trial**: the twin in closed loop, through impact and push;
 
-recordings on one, the torque balance of free motion; tables of impacts on one as well, the velocities just after. Every difference is given in its unit and in multiples of what
-repetition explains, so that torques and velocities can be ranked together. The score of trials is the one the diagnosis
-lowers: the size of the mean residuals (:func:`impact_rs_analysis.evidence.cluster.size_of`), 1 being what repetition
-alone leaves. That of recordings is the root mean square torque that is not explained [N m], that of impacts without repeats
-the root mean square velocity (:mod:`impact_rs_analysis.evidence.impact_tables`) [m/s].
+recordings on one, the torque balance of free motion; tables of impacts on one as well, the velocities just after. Every
+difference is given in its unit and in multiples of what repetition explains, so that torques and velocities can be
+ranked together. The score of trials is the one the diagnosis lowers: the size of the mean residuals
+(:func:`impact_rs_analysis.evidence.cluster.size_of`), 1 being what repetition alone leaves. That of recordings is the
+root mean square torque that is not explained [N m], that of impacts without repeats the root mean square velocity
+(:mod:`impact_rs_analysis.evidence.impact_tables`) [m/s].
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Literal
@@ -52,7 +54,10 @@ class Cell(Schema):
     phase: str = Field(description="free, impact or push; of a recording moving up, moving down or slow")
     signal: str = Field(description="what was compared")
     index: str = Field(description="joint or axis")
-    error: float = Field(description="measured minus model where it is largest, or mean of a recording, in the unit")
+    error: float = Field(
+        description="measured minus model where it is largest; of a recording the mean, of impacts "
+        "without repeats the root mean square with the sign of the mean; in the unit"
+    )
     unit: str = Field(description="unit")
     floor: float = Field(description="difference below which nobody cares, in the unit")
     share: float = Field(description="share of all squares")
@@ -397,7 +402,10 @@ def _of_impacts(source: ImpactTableSource) -> ComparisonDocument:
 
 
 def _where_of_blocks(clusters: Sequence[Cluster]) -> list[Cell]:
-    """Every object x kind of contact x signal x index over all rows, largest share first; errors are means."""
+    """Every object x kind of contact x signal x index over all rows, largest share first.
+
+    Errors are root mean squares with the sign of the mean.
+    """
     total = sum(float(np.sum(np.square(item.mean))) for item in clusters)
     found: dict[tuple[str, str, str, str, str], list[tuple[float, float, float]]] = {}
     facts: dict[tuple[str, str, str], tuple[str, float]] = {}
@@ -419,7 +427,7 @@ def _where_of_blocks(clusters: Sequence[Cluster]) -> list[Cell]:
                 phase=phase,
                 signal=signal,
                 index=index,
-                error=rounded(float(error.mean())),
+                error=rounded(math.copysign(root_mean_square(error), float(error.mean()))),
                 unit=unit,
                 floor=floor,
                 share=rounded(float(np.sum(np.square(scaled))) / max(total, 1e-300)),

@@ -145,7 +145,8 @@ def sizes_of(fitted: Fit, name: str) -> list[SizeDocument]:
 
 def matters(fitted: Fit, name: str) -> bool:
     """Whether an effect moves some signal by more than anybody cares about, or of a recording is noticeable."""
-    if not fitted.evidence.source.repeated:
+    source = fitted.evidence.source
+    if not source.repeated and source.least_change > 0.0:
         return noticeable(fitted)
     return any(size.value > size.floor for size in sizes_of(fitted, name))
 

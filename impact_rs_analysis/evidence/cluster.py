@@ -120,6 +120,8 @@ class Source(ABC):
         cheap: Whether predictions cost so little that several starting points can be tried.
         remarks: What a reader should know of the measurements.
         told_unit: Where nothing is repeated, unit in which the size of residuals is told.
+        least_change: Where nothing is repeated, parameter scales beyond which the whole interval of an accepted effect
+            lies; 0: its features have floors, by which it is judged.
     """
 
     model: Model
@@ -129,6 +131,7 @@ class Source(ABC):
     cheap: bool
     remarks: Sequence[str] = ()
     told_unit: str = "N m"
+    least_change: float = 1.0
 
     @property
     def joint_count(self) -> int:

@@ -154,8 +154,10 @@ def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
     for heading in ("object", "case", "phase", "signal", ""):
         places.add_column(heading)
     places.add_column("error", justify="right")
-    places.add_column("x noise", justify="right")
+    shared = document.source == "impacts" and document.noise_floor is None
+    places.add_column("share" if shared else "x noise", justify="right")
     for cell in document.where[:8]:
         error = f"{cell.error:+.3g} {cell.unit}"
-        places.add_row(cell.object, cell.case, cell.phase, cell.signal, cell.index, error, number(cell.times_noise))
+        size = f"{100 * cell.share:.0f} %" if shared else number(cell.times_noise)
+        places.add_row(cell.object, cell.case, cell.phase, cell.signal, cell.index, error, size)
     terminal.say(places)
