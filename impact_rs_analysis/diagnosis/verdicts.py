@@ -213,6 +213,8 @@ def headline(found: Findings) -> Headline:
         if chosen is None:
             # Where nobody knows the noise, what no effect explains is not known to be more than that.
             return Headline(NONE if left > 2.0 * noise > 0.0 else NOTHING, share, before, after)
+        if evidence.source.least_change == 0.0 and left > 2.0 * noise > 0.0 and share > LEAST_REST:
+            return Headline(_partly(found, share), share, before, after)
         return Headline("+".join(found.names), share, before, after)
     stays = after is not None and after < SIGNIFICANT
     large = any(rest.value > rest.floor for rest in rests_of(evidence, found.unexplained))
@@ -220,12 +222,17 @@ def headline(found: Findings) -> Headline:
         # An effect may be significant alone; where all that differs is noise, it explains nothing that is missing.
         verdict = NONE if stays and large else SMALL if stays else NOTHING
     elif stays and large and share > LEAST_REST:
-        verdict = f"{PARTLY}{{{', '.join(found.names)}}}" if share < 1.0 - MOST else NONE
+        verdict = _partly(found, share)
     elif not any(matters(chosen, name) for name in found.names):
         verdict = SMALL
     else:
         verdict = "+".join(found.names)
     return Headline(verdict, share, before, after)
+
+
+def _partly(found: Findings, share: float) -> str:
+    """The verdict where the chosen effects leave more than noise, by the share of the excess that stays."""
+    return f"{PARTLY}{{{', '.join(found.names)}}}" if share < 1.0 - MOST else NONE
 
 
 def effect_documents(found: Findings, known: dict[str, Effect]) -> list[EffectDocument]:

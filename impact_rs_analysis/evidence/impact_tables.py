@@ -1,7 +1,9 @@
 """Tables of impacts as a source of evidence: the impact map predicts what every row measured just after.
 
-Features are the post-impact velocities themselves: of the joints, of the body's centre, and its angular velocity. Two
-kinds of clusters:
+Features are the post-impact velocities: of the joints, of the body's centre, and its angular velocity. Those of a free
+body are told in axes of its contact, where they mean something in every row alike: along the ``normal``, along the
+``sliding`` of the contact just before, and ``across`` both. Those of an object are told in x, y and z. Two kinds of
+clusters:
 
 * **Conditions.** Where enough rows are repeats of each other, a cluster is a condition. Every repeat is predicted from
   its own ante-impact state, and the prediction of a condition is the mean over its repeats, so that its mean residual
@@ -31,7 +33,8 @@ import numpy as np
 from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature, Source, pooled_error
 from impact_rs_analysis.evidence.tracks import TrackSet, TrackSignal
 from impact_rs_sim.errors import InputError, NotABody
-from impact_rs_sim.impact_map.measured import restitution_of, solve_measured
+from impact_rs_sim.impact_map.contacts import contact_frame
+from impact_rs_sim.impact_map.measured import MeasuredImpact, restitution_of, solve_measured
 from impact_rs_sim.impact_map.problem import ImpactMapError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
@@ -48,7 +51,9 @@ FLOOR_JOINT = 0.005  # rad/s; the same at a lever of 1 m
 GAINED = 1.05  # kinetic energy after over before, from which a row is suspect
 
 JOINTS, LINEAR, ANGULAR = "joint velocity after", "velocity after", "angular velocity after"
-AXES = "xyz"
+AXES = ("x", "y", "z")
+CONTACT_AXES = ("normal", "sliding", "across")
+STICKING = 1e-6  # m/s; a contact that slides no faster has no direction, and any tangent is taken
 NO_DISCREPANCY_KNOWN = (
     "no discrepancy of the rigid impact map is measured, so 0 is taken: what no rigid body does (finite duration, "
     "compliance) counts against the model"
@@ -79,7 +84,7 @@ class ImpactTableSource(Source):
         model: What is believed.
 
     Attributes:
-        predicted: u^+ of the model, ``(rows, nv)`` [rad/s, m/s].
+        predicted: u^+ of the model in the axes of the features, ``(rows, nv)`` [rad/s, m/s].
         measured: The same as measured.
 
     Raises:
@@ -100,7 +105,8 @@ class ImpactTableSource(Source):
         physics = self._applied[id(table.rows[0].physics), ()]
         assert physics is not None
         self.physics = physics
-        self.measured = np.array([row.after for row in table.rows])
+        self._axes = [_axes_of(row.impact) for row in table.rows]
+        self.measured = np.array([_turned(row.after, axes) for row, axes in zip(table.rows, self._axes, strict=True)])
         self.predicted = self._predict_all()
         groups = _conditions(table)
         self.repeated = groups is not None
@@ -121,8 +127,9 @@ class ImpactTableSource(Source):
             label = f"{name}." if len(self.table.arms) > 1 else ""
             for joint in range(state.position.size):
                 found.append(Feature("impact", JOINTS, f"{label}joint{joint + 1}", 0, "rad/s", FLOOR_JOINT))
-        found += [Feature("impact", LINEAR, axis, 0, "m/s", FLOOR_LINEAR) for axis in AXES]
-        found += [Feature("impact", ANGULAR, axis, 0, "rad/s", FLOOR_ANGULAR) for axis in AXES]
+        names = AXES if self.table.arms else CONTACT_AXES
+        found += [Feature("impact", LINEAR, axis, 0, "m/s", FLOOR_LINEAR) for axis in names]
+        found += [Feature("impact", ANGULAR, axis, 0, "rad/s", FLOOR_ANGULAR) for axis in names]
         return tuple(found)
 
     @cached_property
@@ -133,7 +140,10 @@ class ImpactTableSource(Source):
             physics = self._physics(number, ())
             assert physics is not None
             system = self.table.rows[number].impact.system(physics, self._robots(physics))
-            found.append(np.sqrt(np.diag(system.inertia) / physics.object.mass))
+            axes = self._axes[number]
+            turned = np.array([_turned(column, axes) for column in system.inertia.T])  # H T^T, with T the axes
+            diagonal = np.diag([_turned(column, axes) for column in turned.T])
+            found.append(np.sqrt(diagonal / physics.object.mass))
         return np.array(found)
 
     def told_weight(self, item: Cluster) -> Array:
@@ -166,7 +176,7 @@ class ImpactTableSource(Source):
         return result
 
     def predicted_with(self, added: Added) -> Array:
-        """u^+ of all rows with effects on top of the model, ``(rows, nv)`` [rad/s, m/s].
+        """u^+ of all rows with effects on top of the model, as ``predicted``, ``(rows, nv)`` [rad/s, m/s].
 
         Raises:
             InputError: The effects leave no body, or some row has no answer.
@@ -248,10 +258,11 @@ class ImpactTableSource(Source):
         return self._applied[base, added]
 
     def _solve(self, number: int, physics: Physics) -> Array:
-        """u^+ of one row, ``(nv,)``; what the map does not depend on makes no new question."""
+        """u^+ of one row as a feature, ``(nv,)``; what the map does not depend on makes no new question."""
         key = (number, _what_the_map_knows(physics))
         if key not in self._known:
-            self._known[key], _ = solve_measured(physics, self.table.rows[number].impact, self._robots(physics))
+            velocity, _ = solve_measured(physics, self.table.rows[number].impact, self._robots(physics))
+            self._known[key] = _turned(velocity, self._axes[number])
         return self._known[key]
 
     def _robots(self, physics: Physics) -> dict[str, RobotModel]:
@@ -320,7 +331,8 @@ class ImpactTableSource(Source):
         physics = self._physics(number, ())
         assert physics is not None
         system = self.table.rows[number].impact.system(physics, self._robots(physics))
-        before, after = (float(u @ system.inertia @ u) for u in (system.velocity, self.measured[number]))
+        velocities = (system.velocity, self.table.rows[number].after)
+        before, after = (float(u @ system.inertia @ u) for u in velocities)
         return after / max(before, 1e-300)
 
 
@@ -346,6 +358,24 @@ def _blocks(table: ImpactTable) -> list[_Group]:
         name = f"row {low + 1}" if high - low == 1 else f"rows {low + 1} to {high}"
         found.append(_Group(name, str(table.path), tuple(range(low, high))))
     return found
+
+
+def _axes_of(impact: MeasuredImpact) -> Array:
+    """Axes of the features in A, as rows, ``(3, 3)``: of the contact of a free body, else those of A."""
+    if impact.arms:
+        return np.eye(3)
+    normal = impact.points[0].normal
+    velocity = np.mean([impact.object.point_velocity(point.position) for point in impact.points], axis=0)
+    sliding = velocity - (velocity @ normal) * normal
+    speed = float(np.linalg.norm(sliding))
+    tangent = sliding / speed if speed > STICKING else contact_frame(normal)[0]
+    return np.array([normal, tangent, np.cross(normal, tangent)])
+
+
+def _turned(velocity: Array, axes: Array) -> Array:
+    """u ``(nv,)`` with velocity and angular velocity of the body in other axes."""
+    count = velocity.size - 6
+    return np.concatenate((velocity[:count], axes @ velocity[count : count + 3], axes @ velocity[count + 3 :]))
 
 
 def _what_the_map_knows(physics: Physics) -> bytes:

@@ -191,7 +191,8 @@ def where_plots(cells: Sequence[Cell], by_phase: bool) -> list[tuple[str, go.Fig
     top = min(max(largest, DARKEST[0]), DARKEST[1])
     if by_phase:
         drawn = _heat_map(cells, [(phase_text(cell.phase), cell) for cell in cells], top)
-        return [] if drawn is None else [("By joint and motion", drawn)]
+        title = "By joint and motion" if all(cell.signal == "torque" for cell in cells) else "By signal"
+        return [] if drawn is None else [(title, drawn)]
     several = len({cell.scenario for cell in cells}) > 1
     found = []
     for phase in sorted({cell.phase for cell in cells}, key=_order_of_phase):
