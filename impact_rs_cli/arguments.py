@@ -33,9 +33,10 @@ def on_local_runs(run: Command) -> Command:
 
     @functools.wraps(run)
     def command(args: argparse.Namespace, terminal: Terminal) -> int:
-        if args.impacts is not None:
+        impacts = getattr(args, "impacts", None)  # not every command knows tables of impacts
+        if impacts is not None:
             if args.runs is not None:
-                raise InputError(f"--impacts {args.impacts} takes the place of RUNS; leave {args.runs} out")
+                raise InputError(f"--impacts {impacts} takes the place of RUNS; leave {args.runs} out")
             return run(args, terminal)
         if args.runs is None:
             raise InputError(f"nothing to read; expected RUNS, a {RUNS}, or --impacts TABLE")
