@@ -19,9 +19,9 @@ from typing import Any
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import read_document, write_document
 from impact_rs_analysis.diagnosis.scoring import score
-from impact_rs_analysis.evidence.rollouts import RolloutStore
+from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_analysis.evidence.runs import read_runs
-from impact_rs_analysis.evidence.trials import TrialSource
+from impact_rs_analysis.evidence.store import ReplayStore
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
 from impact_rs_sim.unmodelled import OUTSIDE
@@ -70,7 +70,7 @@ def run(entry: Entry, directory: Path, size: str, map_tasks: Map) -> dict[str, A
     document = directory / "diagnosis.json"
     started = time.perf_counter()
     if not document.exists():
-        source = TrialSource.of(read_runs(directory / RUNS, map_tasks), load_model("nominal"), RolloutStore(map_tasks))
+        source = ReplaySource.of(read_runs(directory / RUNS, map_tasks), load_model("nominal"), ReplayStore(map_tasks))
         write_document(diagnose(source, source.model), document)
     elapsed = time.perf_counter() - started
     read = read_document(document)

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.evidence.rollouts import RolloutStore
+from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_analysis.evidence.runs import read_runs
-from impact_rs_analysis.evidence.trials import TrialSource
+from impact_rs_analysis.evidence.store import ReplayStore
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.record import record_trial
@@ -40,7 +40,7 @@ def record(folder: Path, conditions: list[tuple[str, str]] = CONDITIONS, repeats
 def main(folder: Path, effects: list[str] = EFFECTS) -> DiagnosisDocument:
     """Diagnose the trials of a folder."""
     model = load_model("nominal")
-    document = diagnose(TrialSource.of(read_runs(folder, map), model, RolloutStore(map)), model, effects)
+    document = diagnose(ReplaySource.of(read_runs(folder, map), model, ReplayStore(map)), model, effects)
     print(f"{document.verdict}: {document.summary}")
     for effect in document.effects:
         for name, found in effect.parameters.items():

@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from impact_rs_analysis.evidence.aligned import aligned_trials
+from impact_rs_analysis.evidence.aligned import aligned_runs
 from impact_rs_analysis.evidence.cluster import Added, Source
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.recordings import RecordingSource
-from impact_rs_analysis.evidence.rollouts import RolloutStore
+from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_analysis.evidence.runs import Runs, read_runs
-from impact_rs_analysis.evidence.tracks import TrackSet, tracks_of_recordings, tracks_of_trials
-from impact_rs_analysis.evidence.trials import TrialSource
+from impact_rs_analysis.evidence.store import ReplayStore
+from impact_rs_analysis.evidence.tracks import TrackSet, tracks_of_recordings, tracks_of_runs
 from impact_rs_cli.arguments import started, warn_skipped
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
@@ -88,7 +88,7 @@ class Measurements:
         self.trials, self.recordings, self.mapping = trials, recordings, mapping
         self._map, self._terminal, self._discrepancy = map_tasks, terminal, discrepancy
         self._stage = lambda *_: None
-        self._store = RolloutStore(map_tasks, lambda what, done, total: self._stage(what, done, total))
+        self._store = ReplayStore(map_tasks, lambda what, done, total: self._stage(what, done, total))
         self._sources: dict[str, Source] = {}
 
     @contextmanager
@@ -112,7 +112,7 @@ class Measurements:
             if self.impacts is not None:
                 source: Source = ImpactTableSource(self.impacts, model)
             elif self.trials is not None:
-                source = TrialSource.of(self.trials, model, self._store, self._discrepancy)
+                source = ReplaySource.of(self.trials, model, self._store, self._discrepancy)
             else:
                 assert self.mapping is not None
                 source = RecordingSource.of(self.recordings, self.mapping, model)
@@ -127,7 +127,7 @@ class Measurements:
             added: Effects that were found on top of it; shown beside it for recordings and impacts.
         """
         if self.trials is not None:
-            return tracks_of_trials(aligned_trials(self.trials, model, self._map))
+            return tracks_of_runs(aligned_runs(self.trials, model, self._map, added))
         source = self.against(model)
         if isinstance(source, ImpactTableSource):
             return source.tracks(added)

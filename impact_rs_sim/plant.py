@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.bullet_world import BulletWorld
-from impact_rs_sim.drive import Drive, DriveStart, LinkTorque
+from impact_rs_sim.drive import Drive, DriveStart
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.mechanics import Mechanics
 from impact_rs_sim.physics import Physics
@@ -78,7 +78,7 @@ class PlantExtension:
         """Further torque on the links over the next control period, ``(n,)`` [N m], or None."""
         return None
 
-    def after_sense(self, plant: Plant, arm: str, drive: Drive | LinkTorque) -> None:
+    def after_sense(self, plant: Plant, arm: str, drive: Drive) -> None:
         """Called in every period of the torque loop, after the drive has sensed the link."""
 
 
@@ -238,9 +238,14 @@ class Plant:
                 held,
                 self.time,
                 {name: torque for name, torque in further.items() if torque is not None},
-                lambda name: extension.after_sense(self, name, self._mechanics.drives[name]),
+                self._extend_drive,
             )
         self._tick += 1
+
+    def _extend_drive(self, name: str) -> None:
+        drive = self._mechanics.drives[name]
+        assert self._extension is not None and isinstance(drive, Drive)
+        self._extension.after_sense(self, name, drive)
 
     def close(self) -> None:
         """Free the Bullet world."""

@@ -1,14 +1,15 @@
 """The model discrepancy: how far equally valid simulations of the same parameters lie apart, feature by feature.
 
 ``./run python -m benchmarks.foreign.discrepancy -o config/discrepancy.yaml`` (needs the extra ``peers``). Every
-condition is run without noise and scatter: by the twin itself and by variants that nobody could call worse. With f the
-features of :mod:`impact_rs_analysis.evidence.features`, and rms taken over conditions and the time bins of a signal,
+condition is run without noise and scatter by variants that nobody could call worse than our plant, and replayed as if
+it had been measured. With f the features of :mod:`impact_rs_analysis.evidence.features`, and rms taken over conditions
+and the time bins of a signal,
 
-    discrepancy = max over variants of rms (f_variant - f_twin).
+    discrepancy = max over variants of rms (f_variant - f_replay).
 
 The largest and not the mean: variants are no sample of simulators. A further one that happens to agree with the twin
 says nothing about those that do not, and must not make the number smaller. A variant that reads a parameter otherwise
-is listed beside them and does not count: what it shows is an effect, in one direction, and no spread.
+is listed beside them, and counts only where the parameter leaves it open which reading is meant.
 """
 
 from __future__ import annotations
@@ -23,24 +24,34 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import yaml
 
 from benchmarks.foreign.cell import LAYER, ContactSettings, MujocoCell
-from impact_rs_analysis.evidence.features import Feature, extract, layout
-from impact_rs_analysis.evidence.signals import SignalCollector
-from impact_rs_analysis.evidence.twin import MARGIN, Start, observed_until, quiet, run_twin
-from impact_rs_control.closed_loop import RobotCell, run_closed_loop, without_garbage_collection
-from impact_rs_control.plan import TrialPlan, plan_trial
+from impact_rs_analysis.evidence.cluster import Feature
+from impact_rs_analysis.evidence.discrepancy import TABLE, Kind, write_patterns
+from impact_rs_analysis.evidence.measured import MeasuredRun
+from impact_rs_analysis.evidence.twin import observed, quiet
+from impact_rs_control.closed_loop import RobotCell
+from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.plant import Plant
 from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import Scene
+from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_trials.bags.trial_info import git_revision
+from impact_rs_trials.spec import TrialSpec
 
-CONDITIONS = (
-    *(("push", name, case) for name in ("parcel", "cat_food", "juice") for case in ("case_1", "case_2", "case_3")),
-    *(("excite", "none", case) for case in ("slow", "fast")),
-)
+OBJECTS = ("parcel", "cat_food", "juice")
+SQUARE = [("push", name, case) for name in OBJECTS for case in ("case_1", "case_2", "case_3")]
+FREE = [("excite", "none", case) for case in ("slow", "fast")]
+TILTS = ((0.05, 0.02), (-0.05, 0.0), (0.0, -0.03))  # rad, of the pad about the vertical and about x
+DRIFTS = ((0.15, 0.08), (-0.10, -0.05), (0.05, 0.10))  # of the velocity along x and z, over that along the normal
+OBLIQUE = [
+    ("push", name, case, tilt, drift)
+    for name in OBJECTS
+    for case, tilt, drift in zip(("case_1", "case_2", "case_3"), TILTS, DRIFTS, strict=True)
+]
+
+KINDS: tuple[Kind, ...] = ("free", "square", "oblique")
 
 Maker = Callable[[TrialPlan], RobotCell]
 
@@ -51,26 +62,26 @@ class Variant:
 
     Attributes:
         name: Short name.
-        sentence: What it does otherwise than the twin.
+        sentence: What it does otherwise than our plant.
         make: Makes its plant for a trial.
-        counts: Whether every parameter means the same as in the twin.
+        counts: Kinds of trials in which every parameter means the same as in our plant.
     """
 
     name: str
     sentence: str
     make: Maker
-    counts: bool = True
+    counts: tuple[Kind, ...] = KINDS
 
 
 def _plant(plan: TrialPlan, drive_period: float | None = None) -> Plant:
-    """Our plant, as the twin runs it."""
-    scene, start = plan.scene, Start.nominal(plan)
+    """Our plant, as the replay runs it."""
+    scene = plan.scene
     scenario = quiet(scene.scenario)
     if drive_period is not None:
         scenario = scenario.model_copy(
             update={"timing": scenario.timing.model_copy(update={"drive_period": drive_period})}
         )
-    return Plant(scenario, scene.physics, start.joints, scene.object, seed=0)
+    return Plant.for_trial(scenario, scene.physics, _initial(plan), scene.object, seed=0)
 
 
 def _half_step(plan: TrialPlan) -> RobotCell:
@@ -86,9 +97,13 @@ def _other_contacts(plan: TrialPlan) -> RobotCell:
 
 
 def _mujoco(plan: TrialPlan, settings: ContactSettings | None = None) -> RobotCell:
-    scene, start = plan.scene, Start.nominal(plan)
+    scene = plan.scene
     settings = settings or ContactSettings()
-    return MujocoCell(quiet(scene.scenario), scene.physics, start.joints, scene.object, 0, contacts=settings)
+    return MujocoCell(quiet(scene.scenario), scene.physics, _initial(plan), scene.object, 0, contacts=settings)
+
+
+def _initial(plan: TrialPlan) -> dict[str, Array]:
+    return {name: arm.initial for name, arm in plan.arms.items()}
 
 
 VARIANTS = (
@@ -110,27 +125,19 @@ VARIANTS = (
     Variant(
         "mujoco_layer",
         "The MuJoCo cell with a pad that is a homogeneous layer of the same stiffness: against tilting it is a third "
-        "as stiff as four contact points in its corners.",
+        "as stiff as four contact points in its corners. A stiffness of the whole face does not say which is meant.",
         lambda plan: _mujoco(plan, ContactSettings(pad_spread=LAYER)),
-        counts=False,
+        counts=("oblique",),
     ),
 )
 
 
-def features_of(plan: TrialPlan, plant: RobotCell) -> Array:
-    """Features of a trial on a plant, ``(k,)``; closes the plant."""
-    collector, until = SignalCollector(plan), observed_until(plan) + MARGIN
-    try:
-        with without_garbage_collection():
-            for tick in run_closed_loop(plan, plant):
-                collector.add(tick.number, tick.measurement, tick.commands)
-                if tick.measurement.time >= until:
-                    break
-    finally:
-        plant.close()
-    features = extract(collector.signals(), plan)
-    assert features is not None, "nothing was hit"
-    return features
+def difference(spec: TrialSpec, plant: RobotCell) -> tuple[tuple[Feature, ...], Array]:
+    """Features of a trial on a plant minus those of its replay, ``(F,)``; closes the plant."""
+    run = MeasuredRun.of(observed(spec, plant))
+    predicted = run.setup.features_of(run.setup.replayed(run.setup.physics))
+    assert predicted is not None, "the replay hits nothing"
+    return run.features, run.measured - predicted
 
 
 @dataclass(frozen=True)
@@ -138,12 +145,12 @@ class Group:
     """Features that share a discrepancy: one signal of one phase, one joint or axis.
 
     Attributes:
-        hit: Whether the trials hit the object.
+        kind: Of the trials: free, square or oblique.
         feature: Its first feature, for names and unit.
         differences: By variant, ``(conditions, bins)``, in the unit.
     """
 
-    hit: bool
+    kind: Kind
     feature: Feature
     differences: dict[str, Array]
 
@@ -156,7 +163,8 @@ class Group:
     def largest(self) -> str:
         """Name of the variant that counts and lies furthest from the twin."""
         sizes = self.by_variant
-        return max((variant.name for variant in VARIANTS if variant.counts), key=lambda name: sizes[name])
+        counted = (variant.name for variant in VARIANTS if self.kind in variant.counts)
+        return max(counted, key=lambda name: sizes[name])
 
     @property
     def value(self) -> float:
@@ -193,33 +201,74 @@ def _share(value: float) -> float | None:
     return None if np.isnan(value) else round(value, 2)
 
 
-def measure() -> list[Group]:
-    """Run everything and group the differences."""
-    groups = []
-    for hit in (True, False):
-        plans = [
-            plan_trial(Scene.resolve(load_scenario(scenario), thing, case))
-            for scenario, thing, case in CONDITIONS
-            if (scenario == "push") is hit
-        ]
-        twins = [extract(run_twin(p, p.scene.physics, Start.nominal(p), observed_until(p)), p) for p in plans]
-        differences = {
-            variant.name: np.array(
-                [features_of(p, variant.make(p)) - twin for p, twin in zip(plans, twins, strict=True)]
-            )
-            for variant in VARIANTS
+def specs_by_kind() -> dict[Kind, list[TrialSpec]]:
+    """What is run."""
+    return {
+        "square": [TrialSpec.of(load_scenario(scenario), thing, case) for scenario, thing, case in SQUARE],
+        "oblique": [TrialSpec.of(oblique(load_scenario(s), c, *how), thing, c) for s, thing, c, *how in OBLIQUE],
+        "free": [TrialSpec.of(load_scenario(scenario), thing, case) for scenario, thing, case in FREE],
+    }
+
+
+def oblique(scenario: Scenario, case: str, tilt: tuple[float, float], drift: tuple[float, float]) -> Scenario:
+    """A push whose pad is tilted and whose velocity is not along the normal.
+
+    Args:
+        scenario: With one arm.
+        case: Full name of the case that is changed.
+        tilt: Of the pad about the vertical and about x [rad].
+        drift: Velocity along x and z over that along the normal [-].
+    """
+    (name, robot), spec = next(iter(scenario.robots.items())), scenario.cases[case]
+    turn = pin.rpy.rpyToMatrix(tilt[1], 0.0, tilt[0])
+    impact = robot.impact.model_copy(
+        update={key: tuple(turn @ np.array(getattr(robot.impact, key))) for key in ("pad_normal", "pad_up")}
+    )
+    wanted = spec.robots[name]
+    along = -wanted.ante_velocity[1]
+    velocity = (drift[0] * along, wanted.ante_velocity[1], drift[1] * along)
+    moved = spec.model_copy(update={"robots": {name: wanted.model_copy(update={"ante_velocity": velocity})}})
+    return scenario.model_copy(
+        update={
+            "robots": {name: robot.model_copy(update={"impact": impact})},
+            "cases": {**scenario.cases, case: moved},
         }
-        arms = plans[0].scene.physics.arms
-        joint_count = next(iter(arms.values())).facts.joint_count
-        rows: dict[tuple[str, str, str], list[int]] = {}
-        features = layout(tuple(arms), joint_count, hit)
+    )
+
+
+Differences = tuple[list[Feature], list[tuple[str, str, list[float]]]]
+
+
+def measure() -> tuple[list[Group], dict[Kind, Differences]]:
+    """Run everything: the differences in groups, and as they came."""
+    groups, tables = [], {}
+    for kind, specs in specs_by_kind().items():
+        found = {variant.name: [difference(spec, variant.make(spec.plan)) for spec in specs] for variant in VARIANTS}
+        common = set.intersection(*(set(features) for rows in found.values() for features, _ in rows))
+        features = [feature for feature in next(iter(found.values()))[0][0] if feature in common]
+        differences = {
+            name: np.array(
+                [[dict(zip(own, values, strict=True))[feature] for feature in features] for own, values in rows]
+            )
+            for name, rows in found.items()
+        }
+        tables[kind] = (
+            features,
+            [
+                (variant.name, f"{spec.object} {spec.case}", row.tolist())
+                for variant in VARIANTS
+                if kind in variant.counts
+                for spec, row in zip(specs, differences[variant.name], strict=True)
+            ],
+        )
+        members: dict[tuple[str, str, str], list[int]] = {}
         for number, feature in enumerate(features):
-            rows.setdefault((feature.phase, feature.signal, feature.index), []).append(number)
+            members.setdefault(feature.group, []).append(number)
         groups += [
-            Group(hit, features[numbers[0]], {name: all_of[:, numbers] for name, all_of in differences.items()})
-            for numbers in rows.values()
+            Group(kind, features[numbers[0]], {name: all_of[:, numbers] for name, all_of in differences.items()})
+            for numbers in members.values()
         ]
-    return groups
+    return groups, tables
 
 
 def _round(number: float, floor: float) -> float:
@@ -229,7 +278,10 @@ def _round(number: float, floor: float) -> float:
 
 def document(groups: list[Group], seconds: float) -> dict[str, Any]:
     """Content of the file."""
-    conditions = [f"{scenario}: {thing}, {case}" for scenario, thing, case in CONDITIONS]
+    conditions = [f"{scenario}: {thing}, {case}" for scenario, thing, case in (*SQUARE, *FREE)] + [
+        f"{scenario}: {thing}, {case}, pad tilted by {tilt} rad, velocity {drift} off the normal"
+        for scenario, thing, case, tilt, drift in OBLIQUE
+    ]
     return {
         "provenance": {
             "date": datetime.date.today().isoformat(),
@@ -241,11 +293,13 @@ def document(groups: list[Group], seconds: float) -> dict[str, Any]:
             "combined": "max over variants with the same parameters of the rms over conditions and time bins",
         },
         "variants": {
-            variant.name: variant.sentence + ("" if variant.counts else " Not in value.") for variant in VARIANTS
+            variant.name: variant.sentence
+            + ("" if variant.counts == KINDS else f" In value of {', '.join(variant.counts)} only.")
+            for variant in VARIANTS
         },
         "entries": [
             {
-                "hit": group.hit,
+                "kind": group.kind,
                 "phase": group.feature.phase,
                 "signal": group.feature.signal,
                 "index": group.feature.index,
@@ -266,11 +320,12 @@ HEADER = """\
 # Model discrepancy: how far equally valid simulations of the same parameters lie apart, for every feature that the
 # diagnosis looks at. Made by benchmarks/foreign/discrepancy.py, which says how; do not edit by hand.
 #
-# hit: whether the trial hits an object. phase, signal, index: the feature, in unit. value: rms of variant minus twin
-# over conditions and time bins, of the variant that lies furthest off (largest). by_bin: the same, bin by bin.
-# by_variant: rms of every variant, also of those not in value. shared_over_conditions: share of the square that one
-# pattern over the bins explains in all conditions; shared_over_bins: share that one number for all bins of a condition
-# explains; both of the largest variant, 0 where independent, null where there is one bin or nothing.
+# kind: free (nothing is hit), square (face on face, along the normal) or oblique hit. phase, signal, index: what the
+# feature is, in unit. value: rms of variant minus replay over conditions and time bins, of the variant that lies
+# furthest off (largest). by_bin: the same, bin by bin. by_variant: rms of every variant, also of those not in value.
+# shared_over_conditions: share of the square that one pattern over the bins explains in all conditions;
+# shared_over_bins: share that one number for all bins of a condition explains; both of the largest variant, 0 where
+# independent, null where there is one bin or nothing. How features move together: the table beside this file.
 """
 
 
@@ -293,23 +348,23 @@ def write(content: dict[str, Any], path: Path) -> None:
 
 def table(groups: list[Group]) -> str:
     """The discrepancies, joints and axes of a signal together, in its unit and over the floor of its feature."""
-    merged: dict[tuple[bool, str, str, str], list[Group]] = {}
+    merged: dict[tuple[str, str, str, str], list[Group]] = {}
     for group in groups:
         feature = group.feature
-        kind = "joints" if "joint" in feature.index else feature.index
-        merged.setdefault((group.hit, feature.phase, feature.signal, kind), []).append(group)
+        index = "joints" if "joint" in feature.index else feature.index
+        merged.setdefault((group.kind, feature.phase, feature.signal, index), []).append(group)
     names = [variant.name for variant in VARIANTS]
     lines = [
         " ".join([f"{'':46s} {'unit':>6s} {'value':>9s} {'/floor':>6s}", *(f"{name[:16]:>16s}" for name in names)])
     ]
     lines[0] += "  shared: conditions, bins"
-    for (hit, phase, signal, kind), members in merged.items():
+    for (trials, phase, signal, index), members in merged.items():
 
         def mean(values: list[float]) -> float:
             return float(np.sqrt(np.mean(np.square(values))))
 
         value, feature = mean([group.value for group in members]), members[0].feature
-        label = f"{'hit' if hit else 'free trial'}, {phase}: {signal} {kind}"
+        label = f"{trials}, {phase}: {signal} {index}"
         cells = [f"{mean([group.by_variant[name] for group in members]) / feature.floor:16.2f}" for name in names]
         shares = [
             np.average([getattr(group, which) for group in members], weights=[group.value**2 for group in members])
@@ -325,14 +380,17 @@ def table(groups: list[Group]) -> str:
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-o", "--output", type=Path, help="file to write, YAML")
+    parser.add_argument(
+        "-o", "--output", type=Path, help="file to write, YAML; a table of how features move together goes beside it"
+    )
     arguments = parser.parse_args()
     began = time.perf_counter()
-    groups = measure()
+    groups, tables = measure()
     seconds = time.perf_counter() - began
     print(table(groups))
     if arguments.output is not None:
         write(document(groups, seconds), arguments.output)
+        write_patterns(arguments.output.with_name(TABLE), tables)
 
 
 if __name__ == "__main__":

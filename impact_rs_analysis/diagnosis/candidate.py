@@ -315,17 +315,18 @@ class Problem:
         spread = np.square(alone - alone.mean(axis=0)).sum(axis=0)
         return np.asarray(np.sqrt((count - 1) / count * spread))
 
-    def half_widths(self, change: Array, reference: Reference) -> Array:
-        """Half widths of the 95 % intervals in parameter scales, ``(p,)``."""
+    def half_widths(self, change: Array, reference: Reference, confidence: float = 0.95) -> Array:
+        """Half widths of intervals in parameter scales, ``(p,)``."""
         inverse = np.linalg.inv(self.total)
         noise = reference.covariance(self.candidate.jacobians, change, inverse)
         systematic = reference.discrepancy(self.candidate.jacobians, inverse)
         return combined_half_width(
             np.sqrt(np.maximum(np.diag(noise), 0.0)),
-            reference.quantile(),
+            reference.quantile(confidence),
             self.jackknife(),
-            len(self.clusters),
+            sum(bool(np.any(jacobian)) for jacobian in self.candidate.jacobians),
             np.sqrt(np.maximum(np.diag(systematic), 0.0)),
+            confidence,
         )
 
     def p_value(self, reference: Reference, tested: slice | Sequence[int]) -> float:

@@ -4,7 +4,7 @@ Trials are compared on three levels:
 
 * **jump**: the impact map with the model's physics against the measured velocity jump,
 * **free motion**: torque balances and deflections in windows without contact,
-* **trial**: the twin in closed loop, through impact and push;
+* **trial**: the replay from before the impact through the push;
 
 recordings on one, the torque balance of free motion; tables of impacts on one as well, the velocities just after. Every
 difference is given in its unit and in multiples of what repetition explains, so that torques and velocities can be
@@ -29,7 +29,7 @@ from impact_rs_analysis.diagnosis.jump import JOINTS, JumpEntry, jump_entries
 from impact_rs_analysis.evidence.cluster import Cluster, Source, size_of
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.recordings import RecordingSource
-from impact_rs_analysis.evidence.trials import TrialSource, clusters_of
+from impact_rs_analysis.evidence.replays import ReplaySource, clusters_of
 from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import Schema
 
@@ -39,7 +39,7 @@ LEVEL_TEXT = {
     "controller has already begun to turn the joints (which are listed, and not in the number), or against the "
     "net-feedback estimate",
     "free_motion": "torque balances and deflection in windows without contact",
-    "trial": "the twin in closed loop: velocity, contact force, feedback and object motion",
+    "trial": "the replay from before the impact through the push: velocity, contact force and object motion",
     "recording": "torque balance of the arm while it touches nothing, both sides low-passed",
     "impacts": "velocities just after every impact, measured and by the impact map from the state just before",
 }
@@ -148,8 +148,8 @@ def compare(source: Source) -> ComparisonDocument:
         return _of_recordings(source)
     if isinstance(source, ImpactTableSource):
         return _of_impacts(source)
-    assert isinstance(source, TrialSource)
-    return _of_trials(source)
+    assert isinstance(source, ReplaySource)
+    return _of_runs(source)
 
 
 def kind_of(source: Source) -> Literal["trials", "recordings", "impacts"]:
@@ -169,17 +169,17 @@ def noise_floor_of(clusters: Sequence[Cluster]) -> float | None:
     return 1.0 if any(np.any(item.pure > 0.0) for item in clusters) else None
 
 
-def _of_trials(source: TrialSource) -> ComparisonDocument:
+def _of_runs(source: ReplaySource) -> ComparisonDocument:
     clusters, runs = source.clusters, source.runs
-    # The map knows no trial's own start: repetition is what the measured numbers themselves scatter, for every model.
-    measured, _ = clusters_of(runs, [trial.features for trial in runs.trials], source.discrepancy)
+    # The map knows no run's own start: repetition is what the measured numbers themselves scatter, for every model.
+    measured, _ = clusters_of(runs, [run.measured for run in runs.runs], source.discrepancy)
     entries, remarks = jump_entries(runs, measured, source.model)
     repeated = noise_floor_of(clusters) is not None
     score_is = (
-        "size of the difference between measurement and twin over all features and conditions, 1 being what repetition "
-        "alone gives"
+        "size of the difference between measurement and replay over all features and conditions, 1 being what "
+        "repetition alone gives"
         if repeated
-        else "size of the difference between measurement and twin over all features and conditions, in multiples of "
+        else "size of the difference between measurement and replay over all features and conditions, in multiples of "
         "what nobody cares about"
     )
     levels = {"jump": _jump(entries)}
@@ -187,7 +187,7 @@ def _of_trials(source: TrialSource) -> ComparisonDocument:
     return ComparisonDocument(
         source="trials",
         model=ModelIdentity(name=source.model.name, digest=source.model.digest),
-        trials=len(runs.trials),
+        trials=len(runs.runs),
         conditions=tuple(
             ConditionScore(name=item.name, repeats=item.count, score=rounded(score_of([item]))) for item in clusters
         ),
@@ -205,7 +205,7 @@ def _of_trials(source: TrialSource) -> ComparisonDocument:
 
 def discrepancy_of(source: Source) -> DiscrepancyDocument:
     """What is allowed for the twin itself."""
-    if not isinstance(source, TrialSource):
+    if not isinstance(source, ReplaySource):
         return DiscrepancyDocument()
     return DiscrepancyDocument(used=bool(source.discrepancy.entries), provenance=source.discrepancy.in_words)
 

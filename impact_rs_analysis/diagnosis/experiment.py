@@ -9,10 +9,14 @@ import numpy as np
 
 from impact_rs_analysis.diagnosis.document import NextExperiment
 from impact_rs_analysis.diagnosis.verdicts import Findings
+from impact_rs_analysis.evidence.cluster import Added
+from impact_rs_analysis.evidence.measured import MeasuredRun
 from impact_rs_analysis.evidence.recordings import RecordingSource
-from impact_rs_analysis.evidence.rollouts import Rollout
-from impact_rs_analysis.evidence.runs import Condition, Runs
-from impact_rs_analysis.evidence.trials import TrialSource
+from impact_rs_analysis.evidence.replays import ReplaySource, layout_of
+from impact_rs_analysis.evidence.run import label_of
+from impact_rs_analysis.evidence.runs import Runs
+from impact_rs_analysis.evidence.store import Replay, with_effects
+from impact_rs_analysis.evidence.twin import simulated
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
@@ -28,57 +32,73 @@ def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment
     source = found.search.source
     if isinstance(source, RecordingSource):
         return _of_recordings(found, known)
-    if tie is None or found.chosen is None or not isinstance(source, TrialSource):
+    if tie is None or found.chosen is None or not isinstance(source, ReplaySource):
         return None
-    best: tuple[float, Condition] | None = None
-    for condition in _possible(source.runs):
-        pair = source.store(
-            [Rollout(condition, source.model, fit.candidate.split(fit.estimate)) for fit in (found.chosen, tie.fit)],
-            "next experiment",
-        )
+    first, second = (fit.candidate.split(fit.estimate) for fit in (found.chosen, tie.fit))
+    best: tuple[float, MeasuredRun] | None = None
+    for run in _possible(source, first):
+        pair = source.store([Replay(run.setup, source.model, added) for added in (first, second)], "next experiment")
         if pair[0] is None or pair[1] is None:
             continue
         # Twice the expected log likelihood ratio of one more trial.
-        gain = float(np.sum(np.square((pair[0] - pair[1]) / _sigma(source, condition))))
+        gain = float(np.sum(np.square((pair[0] - pair[1]) / _sigma(source, run))))
         if best is None or gain > best[0]:
-            best = (gain, condition)
+            best = (gain, run)
     if best is None:
         return None
-    gain, condition = best
-    measured = condition in source.conditions
-    what = f"measure {condition.label} more often" if measured else f"measure {condition.label}"
+    gain, run = best
+    measured = run.condition in source.runs.conditions
+    what = f"measure {run.condition} more often" if measured else f"measure {run.condition}"
     return NextExperiment(
         splits=(tie.instead_of, tie.name),
-        scenario=condition.scenario,
-        object=condition.object,
-        case=condition.case,
+        scenario=run.place[0],
+        object=run.place[1],
+        case=run.place[2],
         expected_information=gain,
         already_measured=measured,
         advice=f"{what}: {tie.instead_of} and {tie.name} differ most there",
     )
 
 
-def _possible(runs: Runs) -> list[Condition]:
-    """Every condition of the measured scenarios, and of the free-motion companion."""
-    specs = {condition.scenario: condition.spec for condition in runs.conditions}
-    if COMPANION not in specs:
+def _possible(source: ReplaySource, added: Added) -> list[MeasuredRun]:
+    """What was measured, and every other condition of these scenarios and of the free-motion companion, simulated.
+
+    Args:
+        source: What was measured.
+        added: Effects with which a trial is simulated that was not measured.
+    """
+    found = [group[0] for group in source.conditions]
+    known = set(source.runs.conditions)
+    for spec in _specs(source.runs):
+        if label_of(spec) in known:
+            continue
+        with suppress(InputError):  # what cannot be reached, or hits nothing, is no proposal
+            physics = with_effects(source.model, spec.scene.physics, added)
+            found.append(MeasuredRun.of(simulated(spec, physics)))
+    return found
+
+
+def _specs(runs: Runs) -> list[TrialSpec]:
+    """Every trial of the scenarios of our own trials; of somebody else's runs none, for their controller is unknown."""
+    specs = {run.spec.scenario.name: run.spec for run in runs.runs if run.spec is not None}
+    if specs and COMPANION not in specs:
         with suppress(InputError):
             scenario = load_scenario(COMPANION)
             specs[COMPANION] = TrialSpec.of(scenario, next(iter(scenario.objects)), next(iter(scenario.cases)))
     return [
-        Condition(replace(spec, object=thing, case=case, scale=1.0))
+        replace(spec, object=thing, case=case, scale=1.0)
         for spec in specs.values()
         for thing in spec.scenario.objects
         for case in spec.scenario.cases
     ]
 
 
-def _sigma(source: TrialSource, condition: Condition) -> Array:
-    count = len(condition.features)
+def _sigma(source: ReplaySource, run: MeasuredRun) -> Array:
+    """Scale of a run's features: as measured where something like it was, else what nobody cares about."""
     for item in source.clusters:
-        if item.sigma.size == count:
+        if item.layout == layout_of(run):
             return item.sigma
-    return np.array([feature.floor for feature in condition.features])
+    return np.array([feature.floor for feature in run.features])
 
 
 def _of_recordings(found: Findings, known: dict[str, Effect]) -> NextExperiment:

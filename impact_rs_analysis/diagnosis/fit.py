@@ -13,7 +13,9 @@ from impact_rs_analysis.diagnosis.reference import BlockReference, Reference, Ro
 from impact_rs_analysis.evidence.cluster import Cluster, Source, size_of
 from impact_rs_sim.robot import Array
 
-STEPS = 4
+STEPS = 6
+STRAIGHT = 0.75  # of the gain that sensitivities promise; with less, a candidate of few parameters gets new ones
+FEW = 4  # parameters
 ENOUGH = 0.02  # of the error; a fit that gains less in a step is finished
 SHORTEST_LESSON = 0.5  # parameter scales
 NEAR = 0.1  # parameter scales; a correction below this does not depend on where a trial starts
@@ -185,6 +187,7 @@ def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf, st
         step = fraction * (point - candidate.point)
         if np.max(np.abs(step / candidate.scale)) < 1e-6:
             break
+        expected = best_error - float(np.mean(best.problem.errors(step / candidate.scale)))
         moved = evaluate_at(candidate, candidate.point + step, evidence)
         if moved is None:
             fraction /= 3.0
@@ -193,6 +196,8 @@ def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf, st
         error = float(np.mean(tried.problem.errors(nothing)))
         if error < best_error:
             gained = best_error - error
+            if gained < STRAIGHT * expected and candidate.point.size <= FEW:
+                tried = _afresh(tried)
             candidate, best, best_error, fraction = tried.candidate, tried, error, 1.0
             point = best.estimate
             if gained < ENOUGH * best_error:
@@ -204,6 +209,13 @@ def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf, st
                 break
             fraction, point = 1.0 / 3.0, best.estimate
     return best
+
+
+def _afresh(fitted: Fit) -> Fit:
+    """The same with sensitivities of its point, where those of another led astray: a bounce is nothing linear."""
+    evidence = fitted.evidence
+    fresh = linearise(fitted.candidate, evidence.clusters, evidence.numbers, evidence.source, "new sensitivities")
+    return fitted if fresh is None else Fit.of(fresh, evidence)
 
 
 def see_all(fitted: Fit) -> Fit:
@@ -244,17 +256,13 @@ def measure_again(fitted: Fit) -> Fit:
 
 def evaluate_at(candidate: Candidate, point: Array, evidence: Evidence) -> Candidate | None:
     """The candidate with its features evaluated at another point, sensitivities kept."""
-    added = candidate.split(point)
-    numbers = evidence.numbers
-    both = evidence.source.predict(
-        [(number, values) for values in (candidate.origin, added) for number in numbers], "fit of the shortlist"
+    changes = evidence.source.differences(
+        evidence.numbers, candidate.origin, candidate.split(point), "fit of the shortlist"
     )
-    offsets = []
-    for before, there, item in zip(both[: len(numbers)], both[len(numbers) :], evidence.clusters, strict=True):
-        if before is None or there is None:
-            return None
-        offsets.append((there - before) / item.sigma)
-    return replace(candidate, point=point, offsets=tuple(offsets))
+    if any(change is None for change in changes):
+        return None
+    offsets = tuple(np.asarray(change) / item.sigma for change, item in zip(changes, evidence.clusters, strict=True))
+    return replace(candidate, point=point, offsets=offsets)
 
 
 def _broyden(before: Candidate, after: Candidate) -> Candidate:

@@ -1,8 +1,9 @@
 """First level of the comparison: the velocity jump of the impact map against the measured one.
 
-Where trials of a set follow several post-impact velocities, the experimental estimate of the net feedback is taken
-(:mod:`impact_rs_analysis.measure.fit`); else the change of velocity from just before the impact to 20 ... 40 ms after
-it.
+The map is asked at the nominal impact of a trial of our own; of anybody else's run in the measured ante-impact state,
+with the object moved along the contact normal until it touches. Where trials of a set follow several post-impact
+velocities, the experimental estimate of the net feedback is taken (:mod:`impact_rs_analysis.measure.fit`); else the
+change of velocity from just before the impact to 20 ... 40 ms after it.
 """
 
 from __future__ import annotations
@@ -12,17 +13,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from impact_rs_analysis.evidence.ante_impact import problem_of
 from impact_rs_analysis.evidence.cluster import Cluster
-from impact_rs_analysis.evidence.runs import Condition, MeasuredTrial, Runs
+from impact_rs_analysis.evidence.features import AXES, SETTLED
+from impact_rs_analysis.evidence.measured import MeasuredRun
+from impact_rs_analysis.evidence.runs import Runs
 from impact_rs_analysis.measure.fit import FitError, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import net_feedback
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, compute_impact_map
 from impact_rs_sim.model import Model
 from impact_rs_trials.bags.reader import BagError, TrialBag
 
 ENGINE = "pinocchio"
-SETTLED = 3  # time window of the end effector's velocity after the impact: 20 ... 40 ms
-AXES = ("x", "y", "z")
 JOINTS = "joint velocity jump"
 
 
@@ -67,21 +70,21 @@ def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple
     """Predicted against measured jumps of every object and case, and what could not be said.
 
     Args:
-        runs: All usable trials.
+        runs: All usable runs.
         measured: Their features themselves by condition, with the scale that their own scatter gives.
         model: What we believe.
     """
-    sets: dict[tuple[str, str, str], list[tuple[Condition, Cluster]]] = {}
-    for condition, item in zip(runs.conditions, measured, strict=True):
+    sets: dict[tuple[str, str, str], list[tuple[list[MeasuredRun], Cluster]]] = {}
+    for group, item in zip(runs.conditions.values(), measured, strict=True):
         if item.contact:
-            sets.setdefault(item.place, []).append((condition, item))
+            sets.setdefault(item.place, []).append((group, item))
     entries: list[JumpEntry] = []
     remarks: list[str] = []
     for key, items in sets.items():
-        condition, item = min(items, key=lambda entry: abs(entry[0].scale - 1.0))
+        group, item = min(items, key=lambda entry: abs(_scale(entry[0][0]) - 1.0))
         try:
-            predicted = _predict(condition, model)
-        except ImpactMapError as error:
+            predicted = _predict(group, model)
+        except (ImpactMapError, InputError) as error:
             remarks.append(f"impact map of {item.name}: {error}")
             continue
         for feature, value, sigma in zip(item.features, item.mean, item.sigma, strict=True):
@@ -92,30 +95,45 @@ def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple
             entries.append(
                 JumpEntry(*key, name, feature.index, float(value * sigma), expected, feature.unit, float(sigma))
             )
-        if len({entry.scale for entry, _ in items}) > 1:
-            conditions = {entry for entry, _ in items}
-            estimate = _estimate([trial for trial in runs.trials if trial.condition in conditions])
+        spec = group[0].spec
+        if spec is not None and len({_scale(entry[0]) for entry, _ in items}) > 1:
+            estimate = _estimate([run for entry, _ in items for run in entry])
             if estimate is not None:
                 value, noise = estimate
-                axis = condition.plan.scene.scenario.axis
+                axis = spec.scene.scenario.axis
                 after = predicted[("post-impact velocity", axis, 0)][1]
                 entries.append(JumpEntry(*key, "post-impact velocity (net feedback)", axis, value, after, "m/s", noise))
     return entries, remarks
 
 
-def _predict(condition: Condition, model: Model) -> dict[tuple[str, str, int], tuple[str, float]]:
-    """Name and value of each predicted number, by signal, index and time window of the measured feature."""
-    plan = condition.plan
-    scene = replace(plan.scene, physics=model.apply(plan.scene.physics))
-    problem = ImpactProblem.at_nominal_impact(scene, condition.spec.motor_inertia)
+def _scale(run: MeasuredRun) -> float:
+    """Post-impact reference velocity over predicted velocity [-]; 1 where there is no reference."""
+    return 1.0 if run.spec is None else run.spec.scale
+
+
+def _predict(group: Sequence[MeasuredRun], model: Model) -> dict[tuple[str, str, int], tuple[str, float]]:
+    """Name and mean of each predicted number, by signal, index and time window of the measured feature."""
+    first = group[0]
+    if first.spec is not None:
+        scene = first.spec.plan.scene
+        physics = model.apply(scene.physics)
+        problems = [ImpactProblem.at_nominal_impact(replace(scene, physics=physics), first.spec.motor_inertia)]
+    else:
+        physics = model.apply(first.setup.physics)
+        problems = [problem_of(run, physics) for run in group]
+    every = [_numbers(problem, first) for problem in problems]
+    return {key: (name, float(np.mean([one[key][1] for one in every]))) for key, (name, _) in every[0].items()}
+
+
+def _numbers(problem: ImpactProblem, run: MeasuredRun) -> dict[tuple[str, str, int], tuple[str, float]]:
     result = compute_impact_map(problem, ENGINE)
     numbers: dict[tuple[str, str, int], tuple[str, float]] = {}
     along: list[float] = []
-    for arm, state in scene.arms.items():
-        label = f"{arm}." if len(scene.arms) > 1 else ""
-        before = scene.models[arm].jacobian(state.position) @ state.velocity
+    for arm, state in problem.arms.items():
+        label = f"{arm}." if len(problem.arms) > 1 else ""
+        before = run.setup.physics.robot_model(arm).jacobian(state.position) @ state.velocity
         after = result.end_effector_twist[arm]
-        along.append(float(after[scene.scenario.axis_index]))
+        along.append(float(after[run.axis]))
         for number, axis in enumerate(AXES):
             change = float(after[number] - before[number])
             numbers["end-effector velocity", f"{label}{axis}", SETTLED] = ("end-effector velocity jump", change)
@@ -123,16 +141,16 @@ def _predict(condition: Condition, model: Model) -> dict[tuple[str, str, int], t
             numbers[JOINTS, f"{label}joint{number + 1}", 0] = (JOINTS, float(value))
     for number, axis in enumerate(AXES[:2]):
         numbers["object velocity", axis, 0] = ("object velocity", float(result.object_twist[number]))
-    numbers["post-impact velocity", scene.scenario.axis, 0] = ("post-impact velocity", float(np.mean(along)))
+    numbers["post-impact velocity", AXES[run.axis], 0] = ("post-impact velocity", float(np.mean(along)))
     return numbers
 
 
-def _estimate(trials: Sequence[MeasuredTrial]) -> tuple[float, float] | None:
+def _estimate(runs: Sequence[MeasuredRun]) -> tuple[float, float] | None:
     """Zero crossing of the net feedback and a quarter of its 95 % interval [m/s]; None where there is none."""
     velocities, nets = [], []
-    for trial in trials:
+    for run in runs:
         try:
-            feedback = net_feedback(TrialBag.open(trial.path))
+            feedback = net_feedback(TrialBag.open(run.path))
         except BagError:
             continue
         velocities.append(feedback.info.reference_post_velocity)

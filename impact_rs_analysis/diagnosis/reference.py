@@ -17,7 +17,9 @@ whatever its covariance. Given their Gram matrix, every rotation of them is then
 under random rotations is exact for any number of features, however correlated, and for any number of repeats. With one
 parameter and one condition it is Student's t with n - 1 degrees of freedom.
 
-Where model discrepancy is known, scores have a second cause: d_f a_f in every cluster alike, with a_f standard normal.
+Where model discrepancy is known, scores have a second cause: sum_k a_k P_k, with patterns P_k in which simulators
+differ and a_k standard normal, the same in all clusters that are alike. Patterns and not features one by one: what
+differs between simulators is the friction or the stiffness of a contact, which moves many features at a time.
 T is then held against draws of noise (normal, with the contrasts' covariance and its Student factor) plus discrepancy
 as well, and the larger p counts.
 
@@ -89,11 +91,12 @@ class Reference(ABC):
         return np.asarray(factor.T @ factor)
 
     def _discrepancy_scores(self, jacobians: Sequence[Array]) -> Array:
-        """Score of one standard deviation of every feature's discrepancy, which all clusters of a layout share."""
+        """Score of one standard deviation of every pattern of discrepancy, where clusters share their amplitudes."""
         total: dict[str, Array] = {}
         for item, jacobian in zip(self.clusters, jacobians, strict=True):
-            part = item.count * jacobian * item.discrepancy[:, None]
-            total[item.layout] = total[item.layout] + part if item.layout in total else part
+            part = item.count * item.moved_together @ jacobian
+            name = alike(item)
+            total[name] = total[name] + part if name in total else part
         return np.concatenate([part[np.any(part != 0.0, axis=1)] for part in total.values()])
 
     @cached_property
@@ -101,9 +104,14 @@ class Reference(ABC):
         """Whether a model discrepancy is known."""
         return any(np.any(item.discrepancy > 0.0) for item in self.clusters)
 
-    def quantile(self) -> float:
-        """Half width of a 95 % interval in standard errors of :meth:`covariance`."""
-        return float(scipy.stats.t.ppf(0.975, max(self.freedom, 1)))
+    def quantile(self, confidence: float = 0.95) -> float:
+        """Half width of an interval in standard errors of :meth:`covariance`."""
+        return float(scipy.stats.t.ppf(0.5 + confidence / 2.0, max(self.freedom, 1)))
+
+
+def alike(item: Cluster) -> str:
+    """Clusters for which this is the same have the same discrepancy."""
+    return item.layout if item.alike is None else item.alike
 
 
 def rarity(observed: float, null: Array) -> float:
@@ -248,14 +256,22 @@ class RotationReference(Reference):
     def _rest_by_chance(self, rng: np.random.Generator, layout: _Rows) -> Array:
         """Squares of mean rows from noise and discrepancy together, ``(B,)``."""
         contrasts = layout.rows[layout.means :]
-        amplitude = self.clusters[layout.numbers[0]].discrepancy
+        groups: dict[str, list[int]] = {}
+        for place, number in enumerate(layout.numbers):
+            groups.setdefault(alike(self.clusters[number]), []).append(place)
         weights = np.sqrt(layout.counts)
         squares = np.zeros(DRAWS)
         noise = self._noise(rng, layout) if layout.freedom else np.zeros((DRAWS, layout.means, 0))
         for start in range(0, DRAWS, 500):
             rows = slice(start, start + 500)
-            shared = rng.standard_normal((noise[rows].shape[0], amplitude.size)) * amplitude
-            drawn = noise[rows] @ contrasts + weights[None, :, None] * shared[:, None, :]
+            drawn = noise[rows] @ contrasts
+            for places in groups.values():
+                amplitudes: Array | None = None
+                for place in places:
+                    patterns = self.clusters[layout.numbers[place]].moved_together
+                    if amplitudes is None:
+                        amplitudes = rng.standard_normal((drawn.shape[0], patterns.shape[0]))
+                    drawn[:, place] += weights[place] * (amplitudes @ patterns)
             squares[rows] = np.einsum("bcf,bcf->b", drawn, drawn)
         return squares
 
@@ -319,8 +335,10 @@ class BlockReference(Reference):
         return np.asarray(inverse @ (scores.T @ scores) @ inverse * count / (count - 1.0))
 
 
-def combined_half_width(noise: Array, quantile: float, jackknife: Array, clusters: int, discrepancy: Array) -> Array:
-    """Half width of 95 % intervals, ``(p,)``.
+def combined_half_width(
+    noise: Array, quantile: float, jackknife: Array, clusters: int, discrepancy: Array, confidence: float = 0.95
+) -> Array:
+    """Half width of intervals, ``(p,)``.
 
     The larger of what noise and what disagreement of the clusters explain, each with the quantile of the estimator that
     made it, and model discrepancy on top, which is neither.
@@ -331,6 +349,8 @@ def combined_half_width(noise: Array, quantile: float, jackknife: Array, cluster
         jackknife: Standard errors from leaving one cluster out, ``(p,)``.
         clusters: Number of clusters left out in turn.
         discrepancy: Standard errors from model discrepancy, ``(p,)``.
+        confidence: Of the intervals.
     """
-    own = np.maximum(quantile * noise, scipy.stats.t.ppf(0.975, max(clusters - 1, 1)) * jackknife)
-    return np.asarray(np.hypot(own, scipy.stats.norm.ppf(0.975) * discrepancy))
+    tail = 0.5 + confidence / 2.0
+    own = np.maximum(quantile * noise, scipy.stats.t.ppf(tail, max(clusters - 1, 1)) * jackknife)
+    return np.asarray(np.hypot(own, scipy.stats.norm.ppf(tail) * discrepancy))

@@ -21,6 +21,7 @@ from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_GAIN,
     LEAST_GAIN_OF_FIRST,
     LEAST_REST,
+    LEAST_TO_DISAGREE,
     MOST_EFFECTS,
     NOTHING,
     SHORTLIST,
@@ -249,10 +250,9 @@ class Search:
             return None
         top = min(proposal.score for proposal in found)
         found = [see_all(proposal) if proposal.score <= HOPELESS * top else proposal for proposal in found]
-        if not self.source.repeated:
-            found = [
-                proposal for proposal in found if noticeable(proposal, 0 if chosen is None else chosen.change.size)
-            ]
+        first = 0 if chosen is None else chosen.change.size
+        sure = consistent if self.source.repeated else noticeable
+        found = [proposal for proposal in found if sure(proposal, first)]
         if not found:
             return None
         best = min(found, key=lambda proposal: proposal.score)
@@ -387,6 +387,25 @@ def tied_errors(own: Array, other: Array, floor: Array | float) -> bool:
     ratio = ratio[moved]
     spread = float(ratio.std(ddof=1) / math.sqrt(ratio.size)) if ratio.size > 1 else math.inf
     return float(ratio.mean()) < max(TIE, min(2.0 * spread, WIDE_TIE))
+
+
+def consistent(fitted: Fit, first: int = 0) -> bool:
+    """Whether all conditions agree that some parameter, from number ``first`` on, is not where it does nothing.
+
+    A p value asks whether noise could do it. What a simulator gets wrong is no noise, but it fits other values in other
+    conditions: an interval that knows how far they disagree, of the same significance over all parameters, still has to
+    leave out that nothing happens. From too few conditions nobody knows how far they disagree.
+    """
+    candidate = fitted.candidate
+    if sum(bool(np.any(jacobian)) for jacobian in candidate.jacobians) < LEAST_TO_DISAGREE:
+        return True
+    own = np.array([number >= first and not scalar.shape for number, scalar in enumerate(candidate.scalars)])
+    if fitted.evidence.reference.shortage is not None or not np.any(own):
+        return True
+    confidence = 1.0 - SIGNIFICANT / float(np.count_nonzero(own))
+    widths = fitted.problem.half_widths(fitted.change, fitted.evidence.reference, confidence)
+    distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale
+    return bool(np.any((distance > widths)[own]))
 
 
 def noticeable(fitted: Fit, first: int = 0) -> bool:

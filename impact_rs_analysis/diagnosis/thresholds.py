@@ -5,6 +5,7 @@ DRAWS = 4999  # of a null distribution; its smallest p, 0.0002, survives the adj
 LEAST_P = 0.0005  # printed as a bound: further out the noise of a real robot follows no law that we know
 LEAST_FREEDOM = 3  # degrees of freedom of the pure error; with fewer a factor of 10 in noise may be chance
 LEAST_CLUSTERS = 3  # that can be held out: with two, one point decides about the other
+LEAST_TO_DISAGREE = 4  # clusters that see an effect; of fewer, Student's factor for their scatter is beyond all bounds
 FOLDS = 6  # of the outer hold-out, at most: from five on, an error on unseen clusters changes little with their number
 NOTHING = 0.1  # p in free motion above which an effect of several parameters is not looked for in contact
 LEAST_GAIN = (

@@ -1,4 +1,4 @@
-"""Measured, predicted and residual signals of one trial on a common clock, for figures and for aligned bags."""
+"""Measured, replayed and residual signals of one run on a common clock, for figures and for aligned bags."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ import numpy as np
 import pinocchio as pin
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from impact_rs_analysis.evidence.runs import Condition, MeasuredTrial, Runs
-from impact_rs_analysis.evidence.signals import Signals, signals_of_bag
-from impact_rs_analysis.evidence.twin import observed_until, run_twin
-from impact_rs_control.plan import TrialPlan
+from impact_rs_analysis.evidence.cluster import Added
+from impact_rs_analysis.evidence.measured import MeasuredRun
+from impact_rs_analysis.evidence.runs import Runs
+from impact_rs_analysis.evidence.signals import Signals
+from impact_rs_analysis.evidence.store import with_effects
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.bags import topics
-from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.bags.types import typestore
 
 
@@ -34,7 +35,6 @@ class ArmTrack:
         placement: Position of frame E, ``(k, 3)`` [m].
         quaternion: Orientation of E as x y z w, ``(k, 4)``.
         twist: Twist of E in E[A], ``(k, 6)`` [m/s, rad/s].
-        feedback: a_fb, ``(k, 3)`` [m/s^2].
     """
 
     position: Array
@@ -43,17 +43,16 @@ class ArmTrack:
     placement: Array
     quaternion: Array
     twist: Array
-    feedback: Array
 
 
 @dataclass(frozen=True)
 class Track:
-    """One side of an aligned trial.
+    """One side of an aligned run.
 
     Attributes:
         arms: By arm.
-        object_position: Geometric centre in A, ``(k, 3)`` [m].
-        object_yaw: Rotation about z, ``(k,)`` [rad].
+        object_position: Geometric centre in A, ``(k, 3)`` [m]; NaN where it is not looked at.
+        object_yaw: Rotation about z, ``(k,)`` [rad]; NaN where it is not looked at.
     """
 
     arms: dict[str, ArmTrack]
@@ -62,77 +61,90 @@ class Track:
 
 
 @dataclass(frozen=True)
-class AlignedTrial:
-    """Measurement and twin of one trial on the control ticks that both have.
+class AlignedRun:
+    """Measurement and replay of one run on the ticks of its windows.
 
     Attributes:
-        condition: What was run.
-        path: Bag of the measurement.
-        time: Trial time, ``(k,)`` [s].
+        run: The measurement.
+        time: Ticks of all windows, ``(k,)`` [s].
+        starts: Rows in which a window begins.
         measured: What was measured.
-        predicted: What the twin does when it starts where the measurement started.
+        predicted: What the replay does when it starts where the window starts.
     """
 
-    condition: Condition
-    path: Path
+    run: MeasuredRun
     time: Array
+    starts: tuple[int, ...]
     measured: Track
     predicted: Track
 
-
-def align(trial: MeasuredTrial, model: Model) -> AlignedTrial:
-    """Run the twin of a trial and put both on one clock."""
-    plan = trial.condition.plan
-    measured = signals_of_bag(TrialBag.open(trial.path))
-    predicted = run_twin(plan, model.apply(plan.scene.physics), trial.start, observed_until(plan))
-    time = predicted.time[predicted.time <= measured.time[-1] + 1e-9]
-    return AlignedTrial(trial.condition, trial.path, time, _track(measured, plan, time), _track(predicted, plan, time))
+    @property
+    def impact(self) -> float | None:
+        """Begin of the impact [s]; None where nothing is hit."""
+        return min(self.run.impacts.values()) if self.run.impacts else None
 
 
-def _align(task: tuple[MeasuredTrial, Model]) -> AlignedTrial:
+def align(run: MeasuredRun, model: Model, added: Added = ()) -> AlignedRun:
+    """Replay a run and put both sides on one clock.
+
+    Args:
+        run: What was measured.
+        model: What is believed.
+        added: Effects on top of it.
+    """
+    setup = run.setup
+    replayed = setup.replayed(with_effects(model, setup.physics, added))
+    models = {name: setup.physics.robot_model(name) for name in setup.physics.arms}
+    sizes = [window.time.size for window in setup.windows]
+    return AlignedRun(
+        run=run,
+        time=np.concatenate([window.time for window in setup.windows]),
+        starts=tuple(np.cumsum([0, *sizes[:-1]]).tolist()),
+        measured=_track(run.signals, models),
+        predicted=_track(replayed, models),
+    )
+
+
+def _align(task: tuple[MeasuredRun, Model, Added]) -> AlignedRun:
     return align(*task)
 
 
-def aligned_trials(runs: Runs, model: Model, map_tasks: Any) -> list[AlignedTrial]:
-    """The first trial of every condition."""
-    first: dict[Condition, MeasuredTrial] = {}
-    for trial in runs.trials:
-        first.setdefault(trial.condition, trial)
-    return list(map_tasks(_align, [(trial, model) for trial in first.values()]))
+def aligned_runs(runs: Runs, model: Model, map_tasks: Any, added: Added = ()) -> list[AlignedRun]:
+    """The first run of every condition."""
+    return list(map_tasks(_align, [(group[0], model, added) for group in runs.conditions.values()]))
 
 
-def _columns(time: Array, source: Array, values: Array) -> Array:
-    """Columns at ``time``; constant beyond their ends."""
-    return np.stack([np.interp(time, source, column) for column in values.T], axis=-1)
-
-
-def _track(signals: Signals, plan: TrialPlan, time: Array) -> Track:
+def _track(windows: tuple[Signals, ...] | list[Signals], models: dict[str, RobotModel]) -> Track:
     arms = {}
-    for name, arm in signals.arms.items():
-        q, dq = _columns(time, signals.time, arm.position), _columns(time, signals.time, arm.velocity)
-        model = plan.scene.models[name]
+    for name, model in models.items():
+        q, dq, torque = (
+            np.concatenate([getattr(window.arms[name], key) for window in windows])
+            for key in ("position", "velocity", "torque")
+        )
         places = [model.placement(row) for row in q]
-        feedback = _columns(time, signals.time, arm.feedback) if arm.feedback.size else np.zeros((time.size, 3))
         arms[name] = ArmTrack(
             position=q,
             velocity=dq,
-            torque=_columns(time, signals.time, arm.torque),
+            torque=torque,
             placement=np.array([place.translation for place in places]),
             quaternion=np.array([pin.Quaternion(place.rotation).coeffs() for place in places]),
             twist=np.array([model.jacobian(row) @ velocity for row, velocity in zip(q, dq, strict=True)]),
-            feedback=feedback,
         )
-    if signals.object_time.size:
-        position = _columns(time, signals.object_time, signals.object_position)
-        yaw = np.interp(time, signals.object_time, signals.object_yaw)
-    else:
-        position, yaw = np.tile(plan.scene.object.position, (time.size, 1)), np.zeros(time.size)
-    return Track(arms, position, yaw)
+    poses = [_object(window) for window in windows]
+    return Track(arms, np.concatenate([pose for pose, _ in poses]), np.concatenate([yaw for _, yaw in poses]))
 
 
-def aligned_name(condition: Condition) -> str:
+def _object(window: Signals) -> tuple[Array, Array]:
+    """Position and yaw of the object at the ticks of a window; NaN where it is not tracked."""
+    if window.object_time.size < 2:
+        return np.full((window.time.size, 3), np.nan), np.full(window.time.size, np.nan)
+    columns = [np.interp(window.time, window.object_time, column) for column in window.object_position.T]
+    return np.column_stack(columns), np.interp(window.time, window.object_time, window.object_yaw)
+
+
+def aligned_name(condition: str) -> str:
     """Folder name of the aligned bag of a condition."""
-    return condition.label.replace("/", "__")
+    return condition.replace("/", "__")
 
 
 def check_free(runs: Runs, directory: Path) -> None:
@@ -146,7 +158,7 @@ def check_free(runs: Runs, directory: Path) -> None:
             raise InputError("this aligned bag exists already", file=directory / aligned_name(condition))
 
 
-def write_aligned(aligned: AlignedTrial, directory: Path) -> Path:
+def write_aligned(aligned: AlignedRun, directory: Path) -> Path:
     """Write one aligned mcap: ``/measured/...``, ``/predicted/...`` and ``/residual/...`` in standard messages.
 
     Per arm ``joint_states`` (JointState), ``end_effector/twist`` (TwistStamped) and ``end_effector/pose``
@@ -156,7 +168,7 @@ def write_aligned(aligned: AlignedTrial, directory: Path) -> Path:
     Raises:
         InputError: It exists already or cannot be written.
     """
-    path = directory / aligned_name(aligned.condition)
+    path = directory / aligned_name(aligned.run.condition)
     if path.exists():
         raise InputError("this aligned bag exists already", file=path)
     hidden = directory / f".{path.name}"
@@ -176,7 +188,7 @@ def write_aligned(aligned: AlignedTrial, directory: Path) -> Path:
     return path
 
 
-def _write(writer: Writer, aligned: AlignedTrial) -> None:
+def _write(writer: Writer, aligned: AlignedRun) -> None:
     store = typestore()
     types = store.types
     header, stamp = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
@@ -216,6 +228,8 @@ def _write(writer: Writer, aligned: AlignedTrial) -> None:
                 rows.append((nanoseconds, f"/{side}/{name}/end_effector/twist", moving, topics.TWIST))
                 placed = pose_of(head, arm.placement[k], arm.quaternion[k])
                 rows.append((nanoseconds, f"/{side}/{name}/end_effector/pose", placed, topics.POSE))
+            if not np.isfinite(track.object_yaw[k]):
+                continue
             half = 0.5 * track.object_yaw[k]
             turned = np.array([0.0, 0.0, np.sin(half), np.cos(half)])
             message = pose_of(head, track.object_position[k], turned)
@@ -243,6 +257,5 @@ def _residual(measured: Track, predicted: Track) -> Track:
             placement=a.placement - b.placement,
             quaternion=np.array(turned),
             twist=a.twist - b.twist,
-            feedback=a.feedback - b.feedback,
         )
     return Track(arms, measured.object_position - predicted.object_position, measured.object_yaw - predicted.object_yaw)

@@ -23,6 +23,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -75,6 +76,9 @@ class Cluster:
         sigma: Scale of each feature in its own unit, ``(F,)``.
         pure: Pure error of each feature over its scale, ``(F,)`` [-].
         discrepancy: Model discrepancy of each feature over its scale, ``(F,)`` [-].
+        patterns: How it moves the features together, ``(k, F)`` [-]: a sum of these rows with normal amplitudes, whose
+            squares add up to those of ``discrepancy``; None: every feature by itself.
+        alike: Clusters of one name have the same amplitudes; None: those of one layout.
     """
 
     name: str
@@ -87,11 +91,20 @@ class Cluster:
     sigma: Array
     pure: Array
     discrepancy: Array
+    patterns: Array | None = None
+    alike: str | None = None
 
     @property
     def count(self) -> int:
         """Number of repeats."""
         return int(self.residuals.shape[0])
+
+    @cached_property
+    def moved_together(self) -> Array:
+        """What discrepancy of amplitude 1 does, row by row, ``(k, F)`` [-]."""
+        if self.patterns is not None:
+            return self.patterns
+        return np.diag(self.discrepancy)[self.discrepancy > 0.0]
 
     @property
     def mean(self) -> Array:
@@ -155,9 +168,29 @@ class Source(ABC):
             ``(F,)`` each; None where nothing is hit although it should be, or where the effects leave no body.
         """
 
+    def differences(self, numbers: Sequence[int], before: Added, after: Added, what: str) -> list[Array | None]:
+        """What a change of effects does to features, in their units, mean over the repeats of every cluster.
+
+        Args:
+            numbers: Of the clusters.
+            before: What is switched on before.
+            after: What is switched on after.
+            what: What it is for, to tell the user.
+
+        Returns:
+            ``(F,)`` each; None where one of the two cannot be predicted.
+        """
+        found = self.predict([(number, added) for added in (before, after) for number in numbers], what)
+        return [difference(a, b) for a, b in zip(found[: len(numbers)], found[len(numbers) :], strict=True)]
+
     @abstractmethod
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """Residuals with effects on top of the model, on the scale of ``like``; None where that cannot be simulated."""
+
+
+def difference(before: Array | None, after: Array | None) -> Array | None:
+    """After minus before, where both are known."""
+    return None if before is None or after is None else np.asarray(after - before)
 
 
 def size_of(errors: Array | Sequence[float], expected: Array | Sequence[float]) -> float:

@@ -3,28 +3,37 @@
 Nobody's simulator is exactly right. Contact settings, the regularisation of friction, the step and the physics engine
 are choices that no measurement made; what changes with them cannot be blamed on the robot. ``config/discrepancy.yaml``
 holds what was measured, per phase, signal and index, with its provenance (``benchmarks/foreign/discrepancy.py`` makes
-it). It points the same way in all conditions and not in all time bins, so every feature has an amplitude of its own
-that all clusters of a layout share.
+it), and ``config/discrepancy_patterns.csv`` how the features move together.
+
+Square and oblique hits have their own: where pad and face are not parallel, or meet at an angle, it is the friction of
+the contact that decides, and simulators regularise it in different ways. On square hits they differ in the same way in
+all conditions, on oblique ones in every condition in another.
 """
 
 from __future__ import annotations
 
+import csv
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from impact_rs_analysis.evidence.cluster import Feature
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import Schema, load
+
+Kind = Literal["free", "square", "oblique"]
 
 
 class DiscrepancyEntry(Schema):
     """Discrepancy of one signal."""
 
-    hit: bool = Field(description="whether it is of trials in which something is hit")
+    kind: Kind = Field(description="free: nothing is hit; square: face on face, along the normal; oblique: else")
     phase: str = Field(description="free, impact or push")
     signal: str = Field(description="what it is")
     index: str = Field(description="joint (joint1 ...) or axis (x, y, z)")
@@ -40,6 +49,14 @@ class DiscrepancyEntry(Schema):
         """Discrepancy of one time bin, in the unit: half the signal's, half the bin's, which few trials define."""
         own = self.by_bin[number] if number < len(self.by_bin) else self.value
         return float(np.sqrt(0.5 * (self.value**2 + own**2)))
+
+
+class Patterns(Schema):
+    """How variants moved the features together, in trials of one kind."""
+
+    kind: Kind = Field(description="free, square or oblique")
+    features: tuple[tuple[str, str, str, int], ...] = Field(description="phase, signal, index and bin, by column")
+    rows: tuple[tuple[float, ...], ...] = Field(description="variant minus replay, by variant and condition, in units")
 
 
 class Provenance(Schema):
@@ -60,20 +77,39 @@ class Discrepancy(Schema):
     provenance: Provenance | None = Field(description="how it was measured; null: switched off")
     variants: dict[str, str] = Field(description="variants of the simulation, a sentence each")
     entries: tuple[DiscrepancyEntry, ...] = Field(description="discrepancy of every signal")
+    patterns: tuple[Patterns, ...] = Field((), description="from the table beside the file")
 
-    def of(self, features: Sequence[Feature], hit: bool) -> Array:
+    def of(self, features: Sequence[Feature], kind: Kind) -> Array:
         """Discrepancy of features in their units, ``(F,)``; 0 where none was measured.
 
         Args:
             features: What they are; of two arms both have the discrepancy of one.
-            hit: Whether something is hit in their trials.
+            kind: Of their runs.
         """
-        known = {(e.phase, e.signal, e.index): e for e in self.entries if e.hit == hit}
+        known = {(e.phase, e.signal, e.index): e for e in self.entries if e.kind == kind}
         found = []
         for feature in features:
             entry = known.get((feature.phase, feature.signal, feature.index.rsplit(".", 1)[-1]))
             found.append(0.0 if entry is None else entry.of_bin(feature.bin))
         return np.array(found)
+
+    def patterns_of(self, features: Sequence[Feature], kind: Kind) -> Array | None:
+        """How discrepancy moves features together, ``(k, F)`` in their units; None where nothing tells.
+
+        The squares of a column add up to that of :meth:`of`. A feature that no pattern knows moves by itself.
+        """
+        known = next((table for table in self.patterns if table.kind == kind), None)
+        if known is None:
+            return None
+        size = self.of(features, kind)
+        places = {feature: column for column, feature in enumerate(known.features)}
+        columns = [places.get((f.phase, f.signal, f.index.rsplit(".", 1)[-1], f.bin)) for f in features]
+        rows = np.array(known.rows)
+        found = np.array([np.zeros(len(rows)) if column is None else rows[:, column] for column in columns]).T
+        norms = np.sqrt(np.square(found).sum(axis=0))
+        found *= np.divide(size, norms, out=np.zeros_like(norms), where=norms > 0.0)
+        alone = np.diag(np.where(norms > 0.0, 0.0, size))
+        return np.vstack((found, alone[np.any(alone > 0.0, axis=1)]))
 
     @property
     def in_words(self) -> str:
@@ -86,6 +122,7 @@ class Discrepancy(Schema):
         )
 
 
+FILE, TABLE = "discrepancy.yaml", "discrepancy_patterns.csv"
 NO_DISCREPANCY = Discrepancy(provenance=None, variants={}, entries=())
 
 
@@ -96,4 +133,54 @@ def measured_discrepancy() -> Discrepancy:
     Raises:
         InputError: ``config/discrepancy.yaml`` breaks the schema.
     """
-    return load(Discrepancy, config_directory() / "discrepancy.yaml")
+    found = load(Discrepancy, config_directory() / FILE)
+    return found.model_copy(update={"patterns": tuple(read_patterns(config_directory() / TABLE))})
+
+
+def read_patterns(path: Path) -> list[Patterns]:
+    """The table of :func:`write_patterns`.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    tables: dict[str, tuple[list[str], list[list[float]]]] = {}
+    header: list[str] = []
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            for line in csv.reader(file):
+                if line[0] == "kind":
+                    header = line[3:]
+                else:
+                    values = [float(value) for value in line[3:]]
+                    if len(values) != len(header):
+                        raise ValueError(f"{len(values)} values under {len(header)} features")
+                    tables.setdefault(line[0], (header, []))[1].append(values)
+    except (OSError, ValueError, IndexError) as error:
+        raise InputError(f"no table of patterns: {error}", file=path) from None
+    return [
+        Patterns(kind=kind, features=tuple(_parsed(name) for name in header), rows=tuple(map(tuple, rows)))
+        for kind, (header, rows) in tables.items()
+    ]
+
+
+def _parsed(name: str) -> tuple[str, str, str, int]:
+    phase, signal, index, number = name.split("|")
+    return phase, signal, index, int(number)
+
+
+def write_patterns(
+    path: Path, tables: Mapping[Kind, tuple[Sequence[Feature], Sequence[tuple[str, str, Sequence[float]]]]]
+) -> None:
+    """Write what variants do to features: blocks of one kind, each with a header line.
+
+    Args:
+        path: CSV file.
+        tables: By kind, features by column, and rows of variant, condition and values in the features' units.
+    """
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        for kind, (features, rows) in tables.items():
+            names = [f"{feature.phase}|{feature.signal}|{feature.index}|{feature.bin}" for feature in features]
+            writer.writerow(["kind", "variant", "condition", *names])
+            for variant, condition, values in rows:
+                writer.writerow([kind, variant, condition, *(f"{value:.4g}" for value in values)])

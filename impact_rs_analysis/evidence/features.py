@@ -1,50 +1,61 @@
-"""Features: a trial's signals boiled down to numbers that one effect or another would move.
+"""Features of replayed windows: what was measured and what the replay did, boiled down to the same numbers.
 
-The same features are taken from the measurement and from the twin; their difference is what diagnosis explains. Torque
-enters as a balance that the nominal rigid model would close, so that small differences of the path cancel:
+Torque enters as balances that the nominal rigid model would close, so that small differences of the path cancel:
 
     motor side   b_m = tau_d - tau_J - B_theta ddtheta               friction, offset, gain, delay, motor inertia
     link side    b_l = tau_J - M ddq - h                             payload, tilt, pulling cables, contact
     elasticity   b_e = (theta - q) - tau_J / K                       joint stiffness
 
-each as mean over a time bin, its acceleration part from the change of momentum over the bin. In contact b_l is turned
-into the wrench at E.
+each as mean over a window, its acceleration part from the change of momentum over it. In contact b_l is turned into the
+wrench at E. Where the motor is not measured its velocity is that of the link and of the spring, dq + dtau_J / K, in the
+replay as in the measurement.
 """
 
 from __future__ import annotations
 
 import functools
-import math
+from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
+import scipy
 
 from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_analysis.evidence.signals import ArmSignals, Signals
-from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.physics import ArmPhysics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 
-EDGE = 6  # ticks averaged at each end of a bin for its momentum change
-FREE_BINS, EXCURSION_BINS, PUSH_BINS, ELASTIC_BINS = 6, 16, 4, 4
-BEFORE_IMPACT = 0.02  # s, free motion ends this long before the detected impact
-ONSET = 0.1  # share of the ante-impact speed that is lost when an impact is said to have begun
-JUMP_BEFORE = (-0.020, -0.002)  # s from the detected impact
+EDGE = 0.006  # s, averaged at each end of a bin for its momentum change
+ONSET = 0.05  # share of the ante-impact speed that is lost when an impact is said to have begun
+MOST_OF_LOSS = 0.4  # share of all that is lost, which a light object may keep below ONSET
+TIMES_NOISE = 6.0  # the least of it over the noise of the velocity
+LEAST_LOSS = 0.004  # share of the speed; less is no impact
+QUIET = 0.008  # s, in the begin of a window, before the impact
+LOSS_WITHIN = 0.08  # s after the window's begin
+JUMP_BEFORE = (-0.018, -0.003)  # s from the begin of the impact
 JUMP_WINDOWS = ((0.0, 0.004), (0.004, 0.010), (0.010, 0.020), (0.020, 0.040), (0.040, 0.080))  # s
+SETTLED = 3
 OBJECT_WINDOWS = ((0.006, 0.040), (0.040, 0.100))  # s
-PUSH_AFTER = 0.15  # s, both bodies move together again
+PUSH = (0.10, 0.175, 0.25, 0.325, 0.395)  # s, edges of the bins in which both bodies move together
+RATE_SPAN = 0.009  # s, over which the slope of the joint torque is taken where the motor is not measured
 AXES = ("x", "y", "z")
 
 
 @functools.cache
-def layout(arms: tuple[str, ...], joint_count: int, hit: bool) -> tuple[Feature, ...]:
+def layout(
+    arms: tuple[str, ...], joint_count: int, free: int, pushes: int | None, command: bool, motor: bool, tracked: bool
+) -> tuple[Feature, ...]:
     """What the entries of a feature vector are.
 
     Args:
         arms: Names of the arms.
         joint_count: Joints per arm.
-        hit: Whether the trial hits the object.
+        free: Windows of free motion.
+        pushes: Bins of the push that were recorded; None: nothing is hit.
+        command: Whether the desired torque is known.
+        motor: Whether the motor's position is known.
+        tracked: Whether the object was tracked.
     """
     result: list[Feature] = []
     for arm in arms:
@@ -55,104 +66,139 @@ def layout(arms: tuple[str, ...], joint_count: int, hit: bool) -> tuple[Feature,
         def add(phase: str, signal: str, names: list[str], bins: int, unit: str, floor: float) -> None:
             result.extend(Feature(phase, signal, name, b, unit, floor) for b in range(bins) for name in names)
 
-        bins = FREE_BINS if hit else EXCURSION_BINS
-        add("free", "motor torque balance", joints, bins, "N m", 0.01)
-        add("free", "link torque balance", joints, bins, "N m", 0.02)
-        add("free", "elastic deflection", joints, ELASTIC_BINS, "rad", 4e-6)
-        if not hit:
+        if command:
+            add("free", "motor torque balance", joints, free, "N m", 0.01)
+        add("free", "link torque balance", joints, free, "N m", 0.02)
+        if motor:
+            add("free", "elastic deflection", joints, free, "rad", 4e-6)
+        if pushes is None:
             continue
         add("impact", "joint velocity jump", joints, 1, "rad/s", 0.004)
         add("impact", "end-effector velocity", axes, len(JUMP_WINDOWS), "m/s", 0.003)
         add("impact", "contact force", axes, len(JUMP_WINDOWS), "N", 1.0)
         add("impact", "end-effector rotation", axes, len(JUMP_WINDOWS), "rad/s", 0.02)
-        add("push", "motor torque balance", joints, PUSH_BINS, "N m", 0.01)
-        add("push", "contact force", axes, PUSH_BINS, "N", 0.05)
-        add("push", "contact moment", axes, PUSH_BINS, "N m", 0.02)
-        add("push", "velocity error", axes, PUSH_BINS, "m/s", 0.001)
-        add("push", "feedback", axes, PUSH_BINS, "m/s^2", 0.02)
-    if hit:
+        if command:
+            add("push", "motor torque balance", joints, pushes, "N m", 0.01)
+        add("push", "contact force", axes, pushes, "N", 0.05)
+        add("push", "contact moment", axes, pushes, "N m", 0.02)
+        add("push", "end-effector velocity", axes, pushes, "m/s", 0.001)
+    if pushes is not None and tracked:
         for number in range(len(OBJECT_WINDOWS)):
             result.extend(Feature("impact", "object velocity", axis, number, "m/s", 0.003) for axis in AXES[:2])
             result.append(Feature("impact", "object rotation", "z", number, "rad/s", 0.05))
-        for number in range(PUSH_BINS):
+        for number in range(pushes):
             result.extend(Feature("push", "object velocity", axis, number, "m/s", 0.001) for axis in AXES[:2])
     return tuple(result)
 
 
-def extract(signals: Signals, plan: TrialPlan, models: dict[str, RobotModel] | None = None) -> Array | None:
-    """Feature vector of a trial, as :func:`layout` describes it; None if nothing was hit where something should be.
+def extract(
+    windows: Sequence[Signals],
+    commands: Sequence[dict[str, Array]],
+    contact: Sequence[bool],
+    arms: dict[str, tuple[ArmPhysics, RobotModel]],
+    motor: bool,
+    tracked: bool,
+    pushes: int | None,
+    levels: dict[str, float],
+) -> Array | None:
+    """Feature vector of windows; None if nothing was hit where something should be.
 
     Args:
-        signals: Measured or simulated.
-        plan: Its references.
-        models: Nominal rigid models, to reuse.
+        windows: Measured or replayed.
+        commands: Per window desired torque by arm and tick, ``(k, n)`` [N m]; empty where it is not known.
+        contact: Which of them hold the impact.
+        arms: Nominal physics and rigid-body model by arm.
+        motor: Whether motor position and velocity are looked at.
+        tracked: Whether the object is.
+        pushes: Bins of the push.
+        levels: By arm, loss of speed with which the impact begins [m/s].
     """
-    scene = plan.scene
-    models = models or scene.models
-    hit = plan.expects_impact
     parts: list[Array] = []
-    impacts = [arm.impact_time for arm in signals.arms.values()]
-    if hit and not all(math.isfinite(time) for time in impacts):
+    onsets: dict[str, float] = {}
+    last = windows[-1] if contact and contact[-1] else None
+    for name, (physics, model) in arms.items():
+        free = [
+            _Dynamics(w.time, w.arms[name], c.get(name), physics, model, motor)
+            for w, c, hit in zip(windows, commands, contact, strict=True)
+            if not hit
+        ]
+        balances = [item.balance(float(item.time[0]), float(item.time[-1])) for item in free]
+        if commands[0]:
+            parts.append(np.concatenate([b for b, _ in balances]) if balances else np.zeros(0))
+        parts.append(np.concatenate([b for _, b in balances]) if balances else np.zeros(0))
+        if motor and free:
+            parts.append(
+                np.concatenate(
+                    [
+                        (f.arm.motor_position - f.arm.position - f.arm.torque / physics.stiffness).mean(axis=0)
+                        for f in free
+                    ]
+                )
+            )
+        if last is None:
+            continue
+        dynamics = _Dynamics(last.time, last.arms[name], commands[-1].get(name), physics, model, motor)
+        onset = onset_of(last.time, dynamics.twists[:, :3], levels[name])
+        if onset is None:
+            return None
+        onsets[name] = onset
+        parts += _impact_features(onset, dynamics)
+        parts += _push_features(onset, dynamics, pushes or 0)
+    if last is not None and tracked:
+        first = min(onsets.values())
+        for start, end in OBJECT_WINDOWS:
+            parts.append(_object_velocity(last, first + start, first + end))
+        for start, end in zip(PUSH[: (pushes or 0)], PUSH[1:], strict=False):
+            parts.append(_object_velocity(last, first + start, first + end)[:2])
+    return np.concatenate(parts)
+
+
+def onset_level(time: Array, velocity: Array) -> float | None:
+    """Loss of speed at which an impact is said to have begun [m/s]; None where no more than noise is lost.
+
+    A share of the speed, above the noise, and not so much that a light object does not take it.
+
+    Args:
+        time: Ticks, ``(k,)`` [s]; the first 8 ms are before the impact.
+        velocity: Of the end effector as measured, ``(k, 3)`` [m/s].
+    """
+    loss, speed = _loss(time, velocity)
+    noise = float(np.std(loss[: max(3, np.count_nonzero(time <= time[0] + QUIET))]))
+    level = min(max(ONSET * speed, TIMES_NOISE * noise), MOST_OF_LOSS * float(loss.max()))
+    return level if level > max(0.5 * TIMES_NOISE * noise, LEAST_LOSS * speed) else None
+
+
+def onset_of(time: Array, velocity: Array, level: float) -> float | None:
+    """When the end effector had lost so much speed, between two ticks [s]; None where it never does.
+
+    Args:
+        time: Ticks, ``(k,)`` [s]; the first 8 ms are before the impact.
+        velocity: Of the end effector, ``(k, 3)`` [m/s].
+        level: Loss, as measured runs have it (:func:`onset_level`) [m/s].
+    """
+    loss, _ = _loss(time, velocity)
+    rising = np.nonzero((loss[:-1] < level) & (loss[1:] >= level))[0]
+    if rising.size == 0:
         return None
-    onsets: list[float] = []
-    for name, arm in signals.arms.items():
-        parts.append(_arm_features(signals.time, arm, plan, name, models[name], onsets))
-    if hit:
-        first = min(onsets)
-        for window in OBJECT_WINDOWS:
-            parts.append(_object_velocity(signals, first + window[0], first + window[1]))
-        edges = _push_edges(plan, first)
-        for start, end in zip(edges[:-1], edges[1:], strict=True):
-            parts.append(_object_velocity(signals, start, end)[:2])
-    return np.concatenate(parts)
+    row = int(rising[0])
+    share = (level - loss[row]) / (loss[row + 1] - loss[row])
+    return float(time[row] + share * (time[row + 1] - time[row]))
 
 
-def _push_edges(plan: TrialPlan, impact: float) -> Array:
-    return np.linspace(impact + PUSH_AFTER, plan.scene.scenario.timing.window[1], PUSH_BINS + 1)
+def _loss(time: Array, velocity: Array) -> tuple[Array, float]:
+    """Loss of speed along the direction before the impact, for a while after it, ``(k,)``, and that speed [m/s]."""
+    before = velocity[time <= time[0] + QUIET].mean(axis=0)
+    speed = float(np.linalg.norm(before))
+    near = time <= time[0] + LOSS_WITHIN
+    return speed - velocity[near] @ before / speed, speed
 
 
-def _arm_features(
-    time: Array, arm: ArmSignals, plan: TrialPlan, name: str, model: RobotModel, onsets: list[float]
-) -> Array:
-    """Features of one arm; adds the begin of its impact to ``onsets``."""
-    physics = plan.scene.physics.arms[name]
-    timing = plan.scene.scenario.timing
-    scenario = plan.scene.scenario
-    if not plan.expects_impact:
-        assert scenario.excursion is not None
-        robot = scenario.cases[plan.scene.case_name].robots[name]
-        edges = np.linspace(scenario.excursion.begin, scenario.excursion_end(robot), EXCURSION_BINS + 1)
-    else:
-        start = timing.nominal_impact - timing.approach
-        edges = np.linspace(start, arm.impact_time - BEFORE_IMPACT, FREE_BINS + 1)
-    dynamics = _Dynamics(time, arm, physics, model)
-    motor, link = dynamics.balances(edges)
-    parts = [motor.ravel(), link.ravel()]
-    deflection = arm.motor_position - arm.position - arm.torque / physics.stiffness
-    parts.append(_means(time, deflection, np.linspace(edges[0], edges[-1], ELASTIC_BINS + 1)).ravel())
-    if not plan.expects_impact:
-        return np.concatenate(parts)
-    path = plan.arms[name].post_position
-    onset = _onset(time, dynamics.twists[:, :3] @ plan.arms[name].approach_direction, arm.impact_time)
-    onsets.append(onset)
-    parts += _impact_features(time, onset, arm, dynamics)
-    edges = _push_edges(plan, onset)
-    motor, link = dynamics.balances(edges)
-    wrench = np.array(
-        [dynamics.wrench_at(0.5 * (a + b), row) for a, b, row in zip(edges, edges[1:], link, strict=False)]
-    )
-    velocity = dynamics.twists[:, :3]
-    parts += [motor.ravel(), wrench[:, :3].ravel(), wrench[:, 3:].ravel()]
-    parts.append(_means(time, velocity - path.velocity[: time.size], edges).ravel())
-    parts.append(_means(time, arm.feedback, edges).ravel())
-    return np.concatenate(parts)
-
-
-def _impact_features(time: Array, onset: float, arm: ArmSignals, dynamics: _Dynamics) -> list[Array]:
+def _impact_features(onset: float, dynamics: _Dynamics) -> list[Array]:
     """Jump and first 80 ms; windows begin between two ticks, so that an impact a little later changes nothing much."""
-    velocity, twist = _Integral(time, arm.velocity), _Integral(time, dynamics.twists)
+    time = dynamics.time
+    velocity, twist = _Integral(time, dynamics.arm.velocity), _Integral(time, dynamics.twists)
     before = (onset + JUMP_BEFORE[0], onset + JUMP_BEFORE[1])
-    settled = (onset + JUMP_WINDOWS[3][0], onset + JUMP_WINDOWS[3][1])
+    settled = (onset + JUMP_WINDOWS[SETTLED][0], onset + JUMP_WINDOWS[SETTLED][1])
     jump = velocity.mean(*settled) - velocity.mean(*before)
     baseline = twist.mean(*before)
     linear, force, rotation = [], [], []
@@ -165,22 +211,20 @@ def _impact_features(time: Array, onset: float, arm: ArmSignals, dynamics: _Dyna
     return [jump, np.concatenate(linear), np.concatenate(force), np.concatenate(rotation)]
 
 
-def _onset(time: Array, speed: Array, detected: float) -> float:
-    """When the end effector had lost ``ONSET`` of its ante-impact speed, between two ticks [s].
-
-    Args:
-        time: Ticks, ``(k,)`` [s].
-        speed: Velocity along the ante-impact direction, ``(k,)`` [m/s].
-        detected: Detected impact [s], taken where no such loss is near.
-    """
-    level = (1.0 - ONSET) * float(speed[_window(time, detected + JUMP_BEFORE[0], detected - 0.005)].mean())
-    rows = _window(time, detected - 0.01, detected + 0.01)
-    below = np.nonzero((speed[rows][:-1] >= level) & (speed[rows][1:] < level))[0]
-    if below.size == 0:
-        return detected
-    row = rows.start + int(below[0])
-    share = (speed[row] - level) / (speed[row] - speed[row + 1])
-    return float(time[row] + share * (time[row + 1] - time[row]))
+def _push_features(onset: float, dynamics: _Dynamics, pushes: int) -> list[Array]:
+    motor, wrench, velocity = [], [], []
+    twist = _Integral(dynamics.time, dynamics.twists[:, :3])
+    for start, end in zip(PUSH[:pushes], PUSH[1:], strict=False):
+        begin, stop = onset + start, onset + end
+        at_motor, at_link = dynamics.balance(begin, stop)
+        motor.append(at_motor)
+        wrench.append(dynamics.wrench_at(0.5 * (begin + stop), at_link))
+        velocity.append(twist.mean(begin, stop))
+    if not motor:
+        return []
+    parts = [np.concatenate(motor)] if dynamics.command is not None else []
+    rows = np.array(wrench)
+    return [*parts, rows[:, :3].ravel(), rows[:, 3:].ravel(), np.concatenate(velocity)]
 
 
 class _Integral:
@@ -213,49 +257,56 @@ def _between(time: Array, values: Array, moment: float) -> Array:
 
 
 class _Dynamics:
-    """Rigid-body terms of the nominal model along a measured motion."""
+    """Rigid-body terms of the nominal model along a motion."""
 
-    def __init__(self, time: Array, arm: ArmSignals, physics: ArmPhysics, model: RobotModel) -> None:
-        self.time, self.arm, self.physics, self.model = time, arm, physics, model
-        count = time.size
+    def __init__(
+        self, time: Array, arm: ArmSignals, command: Array | None, physics: ArmPhysics, model: RobotModel, motor: bool
+    ) -> None:
+        self.time, self.arm, self.command, self.physics, self.model = time, arm, command, physics, model
         self.momentum = np.zeros_like(arm.position)
         self.known = np.zeros_like(arm.position)
-        self.twists = np.zeros((count, 6))
+        self.twists = np.zeros((time.size, 6))
         pinocchio, data = model.pinocchio, model.data
-        for row in range(count):
+        for row in range(time.size):
             q, dq = arm.position[row], arm.velocity[row]
             terms = model.terms(q, dq)
             coriolis = pin.computeCoriolisMatrix(pinocchio, data, q, dq)
             self.momentum[row] = terms.mass_matrix @ dq
             self.known[row] = coriolis.T @ dq - (terms.bias - coriolis @ dq)
             self.twists[row] = terms.twist
+        if motor:
+            spring_rate = arm.motor_velocity - arm.velocity
+        else:
+            length = max(5, 2 * round(RATE_SPAN / float(time[1] - time[0]) / 2.0) + 1)
+            length = min(length, time.size - 1 + time.size % 2)
+            rate = scipy.signal.savgol_filter(arm.torque, length, 2, deriv=1, delta=float(time[1] - time[0]), axis=0)
+            spring_rate = rate / physics.stiffness
+        self.motor_velocity = arm.velocity + spring_rate
+        self._damped = _Integral(time, arm.torque + physics.damping * spring_rate)
+        self._command = None if command is None else _Integral(time, command)
+        self._motor_velocity = _Integral(time, self.motor_velocity)
+        self._momentum = _Integral(time, self.momentum)
+        self._known = _Integral(time, self.known)
 
-    def balances(self, edges: Array, edge: int = EDGE) -> tuple[Array, Array]:
-        """Motor-side and link-side balance per bin, ``(bins, n)`` each [N m]."""
-        time, arm = self.time, self.arm
-        motor, link = [], []
-        damped = arm.torque + self.physics.damping * (arm.motor_velocity - arm.velocity)
-        for start, end in zip(edges[:-1], edges[1:], strict=True):
-            first = int(np.searchsorted(time, start - 1e-9))
-            last = min(max(int(np.searchsorted(time, end - 1e-9)), first + 2 * edge + 1), time.size - edge - 1)
-            head, tail = slice(first, first + edge), slice(last - edge, last)
-            # Means over the ends stand at their middles; the torque is averaged between exactly these.
-            span = time[tail].mean() - time[head].mean()
-            middle = slice(first + edge // 2, last - edge + edge // 2)
-            ramp = arm.motor_velocity[tail].mean(axis=0) - arm.motor_velocity[head].mean(axis=0)
-            torque = arm.command[middle].mean(axis=0) - damped[middle].mean(axis=0)
-            motor.append(torque - self.physics.motor_inertia_reduced * ramp / span)
-            change = self.momentum[tail].mean(axis=0) - self.momentum[head].mean(axis=0)
-            link.append(damped[middle].mean(axis=0) + self.known[middle].mean(axis=0) - change / span)
-        return np.array(motor), np.array(link)
+    def balance(self, start: float, end: float) -> tuple[Array, Array]:
+        """Motor-side and link-side balance over a bin, ``(n,)`` each [N m]; the former is 0 without a command."""
+        head, tail = (start, start + EDGE), (end - EDGE, end)
+        # Means over the ends stand at their middles; the torque is averaged between exactly these.
+        middle = (start + 0.5 * EDGE, end - 0.5 * EDGE)
+        span = middle[1] - middle[0]
+        damped = self._damped.mean(*middle)
+        ramp = self._motor_velocity.mean(*tail) - self._motor_velocity.mean(*head)
+        change = self._momentum.mean(*tail) - self._momentum.mean(*head)
+        link = damped + self._known.mean(*middle) - change / span
+        if self._command is None:
+            return np.zeros_like(link), link
+        motor = self._command.mean(*middle) - damped - self.physics.motor_inertia_reduced * ramp / span
+        return motor, link
 
     def link_balance(self, start: float, end: float) -> Array:
         """Link-side balance over a short window that begins and ends between ticks, ``(n,)`` [N m]."""
-        arm = self.arm
-        damped = arm.torque + self.physics.damping * (arm.motor_velocity - arm.velocity)
-        momentum = _Integral(self.time, self.momentum)
-        change = (momentum.at(end) - momentum.at(start)) / (end - start)
-        return _Integral(self.time, damped + self.known).mean(start, end) - change
+        change = (self._momentum.at(end) - self._momentum.at(start)) / (end - start)
+        return (self._damped.mean(start, end) + self._known.mean(start, end)) - change
 
     def wrench_at(self, moment: float, balance: Array) -> Array:
         """Wrench of the arm on what it touches that explains a link-side balance, at E in E[A], ``(6,)`` [N, N m]."""
@@ -264,15 +315,6 @@ class _Dynamics:
         jacobian = self.model.jacobian(q)
         mobility = np.linalg.solve(self.model.mass_matrix(q), np.column_stack((jacobian.T, balance)))
         return np.asarray(np.linalg.solve(jacobian @ mobility[:, :6], jacobian @ mobility[:, 6]))
-
-
-def _window(time: Array, start: float, end: float) -> slice:
-    first = int(np.searchsorted(time, start - 1e-9))
-    return slice(first, max(first + 1, int(np.searchsorted(time, end - 1e-9))))
-
-
-def _means(time: Array, values: Array, edges: Array) -> Array:
-    return np.array([values[_window(time, a, b)].mean(axis=0) for a, b in zip(edges[:-1], edges[1:], strict=True)])
 
 
 def _object_velocity(signals: Signals, start: float, end: float) -> Array:
@@ -287,3 +329,8 @@ def _object_velocity(signals: Signals, start: float, end: float) -> Array:
     pose = _Integral(time, np.column_stack((signals.object_position[:, :2], signals.object_yaw)))
     third = (end - start) / 3.0
     return np.asarray((pose.mean(end - third, end) - pose.mean(start, start + third)) / (2.0 * third))
+
+
+def pushes_recorded(onset: float, end: float) -> int:
+    """How many bins of the push lie before the end of a window [s]."""
+    return sum(onset + edge <= end + 1e-9 for edge in PUSH[1:])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,8 +24,6 @@ class ArmSignals:
         motor_position: theta [rad]; empty where it is not measured.
         motor_velocity: dtheta [rad/s]; empty where it is not measured.
         command: tau_d [N m]; empty where it is not known.
-        feedback: a_fb of the controller, ``(k, 3)`` [m/s^2]; empty where it is not known.
-        impact_time: Detected impact [s]; NaN where there is none.
     """
 
     position: Array
@@ -35,8 +32,6 @@ class ArmSignals:
     motor_position: Array
     motor_velocity: Array
     command: Array
-    feedback: Array
-    impact_time: float
 
 
 @dataclass(frozen=True)
@@ -93,8 +88,6 @@ def signals_of_bag(bag: TrialBag) -> Signals:
             motor_position=motor.position,
             motor_velocity=motor.velocity,
             command=controller.commanded_torque,
-            feedback=controller.feedback_acceleration,
-            impact_time=bag.impact_time(arm),
         )
     if time is None:
         raise BagError(bag.path, "names no robots")
@@ -128,16 +121,12 @@ class SignalCollector:
         self._period = plan.scene.scenario.timing.control_period
         self._arms = {
             name: {
-                **{
-                    field: np.zeros((ticks, arm.initial.size))
-                    for field in ("position", "velocity", "torque", "motor_position", "motor_velocity", "command")
-                },
-                "feedback": np.zeros((ticks, 3)),
+                field: np.zeros((ticks, arm.initial.size))
+                for field in ("position", "velocity", "torque", "motor_position", "motor_velocity", "command")
             }
             for name, arm in plan.arms.items()
         }
         self._ticks = 0
-        self._impact = {name: math.nan for name in plan.arms}
         self._object: list[tuple[float, Array, float]] = []
 
     def add(self, tick: int, measurement: object, commands: object) -> None:
@@ -151,9 +140,6 @@ class SignalCollector:
             columns["motor_position"][tick] = measured.motor_position
             columns["motor_velocity"][tick] = measured.motor_velocity
             columns["command"][tick] = command.torque
-            columns["feedback"][tick] = command.feedback
-            if command.detection is not None:
-                self._impact[name] = command.detection.time
         tracked = measurement.object  # type: ignore[attr-defined]
         if tracked is not None:
             yaw = pin.rpy.matrixToRpy(pin.Quaternion(tracked.quaternion).matrix())[2]
@@ -163,7 +149,7 @@ class SignalCollector:
         """Everything collected so far."""
         count = self._ticks
         arms = {
-            name: ArmSignals(**{k: v[:count] for k, v in columns.items()}, impact_time=self._impact[name])
+            name: ArmSignals(**{key: values[:count] for key, values in columns.items()})
             for name, columns in self._arms.items()
         }
         return Signals(

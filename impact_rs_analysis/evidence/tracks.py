@@ -6,12 +6,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from impact_rs_sim.robot import Array
 
 if TYPE_CHECKING:  # a page that shows tracks does not need what they are made from
-    from impact_rs_analysis.evidence.aligned import AlignedTrial
+    from impact_rs_analysis.evidence.aligned import AlignedRun
     from impact_rs_analysis.evidence.recordings import RecordingSource
-    from impact_rs_analysis.evidence.runs import Condition
 
 AXES = "xyz"
 
@@ -39,7 +40,7 @@ class TrackSet:
 
     Attributes:
         label: Which trial, or which recording and model.
-        impact: Nominal impact [s]; None where nothing is hit.
+        impact: Begin of the impact [s]; None where nothing is hit.
         time: Of the trial or since the start of the recording, ``(k,)`` [s].
         signals: The signals, ``(k,)`` each.
     """
@@ -50,17 +51,29 @@ class TrackSet:
     signals: tuple[TrackSignal, ...]
 
 
-def tracks_of_trials(aligned: Sequence[AlignedTrial]) -> tuple[TrackSet, ...]:
-    """Tracks of trials against their twins, those with an impact first."""
+def tracks_of_runs(aligned: Sequence[AlignedRun]) -> tuple[TrackSet, ...]:
+    """Tracks of runs against their replays, those with an impact first; a gap parts the windows."""
     return tuple(
         TrackSet(
-            label=_label(trial.condition),
-            impact=trial.condition.plan.scene.scenario.timing.nominal_impact if _hits(trial) else None,
-            time=trial.time,
-            signals=tuple(_signals(trial)),
+            label=item.run.condition.split("/", 1)[-1].replace("/", ", "),
+            impact=item.impact,
+            time=_parted(item.time, item.starts),
+            signals=tuple(
+                replace(
+                    signal,
+                    measured=_parted(signal.measured, item.starts),
+                    predicted=_parted(signal.predicted, item.starts),
+                )
+                for signal in _signals(item)
+            ),
         )
-        for trial in sorted(aligned, key=lambda trial: not _hits(trial))
+        for item in sorted(aligned, key=lambda item: not item.run.hit)
     )
+
+
+def _parted(values: Array, starts: Sequence[int]) -> Array:
+    """Values with a NaN before every window but the first, at which a line breaks."""
+    return np.insert(values.astype(float), list(starts[1:]), np.nan)
 
 
 def tracks_of_recordings(source: RecordingSource, rests: Mapping[str, Array]) -> tuple[TrackSet, ...]:
@@ -93,33 +106,23 @@ def tracks_of_recordings(source: RecordingSource, rests: Mapping[str, Array]) ->
     return tuple(found)
 
 
-def _hits(trial: AlignedTrial) -> bool:
-    return trial.condition.plan.expects_impact
-
-
-def _label(condition: Condition) -> str:
-    place = condition.case if condition.object == "none" else f"{condition.object}, {condition.case}"
-    return place if condition.scale == 1.0 else f"{place} ({condition.scale:g} v)"
-
-
-def _signals(trial: AlignedTrial) -> list[TrackSignal]:
-    """What is shown of a trial: end effectors along the main axis first, then their joints, then the object."""
+def _signals(item: AlignedRun) -> list[TrackSignal]:
+    """What is shown of a run: end effectors along the main axis first, then their joints, then the object."""
     found: list[TrackSignal] = []
-    main = trial.condition.plan.scene.scenario.axis_index
+    main = item.run.axis
     axes = [(axis, AXES[axis]) for axis in (main, *(axis for axis in range(3) if axis != main))]
-    for arm, measured in trial.measured.arms.items():
-        predicted = trial.predicted.arms[arm]
+    for arm, measured in item.measured.arms.items():
+        predicted = item.predicted.arms[arm]
         joints = [(joint, str(joint + 1)) for joint in range(measured.position.shape[1])]
         own = [
             *_columns("end-effector velocity", "m/s", measured.twist, predicted.twist, axes),
-            *_columns("feedback", "m/s^2", measured.feedback, predicted.feedback, axes),
             *_columns("torque of joint", "N m", measured.torque, predicted.torque, joints),
             *_columns("velocity of joint", "rad/s", measured.velocity, predicted.velocity, joints),
         ]
-        several = len(trial.measured.arms) > 1
+        several = len(item.measured.arms) > 1
         found += [replace(signal, name=f"{arm}: {signal.name}") for signal in own] if several else own
-    if _hits(trial):
-        a, b = trial.measured, trial.predicted
+    a, b = item.measured, item.predicted
+    if np.isfinite(a.object_yaw).any():
         found += _columns("object position", "m", a.object_position, b.object_position, list(enumerate(AXES[:2])))
         found.append(TrackSignal("object yaw", "rad", a.object_yaw, b.object_yaw))
     return found

@@ -11,7 +11,7 @@ from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
 from impact_rs_analysis.diagnosis.document import TIMES
 from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.diagnosis.jump import JOINTS
-from impact_rs_analysis.evidence.aligned import aligned_trials, check_free, write_aligned
+from impact_rs_analysis.evidence.aligned import aligned_runs, check_free, write_aligned
 from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_cli.arguments import add_jobs, add_runs, number, on_local_runs
 from impact_rs_cli.measurements import Measurements, add_source, measured, only_trials
@@ -21,9 +21,10 @@ from impact_rs_sim.model import Model, load_model
 TEXT = f"""\
 Compare a model with measurements, and show where it fails.
 
-On three levels: the velocity jump of the impact map, free motion, and the whole trial with the model's twin in closed
-loop. Differences are given in their units and in multiples of what repeating a trial explains; one score stands for
-all, and 1 is what repetition alone gives. Only measured signals are read.
+On three levels: the velocity jump of the impact map, free motion, and the impact with the push after it. The latter two
+replay what was measured: the plant from the measured state, driven by the recorded torque. Differences are given in
+their units and in multiples of what repeating a trial explains; one score stands for all, and 1 is what repetition
+alone gives. Only measured signals are read.
 
 example:
   {PROGRAM} compare campaigns/blind/runs --model config/models/nominal.yaml -o report
@@ -87,7 +88,7 @@ def comparison_of(measurements: Measurements, model: Model, terminal: Terminal) 
 def _write_bags(directory: Path, measurements: Measurements, model: Model, terminal: Terminal) -> None:
     runs = only_trials(measurements, "--mcap")
     with output_folder(directory), terminal.progress("aligned bags") as tell:
-        aligned = aligned_trials(runs, model, map)
+        aligned = aligned_runs(runs, model, map)
         for count, trial in enumerate(aligned, start=1):
             write_aligned(trial, directory)
             tell(count, len(aligned))

@@ -1,20 +1,23 @@
 """Mapping files: where a recording that was not made here keeps its signals (``config/mappings/*.yaml``).
 
-One mapping serves bags (topic, message type and field), CSV files (a column per joint) and NPZ files (an array per
-signal). What a signal is called is data; what it means is said here, with its unit.
+One mapping serves bags (topic, message type and field), CSV and Parquet files (a column per joint) and NPZ and HDF5
+files (an array per signal). What a signal is called is data; what it means is said here, with its unit.
+
+In ``topic``, ``child_frame``, ``file`` and column names ``{object}`` stands for the object of a run, ``{arm}`` for the
+arm of its scenario and ``{run}`` for the run's own name.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import EndEffector, RobotFacts, load_facts
+from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
 from impact_rs_sim.schema import NonNegativeVector, Schema, Vector3, load
 
 UNITS: dict[str, dict[str, float]] = {  # factor to SI, by quantity
@@ -22,6 +25,9 @@ UNITS: dict[str, dict[str, float]] = {  # factor to SI, by quantity
     "velocity": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": np.pi / 180.0},
     "torque": {"N m": 1.0, "mN m": 1e-3},
     "torque_rate": {"N m/s": 1.0},
+    "length": {"m": 1.0, "mm": 1e-3},
+    "orientation": {"-": 1.0},
+    "wrench": {"N, N m": 1.0},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
 }
 QUANTITY = {  # quantity of each signal
@@ -32,9 +38,27 @@ QUANTITY = {  # quantity of each signal
     "motor_velocity": "velocity",
     "command": "torque",
     "torque_rate": "torque_rate",
+    "object_pose": "length",
+    "object_position": "length",
+    "object_quaternion": "orientation",
+    "wrench": "wrench",
 }
-REQUIRED = ("position", "velocity", "torque")
-SignalName = Literal["position", "velocity", "torque", "motor_position", "motor_velocity", "command", "torque_rate"]
+SignalName = Literal[
+    "position",
+    "velocity",
+    "torque",
+    "motor_position",
+    "motor_velocity",
+    "command",
+    "torque_rate",
+    "object_pose",
+    "object_position",
+    "object_quaternion",
+    "wrench",
+]
+REQUIRED: tuple[SignalName, ...] = ("position", "velocity", "torque")
+WIDTH: dict[SignalName, int] = {"object_pose": 7, "object_position": 3, "object_quaternion": 4, "wrench": 6}
+JOINT_SIGNALS: tuple[SignalName, ...] = tuple(name for name in get_args(SignalName) if name not in WIDTH)
 
 
 class SignalSource(Schema):
@@ -42,10 +66,22 @@ class SignalSource(Schema):
 
     topic: str | None = Field(None, description="topic in a bag; * stands for anything, as in */joint_states")
     type: str | None = Field(None, description="message type, package/msg/Name")
-    field: str | None = Field(None, description="path of the array in the message, for example state.position")
+    field: str | None = Field(
+        None, description="path of the array in the message, for example state.position or points.0.effort"
+    )
     names: str | None = Field(None, description="path of the joint names in the message; without it the order counts")
-    column: str | None = Field(None, description="column of a CSV file; {joint} stands for 1, 2, ...")
-    array: str | None = Field(None, description="array of an NPZ file, samples x joints")
+    stamp: Literal["header", "log"] | None = Field(
+        None, description="stamp of a message; absent: that of the mapping, and the log where there is no header"
+    )
+    child_frame: str | None = Field(None, description="child_frame_id to take from transforms; * stands for anything")
+    column: str | None = Field(None, description="column of a CSV or Parquet file; {joint} stands for 1, 2, ...")
+    columns: tuple[str, ...] | None = Field(None, description="columns of a CSV or Parquet file one by one, in order")
+    time_column: str | None = Field(None, description="column of this signal's own time; absent: that of the mapping")
+    array: str | None = Field(None, description="array of an NPZ or HDF5 file, samples x joints")
+    time_array: str | None = Field(None, description="array of this signal's own time; absent: that of the mapping")
+    file: str | None = Field(None, description="file in the folder of a run; absent: the run's own file")
+    quaternion_order: Literal["xyzw", "wxyz"] = Field("xyzw", description="order of a quaternion's numbers in a table")
+    delay: float = Field(0.0, description="added to the time stamps [s]")
     unit: str = Field(description="unit of the numbers in the file")
     factor: Annotated[float, Field(description="the numbers are multiplied by this as well, for example -1 [-]")] = 1.0
 
@@ -54,9 +90,9 @@ class TimeSource(Schema):
     """Where the time stamps are."""
 
     stamp: Literal["header", "log"] = Field("header", description="stamp of a message: its header or the bag's log")
-    column: str = Field("time", description="column of a CSV file")
-    array: str = Field("time", description="array of an NPZ file")
-    unit: Literal["s", "ms", "us", "ns"] = Field("s", description="unit of the stamps in CSV and NPZ files")
+    column: str = Field("time", description="column of a CSV or Parquet file")
+    array: str = Field("time", description="array of an NPZ or HDF5 file")
+    unit: Literal["s", "ms", "us", "ns"] = Field("s", description="unit of the stamps in files that are no bags")
 
 
 class MountedEndEffector(Schema):
@@ -101,6 +137,9 @@ class Mapping(Schema):
     motor_inertia: NonNegativeVector | None = Field(
         None, description="motor inertia at the joint, only with torque_measured_at: motor [kg m^2]"
     )
+    command_includes_gravity: bool = Field(
+        True, description="whether the commanded torque holds the arm's own weight; libfranka's does not"
+    )
     low_pass: Annotated[float, Field(gt=0.0, description="cut-off of the zero-phase low-pass [Hz]")] = 3.0
     time: TimeSource = Field(default_factory=TimeSource, description="time stamps")
     definitions: tuple[str, ...] = Field((), description="message packages whose definitions are in mappings/messages")
@@ -115,9 +154,26 @@ class Mapping(Schema):
             units = UNITS[QUANTITY[name]]
             if source.unit not in units:
                 raise ValueError(f"signals.{name}.unit is {source.unit!r}, expected one of: {', '.join(units)}")
+            wanted = self.width(name)
+            if source.columns is not None and len(source.columns) != wanted:
+                raise ValueError(f"signals.{name}.columns names {len(source.columns)}, expected {wanted}")
+            if source.columns is not None and source.column is not None:
+                raise ValueError(f"signals.{name} has both column and columns, expected one of them")
+        self._object_is_told_once()
         if self.motor_inertia is not None and len(self.motor_inertia) != len(self.joints):
             raise ValueError(f"motor_inertia has {len(self.motor_inertia)} entries, expected {len(self.joints)}")
         return self
+
+    def _object_is_told_once(self) -> None:
+        parts = [name for name in ("object_position", "object_quaternion") if name in self.signals]
+        if parts and "object_pose" in self.signals:
+            raise ValueError(f"signals has both object_pose and {parts[0]}, expected one of them")
+        if len(parts) == 1:
+            raise ValueError(f"signals.{parts[0]} stands alone, expected object_position and object_quaternion")
+
+    def width(self, signal: SignalName) -> int:
+        """How many numbers one sample of a signal has."""
+        return WIDTH.get(signal, len(self.joints))
 
     @property
     def facts(self) -> RobotFacts:
@@ -135,6 +191,20 @@ class Mapping(Schema):
         """From the numbers in the file to SI."""
         source = self.signals[signal]
         return UNITS[QUANTITY[signal]][source.unit] * source.factor
+
+    def to_si(self, signal: SignalName, values: Array) -> Array:
+        """Numbers of a table or array in SI units; quaternions end up in the order x y z w.
+
+        Args:
+            signal: What they are.
+            values: ``(k, c)``, :meth:`width` columns.
+        """
+        source, factor = self.signals[signal], self.factor(signal)
+        if signal in ("object_pose", "object_quaternion") and source.quaternion_order == "wxyz":
+            values = np.hstack((values[:, :-4], values[:, -3:], values[:, -4:-3]))
+        if signal == "object_pose":
+            return np.hstack((values[:, :3] * factor, values[:, 3:]))
+        return values * factor
 
 
 def mapping_names() -> list[str]:

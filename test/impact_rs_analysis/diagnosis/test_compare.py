@@ -11,10 +11,10 @@ import pytest
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
 from impact_rs_analysis.evidence.aligned import align, write_aligned
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY
-from impact_rs_analysis.evidence.rollouts import RolloutStore
+from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_analysis.evidence.runs import Runs, read_runs
-from impact_rs_analysis.evidence.tracks import tracks_of_trials
-from impact_rs_analysis.evidence.trials import TrialSource
+from impact_rs_analysis.evidence.store import ReplayStore
+from impact_rs_analysis.evidence.tracks import tracks_of_runs
 from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
@@ -29,7 +29,7 @@ def runs(hidden_campaign: Path) -> Runs:
 
 
 def against(runs: Runs, model: Model) -> ComparisonDocument:
-    return compare(TrialSource.of(runs, model, RolloutStore(map)))
+    return compare(ReplaySource.of(runs, model, ReplayStore(map)))
 
 
 @pytest.fixture(scope="module")
@@ -91,8 +91,8 @@ def test_without_repeats_the_score_stands_and_the_noise_floor_is_none(hidden_cam
 def test_an_aligned_bag_is_read_by_others_and_its_residual_is_the_difference(runs: Runs, tmp_path: Path) -> None:
     from mcap_ros2.reader import read_ros2_messages
 
-    trial = next(trial for trial in runs.trials if trial.condition.object == "juice")
-    path = write_aligned(align(trial, load_model("nominal")), tmp_path)
+    run = next(run for run in runs.runs if run.place[1] == "juice")
+    path = write_aligned(align(run, load_model("nominal")), tmp_path)
     values: dict[str, list[np.ndarray]] = {}
     topics = set()
     for message in read_ros2_messages(next(path.glob("*.mcap"))):
@@ -106,12 +106,12 @@ def test_an_aligned_bag_is_read_by_others_and_its_residual_is_the_difference(run
     measured, predicted, residual = (np.array(values[f"/{side}/arm/joint_states"]) for side in sides)
     np.testing.assert_allclose(measured - predicted, residual, atol=1e-12)
     with pytest.raises(InputError, match="exists already"):
-        write_aligned(align(trial, load_model("nominal")), tmp_path)
+        write_aligned(align(run, load_model("nominal")), tmp_path)
 
 
 def test_the_report_is_one_file_that_needs_no_network(runs: Runs, nominal: ComparisonDocument, tmp_path: Path) -> None:
-    trial = next(trial for trial in runs.trials if trial.condition.object == "juice")
-    path = write_comparison(nominal, tracks_of_trials([align(trial, load_model("nominal"))]), None, tmp_path)
+    run = next(run for run in runs.runs if run.place[1] == "juice")
+    path = write_comparison(nominal, tracks_of_runs([align(run, load_model("nominal"))]), None, tmp_path)
     text = path.read_text(encoding="utf-8")
     body = text.split("<script>", 1)[0]
     assert "src=" not in body and "://" not in body
@@ -122,7 +122,7 @@ def test_the_report_is_one_file_that_needs_no_network(runs: Runs, nominal: Compa
 
 def test_the_discrepancy_of_the_twin_is_told_and_can_be_left_out(runs: Runs, nominal: ComparisonDocument) -> None:
     assert nominal.discrepancy.used and "mujoco" in nominal.discrepancy.provenance
-    without = compare(TrialSource.of(runs, load_model("nominal"), RolloutStore(map), NO_DISCREPANCY))
+    without = compare(ReplaySource.of(runs, load_model("nominal"), ReplayStore(map), NO_DISCREPANCY))
     assert not without.discrepancy.used
     assert without.score > nominal.score
     force = {s.signal: s for s in nominal.levels["trial"].signals if s.phase == "impact"}["contact force"]

@@ -21,8 +21,9 @@ from impact_rs_sim.effects.formula import FormulaParameter, FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.bag_file import typestore_for
 from impact_rs_trials.recordings.mapping import load_mapping
-from impact_rs_trials.recordings.recording import _typestore, is_foreign, read_recordings
+from impact_rs_trials.recordings.recording import is_foreign, read_recordings
 
 RATE = 50.0  # Hz
 DURATION = 36.0  # s
@@ -249,7 +250,7 @@ def test_a_campaign_is_not_foreign(push_campaign: Path) -> None:
 
 def test_franka_robot_state_is_read_without_its_package(planted: Columns, tmp_path: Path) -> None:
     mapping = load_mapping("franka_robot_state")
-    store = _typestore(mapping)
+    store = typestore_for(mapping)
     kind = "franka_msgs/msg/FrankaRobotState"
 
     def blank(name: str) -> Any:

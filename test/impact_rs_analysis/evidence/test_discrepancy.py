@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from impact_rs_analysis.evidence.cluster import Feature
-from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy, DiscrepancyEntry, measured_discrepancy
+from impact_rs_analysis.evidence.discrepancy import (
+    NO_DISCREPANCY,
+    Discrepancy,
+    DiscrepancyEntry,
+    Patterns,
+    measured_discrepancy,
+    read_patterns,
+    write_patterns,
+)
 from impact_rs_analysis.evidence.features import layout
+from impact_rs_sim.errors import InputError
 
 
-def entry(hit: bool, value: float, by_bin: tuple[float, ...] = ()) -> DiscrepancyEntry:
+def entry(kind: str, value: float, by_bin: tuple[float, ...] = ()) -> DiscrepancyEntry:
     return DiscrepancyEntry(
-        hit=hit, phase="impact", signal="contact force", index="x", unit="N", value=value, by_bin=by_bin
+        kind=kind, phase="impact", signal="contact force", index="x", unit="N", value=value, by_bin=by_bin
     )
 
 
@@ -21,28 +32,66 @@ def feature(number: int, index: str = "x") -> Feature:
 
 
 def test_contact_and_free_motion_have_their_own() -> None:
-    known = Discrepancy(provenance=None, variants={}, entries=(entry(True, 3.0), entry(False, 0.5)))
-    assert known.of([feature(0)], hit=True) == pytest.approx(3.0)
-    assert known.of([feature(0)], hit=False) == pytest.approx(0.5)
+    known = Discrepancy(provenance=None, variants={}, entries=(entry("square", 3.0), entry("free", 0.5)))
+    assert known.of([feature(0)], "square") == pytest.approx(3.0)
+    assert known.of([feature(0)], "free") == pytest.approx(0.5)
 
 
 def test_a_bin_is_half_its_own_and_half_the_signal_s() -> None:
-    known = Discrepancy(provenance=None, variants={}, entries=(entry(True, 3.0, (1.0, 5.0)),))
-    np.testing.assert_allclose(known.of([feature(0), feature(1)], True), np.sqrt([(9 + 1) / 2, (9 + 25) / 2]))
+    known = Discrepancy(provenance=None, variants={}, entries=(entry("square", 3.0, (1.0, 5.0)),))
+    np.testing.assert_allclose(known.of([feature(0), feature(1)], "square"), np.sqrt([(9 + 1) / 2, (9 + 25) / 2]))
 
 
 def test_both_arms_have_the_discrepancy_of_one_and_what_was_not_measured_has_none() -> None:
-    known = Discrepancy(provenance=None, variants={}, entries=(entry(True, 3.0),))
-    assert known.of([feature(0, "left.x"), feature(0, "right.x"), feature(0, "y")], True).tolist() == [3.0, 3.0, 0.0]
-    assert not np.any(NO_DISCREPANCY.of([feature(0)], True))
+    known = Discrepancy(provenance=None, variants={}, entries=(entry("square", 3.0),))
+    assert known.of([feature(0, "left.x"), feature(0, "right.x"), feature(0, "y")], "square").tolist() == [
+        3.0,
+        3.0,
+        0.0,
+    ]
+    assert not np.any(NO_DISCREPANCY.of([feature(0)], "square"))
 
 
-@pytest.mark.parametrize("hit", [True, False])
-def test_the_shipped_one_covers_every_feature_of_a_trial_in_its_unit(hit: bool) -> None:
+@pytest.mark.parametrize("kind", ["free", "square", "oblique"])
+def test_the_shipped_one_covers_every_feature_of_a_run_in_its_unit(kind: str) -> None:
     known = measured_discrepancy()
-    features = layout(("arm",), 7, hit)
-    entries = {(e.phase, e.signal, e.index): e for e in known.entries if e.hit == hit}
+    features = layout(("arm",), 7, 4 if kind != "free" else 12, None if kind == "free" else 4, True, True, True)
+    entries = {(e.phase, e.signal, e.index): e for e in known.entries if e.kind == kind}
     assert {f.group for f in features} <= entries.keys()
     assert all(entries[f.group].unit == f.unit for f in features)
-    assert np.all(np.isfinite(known.of(features, hit)))
+    assert np.all(np.isfinite(known.of(features, kind)))
     assert known.provenance is not None and known.provenance.command
+
+
+@pytest.mark.parametrize("kind", ["free", "square", "oblique"])
+def test_patterns_have_the_size_of_every_feature_and_move_several_at_a_time(kind: str) -> None:
+    known = measured_discrepancy()
+    features = layout(("arm",), 7, 4 if kind != "free" else 12, None if kind == "free" else 4, True, True, True)
+    patterns, size = known.patterns_of(features, kind), known.of(features, kind)
+    np.testing.assert_allclose(np.sqrt(np.square(patterns).sum(axis=0)), size, rtol=1e-9, atol=1e-30)
+    assert np.count_nonzero(patterns, axis=1).max() > 50
+
+
+def test_a_feature_that_no_pattern_knows_moves_by_itself() -> None:
+    table = Patterns(
+        kind="square",
+        features=(("impact", "contact force", "x", 0), ("impact", "contact force", "x", 1)),
+        rows=((3.0, 4.0), (-1.0, 0.0)),
+    )
+    known = Discrepancy(provenance=None, variants={}, entries=(entry("square", 2.0),), patterns=(table,))
+    patterns = known.patterns_of([feature(0), feature(1), feature(7)], "square")
+    np.testing.assert_allclose(np.sqrt(np.square(patterns).sum(axis=0)), 2.0)
+    np.testing.assert_allclose(patterns[0, :2], [2.0 * 3.0 / np.sqrt(10.0), 2.0])
+    np.testing.assert_allclose(patterns[-1], [0.0, 0.0, 2.0])
+    assert known.patterns_of([feature(0)], "oblique") is None
+
+
+def test_the_table_of_patterns_is_read_as_it_was_written(tmp_path: Path) -> None:
+    features = [feature(0), feature(1, "y")]
+    write_patterns(tmp_path / "t.csv", {"free": (features, [("half_step", "slow", [0.5, -1e-6])])})
+    (table,) = read_patterns(tmp_path / "t.csv")
+    assert (table.kind, table.rows) == ("free", ((0.5, -1e-6),))
+    assert table.features == (("impact", "contact force", "x", 0), ("impact", "contact force", "y", 1))
+    (tmp_path / "t.csv").write_text("free,half_step,slow,much\n")
+    with pytest.raises(InputError, match=r"t\.csv: no table of patterns"):
+        read_patterns(tmp_path / "t.csv")

@@ -8,10 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from impact_rs_analysis.evidence.aligned import AlignedTrial, ArmTrack, Track
-from impact_rs_analysis.evidence.tracks import tracks_of_recordings, tracks_of_trials
+from impact_rs_analysis.evidence.aligned import AlignedRun, ArmTrack, Track
+from impact_rs_analysis.evidence.tracks import tracks_of_recordings, tracks_of_runs
 
 TIME = np.linspace(0.0, 1.8, 19)
+SECOND = 10  # row in which the second window begins
 
 
 def arm(level: float) -> ArmTrack:
@@ -20,55 +21,60 @@ def arm(level: float) -> ArmTrack:
     def columns(count: int) -> np.ndarray:
         return level + np.tile(np.arange(float(count)), (TIME.size, 1))
 
-    return ArmTrack(columns(6), columns(6), columns(6), columns(3), columns(4), columns(6), columns(3))
+    return ArmTrack(columns(6), columns(6), columns(6), columns(3), columns(4), columns(6))
 
 
-def trial(*, hit: bool, arms: tuple[str, ...] = ("arm",), scale: float = 1.0) -> AlignedTrial:
-    """A trial that moves along y."""
-    scenario = SimpleNamespace(axis_index=1, timing=SimpleNamespace(nominal_impact=0.9))
-    condition = SimpleNamespace(
-        object="juice" if hit else "none",
-        case="case_2" if hit else "slow",
-        scale=scale,
-        plan=SimpleNamespace(expects_impact=hit, scene=SimpleNamespace(scenario=scenario)),
+def aligned(*, hit: bool, arms: tuple[str, ...] = ("arm",), condition: str = "push/juice/case_2") -> AlignedRun:
+    """A run that moves along y."""
+    run = SimpleNamespace(
+        condition=condition if hit else "excite/none/slow", hit=hit, axis=1, impacts={"arm": 0.9} if hit else {}
     )
+    seen = 1.0 if hit else np.nan
     sides = [
-        Track({name: arm(level) for name in arms}, np.full((TIME.size, 3), level), np.full(TIME.size, level))
+        Track({name: arm(level) for name in arms}, np.full((TIME.size, 3), seen * level), np.full(TIME.size, seen))
         for level in (100.0, 200.0)
     ]
-    return AlignedTrial(condition, Path("bag"), TIME, *sides)  # type: ignore[arg-type]
+    return AlignedRun(run, TIME, (0, SECOND), *sides)  # type: ignore[arg-type]
 
 
-def test_trials_with_an_impact_come_first_and_say_when() -> None:
-    free, hit = trial(hit=False), trial(hit=True, scale=1.2)
-    first, second = tracks_of_trials([free, hit])
-    assert (first.label, first.impact) == ("juice, case_2 (1.2 v)", 0.9)
-    assert (second.label, second.impact) == ("slow", None)
+def test_runs_with_an_impact_come_first_and_say_when() -> None:
+    free, hit = aligned(hit=False), aligned(hit=True, condition="push/juice/case_2/s1.20")
+    first, second = tracks_of_runs([free, hit])
+    assert (first.label, first.impact) == ("juice, case_2, s1.20", 0.9)
+    assert (second.label, second.impact) == ("none, slow", None)
     assert "object yaw" in [signal.name for signal in first.signals]
     assert "object yaw" not in [signal.name for signal in second.signals]
 
 
 def test_signals_have_their_column_their_unit_and_their_side() -> None:
-    (found,) = tracks_of_trials([trial(hit=True)])
+    (found,) = tracks_of_runs([aligned(hit=True)])
     signals = {signal.name: signal for signal in found.signals}
-    assert len(signals) == len(found.signals) == 3 + 3 + 6 + 6 + 3
+    assert len(signals) == len(found.signals) == 3 + 6 + 6 + 3
     assert found.signals[0].name == "end-effector velocity y"  # the direction of motion is what one wants to see
+    rows = np.isfinite(found.time)
     for name, unit, column in (
         ("end-effector velocity y", "m/s", 1),
         ("end-effector velocity x", "m/s", 0),
-        ("feedback z", "m/s^2", 2),
         ("torque of joint 6", "N m", 5),
         ("velocity of joint 1", "rad/s", 0),
     ):
         assert signals[name].unit == unit
-        assert signals[name].measured == pytest.approx(100.0 + column)
-        assert signals[name].predicted == pytest.approx(200.0 + column)
+        assert signals[name].measured[rows] == pytest.approx(100.0 + column)
+        assert signals[name].predicted[rows] == pytest.approx(200.0 + column)
+
+
+def test_a_line_breaks_between_two_windows_and_nowhere_else() -> None:
+    (found,) = tracks_of_runs([aligned(hit=True)])
+    for values in (found.time, *(signal.measured for signal in found.signals)):
+        assert values.size == TIME.size + 1
+        assert np.flatnonzero(np.isnan(values)).tolist() == [SECOND]
+    assert np.delete(found.time, SECOND) == pytest.approx(TIME)
 
 
 def test_of_two_arms_every_signal_says_whose_it_is() -> None:
-    (found,) = tracks_of_trials([trial(hit=True, arms=("left", "right"))])
+    (found,) = tracks_of_runs([aligned(hit=True, arms=("left", "right"))])
     names = [signal.name for signal in found.signals]
-    assert len(set(names)) == len(names) == 2 * 18 + 3
+    assert len(set(names)) == len(names) == 2 * 15 + 3
     assert "left: torque of joint 1" in names
     assert "right: torque of joint 1" in names
 

@@ -1,0 +1,90 @@
+"""When something was hit, from joint signals alone: the momentum observer with a threshold above its own noise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from impact_rs_analysis.evidence.features import LOSS_WITHIN, onset_level, onset_of
+from impact_rs_analysis.evidence.replay import BEFORE_IMPACT
+from impact_rs_analysis.evidence.run import Run
+from impact_rs_analysis.evidence.signals import ArmSignals
+from impact_rs_control.detection import ImpactDetector
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import Detection
+
+OBSERVER_GAIN = 500.0  # 1/s
+TIMES_NOISE = 8.0  # the threshold over the noise of the observed force
+SHARE_OF_PEAK = 0.15  # the threshold over the largest force: what begins there leads up to it
+FAST = 0.25  # share of the largest speed; nothing is hit on purpose below it
+QUIET = 0.02  # s before the largest force that may belong to the impact
+
+
+def impacts_of(run: Run) -> dict[str, tuple[float, float]]:
+    """By arm, begin of the impact [s] and the loss of speed that says so [m/s].
+
+    Raises:
+        InputError: An arm hits nothing.
+    """
+    found = {}
+    for name, arm in run.signals.arms.items():
+        model = run.physics.robot_model(name)
+        time = run.signals.time
+        velocity, force = observed_force(time, arm, model)
+        row = first_rise(force, np.linalg.norm(velocity, axis=1), run.period)
+        begin, level = None, None
+        if row is not None:
+            first = max(0, row - round((BEFORE_IMPACT + 0.01) / run.period))
+            rows = slice(first, row + round(LOSS_WITHIN / run.period))
+            level = onset_level(time[rows], velocity[rows])
+            begin = None if level is None else onset_of(time[rows], velocity[rows], level)
+        if begin is None or level is None:
+            raise InputError(f"arm {name!r} hits nothing: no sudden force slows it down")
+        found[name] = (begin, level)
+    return found
+
+
+def observed_force(time: Array, arm: ArmSignals, model: RobotModel) -> tuple[Array, Array]:
+    """Velocity of the end effector, and the sudden part of the force against its direction.
+
+    Args:
+        time: Samples, ``(k,)`` [s].
+        arm: What was measured.
+        model: Nominal rigid-body model.
+
+    Returns:
+        ``(k, 3)`` [m/s] and ``(k,)`` [N].
+    """
+    velocity = np.array([(model.jacobian(q) @ dq)[:3] for q, dq in zip(arm.position, arm.velocity, strict=True)])
+    fastest = velocity[int(np.argmax(np.linalg.norm(velocity, axis=1)))]
+    settings = Detection(observer_gain=OBSERVER_GAIN, threshold=1e9, arm_before=1.0)
+    period = float(np.median(np.diff(time)))
+    detector = ImpactDetector(model, settings, fastest / np.linalg.norm(fastest), period)
+    force = np.empty(time.size)
+    for row, (q, dq, torque) in enumerate(zip(arm.position, arm.velocity, arm.torque, strict=True)):
+        detector.update(q, dq, torque, model.terms(q, dq))
+        force[row] = detector.force
+    return velocity, force
+
+
+def first_rise(force: Array, speed: Array, period: float) -> int | None:
+    """Sample in which a sudden force begins; None where there is none.
+
+    Args:
+        force: Sudden part of the force, ``(k,)`` [N].
+        speed: Of the end effector, ``(k,)`` [m/s].
+        period: Of the samples [s].
+    """
+    fast = np.maximum.accumulate(speed > FAST * speed.max())
+    if not np.any(fast):
+        return None
+    peak = int(np.argmax(np.where(fast, force, -np.inf)))
+    quiet = force[: max(0, peak - round(QUIET / period))]
+    quiet = quiet[quiet.size // 10 :]  # the observer starts from rest
+    if quiet.size < 10:
+        return None
+    noise = float(np.median(np.abs(quiet - np.median(quiet)))) / 0.6745
+    threshold = max(TIMES_NOISE * noise, SHARE_OF_PEAK * float(force[peak]))
+    above = np.nonzero(fast & (force > threshold))[0]
+    return int(above[0]) if above.size else None

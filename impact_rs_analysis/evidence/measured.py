@@ -1,0 +1,204 @@
+"""A run boiled down: its windows, what a replay of them starts from, and its features."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_analysis.evidence.cluster import Feature
+from impact_rs_analysis.evidence.features import extract, layout, pushes_recorded
+from impact_rs_analysis.evidence.impacts import impacts_of
+from impact_rs_analysis.evidence.replay import Window, replay, windows_of
+from impact_rs_analysis.evidence.run import DriveName, Run
+from impact_rs_analysis.evidence.signals import Signals
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_trials.spec import TrialSpec
+
+SAMPLED = ("position", "velocity", "torque", "motor_position", "motor_velocity", "command")
+
+
+@dataclass(frozen=True)
+class Setup:
+    """All that a replay starts from and is driven by; no more, for it travels to worker processes.
+
+    Attributes:
+        windows: What is replayed.
+        physics: Nominal physics of the scene.
+        drive_period: Period of the torque loop [s].
+        drive: What the recorded torque goes through.
+        motor: Whether motor position and velocity are looked at.
+        tracked: Whether the object is.
+        pushes: Bins of the push; None: nothing is hit.
+        kept: Which of the features are looked at.
+        levels: By arm, loss of speed with which the impact begins [m/s].
+    """
+
+    windows: tuple[Window, ...]
+    physics: Physics
+    drive_period: float
+    drive: DriveName
+    motor: bool
+    tracked: bool
+    pushes: int | None
+    kept: tuple[int, ...]
+    levels: dict[str, float]
+
+    @cached_property
+    def digest(self) -> str:
+        """Identity of all of it."""
+        text = [repr((self.physics, self.drive_period, self.drive, self.motor, self.tracked, self.pushes, self.kept))]
+        text.append(repr(self.levels))
+        for window in self.windows:
+            text.append(repr(window.contact))
+            arrays = [window.time, window.seen, window.object.position, window.object.rotation, window.object.twist]
+            for name, arm in window.arms.items():
+                drive = window.drives[name]
+                arrays += [arm.position, arm.velocity, drive.torque, drive.torque_rate]
+                arrays += [np.append(moment, torque) for moment, torque in drive.earlier]
+                arrays += [window.torque[name], window.acting[name].astype(float)]
+            text += [hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest() for array in arrays]
+        return hashlib.sha256("\n".join(text).encode()).hexdigest()
+
+    def features_of(self, signals: Sequence[Signals]) -> Array | None:
+        """Features of its windows, measured or replayed, ``(F,)``; None where nothing is hit."""
+        found = extract(
+            signals,
+            [
+                {name: window.commanded(name) for name in window.torque} if self.drive == "command" else {}
+                for window in self.windows
+            ],
+            [window.contact for window in self.windows],
+            {name: (arm, self.physics.robot_model(name)) for name, arm in self.physics.arms.items()},
+            self.motor,
+            self.tracked,
+            self.pushes,
+            self.levels,
+        )
+        return None if found is None else found[list(self.kept)]
+
+    def replayed(self, physics: Physics) -> list[Signals]:
+        """What the plant does in the windows under other physics.
+
+        Raises:
+            NotABody: Mass and inertia of an end effector are those of no body.
+        """
+        return replay(self.windows, physics, self.drive_period, self.drive)
+
+
+@dataclass(frozen=True)
+class MeasuredRun:
+    """A run with its features.
+
+    Attributes:
+        path: Where it was read from.
+        condition: What it shares with its repeats.
+        place: Scenario, object and case or condition.
+        hit: Whether something is hit.
+        axis: Axis of A along which the scenario moves.
+        spec: What was planned, of a trial of our own.
+        setup: What a replay starts from.
+        features: What the entries of its feature vector are.
+        measured: The measured ones, ``(F,)``.
+        signals: What was measured in its windows.
+        impacts: Begin of the impact by arm [s]; empty where nothing is hit.
+    """
+
+    path: Path
+    condition: str
+    place: tuple[str, str, str]
+    hit: bool
+    axis: int
+    spec: TrialSpec | None
+    setup: Setup
+    features: tuple[Feature, ...]
+    measured: Array
+    signals: tuple[Signals, ...]
+    impacts: dict[str, float]
+
+    @classmethod
+    def of(cls, run: Run) -> MeasuredRun:
+        """Find the impact, cut the run into windows, and boil them down.
+
+        Raises:
+            InputError: Nothing is hit where something should be, or the signals do not cover the windows.
+        """
+        found = impacts_of(run) if run.hit else {}
+        impacts = {name: begin for name, (begin, _) in found.items()}
+        windows = windows_of(run, impacts)
+        if not windows:
+            raise InputError("nothing moves for as long as a window of free motion")
+        pushes = pushes_recorded(max(impacts.values()), float(windows[-1].time[-1])) if impacts else None
+        tracked = bool(impacts) and run.signals.object_time.size > 1
+        features = layout(
+            tuple(run.physics.arms),
+            run.physics.joint_count,
+            sum(not window.contact for window in windows),
+            pushes,
+            bool(run.command),
+            run.motor_measured,
+            tracked,
+        )
+        setup = Setup(
+            windows=tuple(windows),
+            physics=run.physics,
+            drive_period=run.drive_period,
+            drive=run.drive,
+            motor=run.motor_measured,
+            tracked=tracked,
+            pushes=pushes,
+            kept=tuple(range(len(features))),
+            levels={name: level for name, (_, level) in found.items()},
+        )
+        signals = tuple(_within(run.signals, window) for window in windows)
+        measured = setup.features_of(signals)
+        if measured is None:
+            raise InputError("nothing is hit: the end effector loses no speed")
+        if not np.isfinite(measured).all():
+            raise InputError("its signals do not cover the windows about the impact")
+        return cls(
+            path=run.path,
+            condition=run.condition,
+            place=run.place,
+            hit=run.hit,
+            axis=run.axis,
+            spec=run.spec,
+            setup=setup,
+            features=features,
+            measured=measured,
+            signals=signals,
+            impacts=impacts,
+        )
+
+    def only(self, features: set[Feature]) -> MeasuredRun:
+        """The same with some of its features."""
+        rows = [number for number, feature in enumerate(self.features) if feature in features]
+        if len(rows) == len(self.features):
+            return self
+        kept = tuple(self.setup.kept[row] for row in rows)
+        return replace(
+            self,
+            setup=replace(self.setup, kept=kept),
+            features=tuple(self.features[row] for row in rows),
+            measured=self.measured[rows],
+        )
+
+
+def _within(signals: Signals, window: Window) -> Signals:
+    """What was measured in a window."""
+    first = int(np.argmin(np.abs(signals.time - window.time[0])))
+    rows = slice(first, first + window.time.size)
+    arms = {}
+    for name, arm in signals.arms.items():
+        values = {key: getattr(arm, key) for key in SAMPLED}
+        arms[name] = replace(arm, **{key: value[rows] if value.size else value for key, value in values.items()})
+    seen = np.isin(signals.object_time, window.seen)
+    return Signals(
+        window.time, arms, signals.object_time[seen], signals.object_position[seen], signals.object_yaw[seen]
+    )

@@ -1,0 +1,258 @@
+"""The replay twin: the plant from a measured state, driven by recorded torque, over short windows.
+
+No controller is needed and none is modelled, so anybody's run can be replayed. Two drives:
+
+    command         recorded desired torque through torque loop, motor and transmission; explains all of them
+    joint torque    recorded tau_J straight into the links; explains links, contact and object, and knows no gear
+
+Windows are stretches of free motion, and one about the impact. Their start is a local fit of what was measured: q and
+dq together (cubic), tau_J (quadratic), from which the motor's state follows by the spring,
+
+    theta = q + tau_J / K,    dtheta = dq + dtau_J / K                                     (paper eq. EOM_motor)
+
+Open loop, errors grow with time: a window is long enough to show an effect and short enough to stay near the path.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from impact_rs_analysis.evidence.run import DriveName, Run
+from impact_rs_analysis.evidence.signals import ArmSignals, Signals
+from impact_rs_sim.drive import Drive, DriveStart, LinkTorque
+from impact_rs_sim.mechanics import Mechanics
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scene import ArmState, BodyState
+
+FREE = 0.1  # s, length of a window of free motion
+FREE_OF_HIT, FREE_ALONE = 4, 12  # windows of free motion in a run that hits something, and in one that does not
+MOVING = 0.05  # share of the largest joint speed from which on an arm is said to move
+BEFORE_IMPACT = 0.02  # s, the window about the impact begins so long before it
+AFTER_IMPACT = 0.4  # s, and ends so long after it
+FIT = 0.008  # s, half width of the local fit for the start; ends before the impact begins
+RESTING = 25  # samples of the object before the impact, averaged for its pose
+EARLIER = 0.03  # s, commands before the start that a delayed actuation may still deliver
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch of a run to be replayed.
+
+    Attributes:
+        contact: Whether it holds the impact.
+        time: Ticks, ``(k,)`` [s].
+        arms: Joint states at its start.
+        drives: State of the drives at its start.
+        object: State of the object at its start.
+        torque: By arm, driving torques in the order in which they act, ``(m, n)`` [N m].
+        acting: By arm, which of them acts in every period of the torque loop, ``((k - 1) s,)``.
+        seen: When the object was tracked, ``(m,)`` [s].
+    """
+
+    contact: bool
+    time: Array
+    arms: dict[str, ArmState]
+    drives: dict[str, DriveStart]
+    object: BodyState
+    torque: dict[str, Array]
+    acting: dict[str, NDArray[np.int32]]
+    seen: Array
+
+    @property
+    def substeps(self) -> int:
+        """Periods of the torque loop from tick to tick."""
+        return len(next(iter(self.acting.values()))) // (self.time.size - 1)
+
+    def commanded(self, arm: str) -> Array:
+        """Driving torque at every tick, ``(k, n)`` [N m]."""
+        rows = self.acting[arm][:: self.substeps]
+        return self.torque[arm][np.append(rows, self.acting[arm][-1])]
+
+
+def windows_of(run: Run, impacts: dict[str, float]) -> list[Window]:
+    """How a run is cut: windows of free motion, then the one about the impact.
+
+    Args:
+        run: The run.
+        impacts: Begin of the impact by arm [s]; empty where nothing is hit.
+    """
+    time = run.signals.time
+    thing = run.object
+    found = []
+    if impacts:
+        thing = _resting(run.signals, run.object, min(impacts.values()) - BEFORE_IMPACT)
+    for start in free_starts(run, impacts):
+        found.append(_window(run, start, start + FREE, thing, contact=False))
+    if impacts:
+        first = min(impacts.values())
+        end = min(first + AFTER_IMPACT, float(time[-1]))
+        found.append(_window(run, first - BEFORE_IMPACT, end, thing, contact=True))
+    return found
+
+
+def free_starts(run: Run, impacts: dict[str, float]) -> list[float]:
+    """Where windows of free motion begin [s], spread evenly over what moves before an impact."""
+    time = run.signals.time
+    speed = np.max([np.abs(arm.velocity).max(axis=1) for arm in run.signals.arms.values()], axis=0)
+    last = float(time[-1]) - FIT
+    if impacts:
+        last = min(impacts.values()) - BEFORE_IMPACT
+    before = time <= last
+    moving = np.nonzero(before & (speed > MOVING * speed[before].max()))[0]
+    begin = max(float(time[moving[0]]), float(time[0]) + FIT)
+    end = min(float(time[moving[-1]]), last)
+    wanted = FREE_OF_HIT if impacts else FREE_ALONE
+    count = min(wanted, int((end - begin) / FREE + 1e-6))
+    if count < 1:
+        return []
+    slack = (end - begin - count * FREE) / count
+    return [begin + (number + 0.5) * slack + number * FREE for number in range(count)]
+
+
+def _window(run: Run, start: float, end: float, thing: BodyState, contact: bool) -> Window:
+    time = run.signals.time
+    first, last = (int(np.argmin(np.abs(time - moment))) for moment in (start, end))
+    ticks = time[first : last + 1]
+    substeps = max(1, round(run.period / run.drive_period))
+    grid = (ticks[:-1, None] + np.arange(substeps) * (run.period / substeps)).ravel()
+    arms, drives, torques, acting = {}, {}, {}, {}
+    for name, arm in run.signals.arms.items():
+        q, dq = _joint_fit(time, arm.position, arm.velocity, ticks[0])
+        torque, rate = _slope_fit(time, arm.torque, ticks[0])
+        arms[name] = ArmState(q, dq)
+        earlier: tuple[tuple[float, Array], ...] = ()
+        if run.command:
+            sent, values = run.command_time[name], run.command[name]
+            # A command on the edge of a period belongs to it, whatever rounding says.
+            rows = np.maximum(np.searchsorted(sent, grid + 1e-3 * run.period, side="right") - 1, 0)
+            torques[name] = values[rows[0] : rows[-1] + 1]
+            acting[name] = (rows - rows[0]).astype(np.int32)
+            known = np.nonzero((sent < ticks[0]) & (sent > ticks[0] - EARLIER))[0]
+            earlier = tuple((float(sent[row] - ticks[0]), values[row]) for row in known)
+        else:
+            ends = grid + run.period / substeps
+            torques[name] = np.column_stack([np.interp(ends, time, column) for column in arm.torque.T])
+            acting[name] = np.arange(grid.size, dtype=np.int32)
+        drives[name] = DriveStart(torque, rate, earlier)
+    tracked = run.signals.object_time
+    seen = tracked[contact & (tracked >= ticks[0] - 1e-9) & (tracked <= ticks[-1] + 1e-9)]
+    return Window(contact, ticks, arms, drives, thing, torques, acting, seen)
+
+
+def _near(time: Array, moment: float) -> slice:
+    first = int(np.searchsorted(time, moment - FIT - 1e-9))
+    last = int(np.searchsorted(time, moment + FIT + 1e-9))
+    if last - first < 5:  # sampled too slowly for the fit's width: the nearest five
+        first = max(0, min(first - 2, time.size - 5))
+        last = first + 5
+    return slice(first, last)
+
+
+def _joint_fit(time: Array, position: Array, velocity: Array, moment: float) -> tuple[Array, Array]:
+    """q and dq at a moment, ``(n,)`` each, by one cubic of both, each weighted by its own noise."""
+    rows = _near(time, moment)
+    t = time[rows] - moment
+    one, zero = np.ones_like(t), np.zeros_like(t)
+    on_position = np.column_stack((one, t, t**2 / 2.0, t**3 / 6.0))
+    on_velocity = np.column_stack((zero, one, t, t**2 / 2.0))
+    q, dq = np.empty(position.shape[1]), np.empty(position.shape[1])
+    for joint in range(q.size):
+        a, b = position[rows, joint], velocity[rows, joint]
+        wa, wb = 1.0 / _noise(position[:, joint], 1e-7), 1.0 / _noise(velocity[:, joint], 1e-5)
+        design = np.vstack((wa * on_position, wb * on_velocity))
+        solution = np.linalg.lstsq(design, np.concatenate((wa * (a - a[0]), wb * b)), rcond=None)[0]
+        q[joint], dq[joint] = solution[0] + a[0], solution[1]
+    return q, dq
+
+
+def _slope_fit(time: Array, values: Array, moment: float) -> tuple[Array, Array]:
+    """Value and slope at a moment, ``(n,)`` each, by a parabola."""
+    rows = _near(time, moment)
+    t = time[rows] - moment
+    solution = np.linalg.lstsq(np.column_stack((np.ones_like(t), t, t**2)), values[rows], rcond=None)[0]
+    return solution[0], solution[1]
+
+
+def _noise(values: Array, least: float) -> float:
+    """Noise of a smooth signal, from its third differences (an impact is rare: their median counts)."""
+    third = np.diff(values, 3)
+    return max(float(np.median(np.abs(third))) / (0.6745 * math.sqrt(20.0)), least)
+
+
+def replay(windows: Sequence[Window], physics: Physics, drive_period: float, drive: DriveName) -> list[Signals]:
+    """What the plant does in every window.
+
+    Args:
+        windows: Windows of one run.
+        physics: What is believed.
+        drive_period: Period of the torque loop [s].
+        drive: What the recorded torque goes through.
+
+    Raises:
+        NotABody: Mass and inertia of an end effector are those of no body.
+    """
+    if not windows:
+        return []
+    mechanics = Mechanics.load(physics, drive_period, Drive if drive == "command" else LinkTorque)
+    try:
+        return [_replayed(window, mechanics) for window in windows]
+    finally:
+        mechanics.close()
+
+
+def _replayed(window: Window, mechanics: Mechanics) -> Signals:
+    mechanics.start(window.arms, window.drives, window.object)
+    ticks = window.time.size
+    names = list(window.arms)
+    columns = {
+        name: {key: np.empty((ticks, mechanics.links[name].position.size)) for key in ("q", "dq", "tau", "m", "dm")}
+        for name in names
+    }
+    pose, yaw = np.empty((ticks, 3)), np.empty(ticks)
+    substeps = window.substeps
+    # One object for as long as a command is held: the torque loop works it out once.
+    held = {name: list(window.torque[name]) for name in names}
+    desired = {name: [held[name][row] for row in window.acting[name]] for name in names}
+    for tick in range(ticks):
+        for name in names:
+            link, drive, own = mechanics.links[name], mechanics.drives[name], columns[name]
+            own["q"][tick], own["dq"][tick], own["tau"][tick] = link.position, link.velocity, drive.elastic_torque
+            own["m"][tick], own["dm"][tick] = drive.position, drive.velocity
+        if window.contact:
+            state = mechanics.world.object_state()
+            pose[tick], yaw[tick] = state.position, math.atan2(state.rotation[1, 0], state.rotation[0, 0])
+        if tick + 1 < ticks:
+            rows = slice(tick * substeps, (tick + 1) * substeps)
+            mechanics.step({name: desired[name][rows] for name in names}, float(window.time[tick]))
+    arms = {
+        name: ArmSignals(own["q"], own["dq"], own["tau"], own["m"], own["dm"], np.zeros(0))
+        for name, own in columns.items()
+    }
+    # The object as it was tracked, for means over few samples depend on when they were taken.
+    seen, columns_of = window.seen, (*pose.T, np.unwrap(yaw))
+    poses = [np.interp(seen, window.time, column) for column in columns_of] if seen.size else [seen] * len(columns_of)
+    return Signals(window.time, arms, seen, np.column_stack(poses[:3]), poses[3])
+
+
+def _resting(signals: Signals, nominal: BodyState, until: float) -> BodyState:
+    """Where the object stands before ``until`` [s]: place and yaw as measured, upright on its support.
+
+    Args:
+        signals: What was measured; without a tracker the object stands where the scenario says.
+        nominal: Where it should stand.
+        until: When it is hit at the earliest.
+    """
+    rows = np.nonzero(signals.object_time < until)[0][-RESTING:]
+    if rows.size == 0:
+        return nominal
+    place = nominal.position.copy()
+    place[:2] = np.median(signals.object_position[rows, :2], axis=0)
+    turn = pin.rpy.rpyToMatrix(0.0, 0.0, float(np.median(signals.object_yaw[rows])))
+    return BodyState(place, turn, np.zeros(6))

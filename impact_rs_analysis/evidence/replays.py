@@ -1,0 +1,197 @@
+"""Runs as a source of evidence: clusters are conditions with their repeats, the replay twin predicts them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+
+from impact_rs_analysis.evidence.ante_impact import obliqueness
+from impact_rs_analysis.evidence.cluster import Added, Cluster, Source, difference, pooled_error
+from impact_rs_analysis.evidence.discrepancy import Discrepancy, Kind, measured_discrepancy
+from impact_rs_analysis.evidence.measured import MeasuredRun
+from impact_rs_analysis.evidence.runs import Runs
+from impact_rs_analysis.evidence.store import Replay, ReplayStore
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model
+from impact_rs_sim.robot import Array
+
+SQUARE = 0.02  # rad; measured: up to 1 degree off, two simulators agree as they do on square hits
+
+
+def clusters_of(
+    runs: Runs, residuals: Sequence[Array], discrepancy: Discrepancy | None = None
+) -> tuple[tuple[Cluster, ...], list[str]]:
+    """Residuals of all runs as clusters, in order of appearance.
+
+    Where nothing of a layout was repeated, its features have no pure error: they are scaled by what nobody cares about,
+    and a remark says so.
+
+    Args:
+        runs: The runs.
+        residuals: Measured minus predicted features per run, in their units.
+        discrepancy: Of the twin; None: as measured.
+
+    Returns:
+        Clusters, and remarks for the user.
+    """
+    discrepancy = measured_discrepancy() if discrepancy is None else discrepancy
+    firsts: dict[str, MeasuredRun] = {}
+    grouped: dict[str, list[Array]] = {}
+    for run, residual in zip(runs.runs, residuals, strict=True):
+        firsts.setdefault(run.condition, run)
+        grouped.setdefault(run.condition, []).append(residual)
+    rows = {condition: np.array(values) for condition, values in grouped.items()}
+    layouts = {condition: layout_of(first) for condition, first in firsts.items()}
+    pure = {
+        layout: pooled_error([values for condition, values in rows.items() if layouts[condition] == layout])
+        for layout in set(layouts.values())
+    }
+    clusters = []
+    for condition, values in rows.items():
+        first, layout = firsts[condition], layouts[condition]
+        spread = pure[layout]
+        floor = np.array([feature.floor for feature in first.features]) / 2.0
+        kind = kind_of(first)
+        systematic, patterns = discrepancy.of(first.features, kind), discrepancy.patterns_of(first.features, kind)
+        known = np.zeros_like(floor) if spread is None else spread
+        sigma = np.sqrt(known**2 + floor**2 + systematic**2)
+        clusters.append(
+            Cluster(
+                name=condition,
+                place=first.place,
+                layout=layout,
+                unit=condition,
+                contact=first.hit,
+                features=first.features,
+                residuals=values / sigma,
+                sigma=sigma,
+                pure=known / sigma,
+                discrepancy=systematic / sigma,
+                patterns=None if patterns is None else patterns / sigma,
+                # How two simulators differ on an oblique hit depends on how it is oblique.
+                alike=condition if kind == "oblique" else f"{layout}, {kind}",
+            )
+        )
+    alone = [item.name for item in clusters if pure[item.layout] is None]
+    remarks = []
+    if alone:
+        remarks.append(
+            f"not repeated, so differences are in multiples of a fixed small size and not of pure error: "
+            f"{', '.join(alone)}; two trials of one condition are enough to compare with repetition"
+        )
+    return tuple(clusters), remarks
+
+
+def kind_of(run: MeasuredRun) -> Kind:
+    """Which discrepancy a run has."""
+    if not run.hit:
+        return "free"
+    return "oblique" if obliqueness(run) > SQUARE else "square"
+
+
+def layout_of(run: MeasuredRun) -> str:
+    """Name of what a run's feature vector is made of."""
+    counted = dict.fromkeys(feature.group[:2] for feature in run.features)
+    bins = ", ".join(f"{phase} {signal} {max_bin(run, phase, signal)}" for phase, signal in counted)
+    return f"{'hit' if run.hit else 'free'}: {', '.join(run.setup.physics.arms)}, {len(run.features)} features: {bins}"
+
+
+def max_bin(run: MeasuredRun, phase: str, signal: str) -> int:
+    """Number of time bins of a signal."""
+    return 1 + max(feature.bin for feature in run.features if (feature.phase, feature.signal) == (phase, signal))
+
+
+class ReplaySource(Source):
+    """Runs against the replay twin of a model.
+
+    Args:
+        runs: The runs.
+        model: What is believed.
+        store: Makes replays.
+        clusters: Residuals of the model by condition, in the order of ``runs.conditions``.
+        discrepancy: Of the twin.
+        remarks: What a reader should know.
+
+    Attributes:
+        conditions: Repeats of every cluster, in its order.
+    """
+
+    repeated = True
+    cheap = False
+
+    def __init__(
+        self,
+        runs: Runs,
+        model: Model,
+        store: ReplayStore,
+        clusters: tuple[Cluster, ...],
+        discrepancy: Discrepancy,
+        remarks: Sequence[str] = (),
+    ) -> None:
+        self.runs, self.model, self.store, self.clusters = runs, model, store, clusters
+        self.discrepancy, self.remarks = discrepancy, tuple(remarks)
+        self.conditions = list(runs.conditions.values())
+        self.physics = model.apply(self.conditions[0][0].setup.physics)
+        self._numbers = {item.name: number for number, item in enumerate(clusters)}
+
+    @classmethod
+    def of(cls, runs: Runs, model: Model, store: ReplayStore, discrepancy: Discrepancy | None = None) -> ReplaySource:
+        """Replay every run with the model.
+
+        Args:
+            runs: The runs.
+            model: What is believed.
+            store: Makes replays.
+            discrepancy: Of the twin; None: as measured.
+
+        Raises:
+            InputError: With this model nothing is hit, or the model blows up.
+        """
+        discrepancy = measured_discrepancy() if discrepancy is None else discrepancy
+        predicted = store([Replay(run.setup, model) for run in runs.runs], "replays of the model")
+        residuals = []
+        for run, values in zip(runs.runs, predicted, strict=True):
+            if values is None:
+                raise InputError(f"with model {model.name!r} the replay hits nothing", file=run.path)
+            if not np.isfinite(values).all():
+                raise InputError(f"with model {model.name!r} the replay is not finite", file=run.path)
+            residuals.append(run.measured - values)
+        clusters, remarks = clusters_of(runs, residuals, discrepancy)
+        return cls(runs, model, store, clusters, discrepancy, remarks)
+
+    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+        """See :meth:`Source.predict`; of every condition the first run is replayed."""
+        return self.store(
+            [Replay(self.conditions[number][0].setup, self.model, added) for number, added in wanted], what
+        )
+
+    def differences(self, numbers: Sequence[int], before: Added, after: Added, what: str) -> list[Array | None]:
+        """See :meth:`Source.differences`; repeats are replayed one by one, for a bounce is another in each of them."""
+        groups = [self.conditions[number] for number in numbers]
+        tasks = [Replay(run.setup, self.model, added) for added in (before, after) for group in groups for run in group]
+        found = self.store(tasks, what)
+        half = len(tasks) // 2
+        changes = iter([difference(a, b) for a, b in zip(found[:half], found[half:], strict=True)])
+        means: list[Array | None] = []
+        for group in groups:
+            own = [change for change in islice(changes, len(group)) if change is not None]
+            means.append(np.mean(own, axis=0) if len(own) == len(group) else None)
+        return means
+
+    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        """See :meth:`Source.measure_again`; every run is replayed from where it started."""
+        groups = [self.conditions[self._numbers[item.name]] for item in like]
+        tasks = [Replay(run.setup, self.model, added) for group in groups for run in group]
+        found = self.store(tasks, "every run again")
+        if any(values is None for values in found):
+            return None
+        predicted = iter(found)
+        return [
+            replace(
+                item, residuals=np.array([run.measured - np.asarray(next(predicted)) for run in group]) / item.sigma
+            )
+            for item, group in zip(like, groups, strict=True)
+        ]

@@ -1,0 +1,148 @@
+"""Replays that were made before are kept: comparing, diagnosing and comparing again ask for many more than once.
+
+A result depends on what the replay starts from, the model and the effects on top, and on nothing else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_analysis.evidence.cluster import Added
+from impact_rs_analysis.evidence.measured import Setup
+from impact_rs_sim.errors import NotABody
+from impact_rs_sim.model import Model
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.version import package_version
+from impact_rs_trials.workers import Map
+
+CACHE_VERSION = 9
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Replay:
+    """One replay to be made: a run under a model with further effects at given values.
+
+    Attributes:
+        setup: What it starts from.
+        model: Model underneath.
+        added: Effect name and its parameter vector, on top of the model.
+    """
+
+    setup: Setup
+    model: Model
+    added: Added = ()
+
+    @property
+    def digest(self) -> str:
+        """Identity of its result."""
+        known = self.model.known_effects
+        used = (*(item.name for item in self.model.effects), *(name for name, _ in self.added))
+        code = tuple(known[name].identity for name in used)
+        text = repr((CACHE_VERSION, package_version(), self.setup.digest, self.model.digest, self.added, code))
+        return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+    @property
+    def physics(self) -> Physics:
+        """What is believed in it.
+
+        Raises:
+            NotABody: The effects leave no body.
+        """
+        return with_effects(self.model, self.setup.physics, self.added)
+
+
+def with_effects(model: Model, physics: Physics, added: Added) -> Physics:
+    """Nominal physics with a model and further effects.
+
+    Raises:
+        NotABody: The effects leave no body.
+    """
+    physics, known = model.apply(physics), model.known_effects
+    for name, values in added:
+        physics = known[name].apply_vector(physics, np.array(values))
+    return physics
+
+
+def run_replay(task: Replay) -> Array | None:
+    """Features of one replay; None where nothing is hit although it should be.
+
+    None also where the added effects leave an arm that is no body or that blows up: a fit that asks for it will try a
+    smaller step.
+
+    Raises:
+        InputError: The model itself cannot be.
+    """
+    try:
+        found = task.setup.features_of(task.setup.replayed(task.physics))
+    except NotABody:
+        if not task.added:
+            raise
+        return None
+    blown_up = found is not None and not np.isfinite(found).all()
+    return None if blown_up and task.added else found
+
+
+def cache_directory() -> Path:
+    """Where results are kept: ``$XDG_CACHE_HOME/impact_rs`` or ``~/.cache/impact_rs``."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "impact_rs" / "replays"
+
+
+class ReplayStore:
+    """Makes replays that were not made before, in parallel, and keeps their results.
+
+    Args:
+        map_tasks: Parallel map.
+        progress: Called with (what, done, total) while a batch runs.
+    """
+
+    def __init__(self, map_tasks: Map, progress: Progress | None = None) -> None:
+        self._map = map_tasks
+        self._progress = progress or (lambda *_: None)
+        self._known: dict[str, Array | None] = {}
+        self._directory = cache_directory()
+
+    def __call__(self, tasks: Sequence[Replay], what: str = "replays") -> list[Array | None]:
+        """Features of each replay, in order."""
+        digests = [task.digest for task in tasks]
+        missing: dict[str, Replay] = {}
+        for task, digest in zip(tasks, digests, strict=True):
+            if digest not in self._known and not self._load(digest):
+                missing.setdefault(digest, task)
+        total = len(missing)
+        for done, (digest, result) in enumerate(
+            zip(missing, self._map(run_replay, list(missing.values())), strict=True), start=1
+        ):
+            self._known[digest] = result
+            self._save(digest, result)
+            self._progress(what, done, total)
+        return [self._known[digest] for digest in digests]
+
+    def _load(self, digest: str) -> bool:
+        path = self._directory / digest[:2] / f"{digest}.npy"
+        try:
+            values = np.load(path, allow_pickle=False)
+        except (OSError, ValueError, EOFError):
+            return False
+        self._known[digest] = None if values.size == 0 else values
+        return True
+
+    def _save(self, digest: str, result: Array | None) -> None:
+        path = self._directory / digest[:2] / f"{digest}.npy"
+        temporary = path.with_suffix(f".{os.getpid()}.tmp")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with temporary.open("wb") as file:
+                np.save(file, np.zeros(0) if result is None else result, allow_pickle=False)
+            temporary.replace(path)
+        except OSError:
+            temporary.unlink(missing_ok=True)  # a cache that cannot be written is no reason to stop

@@ -1,0 +1,87 @@
+"""NPZ and HDF5 files: an array per signal, samples x joints, and one or several arrays of time stamps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.robot import Array
+from impact_rs_trials.recordings.mapping import UNITS, WIDTH, Mapping, SignalName, SignalSource
+from impact_rs_trials.recordings.series import MissingSignal, Names, Series
+from impact_rs_trials.recordings.table_file import require
+
+
+class ArrayFile:
+    """One NPZ or HDF5 file.
+
+    Args:
+        path: The file.
+        mapping: Where the signals are.
+        names: What the placeholders of the mapping stand for.
+
+    Raises:
+        InputError: It is no such file.
+    """
+
+    def __init__(self, path: Path, mapping: Mapping, names: Names) -> None:
+        self._path, self._mapping, self._names = path, mapping, names
+        self._arrays = _read_npz(path) if path.suffix == ".npz" else _read_hdf5(path)
+
+    def series(self, name: SignalName, source: SignalSource) -> Series:
+        """One signal in SI units.
+
+        Raises:
+            MissingSignal: The file lacks it.
+            InputError: It cannot be used.
+        """
+        if source.array is None:
+            raise MissingSignal(f"the mapping says no array for {name}", file=self._path, key=f"signals.{name}")
+        values = self._array(self._names.fill(source.array), name)
+        stamps = source.time_array or self._mapping.time.array
+        time = self._array(stamps, f"time of {name}")
+        if time.ndim != 1:
+            raise InputError(f"array {stamps!r} (time) is {time.shape}, expected one number a sample", file=self._path)
+        if values.shape != (time.size, self._mapping.width(name)):
+            what = "numbers" if name in WIDTH else "joints"
+            expected = f"{time.size} samples x {self._mapping.width(name)} {what}"
+            raise InputError(f"array {source.array!r} ({name}) is {values.shape}, expected {expected}", file=self._path)
+        time = time * UNITS["time"][self._mapping.time.unit] + source.delay
+        return Series(f"array {source.array!r} ({name})", time, self._mapping.to_si(name, values)).sampled()
+
+    def _array(self, name: str, meaning: str) -> Array:
+        name = name.strip("/")
+        if name not in self._arrays:
+            near, found = did_you_mean(name, self._arrays), ", ".join(self._arrays)
+            raise MissingSignal(f"no array {name!r} ({meaning}){near}; found: {found}", file=self._path)
+        try:
+            return np.asarray(self._arrays[name], dtype=float)
+        except (ValueError, TypeError):
+            raise InputError(f"array {name!r} ({meaning}) holds no numbers", file=self._path) from None
+
+
+def _read_npz(path: Path) -> dict[str, Array]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: np.asarray(archive[name]) for name in archive.files}
+    except Exception as error:  # a damaged archive fails in zipfile, in zlib or in NumPy
+        raise InputError(f"not a readable NPZ file ({error})", file=path) from None
+
+
+def _read_hdf5(path: Path) -> dict[str, Array]:
+    require("h5py", path)
+    import h5py
+
+    arrays: dict[str, Array] = {}
+
+    def keep(name: str, item: object) -> None:
+        if isinstance(item, h5py.Dataset):
+            arrays[name] = np.asarray(item)
+
+    try:
+        with h5py.File(path) as file:
+            file.visititems(keep)
+    except OSError as error:
+        raise InputError(f"not a readable HDF5 file ({error})", file=path) from None
+    return arrays

@@ -1,0 +1,359 @@
+"""Bags, SQLite or MCAP: a topic, a message type and a field per signal.
+
+A run has one clock. Where it is that of the header stamps, a topic without them is brought to it from the log:
+
+    stamp  =  log - median(log - stamp of the joint states)
+
+so the transport that both have in common cancels; what a message takes longer than the joint states stays in.
+"""
+
+from __future__ import annotations
+
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.robot import Array
+from impact_rs_trials.recordings.mapping import WIDTH, Mapping, SignalName, SignalSource
+from impact_rs_trials.recordings.series import MissingSignal, Names, Series
+
+DRIFT = 0.002  # s, how far log and header stamps may run apart before it is told
+LATE = (-0.005, 0.05)  # s, how much later than the joint states a topic may be logged before it is told
+
+FIELDLESS: tuple[SignalName, ...] = ("object_pose", "wrench")  # what its message type says where it is
+
+_POSE_PARTS = (("position", "orientation"), ("translation", "rotation"))
+
+
+def typestore_for(mapping: Mapping) -> Typestore:
+    """Standard messages and the definitions that the mapping asks for.
+
+    Raises:
+        InputError: There are no such definitions.
+    """
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for package in mapping.definitions:
+        folder = config_directory() / "mappings" / "messages" / package
+        if not folder.is_dir():
+            raise InputError(f"definitions names {package!r}, but there is no folder {folder}")
+        types: dict[str, Any] = {}
+        for file in sorted(folder.glob("*.msg")):
+            types |= get_types_from_msg(file.read_text(encoding="utf-8"), f"{package}/msg/{file.stem}")
+        store.register(types)
+    return store
+
+
+def _register(store: Typestore, connection: Connection) -> None:
+    """Prefer the definition that the bag carries itself."""
+    kind, definition = connection.msgtype, connection.msgdef
+    if connection.msgdef.format == MessageDefinitionFormat.NONE or kind.startswith(("sensor_msgs/", "std_msgs/")):
+        return
+    parse = {
+        MessageDefinitionFormat.MSG: lambda: get_types_from_msg(definition.data, kind),
+        MessageDefinitionFormat.IDL: lambda: get_types_from_idl(definition.data),
+    }
+    types = parse[definition.format]()
+    package = kind.split("/")[0]
+    own = {name: value for name, value in types.items() if name.split("/")[0] == package}
+    for name in own:
+        for table in (store.fielddefs, store.types):
+            table.pop(name, None)
+    store.register(own)
+
+
+class BagFile:
+    """One bag.
+
+    Args:
+        path: Folder, or bare ``.db3`` or ``.mcap`` file.
+        mapping: Where the signals are.
+        names: What the placeholders of the mapping stand for.
+        wanted: Signals that will be asked for.
+
+    Raises:
+        InputError: It is no readable bag.
+    """
+
+    def __init__(self, path: Path, mapping: Mapping, names: Names, wanted: tuple[SignalName, ...]) -> None:
+        self._path, self._mapping, self._names = path, mapping, names
+        self._store = typestore_for(mapping)
+        self._messages: dict[str, list[tuple[int, Any]]] = {}
+        try:
+            with Reader(path) as reader:
+                self._connections = list(reader.connections)
+                chosen = self._chosen(wanted)
+                for connection in chosen:
+                    _register(self._store, connection)
+                    self._messages[connection.topic] = []
+                for connection, log, data in reader.messages(connections=chosen) if chosen else ():  # [] is all
+                    message = self._store.deserialize_cdr(data, connection.msgtype)
+                    self._messages[connection.topic].append((log, message))
+        except InputError:
+            raise
+        except Exception as error:  # a damaged file can fail anywhere inside the library
+            text = str(error).splitlines()[0] if str(error) else ""
+            raise InputError(f"not a readable bag ({type(error).__name__}: {text})", file=path) from None
+        self._shift: tuple[float, str] | None = None
+
+    def series(self, name: SignalName, source: SignalSource) -> Series:
+        """One signal in SI units.
+
+        Raises:
+            MissingSignal: The bag lacks it.
+            InputError: It cannot be used.
+        """
+        connection = self._connection(name, source)
+        messages = self._messages[connection.topic]
+        place = f"{connection.topic}: {source.field or connection.msgtype} ({name})"
+        if name in FIELDLESS:
+            found = self._samples(place, name, source, messages)
+            logs, headers = [log for log, _, _ in found], [header for _, header, _ in found]
+            values = np.array([numbers for _, _, numbers in found], dtype=float)
+        else:
+            kept, values = self._numbers(place, connection, name, source, [message for _, message in messages])
+            logs = [messages[index][0] for index in kept]
+            headers = [getattr(messages[index][1], "header", None) for index in kept]
+        log = 1e-9 * np.array(logs, dtype=float)
+        time, remarks = self._clock(name, source, connection.topic, headers, log)
+        return Series(place, time + source.delay, values, log, remarks)
+
+    def _chosen(self, wanted: tuple[SignalName, ...]) -> list[Connection]:
+        chosen: dict[str, Connection] = {}
+        for name in wanted:
+            try:
+                connection = self._connection(name, self._mapping.signals[name])
+            except MissingSignal:
+                continue  # whoever asks for it says whether it is needed
+            chosen[connection.topic] = connection
+        return list(chosen.values())
+
+    def _connection(self, name: SignalName, source: SignalSource) -> Connection:
+        """The topic of a signal."""
+        if source.topic is None or (source.field is None and name not in FIELDLESS):
+            raise MissingSignal(f"the mapping says no topic and field for {name}", file=self._path)
+        topic = self._names.fill(source.topic)
+        named = [c for c in self._connections if fnmatchcase(c.topic, topic)]
+        found = [c for c in named if source.type is None or c.msgtype == source.type]
+        expected = f"{name}: expected topic {topic}" + ("" if source.type is None else f" of type {source.type}")
+        if not self._connections:
+            raise MissingSignal(f"{expected}, the bag is empty", file=self._path)
+        if len(found) > 1:
+            filled = [c for c in found if c.msgcount > 0]
+            found = filled if len(filled) == 1 else found
+        if len(found) > 1:
+            topics = ", ".join(c.topic for c in found)
+            raise InputError(
+                f"{expected}, found several: {topics}; name one of them in a mapping file", file=self._path
+            )
+        if not found:
+            near = did_you_mean(topic, [c.topic for c in self._connections]) if not named else ""
+            shown = ", ".join(f"{c.topic} ({c.msgtype})" for c in (named or self._connections)[:5])
+            raise MissingSignal(f"{expected}, found {shown}{near}", file=self._path)
+        if found[0].msgcount == 0:
+            raise MissingSignal(f"{expected}, topic {found[0].topic} holds no message", file=self._path)
+        return found[0]
+
+    # ---- time -------------------------------------------------------------------------------------------------------
+
+    def _clock(
+        self, name: SignalName, source: SignalSource, topic: str, headers: list[Any], log: Array
+    ) -> tuple[Array, tuple[str, ...]]:
+        """Stamps on the clock of the run, and what the user should know of them."""
+        clock = self._mapping.time.stamp
+        stamped = headers[0] is not None
+        if clock == "log" and source.stamp != "header":
+            return log, ()
+        if name == "position" and not stamped:
+            raise InputError(f"{topic}: messages have no header: set time.stamp to log in the mapping", file=self._path)
+        if clock == "header" and (source.stamp == "log" or not stamped):
+            shift, remark = self._log_after_stamp()
+            return log - shift, (f"{topic}: log time, less {1e3 * shift:.3f} ms to be on the stamps' clock{remark}",)
+        if not stamped:
+            raise InputError(f"{topic}: messages have no header, but signals.{name}.stamp asks for it", file=self._path)
+        stamps = _stamps(headers)
+        if not np.any(stamps):
+            raise InputError(
+                f"{topic}: no header is stamped (all are zero): set time.stamp to log in the mapping", file=self._path
+            )
+        if clock == "log":
+            return stamps + float(np.median(log - stamps)), ()
+        late = float(np.median(log - stamps)) - self._log_after_stamp()[0]
+        if name in WIDTH and not LATE[0] < late < LATE[1]:
+            return stamps, (
+                f"{topic}: logged {1e3 * late:+.1f} ms after joint states of the same stamp: a slow tracker, or "
+                f"another clock? signals.{name}.delay corrects it",
+            )
+        return stamps, ()
+
+    def _log_after_stamp(self) -> tuple[float, str]:
+        """How long after their stamps joint states are logged [s], and a remark where that changes."""
+        if self._shift is None:
+            connection = self._connection("position", self._mapping.signals["position"])
+            messages = self._messages[connection.topic]
+            log = 1e-9 * np.array([log for log, _ in messages], dtype=float)
+            later = log - _stamps([message.header for _, message in messages])
+            tenth = max(1, later.size // 10)
+            drift = float(np.median(later[-tenth:]) - np.median(later[:tenth]))
+            remark = f" (which drifts by {1e3 * drift:.1f} ms during the run)" if abs(drift) > DRIFT else ""
+            self._shift = float(np.median(later)), remark
+        return self._shift
+
+    # ---- numbers ----------------------------------------------------------------------------------------------------
+
+    def _numbers(
+        self, place: str, connection: Connection, name: SignalName, source: SignalSource, messages: list[Any]
+    ) -> tuple[list[int], Array]:
+        """Which messages hold a signal, and its numbers ``(k, n)``, joints in the mapping's order."""
+        assert source.field is not None
+        orders: dict[tuple[str, ...], list[int] | None] = {}
+        kept: list[int] = []
+        rows: list[Array] = []
+        width = self._mapping.width(name)
+        for index, message in enumerate(messages):
+            row = self._field(place, message, source.field)
+            joints = () if source.names is None else tuple(self._field(place, message, source.names))
+            if joints not in orders:
+                orders[joints] = self._order(place, joints) if joints else list(range(width))
+            order = orders[joints]
+            if order is None:  # another device on the same topic, a gripper for example
+                continue
+            if np.size(row) == 0 and not rows:
+                if name in ("position", "velocity", "torque"):
+                    raise InputError(f"{place} is empty; expected {width} numbers", file=self._path)
+                raise MissingSignal(f"{place} is empty; expected {width} numbers", file=self._path)
+            if np.size(row) != (len(joints) or width):
+                expected = f"{len(joints)} joint names" if joints else f"{width} joints"
+                raise InputError(
+                    f"{place}: message {index} has {np.size(row)} numbers for {expected}, expected one each",
+                    file=self._path,
+                )
+            kept.append(index)
+            rows.append(np.asarray(row, dtype=float)[order])
+        if not rows:
+            seen = ", ".join(sorted({joint for joints in orders for joint in joints}))
+            raise InputError(
+                f"{place}: joint {self._mapping.joints[0]} is missing; the messages name {seen}", file=self._path
+            )
+        return kept, np.array(rows) * self._mapping.factor(name)
+
+    def _field(self, place: str, message: Any, path: str) -> Any:
+        """What lies at a path of fields and indices, ``points.0.effort``."""
+        found = message
+        try:
+            for part in path.split("."):
+                found = found[int(part)] if part.isdigit() else getattr(found, part)
+        except (AttributeError, IndexError, TypeError):
+            fields = [field for field in vars(message) if not field.startswith("__")]
+            raise InputError(
+                f"{place}: {message.__msgtype__} has no such field{did_you_mean(path, fields)}; it has: "
+                f"{', '.join(fields)}",
+                file=self._path,
+            ) from None
+        return found
+
+    def _order(self, place: str, names: tuple[str, ...]) -> list[int] | None:
+        """Where the mapping's joints are among the names of a message; None where none of them is."""
+        found = [[i for i, name in enumerate(names) if fnmatchcase(name, joint)] for joint in self._mapping.joints]
+        if not any(found):
+            return None
+        if any(
+            len(each) > 1 for each in found
+        ):  # finger_joint1 besides joint1: what * stands for must be common to all
+            prefixes = [
+                {_stands_for(joint, names[i]) for i in each}
+                for joint, each in zip(self._mapping.joints, found, strict=True)
+            ]
+            common = set.intersection(*prefixes)
+            if len(common) == 1:
+                found = [
+                    [i for i in each if _stands_for(joint, names[i]) in common]
+                    for joint, each in zip(self._mapping.joints, found, strict=True)
+                ]
+        for joint, each in zip(self._mapping.joints, found, strict=True):
+            if len(each) != 1:
+                what = "is missing" if not each else "fits several joints"
+                raise InputError(
+                    f"{place}: joint {joint} {what}; the message names {', '.join(names)}", file=self._path
+                )
+        return [each[0] for each in found]
+
+    def _samples(
+        self, place: str, name: SignalName, source: SignalSource, messages: list[tuple[int, Any]]
+    ) -> list[tuple[int, Any, list[float]]]:
+        """Log time [ns], header and numbers of every pose or wrench."""
+        if name == "object_pose" and source.field is None and hasattr(messages[0][1], "transforms"):
+            child = self._child(place, source, [message for _, message in messages])
+            return [
+                (log, transform.header, self._pose(place, transform))
+                for log, message in messages
+                for transform in message.transforms
+                if transform.child_frame_id == child
+            ]
+        found = []
+        for log, message in messages:
+            holder = message if source.field is None else self._field(place, message, source.field)
+            numbers = self._pose(place, holder) if name == "object_pose" else self._wrench(place, holder)
+            found.append((log, getattr(message, "header", None), numbers))
+        return found
+
+    def _child(self, place: str, source: SignalSource, messages: list[Any]) -> str:
+        """The one child frame of transforms that the mapping means."""
+        children = sorted({transform.child_frame_id for message in messages for transform in message.transforms})
+        wanted = self._names.fill(source.child_frame or "*")
+        chosen = [child for child in children if fnmatchcase(child, wanted)]
+        if not chosen:
+            near = did_you_mean(wanted, children)
+            raise MissingSignal(
+                f"{place}: no child_frame_id {wanted}{near}; found: {', '.join(children)}", file=self._path
+            )
+        if len(chosen) > 1:
+            raise InputError(
+                f"{place}: {', '.join(chosen)} all fit child_frame {wanted}; name one of them in a mapping file",
+                file=self._path,
+            )
+        return chosen[0]
+
+    def _wrench(self, place: str, holder: Any) -> list[float]:
+        """Force and torque of a Wrench or WrenchStamped."""
+        holder = getattr(holder, "wrench", holder)
+        if not (hasattr(holder, "force") and hasattr(holder, "torque")):
+            raise InputError(f"{place}: expected a WrenchStamped, or a field that holds a wrench", file=self._path)
+        factor = self._mapping.factor("wrench")
+        return [factor * number for number in (*_xyz(holder.force), *_xyz(holder.torque))]
+
+    def _pose(self, place: str, holder: Any) -> list[float]:
+        """Position and quaternion, x y z w, of a pose or transform, however deep it lies."""
+        scale = self._mapping.factor("object_pose")
+        for _ in range(3):  # PoseWithCovarianceStamped and Odometry hold a pose in a pose
+            for position, orientation in _POSE_PARTS:
+                if hasattr(holder, position) and hasattr(holder, orientation):
+                    quaternion = getattr(holder, orientation)
+                    numbers = [scale * number for number in _xyz(getattr(holder, position))]
+                    return [*numbers, *_xyz(quaternion), float(quaternion.w)]
+            holder = getattr(holder, "pose", getattr(holder, "transform", holder))
+        raise InputError(
+            f"{place}: expected a PoseStamped, TransformStamped, TFMessage or Odometry, or a field that holds a pose",
+            file=self._path,
+        )
+
+
+def _stamps(headers: list[Any]) -> Array:
+    return np.array([header.stamp.sec + 1e-9 * header.stamp.nanosec for header in headers], dtype=float)
+
+
+def _xyz(vector: Any) -> list[float]:
+    return [float(vector.x), float(vector.y), float(vector.z)]
+
+
+def _stands_for(pattern: str, name: str) -> str:
+    """What the first ``*`` of a pattern stands for in a name that it fits."""
+    before, _, after = pattern.partition("*")
+    return name[len(before) : len(name) - len(after)]

@@ -1,0 +1,128 @@
+"""Time stamps: what is wrong with them, where samples are missing, and the even grid that they nearly are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array
+
+ON_THE_GRID = 0.02  # periods that a stamp may lie beside the grid and still count as on it
+SHOWN = 5  # gaps in a message
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A stretch without samples.
+
+    Attributes:
+        start: Stamp of the last sample before it [s].
+        length: Until the next sample [s].
+    """
+
+    start: float
+    length: float
+
+    @property
+    def end(self) -> float:
+        """Stamp of the first sample after it [s]."""
+        return self.start + self.length
+
+
+def check_stamps(path: Path, what: str, time: Array) -> None:
+    """Stamps must be finite and strictly increasing.
+
+    Args:
+        path: File, for messages.
+        what: Topic or column, for messages.
+        time: Stamps, ``(k,)`` [s].
+
+    Raises:
+        InputError: They are not; the message says where, and what to do.
+    """
+    if not np.isfinite(time).all():
+        raise InputError(f"{what}: sample {int(np.argmin(np.isfinite(time)))} has no finite time", file=path)
+    steps = np.diff(time)
+    if not np.any(steps <= 0.0):
+        return
+    index = int(np.argmax(steps <= 0.0))
+    at = f"at t = {time[index] - time[0]:.3f} s"
+    if steps[index] < 0.0:
+        raise InputError(
+            f"{what}: time stamps run backwards by {-steps[index]:.4g} s {at}: the clock was set, or the file is not "
+            "in order; cut the recording there, or sort it by time",
+            file=path,
+        )
+    count = int(np.sum(steps == 0.0))
+    raise InputError(
+        f"{what}: time stamps stand still {at}, {count} of {time.size} repeat the one before: recorded twice, or "
+        "stamped by a clock that is too coarse; keep one sample of each, or take other stamps (time in the mapping)",
+        file=path,
+    )
+
+
+def check_jumps(path: Path, what: str, time: Array, log: Array | None, largest: float, pauses: bool) -> None:
+    """Stamps must not jump.
+
+    Args:
+        path: File, for messages.
+        what: Topic or column, for messages.
+        time: Stamps, increasing, ``(k,)`` [s].
+        log: A second clock that tells jumps from pauses, ``(k,)`` [s]; None: there is none.
+        largest: Largest step that is no jump [s].
+        pauses: Whether a pause, which the second clock shows as well, is as bad.
+
+    Raises:
+        InputError: They do; the message says where, and what to do.
+    """
+    steps = np.diff(time)
+    long = steps > largest
+    jumps = long & (np.abs(steps - np.diff(log)) > largest) if log is not None else np.zeros_like(long)
+    wrong = long if pauses else jumps
+    if not np.any(wrong):
+        return
+    index = int(np.argmax(wrong))
+    if jumps[index]:
+        assert log is not None
+        how = f"{np.diff(log)[index]:.4g} s by the log: the clock was set"
+    else:
+        how = "a jump of the clock, or a pause"
+    raise InputError(
+        f"{what}: time stamps jump by {steps[index]:.4g} s at t = {time[index] - time[0]:.3f} s, {how}; cut the "
+        "recording there into two runs, or leave it out",
+        file=path,
+    )
+
+
+def gaps(time: Array, longest: float) -> list[Gap]:
+    """Stretches longer than ``longest`` [s] without samples; ``time`` increases, ``(k,)`` [s]."""
+    steps = np.diff(time)
+    return [Gap(float(time[index]), float(steps[index])) for index in np.flatnonzero(steps > longest)]
+
+
+def tell_gaps(found: list[Gap], start: float) -> str:
+    """``0.030 s at t = 1.250 s, ...`` with times since ``start`` [s]."""
+    shown = ", ".join(f"{gap.length:.3f} s at t = {gap.start - start:.3f} s" for gap in found[:SHOWN])
+    return shown + (f" and {len(found) - SHOWN} more" if len(found) > SHOWN else "")
+
+
+def even_grid(time: Array) -> Array:
+    """Times of equal distance from the first stamp to the last, ``(k,)`` [s].
+
+    The distance is the mean of the steps that are no gaps, for a median is one of the steps, and those of wall clocks
+    are rounded. Where every stamp is one of the grid's there are as many of both, and samples are taken as they are.
+    """
+    length, steps = time[-1] - time[0], np.diff(time)
+    usual = np.abs(steps / np.median(steps) - 1.0) < 0.5
+    count = max(1, round(length / float(np.mean(steps[usual]))))
+    return np.asarray(time[0] + length / count * np.arange(count + 1))
+
+
+def on_the_grid(time: Array, grid: Array) -> bool:
+    """Whether samples at ``time`` are those at ``grid``."""
+    if time.size != grid.size:
+        return False
+    return bool(np.max(np.abs(time - grid)) < ON_THE_GRID * (grid[1] - grid[0]))

@@ -1,0 +1,245 @@
+"""What a laboratory says about its runs: ``experiment.yaml``, and the table of runs that it names.
+
+    scenario: push                                # robots, objects, support and contact come from here
+    mapping: joint_state_effort_controller        # where the signals are
+    runs: runs.csv                                # bag, object, kind; further columns become conditions
+
+References and control of the scenario are not used: another controller moved the arm.
+"""
+
+from __future__ import annotations
+
+import csv
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import pinocchio as pin
+from pydantic import Field, PrivateAttr
+
+from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.schema import Schema, Vector3, load
+from impact_rs_trials.recordings.mapping import Mapping, load_mapping
+from impact_rs_trials.recordings.sources import FILE_SUFFIXES
+
+HIT = "hit"
+FREE_MOTION = "free motion"
+KINDS = (HIT, FREE_MOTION)
+NO_OBJECT = "none"
+COLUMNS = ("bag", "object", "kind")
+YAML = (".yaml", ".yml")
+
+Result = TypeVar("Result")
+
+
+class FramePlacement(Schema):
+    """Where one frame is in another."""
+
+    position: Vector3 = Field((0.0, 0.0, 0.0), description="origin of the frame [m]")
+    rpy: Vector3 = Field((0.0, 0.0, 0.0), description="roll, pitch and yaw of the frame [rad]")
+
+    @property
+    def placement(self) -> pin.SE3:
+        """The same as a transform."""
+        return pin.SE3(pin.rpy.rpyToMatrix(*self.rpy), np.array(self.position))
+
+
+class MotionCapture(FramePlacement):
+    """Where the world of the motion capture is in the inertial frame A of the scenario."""
+
+    bodies: dict[str, FramePlacement] = Field(
+        default_factory=dict,
+        description="by object: its geometric centre and axes in the frame that is tracked; absent: that frame itself",
+    )
+
+
+class Experiment(Schema):
+    """An experiment file; :func:`load_experiment` reads one."""
+
+    scenario: str = Field(description="name or path of the scenario; its references and control are not used")
+    mapping: str = Field("joint_state_effort_controller", description="name or path of the mapping")
+    runs: str = Field("runs.csv", description="table of runs, a path from the recordings' folder or from this file's")
+    motion_capture: MotionCapture = Field(
+        default_factory=MotionCapture,
+        description="world frame of the motion capture in the scenario's inertial frame; absent: they are the same",
+    )
+    _file: Path | None = PrivateAttr(None)
+
+    @property
+    def file(self) -> Path | None:
+        """Where it was read from."""
+        return self._file
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the file, from which its paths are seen."""
+        return Path() if self.file is None else self.file.parent
+
+    def load_scenario(self) -> Scenario:
+        """The scenario.
+
+        Raises:
+            InputError: There is none, or it breaks its schema.
+        """
+        return load_scenario(self._path(self.scenario))
+
+    def load_mapping(self) -> Mapping:
+        """The mapping.
+
+        Raises:
+            InputError: There is none, or it breaks its schema.
+        """
+        return load_mapping(self._path(self.mapping))
+
+    def _path(self, name: str) -> str:
+        return str(self.folder / name) if name.endswith(YAML) else name
+
+
+def load_experiment(path: Path) -> Experiment:
+    """Read an experiment file.
+
+    Raises:
+        InputError: It is missing, breaks the schema, or names a scenario or mapping that there is not.
+    """
+    if path.is_dir():
+        raise InputError("a folder where an experiment file is expected, experiment.yaml for example", file=path)
+    experiment = load(Experiment, path)
+    experiment._file = path
+    scenario = _in_key(path, "scenario", experiment.scenario, experiment.load_scenario)
+    _in_key(path, "mapping", experiment.mapping, experiment.load_mapping)
+    for name in experiment.motion_capture.bodies:
+        _in_key(path, "motion_capture.bodies", name, functools.partial(scenario.object, name))
+    return experiment
+
+
+@dataclass(frozen=True)
+class Run:
+    """One row of the table of runs.
+
+    Attributes:
+        path: File or folder of the recording.
+        object: Name of the object that is hit; None in free motion.
+        hit: Whether something is hit.
+        condition: Further columns, joined by ``/``.
+    """
+
+    path: Path
+    object: str | None
+    hit: bool
+    condition: str
+
+    @property
+    def name(self) -> str:
+        """Name of the recording, without the ending of a file."""
+        return self.path.name if self.path.is_dir() else self.path.stem
+
+
+def read_runs(directory: Path, experiment: Experiment, scenario: Scenario) -> list[Run]:
+    """The table of runs, checked: every recording is there, every object is known, and none is named twice.
+
+    Args:
+        directory: Folder of the recordings.
+        experiment: Names the table.
+        scenario: Knows the objects.
+
+    Raises:
+        InputError: It cannot be used; the message names file, line, column, value and what was expected.
+    """
+    if not directory.is_dir():
+        what = "a file where the folder of the recordings is expected" if directory.is_file() else "no such folder"
+        raise InputError(what, file=directory)
+    places = [directory / experiment.runs, experiment.folder / experiment.runs]
+    path = next((place for place in places if place.is_file()), None)
+    if path is None:
+        near = did_you_mean(experiment.runs, [file.name for file in directory.iterdir() if file.is_file()])
+        folders = f"{directory} or {experiment.folder}" if experiment.folder != directory else str(directory)
+        raise InputError(f"no table of runs {experiment.runs!r} in {folders}{near}", file=directory)
+    header, rows = _table(path)
+    place = {name: header.index(name) for name in header}
+    further = [name for name in header if name not in COLUMNS]
+    seen: dict[Path, int] = {}
+    runs = []
+    for line, row in rows:
+        cells = {name: row[index] for name, index in place.items()}
+        kind, name = cells["kind"], cells["object"]
+        if kind not in KINDS:
+            raise _wrong(path, line, "kind", kind, f"expected {HIT!r} or {FREE_MOTION!r}{did_you_mean(kind, KINDS)}")
+        hit = kind == HIT
+        if hit and name not in scenario.objects:
+            known = ", ".join(scenario.objects)
+            near = did_you_mean(name, scenario.objects)
+            raise _wrong(path, line, "object", name, f"expected an object of scenario {scenario.name!r}: {known}{near}")
+        if not hit and name not in (NO_OBJECT, ""):
+            raise _wrong(path, line, "object", name, f"expected {NO_OBJECT!r}, nothing is touched in free motion")
+        recording = _recording(path, line, directory, cells["bag"])
+        if recording in seen:
+            raise _wrong(path, line, "bag", cells["bag"], f"stands in line {seen[recording]} already")
+        seen[recording] = line
+        condition = "/".join(cells[name] for name in further)
+        runs.append(Run(recording, name if hit else None, hit, condition))
+    return runs
+
+
+def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Header, and rows with the line they stand in."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read: {error}", file=path) from None
+    separator = max(",;\t", key=text.partition("\n")[0].count)
+    reader = csv.reader(text.splitlines(), delimiter=separator, skipinitialspace=True)
+    lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+    lines = [(line, row) for line, row in lines if any(row) and not row[0].startswith("#")]
+    if not lines:
+        raise InputError(f"an empty table; expected the columns {', '.join(COLUMNS)}", file=path)
+    (_, header), *rows = lines
+    for name in COLUMNS:
+        if name not in header:
+            near = did_you_mean(name, header)
+            raise InputError(f"no column {name!r} in line 1{near}; found: {', '.join(header)}", file=path)
+    twice = [name for name in header if header.count(name) > 1]
+    if twice:
+        raise InputError(f"two columns are called {twice[0]!r}", file=path)
+    if not rows:
+        raise InputError(f"no run below the header {separator.join(header)}", file=path)
+    for line, row in rows:
+        if len(row) != len(header):
+            raise InputError(f"line {line}: {len(row)} cells, expected {len(header)} as in the header", file=path)
+    return header, rows
+
+
+def _recording(table: Path, line: int, directory: Path, name: str) -> Path:
+    """File or folder that a row names; the ending of a file may be left out."""
+    if not name:
+        raise _wrong(table, line, "bag", name, "expected the name of a recording")
+    path = directory / name
+    if path.exists():
+        return path
+    endings = [path.with_name(path.name + suffix) for suffix in FILE_SUFFIXES]
+    found = [file for file in endings if file.is_file()]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        names = ", ".join(file.name for file in found)
+        raise _wrong(table, line, "bag", name, f"{names} are all there; name one of them")
+    others = [item.name for item in path.parent.iterdir()] if path.parent.is_dir() else []
+    others += [Path(item).stem for item in others]
+    raise _wrong(table, line, "bag", name, f"no such recording in {path.parent}{did_you_mean(path.name, others)}")
+
+
+def _wrong(path: Path, line: int, column: str, value: str, message: str) -> InputError:
+    return InputError(message, file=path, key=f"line {line}, {column}", value=value)
+
+
+def _in_key(path: Path, key: str, value: str, load: Callable[[], Result]) -> Result:
+    """What ``load`` gives; its mistakes tell which key of which file asked for it."""
+    try:
+        return load()
+    except InputError as error:
+        if error.file is not None and error.file != str(path):
+            raise  # that file has the mistake
+        raise InputError(error.message, file=path, key=key, value=value) from None

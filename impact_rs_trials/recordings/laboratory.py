@@ -1,0 +1,483 @@
+"""Runs of a laboratory with a controller of its own: from its files to checked signals on one clock.
+
+Joint signals come on an even grid at the median period of the joint states, interpolated where stamps are not on it.
+Command and object pose keep their own stamps: the one is held until the next, the other is slower. What cannot be used
+is refused in one line; a run that is merely too short between its gaps is left out, with the reason.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import Scenario
+from impact_rs_trials.recordings.clock import (
+    Gap,
+    check_jumps,
+    check_stamps,
+    even_grid,
+    gaps,
+    on_the_grid,
+    tell_gaps,
+)
+from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, Run, read_runs
+from impact_rs_trials.recordings.mapping import REQUIRED, Mapping, SignalName
+from impact_rs_trials.recordings.plausibility import check_object, check_touch, check_weight, gravity_torques
+from impact_rs_trials.recordings.recording import Recording, check_recording
+from impact_rs_trials.recordings.series import Names, Series
+from impact_rs_trials.recordings.sources import read_series
+from impact_rs_trials.workers import Map
+
+ARM_SIGNALS: tuple[SignalName, ...] = (*REQUIRED, "motor_position", "motor_velocity")
+OBJECT_SIGNALS: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
+
+LEAST_SAMPLES = 20
+SHORTEST = 0.3  # s, of what is left between gaps
+GAP_PERIODS = 3.0  # sampling periods without a sample are a gap, but
+GAP_TOLD = 0.005  # s, the window that velocities about an impact are fitted in, holds it if it is shorter
+GAP_CUT = 0.010  # s, what is longer is not bridged
+JUMP = 0.1  # s, a longer step is a jump of the clock
+JITTER = 0.2  # periods that stamps may lie beside the even grid before it is told
+IMPACT_WINDOW = 0.008  # s, over which the change of joint velocity is largest at the impact
+SLOW_JOINTS = 200.0  # Hz
+SLOW_POSE = 60.0  # Hz
+IMPACT_SHARE = 0.02  # of the samples, in which an impact may take a velocity or torque beyond the data sheet
+ROUNDED = 1e-6  # s, stamps that are nearer to each other are the same
+BEYOND = 0.1  # s, command and pose are kept this long before and after the joint signals
+
+
+@dataclass(frozen=True)
+class LaboratoryRun:
+    """One run of a laboratory, in SI units on one clock that starts with the joint signals.
+
+    Attributes:
+        path: File or folder it was read from.
+        name: Its name in tables.
+        object: Name of the object that is hit; None in free motion.
+        hit: Whether something is hit.
+        condition: What it has in common with its repeats.
+        time: Even grid from 0, ``(k,)`` [s].
+        position: q, ``(k, n)`` [rad].
+        velocity: dq, ``(k, n)`` [rad/s].
+        torque: Link-side joint torque tau_J, ``(k, n)`` [N m].
+        motor_position: theta, ``(k, n)`` [rad], or ``(0, n)`` where it was not recorded.
+        motor_velocity: dtheta, ``(k, n)`` [rad/s], or ``(0, n)``.
+        command_time: Stamps of the command, ``(m,)`` [s].
+        command: Desired torque with gravity, ``(m, n)`` [N m], valid until the next; ``(0, n)`` where it is not known.
+        object_time: Stamps of the object's pose, ``(p,)`` [s]; empty where it was not tracked.
+        object_position: Its geometric centre in A, ``(p, 3)`` [m].
+        object_quaternion: Its axes in A, x y z w, ``(p, 4)``, without changes of sign between samples.
+        wrench_time: Stamps of the wrench, ``(w,)`` [s]; empty where there is none.
+        wrench: Force and torque as recorded, ``(w, 6)`` [N, N m].
+        remarks: What the user should know of how it was read.
+    """
+
+    path: Path
+    name: str
+    object: str | None
+    hit: bool
+    condition: str
+    time: Array
+    position: Array
+    velocity: Array
+    torque: Array
+    motor_position: Array
+    motor_velocity: Array
+    command_time: Array
+    command: Array
+    object_time: Array
+    object_position: Array
+    object_quaternion: Array
+    wrench_time: Array
+    wrench: Array
+    remarks: tuple[str, ...]
+
+
+class TooShort(InputError):
+    """A run of which too little is left between its gaps; it is left out, and the others are read."""
+
+
+@dataclass(frozen=True)
+class Laboratory:
+    """What the runs of an experiment have in common.
+
+    Attributes:
+        scenario: Robots, objects and support.
+        arm: Name of the arm.
+        mapping: Where the signals are.
+        motion_capture: Where its world is.
+    """
+
+    scenario: Scenario
+    arm: str
+    mapping: Mapping
+    motion_capture: MotionCapture
+
+    @classmethod
+    def of(cls, experiment: Experiment) -> Laboratory:
+        """Scenario and mapping of an experiment, which must fit each other.
+
+        Raises:
+            InputError: They do not, or there are several arms.
+        """
+        scenario, mapping = experiment.load_scenario(), experiment.load_mapping()
+        if len(scenario.robots) != 1:
+            raise InputError(
+                f"scenario {scenario.name!r} has {len(scenario.robots)} arms ({', '.join(scenario.robots)}); "
+                "recordings of a laboratory are read for one arm",
+                file=experiment.file,
+                key="scenario",
+                value=experiment.scenario,
+            )
+        ((arm, robot),) = scenario.robots.items()
+        if robot.robot_facts != mapping.facts:
+            raise InputError(
+                f"the mapping is for robot {mapping.robot!r}, arm {arm!r} of scenario {scenario.name!r} is "
+                f"{robot.facts!r}; expected the same",
+                file=experiment.file,
+                key="mapping",
+                value=experiment.mapping,
+            )
+        if mapping.torque_measured_at != "link":
+            raise InputError(
+                "torque_measured_at is 'motor' in the mapping; runs with contact need the torque behind the gears "
+                "(link), the torque asked of the motors is signals.command",
+                file=experiment.file,
+                key="mapping",
+                value=experiment.mapping,
+            )
+        return cls(scenario, arm, mapping, experiment.motion_capture)
+
+    @functools.cached_property
+    def model(self) -> RobotModel:
+        """Nominal rigid-body model of the arm."""
+        return Physics.nominal(self.scenario, next(iter(self.scenario.objects))).robot_model(self.arm)
+
+
+def read_laboratory(
+    directory: Path, experiment: Experiment, map_tasks: Map
+) -> tuple[list[LaboratoryRun], list[tuple[str, str]]]:
+    """Every run of an experiment.
+
+    Args:
+        directory: Folder of the recordings.
+        experiment: Says what they are.
+        map_tasks: Who reads them.
+
+    Returns:
+        Runs in the order of the table; and path and reason of those that were left out.
+
+    Raises:
+        InputError: Something is wrong with the experiment, its table, or a recording; or no run is left.
+    """
+    laboratory = Laboratory.of(experiment)
+    table = read_runs(directory, experiment, laboratory.scenario)
+    read: list[LaboratoryRun] = []
+    skipped: list[tuple[str, str]] = []
+    tasks = [(laboratory, run) for run in table]
+    for run, result in zip(table, map_tasks(_try_to_read, tasks), strict=True):
+        if isinstance(result, LaboratoryRun):
+            read.append(result)
+        elif isinstance(result, TooShort):
+            skipped.append((str(run.path), result.message))
+        else:
+            raise result
+    if not read:
+        raise InputError(f"no run can be used; {Path(skipped[0][0]).name}: {skipped[0][1]}", file=directory)
+    return read, skipped
+
+
+def _try_to_read(task: tuple[Laboratory, Run]) -> LaboratoryRun | InputError:
+    """Errors come back as results: a worker would try what it raised again."""
+    try:
+        return read_run(*task)
+    except InputError as error:
+        return error
+
+
+def read_run(laboratory: Laboratory, run: Run) -> LaboratoryRun:
+    """One run, checked.
+
+    Raises:
+        TooShort: Too little is left of it between gaps.
+        InputError: It cannot be used; the message says where, why, and what to do.
+    """
+    mapping, path = laboratory.mapping, run.path
+    wanted: list[SignalName] = [*ARM_SIGNALS, "command", "wrench", *(OBJECT_SIGNALS if run.hit else ())]
+    needed = {name for name in wanted if name in (*REQUIRED, "command", *OBJECT_SIGNALS)}
+    names = Names(object=run.object or "*", arm=laboratory.arm, run=run.name)
+    series = read_series(path, mapping, wanted, needed & (set(REQUIRED) | set(mapping.signals)), names)
+    remarks = list(dict.fromkeys(remark for one in series.values() for remark in one.remarks))
+    if run.hit:
+        series = _with_object(path, series, remarks)
+    for name, one in series.items():
+        _check(path, name, one)
+    _check_overlap(path, series)
+    origin = float(series["position"].time[0])  # numbers of the wall clock have no room for microseconds
+    series = {name: replace(one, time=one.time - origin) for name, one in series.items()}
+
+    first, last = _piece(run, series, remarks)
+    base = series["position"]
+    inside = (base.time >= first) & (base.time <= last)
+    raw = base.time[inside]
+    grid = even_grid(raw)
+    arm = {name: _on_grid(series[name], raw, grid) for name in ARM_SIGNALS if name in series}
+    _tell_rates(raw, grid, series, remarks)
+    time = grid - grid[0]
+    recording = Recording(path, time, arm["position"], arm["velocity"], arm["torque"], {})
+    check_recording(recording, mapping, IMPACT_SHARE if run.hit else 0.0)
+    remedy = "wrong sign or unit, or without the arm's own weight?"
+    check_weight(path, "torque", laboratory.model, arm["position"], arm["torque"], remedy)
+
+    count = len(mapping.joints)
+    none = np.zeros((0, count))
+    command_time, command = _part(series.get("command"), grid, none)
+    if command_time.size:
+        command = _with_weight(laboratory, path, time, arm["position"], command_time, command)
+    else:
+        remarks.append(
+            "no command was recorded: the joint torque has to drive the replay, which hides gears and motors"
+        )
+    object_time, pose = _part(series.get("object_pose"), grid, np.zeros((0, 7)))
+    if object_time.size:
+        pose = _in_inertial_frame(laboratory.motion_capture, run, pose)
+        remarks += _check_object(laboratory, run, time, arm["position"], object_time, pose)
+    elif run.hit:
+        remarks.append("the object was not tracked: it starts where the scenario places it")
+    wrench_time, wrench = _part(series.get("wrench"), grid, np.zeros((0, 6)))
+    return LaboratoryRun(
+        path=path,
+        name=run.name,
+        object=run.object,
+        hit=run.hit,
+        condition=run.condition,
+        time=time,
+        position=arm["position"],
+        velocity=arm["velocity"],
+        torque=arm["torque"],
+        motor_position=arm.get("motor_position", none),
+        motor_velocity=arm.get("motor_velocity", none),
+        command_time=command_time,
+        command=command,
+        object_time=object_time,
+        object_position=pose[:, :3],
+        object_quaternion=pose[:, 3:],
+        wrench_time=wrench_time,
+        wrench=wrench,
+        remarks=tuple(remarks),
+    )
+
+
+# ---- stamps and gaps ------------------------------------------------------------------------------------------------
+
+
+def _with_object(path: Path, series: dict[SignalName, Series], remarks: list[str]) -> dict[SignalName, Series]:
+    """With the pose as one signal, and without the samples in which the object was not seen."""
+    series = dict(series)
+    position, quaternion = series.pop("object_position", None), series.pop("object_quaternion", None)
+    if position is not None and quaternion is not None:
+        if position.time.size != quaternion.time.size or not np.allclose(position.time, quaternion.time):
+            raise InputError(
+                f"{position.place} and {quaternion.place} have other time stamps; expected the same", file=path
+            )
+        values = np.hstack((position.values, quaternion.values))
+        series["object_pose"] = replace(position, values=values)
+    pose = series.get("object_pose")
+    if pose is None:
+        return series
+    norm = np.linalg.norm(pose.values[:, 3:], axis=1)
+    seen = ~(np.isnan(pose.values[:, :3]).all(axis=1) | np.isnan(pose.values[:, 3:]).all(axis=1) | (norm == 0.0))
+    if not np.any(seen):
+        raise InputError(f"{pose.place}: the object is seen in none of {seen.size} samples", file=path)
+    if not np.all(seen):
+        remarks.append(f"{pose.place}: the object is not seen in {int(np.sum(~seen))} of {seen.size} samples")
+    log = None if pose.log is None else pose.log[seen]
+    series["object_pose"] = replace(pose, time=pose.time[seen], values=pose.values[seen], log=log)
+    return series
+
+
+def _check(path: Path, name: SignalName, series: Series) -> None:
+    """Stamps that increase without a jump, and finite numbers."""
+    if name in REQUIRED and series.time.size < LEAST_SAMPLES:
+        raise InputError(f"{series.place}: {series.time.size} samples, at least {LEAST_SAMPLES} are needed", file=path)
+    check_stamps(path, series.place, series.time)
+    if series.time.size > 1:
+        largest = max(JUMP, 5.0 * float(np.median(np.diff(series.time))))
+        check_jumps(path, series.place, series.time, series.log, largest, pauses=name in (*ARM_SIGNALS, "command"))
+    wrong = ~np.isfinite(series.values)
+    if np.any(wrong):
+        row, column = np.argwhere(wrong)[0]
+        raise InputError(
+            f"{series.place}: number {column + 1} is {series.values[row, column]} at t = "
+            f"{series.time[row] - series.time[0]:.3f} s ({int(np.sum(wrong.any(axis=1)))} of {wrong.shape[0]} "
+            "samples); repair the file, or take the run out of the table",
+            file=path,
+        )
+
+
+def _check_overlap(path: Path, series: dict[SignalName, Series]) -> None:
+    """Every signal shares some time with the joint positions."""
+    base = series["position"]
+    for one in series.values():
+        if one.time[-1] < base.time[0] or one.time[0] > base.time[-1]:
+            raise InputError(
+                f"{one.place} spans {one.time[0]:.3f} ... {one.time[-1]:.3f} s, {base.place} {base.time[0]:.3f} ... "
+                f"{base.time[-1]:.3f} s: another clock, or another run? `delay` in the mapping shifts a signal",
+                file=path,
+            )
+
+
+def _piece(run: Run, series: dict[SignalName, Series], remarks: list[str]) -> tuple[float, float]:
+    """First and last stamp to use: all, or the longest piece without gaps (of a hit: the one with the impact)."""
+    base = series["position"]
+    start, end = float(base.time[0]), float(base.time[-1])
+    cuts: list[Gap] = []
+    for name in (*ARM_SIGNALS, "command", "object_pose"):
+        one = series.get(name)
+        if one is None or one.time.size < 2 or (name != "position" and np.array_equal(one.time, base.time)):
+            continue
+        periods = GAP_PERIODS * float(np.median(np.diff(one.time)))
+        found = gaps(one.time, max(GAP_TOLD, periods))
+        if not found:
+            continue
+        told = f"{one.place}: {'gaps' if len(found) > 1 else 'a gap'} of {tell_gaps(found, start)}"
+        if name != "object_pose":
+            cuts += [gap for gap in found if gap.length > GAP_CUT]
+        remarks.append(told)
+    if end - start < SHORTEST:
+        raise TooShort(f"it lasts {end - start:.3f} s, at least {SHORTEST} s are needed", file=run.path)
+    if not cuts:
+        return start, end
+    impact = _impact(series["velocity"]) if run.hit else None
+    inside = [gap for gap in cuts if impact is not None and gap.start <= impact <= gap.end]
+    if inside:
+        raise TooShort(f"the impact falls into a gap of {tell_gaps(inside, start)}", file=run.path)
+    first = np.array([start, *sorted(gap.end for gap in cuts)])
+    last = np.array([*sorted(gap.start for gap in cuts), end])
+    length = last - first
+    if impact is not None:
+        length = np.where((first <= impact) & (impact <= last), length, -1.0)
+    best = int(np.argmax(length))
+    if length[best] < SHORTEST:
+        what = "with the impact " if run.hit else ""
+        raise TooShort(
+            f"gaps leave {max(length[best], 0.0):.3f} s {what}in one piece, at least {SHORTEST} s are needed: gaps of "
+            f"{tell_gaps(sorted(cuts, key=lambda gap: gap.start), start)}",
+            file=run.path,
+        )
+    remarks.append(f"cut to {first[best] - start:.3f} ... {last[best] - start:.3f} s, for gaps > {GAP_CUT:g} s")
+    return float(first[best]), float(last[best])
+
+
+def _impact(velocity: Series) -> float:
+    """When joint velocities change most within a few milliseconds [s]; good enough to tell pieces of a run apart."""
+    half = IMPACT_WINDOW / 2.0
+    change = np.linalg.norm(velocity.at(velocity.time + half) - velocity.at(velocity.time - half), axis=1)
+    return float(velocity.time[int(np.argmax(change))])
+
+
+def _on_grid(series: Series, raw: Array, grid: Array) -> Array:
+    """One signal of the arm on the even grid, ``(k, n)``."""
+    first, last = np.searchsorted(series.time, (raw[0], raw[-1]))
+    if np.array_equal(series.time[first : last + 1], raw) and on_the_grid(raw, grid):
+        return series.values[first : last + 1]
+    return series.at(grid)
+
+
+def _part(series: Series | None, grid: Array, none: Array) -> tuple[Array, Array]:
+    """Stamps from the start of the grid, and numbers, of what lies about it.
+
+    What was stamped with a state gets its very time, so that nobody takes it for an instant later.
+    """
+    if series is None:
+        return np.zeros(0), none
+    inside = (series.time >= grid[0] - BEYOND) & (series.time <= grid[-1] + BEYOND)
+    period = grid[1] - grid[0]
+    nearest = grid[0] + period * np.rint((series.time[inside] - grid[0]) / period)
+    time = np.where(np.abs(series.time[inside] - nearest) < ROUNDED, nearest, series.time[inside])
+    return time - grid[0], series.values[inside]
+
+
+def _tell_rates(raw: Array, grid: Array, series: dict[SignalName, Series], remarks: list[str]) -> None:
+    """Say where stamps are uneven, and where a rate is too low for a question."""
+    period = float(grid[1] - grid[0])
+    beside = np.abs(raw - grid[0] - period * np.rint((raw - grid[0]) / period)) / period
+    worst = float(np.percentile(beside, 99.0))
+    if worst > JITTER:
+        remarks.append(
+            f"{series['position'].place}: stamps lie up to {100.0 * worst:.0f} % of a period beside an even grid; the "
+            "samples are interpolated onto it"
+        )
+    if 1.0 / period < SLOW_JOINTS:
+        remarks.append(f"joints at {1.0 / period:.0f} Hz: the jump of an impact is seen, its force is not")
+    pose = series.get("object_pose")
+    if pose is not None and pose.time.size > 1:
+        rate = 1.0 / float(np.median(np.diff(pose.time)))
+        if rate < SLOW_POSE:
+            remarks.append(
+                f"object pose at {rate:.0f} Hz: where the object goes is seen, its velocity right after the "
+                "impact is not"
+            )
+
+
+# ---- torques --------------------------------------------------------------------------------------------------------
+
+
+def _with_weight(
+    laboratory: Laboratory, path: Path, time: Array, position: Array, command_time: Array, command: Array
+) -> Array:
+    """Desired torque with gravity, ``(m, n)`` [N m]; what the mapping says of it must fit the numbers."""
+    at = np.column_stack([np.interp(command_time, time, column) for column in position.T])
+    included = laboratory.mapping.command_includes_gravity
+    whole = command if included else command + gravity_torques(laboratory.model, at)
+    remedy = (
+        "command_includes_gravity: false in the mapping, where it comes without the arm's own weight"
+        if included
+        else "command_includes_gravity: true in the mapping, where it holds the arm's own weight already"
+    )
+    check_weight(path, "command", laboratory.model, at, whole, remedy)
+    return whole
+
+
+# ---- object ---------------------------------------------------------------------------------------------------------
+
+
+def _in_inertial_frame(motion_capture: MotionCapture, run: Run, pose: Array) -> Array:
+    """Poses of the object in A, ``(p, 7)``, from those of the tracked frame in the world of the motion capture."""
+    assert run.object is not None
+    world = motion_capture.placement
+    body = motion_capture.bodies.get(run.object)
+    inner = pin.SE3.Identity() if body is None else body.placement
+    placed = np.empty_like(pose)
+    for row, numbers in enumerate(pose):
+        quaternion = numbers[3:] / np.linalg.norm(numbers[3:])
+        whole = world * pin.SE3(pin.Quaternion(quaternion).matrix(), numbers[:3]) * inner
+        placed[row] = pin.SE3ToXYZQUAT(whole)
+        if row and placed[row, 3:] @ placed[row - 1, 3:] < 0.0:  # the same attitude has two quaternions
+            placed[row, 3:] *= -1.0
+    return placed
+
+
+def _check_object(
+    laboratory: Laboratory, run: Run, time: Array, position: Array, object_time: Array, pose: Array
+) -> list[str]:
+    """The object stands where it can, and the pad meets it; what the user should know of both."""
+    assert run.object is not None
+    scenario = laboratory.scenario
+    remarks = check_object(run.path, scenario, laboratory.arm, run.object, object_time, pose)
+    during = (object_time >= time[0]) & (object_time <= time[-1])
+    if not np.any(during):
+        return remarks
+    at = np.column_stack([np.interp(object_time[during], time, column) for column in position.T])
+    size = np.array(scenario.object(run.object).size)
+    touching = check_touch(run.path, laboratory.model, run.object, size, at, pose[during])
+    slow = object_time.size > 1 and float(np.median(np.diff(object_time))) > 1.0 / SLOW_POSE
+    return remarks if slow else [*remarks, *touching]  # a slow tracker does not see where they meet

@@ -1,0 +1,148 @@
+"""Whether signals of a laboratory can belong to the arm, the object and the frames of its scenario.
+
+What cannot be is refused with the number that tells so and with what is most likely wrong.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import Scenario
+
+REST = 0.1  # s, from which the first pose of the object is taken
+HEIGHT_TOLERANCE = 0.05  # m
+REACH = 2.0  # m, from the base of the arm
+UPRIGHT = np.deg2rad(5.0)  # rad
+MOVED = 0.002  # m
+TOUCH_TOLERANCE = 0.05  # m, between pad and object at their nearest
+TOUCH_TOLD = 0.005  # m
+GRAVITY_RATIO = (0.5, 1.5)  # of the measured torque along the arm's own weight
+GRAVITY_NOTICED = 1.0  # N m rms, a weight that can be noticed in the torques
+CHECKED = 200  # samples in which the weight is compared
+
+
+def gravity_torques(model: RobotModel, position: Array) -> Array:
+    """g(q) at positions ``(k, n)`` [rad], ``(k, n)`` [N m]."""
+    return np.array([model.gravity_torque(q) for q in position]).reshape(position.shape)
+
+
+def check_weight(path: Path, name: str, model: RobotModel, position: Array, torque: Array, remedy: str) -> None:
+    """Torques hold the arm's own weight once: neither twice, nor with the wrong sign, nor not at all.
+
+    Args:
+        path: Run, for messages.
+        name: Signal, for messages.
+        model: Nominal arm.
+        position: q, ``(k, n)`` [rad].
+        torque: Torques at those positions, ``(k, n)`` [N m].
+        remedy: What may be wrong.
+
+    Raises:
+        InputError: They do not.
+    """
+    rows = np.unique(np.linspace(0, position.shape[0] - 1, CHECKED).astype(int))
+    weight = gravity_torques(model, position[rows])
+    power = float(np.sum(np.square(weight)))
+    if power < GRAVITY_NOTICED**2 * rows.size:
+        return
+    ratio = float(np.sum(weight * torque[rows])) / power
+    if not GRAVITY_RATIO[0] < ratio < GRAVITY_RATIO[1]:
+        raise InputError(
+            f"{name} holds {ratio:.2f} times the weight of the scenario's arm, expected about 1: {remedy}", file=path
+        )
+
+
+def check_object(path: Path, scenario: Scenario, arm: str, name: str, time: Array, pose: Array) -> list[str]:
+    """At first the object stands on the support and within reach.
+
+    Args:
+        path: Run, for messages.
+        scenario: Knows arm, object and support.
+        arm: Name of the arm.
+        name: Name of the object.
+        time: Stamps, ``(p,)`` [s].
+        pose: Geometric centre and quaternion in A, ``(p, 7)``.
+
+    Returns:
+        What the user should know.
+
+    Raises:
+        InputError: It does not.
+    """
+    centre = np.median(pose[time <= time[0] + REST, :3], axis=0)
+    rotation = pin.Quaternion(pose[0, 3:]).matrix()
+    size = np.array(scenario.object(name).size)
+    height = scenario.support.height + float(np.abs(rotation[2]) @ size) / 2.0
+    where = f"the centre of {name!r} is first at {np.round(centre, 3).tolist()} m"
+    remedy = "pose in another frame or unit? motion_capture in the experiment file says where its world is"
+    if abs(centre[2] - height) > HEIGHT_TOLERANCE:
+        raise InputError(
+            f"{where}, expected {height:.3f} m high on the support ({centre[2] - height:+.3f} m off): {remedy}",
+            file=path,
+        )
+    distance = float(np.linalg.norm(centre - np.array(scenario.robots[arm].base.position)))
+    if distance > REACH:
+        raise InputError(
+            f"{where}, {distance:.2f} m from the base of arm {arm!r}, expected less than {REACH:g} m: {remedy}",
+            file=path,
+        )
+    remarks = []
+    upwards = np.abs(rotation[2])
+    if np.argmax(upwards) != 2 or np.arccos(min(1.0, float(upwards[2]))) > UPRIGHT:
+        remarks.append(
+            f"the z axis of {name!r} does not point up at first: motion_capture.bodies says how it lies in the tracked "
+            "frame"
+        )
+    if float(np.max(np.linalg.norm(pose[:, :3] - centre, axis=1))) < MOVED:
+        remarks.append(f"{name!r} never moves by {1e3 * MOVED:g} mm: is it the body that is hit?")
+    return remarks
+
+
+def check_touch(path: Path, model: RobotModel, name: str, size: Array, position: Array, pose: Array) -> list[str]:
+    """Pad and object meet: where they are nearest there is nothing between them, nor is one inside the other.
+
+    Args:
+        path: Run, for messages.
+        model: Nominal arm.
+        name: Name of the object.
+        size: Of the object, ``(3,)`` [m].
+        position: q at the stamps of the object's pose, ``(p, n)`` [rad].
+        pose: Geometric centre and quaternion of the object in A, ``(p, 7)``.
+
+    Returns:
+        What the user should know.
+
+    Raises:
+        InputError: They do not meet.
+    """
+    distances = []
+    for q, placed in zip(position, pose, strict=True):
+        seen = pin.XYZQUATToSE3(placed).actInv(model.placement(q).translation)
+        beyond = np.abs(seen) - size / 2.0
+        distances.append(float(np.linalg.norm(np.maximum(beyond, 0.0)) + min(float(np.max(beyond)), 0.0)))
+    nearest = min(distances)
+    beside = max(model.end_effector.pad_size[:2]) / 2.0  # an edge of the pad may hit while its middle passes by
+    if -TOUCH_TOLERANCE < nearest < TOUCH_TOLERANCE + beside:
+        if abs(nearest) < TOUCH_TOLD:
+            return []
+        how = "short of" if nearest > 0.0 else "inside"
+        return [
+            f"where they are nearest, the middle of the pad is {1e3 * abs(nearest):.1f} mm {how} {name!r}: motion "
+            "capture and robot disagree by that much, or their clocks do; or another object is hit, or only by an edge"
+        ]
+    how = (
+        f"never comes nearer to {name!r} than {nearest:.3f} m"
+        if nearest > 0.0
+        else f"is {-nearest:.3f} m inside {name!r}"
+    )
+    raise InputError(
+        f"the pad {how}: pose in another frame (motion_capture in the experiment file says where its world is), of "
+        "another body or on another clock?",
+        file=path,
+    )

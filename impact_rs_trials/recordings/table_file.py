@@ -1,0 +1,127 @@
+"""CSV and Parquet files: a column per joint.
+
+A row may hold some signals only: where all cells of a signal are empty (or NaN) it has no sample.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping as AbstractMapping
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.robot import Array
+from impact_rs_trials.recordings.mapping import UNITS, Mapping, SignalName, SignalSource
+from impact_rs_trials.recordings.series import MissingSignal, Names, Series
+
+SHOWN = 8  # column names in a message
+
+
+def require(package: str, path: Path) -> None:
+    """Say how to get a library that reading this file takes.
+
+    Raises:
+        InputError: It is not installed.
+    """
+    if find_spec(package) is None:
+        raise InputError(f"{path.suffix} files need {package}: pip install 'impact-rs[export]'", file=path)
+
+
+class TableFile:
+    """One CSV or Parquet file.
+
+    Args:
+        path: The file.
+        mapping: Where the signals are.
+        names: What the placeholders of the mapping stand for.
+
+    Raises:
+        InputError: It is no such file.
+    """
+
+    def __init__(self, path: Path, mapping: Mapping, names: Names) -> None:
+        self._path, self._mapping, self._names = path, mapping, names
+        self._columns: AbstractMapping[str, list[str] | Array] = (
+            _read_csv(path) if path.suffix == ".csv" else _read_parquet(path, UNITS["time"][mapping.time.unit])
+        )
+
+    def series(self, name: SignalName, source: SignalSource) -> Series:
+        """One signal in SI units.
+
+        Raises:
+            MissingSignal: The file lacks it.
+            InputError: It cannot be used.
+        """
+        columns = self._named(name, source)
+        if not columns:
+            raise MissingSignal(f"the mapping says no column for {name}", file=self._path, key=f"signals.{name}")
+        time = self._numbers(source.time_column or self._mapping.time.column, "time")
+        values = np.column_stack([self._numbers(column, name) for column in columns])
+        time = time * UNITS["time"][self._mapping.time.unit] + source.delay
+        return Series(f"column {columns[0]!r} ({name})", time, self._mapping.to_si(name, values)).sampled()
+
+    def _named(self, name: SignalName, source: SignalSource) -> list[str]:
+        if source.columns is not None:
+            return [self._names.fill(column) for column in source.columns]
+        if source.column is None:
+            return []
+        column = self._names.fill(source.column)
+        return [column.replace("{joint}", str(index + 1)) for index in range(self._mapping.width(name))]
+
+    def _numbers(self, column: str, name: str) -> Array:
+        if column not in self._columns:
+            near, found = did_you_mean(column, self._columns), list(self._columns)
+            more = " ..." if len(found) > SHOWN else ""
+            message = f"no column {column!r} ({name}){near}; found: {', '.join(found[:SHOWN])}{more}"
+            raise MissingSignal(message, file=self._path)
+        cells = self._columns[column]
+        if isinstance(cells, np.ndarray):
+            return cells
+        try:
+            return np.array([float(cell or "nan") for cell in cells])
+        except ValueError as error:
+            raise InputError(f"not a table of numbers: {error} in column {column!r}", file=self._path) from None
+
+
+def _read_csv(path: Path) -> dict[str, list[str] | Array]:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"not a table of numbers: {error}", file=path) from None
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line and not line.startswith("#")]
+    if len(lines) < 2:
+        raise InputError("expected a line of column names and lines of numbers", file=path)
+    separator = max(",;\t", key=lines[0][1].count)
+    rows = list(csv.reader((line for _, line in lines), delimiter=separator, skipinitialspace=True))
+    header = [name.strip() for name in rows[0]]
+    for (number, _), row in zip(lines, rows, strict=False):
+        if len(row) != len(header):
+            raise InputError(f"line {number}: {len(row)} numbers, expected {len(header)} as in the header", file=path)
+    if len(set(header)) < len(header):
+        twice = next(name for name in header if header.count(name) > 1)
+        raise InputError(f"two columns are called {twice!r}", file=path)
+    return {name: list(cells) for name, cells in zip(header, zip(*rows[1:], strict=True), strict=True)}
+
+
+def _read_parquet(path: Path, time_unit: float) -> dict[str, list[str] | Array]:
+    require("pyarrow", path)
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        table = pyarrow.parquet.read_table(path)
+    except (pyarrow.ArrowException, OSError) as error:
+        raise InputError(f"not a readable Parquet file ({str(error).splitlines()[0]})", file=path) from None
+    columns: dict[str, list[str] | Array] = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        if pyarrow.types.is_timestamp(column.type):  # it tells its unit, whatever the mapping says
+            nanoseconds = column.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
+            columns[name] = nanoseconds.to_numpy(zero_copy_only=False) * (1e-9 / time_unit)
+        elif pyarrow.types.is_integer(column.type) or pyarrow.types.is_floating(column.type):
+            columns[name] = np.asarray(column.to_numpy(zero_copy_only=False), dtype=float)
+        else:
+            columns[name] = ["" if cell is None else str(cell) for cell in column.to_pylist()]
+    return columns

@@ -1,0 +1,94 @@
+"""Replays are kept, and told apart by everything that they depend on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_rs_analysis.evidence.measured import MeasuredRun, Setup
+from impact_rs_analysis.evidence.run import Run
+from impact_rs_analysis.evidence.store import Replay, ReplayStore, run_replay
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model, ModelEffect, ParameterValue
+from impact_rs_sim.scene import ArmState
+
+
+@pytest.fixture(scope="module")
+def setup(hit: Run) -> Setup:
+    return MeasuredRun.of(hit).setup
+
+
+@pytest.fixture
+def counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Callable[..., list], list[Replay]]:
+    """A map that counts, with a cache of its own; features are made from the number of the call."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    run: list[Replay] = []
+
+    def map_tasks(function: Callable, tasks: Iterable[Replay]) -> list:
+        assert function is run_replay
+        tasks = list(tasks)
+        run.extend(tasks)
+        return [np.array([len(run), float(len(task.added))]) for task in tasks]
+
+    return map_tasks, run
+
+
+def test_a_replay_runs_once_for_all_stores(setup: Setup, counted: tuple[Callable[..., list], list[Replay]]) -> None:
+    map_tasks, run = counted
+    task = Replay(setup, Model(name="nominal"), (("restitution", (0.1,)),))
+    first = ReplayStore(map_tasks)([task, task])
+    second = ReplayStore(map_tasks)([task])
+    assert len(run) == 1
+    np.testing.assert_array_equal(first[1], second[0])
+
+
+def test_start_torque_and_object_count_to_the_last_bit(
+    setup: Setup, counted: tuple[Callable[..., list], list[Replay]]
+) -> None:
+    map_tasks, run = counted
+    first, *others = setup.windows
+    arm = first.arms["arm"]
+    moved = replace(first, arms={"arm": ArmState(np.nextafter(arm.position, np.inf), arm.velocity)})
+    pulled = replace(first, torque={"arm": np.nextafter(first.torque["arm"], np.inf)})
+    elsewhere = replace(first, object=replace(first.object, position=np.nextafter(first.object.position, np.inf)))
+    setups = [setup, *(replace(setup, windows=(window, *others)) for window in (moved, pulled, elsewhere))]
+    setups.append(replace(setup, drive="joint torque"))
+    ReplayStore(map_tasks)([Replay(one, Model(name="nominal")) for one in setups])
+    assert len(run) == len(setups)
+
+
+def test_a_replay_that_hits_nothing_is_kept_as_well(
+    setup: Setup, counted: tuple[Callable[..., list], list[Replay]], tmp_path: Path
+) -> None:
+    calls = []
+
+    def nothing(function: Callable, tasks: Iterable[Replay]) -> list:
+        calls.extend(tasks)
+        return [None for _ in tasks]
+
+    task = Replay(setup, Model(name="nominal"))
+    assert ReplayStore(nothing)([task]) == [None]
+    assert ReplayStore(nothing)([task]) == [None]
+    assert len(calls) == 1
+    assert list(tmp_path.rglob("*.npy"))
+    assert not list(tmp_path.rglob("*.tmp"))
+
+
+def test_a_fit_that_takes_away_more_than_there_is_gets_no_replay_and_a_model_that_does_is_refused(
+    setup: Setup,
+) -> None:
+    """A negative mass far outside leaves negative moments of inertia, which Bullet would silently set to zero."""
+    values = (-0.4, 0.2, 0.0, 0.2)
+    assert run_replay(Replay(setup, Model(name="nominal"), (("end_effector_payload", values),))) is None
+    names = ("mass", "com_x", "com_y", "com_z")
+    believed = {
+        name: ParameterValue(estimate=value, unit="kg" if name == "mass" else "m")
+        for name, value in zip(names, values, strict=True)
+    }
+    model = Model(name="hollow", effects=(ModelEffect(name="end_effector_payload", parameters=believed),))
+    with pytest.raises(InputError, match="end effector of arm 'arm': mass .* kg .* is no rigid body"):
+        run_replay(Replay(setup, model))

@@ -1,0 +1,146 @@
+"""Experiment files and tables of runs: paths, conditions, and every slip of the pen with its place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.recordings.experiment import Run, load_experiment, read_runs
+
+HEADER = "bag,object,kind"
+
+
+def experiment_file(folder: Path, text: str = "scenario: push\n") -> Path:
+    path = folder / "experiment.yaml"
+    path.write_text(text)
+    return path
+
+
+def runs(folder: Path, *lines: str, header: str = HEADER) -> list[Run]:
+    """The table of runs of a folder with two bags and two tables."""
+    for name in ("run_1", "run_2"):
+        (folder / name).mkdir(exist_ok=True)
+    for name in ("run_3.csv", "run_4.csv", "run_4.npz"):
+        (folder / name).touch()
+    (folder / "runs.csv").write_text("\n".join([header, *lines]) + "\n")
+    experiment = load_experiment(experiment_file(folder))
+    return read_runs(folder, experiment, experiment.load_scenario())
+
+
+def test_further_columns_become_the_condition_and_endings_may_be_left_out(tmp_path: Path) -> None:
+    found = runs(
+        tmp_path,
+        "run_1, parcel, hit, fast, a",
+        "",
+        "# run_9 went wrong",
+        "run_2, none, free motion, slow, b",
+        "run_3, juice, hit, fast, b",
+        header=f"{HEADER}, speed, pose",
+    )
+    assert found == [
+        Run(tmp_path / "run_1", "parcel", True, "fast/a"),
+        Run(tmp_path / "run_2", None, False, "slow/b"),
+        Run(tmp_path / "run_3.csv", "juice", True, "fast/b"),
+    ]
+
+
+def test_without_further_columns_there_is_one_condition(tmp_path: Path) -> None:
+    assert [run.condition for run in runs(tmp_path, "run_1,parcel,hit", "run_2,parcel,hit")] == ["", ""]
+
+
+@pytest.mark.parametrize(
+    ("lines", "complaint"),
+    [
+        (["run_7,parcel,hit"], "line 2, bag = 'run_7': no such recording in {folder}; did you mean 'run_"),
+        (["run_1,parcl,hit"], "line 2, object = 'parcl': expected an object of scenario 'push': parcel, cat_food"),
+        (["run_1,none,hit"], "line 2, object = 'none': expected an object of scenario 'push'"),
+        (["run_1,parcel,hits"], "line 2, kind = 'hits': expected 'hit' or 'free motion'; did you mean 'hit'?"),
+        (["run_1,none,free_motion"], "line 2, kind = 'free_motion': expected 'hit' or 'free motion'; did you mean "),
+        (["run_1,parcel,free motion"], "line 2, object = 'parcel': expected 'none', nothing is touched in free motion"),
+        (["run_1,parcel,hit", "", "run_1,juice,hit"], "line 4, bag = 'run_1': stands in line 2 already"),
+        (["run_4,parcel,hit"], "line 2, bag = 'run_4': run_4.csv, run_4.npz are all there; name one of them"),
+        ([",parcel,hit"], "line 2, bag = '': expected the name of a recording"),
+        (["run_1,parcel"], "line 2: 2 cells, expected 3 as in the header"),
+        ([], "no run below the header bag,object,kind"),
+    ],
+)  # fmt: skip
+def test_a_wrong_row_is_told_with_line_column_and_value(tmp_path: Path, lines: list[str], complaint: str) -> None:
+    with pytest.raises(InputError, match="runs.csv: ") as caught:
+        runs(tmp_path, *lines)
+    assert complaint.format(folder=tmp_path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("header", "complaint"),
+    [
+        ("bags,object,kind", "no column 'bag' in line 1; did you mean 'bags'?; found: bags, object, kind"),
+        ("bag,object,kind,kind", "two columns are called 'kind'"),
+        ("", "an empty table; expected the columns bag, object, kind"),
+    ],
+)
+def test_a_wrong_header_is_told(tmp_path: Path, header: str, complaint: str) -> None:
+    with pytest.raises(InputError, match="runs.csv: ") as caught:
+        runs(tmp_path, header=header)
+    assert complaint in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("scenario: psh\n", "scenario = 'psh': no scenario 'psh'; known scenarios: excite, grab, push"),
+        ("scenario: push.yaml\n", "no scenario '"),
+        ("{scenario: push, mapping: joint_sate}\n", "mapping = 'joint_sate': no mapping 'joint_sate'; did you mean"),
+        ("{scenario: push, maping: joint_state}\n", "maping: unknown key; did you mean 'mapping'?"),
+        ("mapping: joint_state\n", "scenario: this key is missing (name or path of the scenario"),
+        ("{scenario: push, motion_capture: {position: [0, 1]}}\n", "motion_capture.position"),
+        ("{scenario: push, motion_capture: {bodies: {parcl: {}}}}\n", "has no object 'parcl'"),
+        ("scenario: [push\n", "not valid YAML at line 2"),
+    ],
+)
+def test_a_wrong_experiment_file_is_told_with_its_key(tmp_path: Path, text: str, complaint: str) -> None:
+    with pytest.raises(InputError, match="experiment.yaml: ") as caught:
+        load_experiment(experiment_file(tmp_path, text))
+    assert complaint in str(caught.value)
+
+
+def test_paths_are_seen_from_the_folder_of_the_file(tmp_path: Path) -> None:
+    from impact_rs_sim.paths import config_directory
+
+    for kind, name in (("scenarios", "push"), ("mappings", "joint_state")):
+        (tmp_path / f"{kind}.yaml").write_text((config_directory() / kind / f"{name}.yaml").read_text())
+    experiment = load_experiment(experiment_file(tmp_path, "{scenario: scenarios.yaml, mapping: mappings.yaml}\n"))
+    assert experiment.load_scenario().name == "push"
+    assert experiment.load_mapping().robot == "franka_fer"
+
+
+def test_one_experiment_file_may_serve_several_folders_with_a_table_each(tmp_path: Path) -> None:
+    experiment = load_experiment(experiment_file(tmp_path))
+    for name in ("monday", "tuesday"):
+        (tmp_path / name / "run_1").mkdir(parents=True)
+        (tmp_path / name / "runs.csv").write_text(f"{HEADER}\nrun_1,parcel,hit\n")
+        (run,) = read_runs(tmp_path / name, experiment, experiment.load_scenario())
+        assert run.path == tmp_path / name / "run_1"
+
+
+def test_a_file_for_a_folder_and_a_folder_for_a_file_are_told(tmp_path: Path) -> None:
+    experiment = load_experiment(experiment_file(tmp_path))
+    scenario = experiment.load_scenario()
+    with pytest.raises(InputError, match="experiment.yaml: a file where the folder of the recordings is expected"):
+        read_runs(tmp_path / "experiment.yaml", experiment, scenario)
+    with pytest.raises(InputError, match="no such folder"):
+        read_runs(tmp_path / "nowhere", experiment, scenario)
+    with pytest.raises(InputError, match="a folder where an experiment file is expected"):
+        load_experiment(tmp_path)
+    (tmp_path / "run.csv").touch()
+    with pytest.raises(InputError, match="no table of runs 'runs.csv' in .*; did you mean 'run.csv'"):
+        read_runs(tmp_path, experiment, scenario)
+
+
+def test_the_motion_capture_is_where_the_robot_is_unless_it_is_told(tmp_path: Path) -> None:
+    assert load_experiment(experiment_file(tmp_path)).motion_capture.placement.isIdentity()
+    text = "{scenario: push, motion_capture: {position: [1, 2, 3], rpy: [0, 0, 1.5707963]}}\n"
+    placement = load_experiment(experiment_file(tmp_path, text)).motion_capture.placement
+    np.testing.assert_allclose(placement.act(np.array([1.0, 0.0, 0.0])), [1.0, 3.0, 3.0], atol=1e-6)

@@ -1,0 +1,529 @@
+"""Runs of a laboratory: known signals come back from every kind of file, and what is wrong is told."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import yaml
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.bags.record import record_trial
+from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
+from impact_rs_trials.recordings.experiment import load_experiment
+from impact_rs_trials.recordings.laboratory import LaboratoryRun, read_laboratory
+from impact_rs_trials.spec import TrialSpec
+
+if TYPE_CHECKING:
+    from conftest import LaboratoryFolder, Signals
+
+JOINT_COLUMNS = {"position": "position", "velocity": "velocity", "effort": "torque"}
+POSE_COLUMNS = [f"object_{name}" for name in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+NORMAL_JOINTS = [f"panda_joint{joint}" for joint in range(1, 8)]
+
+
+def assert_known(run: LaboratoryRun, signals: Signals, command_after: float = 0.0) -> None:
+    """The signals, whose commands are stamped ``command_after`` [s] after the states that they answer."""
+    seconds = 1e-9 * signals.time
+    np.testing.assert_allclose(run.time, seconds, atol=1e-6)
+    assert np.ptp(np.diff(run.time)) < 1e-12  # even
+    np.testing.assert_allclose(run.position, signals.position, atol=1e-12)
+    np.testing.assert_allclose(run.velocity, signals.velocity, atol=1e-12)
+    np.testing.assert_allclose(run.torque, signals.torque, atol=1e-12)
+    np.testing.assert_allclose(run.command_time, seconds + command_after, atol=1e-6)
+    np.testing.assert_allclose(run.command, signals.command, atol=1e-12)
+    np.testing.assert_allclose(run.object_time, 1e-9 * signals.object_time, atol=1e-6)
+    np.testing.assert_allclose(run.object_position, signals.pose[:, :3], atol=1e-12)
+    np.testing.assert_allclose(run.object_quaternion, signals.pose[:, 3:], atol=1e-12)
+    assert run.motor_position.shape == run.motor_velocity.shape == (0, 7)
+
+
+def test_a_bag_with_unsorted_joints_and_unstamped_commands_gives_the_known_signals(
+    laboratory: LaboratoryFolder,
+) -> None:
+    laboratory.bag()
+    (run,) = laboratory.read()
+    assert_known(run, laboratory.signals, 150e-6)  # what the log has of them beyond that of the states
+    assert (run.name, run.object, run.hit, run.condition) == ("run_1", "parcel", True, "fast/a")
+    assert run.remarks == ("/effort_controller/commands: log time, less 0.200 ms to be on the stamps' clock",)
+
+
+def test_a_bag_that_has_lost_its_metadata_is_read_as_well(laboratory: LaboratoryFolder) -> None:
+    (laboratory.bag() / "metadata.yaml").unlink()
+    (run,) = laboratory.read()
+    assert_known(run, laboratory.signals, 150e-6)
+
+
+def test_fingers_on_the_same_topic_are_told_from_joints_of_the_arm(laboratory: LaboratoryFolder) -> None:
+    fingers = ["panda_finger_joint1", "panda_finger_joint2"]
+    laboratory.bag(joints=[*fingers, *NORMAL_JOINTS], order=[0, 1, *range(7)])
+    assert_known(laboratory.read()[0], laboratory.signals, 150e-6)
+
+
+@pytest.mark.parametrize(
+    ("command", "names", "field"),
+    [("JointState", "name", "effort"), ("JointTrajectory", "joint_names", "points.0.effort")],
+)
+def test_a_command_with_stamps_and_names_keeps_its_stamps(
+    laboratory: LaboratoryFolder, command: str, names: str, field: str
+) -> None:
+    laboratory.bag(command=command)
+    laboratory.mapping({"command": {"type": None, "names": names, "field": field}})
+    (run,) = laboratory.read()
+    assert_known(run, laboratory.signals)
+    assert run.remarks == ()
+
+
+@pytest.mark.parametrize("pose", ["TransformStamped", "Odometry", "TFMessage"])
+def test_a_pose_is_read_from_whatever_message_holds_it(laboratory: LaboratoryFolder, pose: str) -> None:
+    laboratory.bag(pose=pose)
+    laboratory.mapping({"object_pose": {"child_frame": "box"}})
+    assert_known(laboratory.read()[0], laboratory.signals, 150e-6)
+
+
+def test_a_wrench_is_read_where_there_is_one(laboratory: LaboratoryFolder) -> None:
+    laboratory.bag(wrench=True)
+    laboratory.mapping({"wrench": {"topic": "/wrench", "unit": "N, N m", "factor": -1.0}})
+    (run,) = laboratory.read()
+    np.testing.assert_allclose(run.wrench_time, 1e-9 * laboratory.signals.time[::2], atol=1e-6)
+    np.testing.assert_array_equal(run.wrench[:, 1], -laboratory.signals.time[::2])
+    np.testing.assert_array_equal(run.wrench[:, [0, 2, 3, 4, 5]], np.tile([-1.0, -3.0, -4.0, -5.0, -6.0], (350, 1)))
+
+
+def test_on_the_clock_of_the_log_everything_is_as_late_as_it_is_logged(laboratory: LaboratoryFolder) -> None:
+    laboratory.bag(stamps=False)
+    laboratory.mapping({}, time={"stamp": "log"})
+    (run,) = laboratory.read()
+    assert run.command_time[0] == pytest.approx(150e-6, abs=1e-6)
+    assert run.object_time[0] == pytest.approx(0.004, abs=1e-6)
+
+
+def test_a_name_in_a_topic_may_be_that_of_the_object_or_the_arm(laboratory: LaboratoryFolder) -> None:
+    laboratory.bag(topics={"/mocap/box/pose": "/mocap/parcel/pose", "/joint_states": "/arm/joint_states"})
+    laboratory.mapping({"object_pose": {"topic": "/mocap/{object}/pose"}, "position": {"topic": "/{arm}/joint_states"}})
+    assert_known(laboratory.read()[0], laboratory.signals, 150e-6)
+
+
+def test_a_bag_of_ours_is_read_as_that_of_a_laboratory(tmp_path: Path) -> None:
+    plan, key = TrialSpec.of(load_scenario("push"), "cat_food", "case_2").plan, TrialKey("cat_food", "case_2", 1.0, 0)
+    record_trial(plan, TrialInfo.of(plan, key, 0, "inprocess"), tmp_path / key.name)
+    (tmp_path / "runs.csv").write_text(f"bag,object,kind\n{key.name},cat_food,hit\n")
+    (tmp_path / "e.yaml").write_text("{scenario: push, mapping: impact_rs}\n")
+    ((run,), skipped) = read_laboratory(tmp_path, load_experiment(tmp_path / "e.yaml"), map)
+    assert (skipped, run.condition, run.remarks) == ([], "", ())
+    assert run.motor_velocity.shape == run.command.shape == run.position.shape == (run.time.size, 7)
+    np.testing.assert_array_equal(run.command_time, run.time)
+    moved = run.object_position[-1] - run.object_position[0]
+    assert moved[1] < -0.05  # m, pushed along -y
+
+
+# ---- tables and arrays ----------------------------------------------------------------------------------------------
+
+
+def columns(signals: Signals) -> dict[str, np.ndarray]:
+    """One table: a row per state, NaN where the slower pose has no sample."""
+    table = {"time": 1e-9 * signals.time}
+    for name, source in {**JOINT_COLUMNS, "command": "command"}.items():
+        table |= {f"{name}_{joint + 1}": getattr(signals, source)[:, joint] for joint in range(7)}
+    for index, name in enumerate(POSE_COLUMNS):
+        table[name] = np.full(signals.time.size, np.nan)
+        table[name][np.searchsorted(signals.time, signals.object_time)] = signals.pose[:, index]
+    return table
+
+
+def write_csv(path: Path, table: dict[str, np.ndarray], separator: str = ",") -> None:
+    rows = [
+        ["" if np.isnan(value) else repr(float(value)) for value in row] for row in zip(*table.values(), strict=True)
+    ]
+    path.write_text("\n".join(separator.join(cells) for cells in [list(table), *rows]) + "\n")
+
+
+def arrays(signals: Signals) -> dict[str, np.ndarray]:
+    return {
+        "time": 1e-9 * signals.time,
+        "position": signals.position,
+        "velocity": signals.velocity,
+        "effort": signals.torque,
+        "command_time": 1e-9 * signals.time,
+        "command": signals.command,
+        "object_time": 1e-9 * signals.object_time,
+        "object_pose": signals.pose,
+    }
+
+
+@pytest.mark.parametrize("separator", [",", ";"])
+def test_a_table_with_empty_cells_for_the_slower_signal(laboratory: LaboratoryFolder, separator: str) -> None:
+    write_csv(laboratory.path / "run_1.csv", columns(laboratory.signals), separator)
+    assert_known(laboratory.read()[0], laboratory.signals)
+
+
+def test_a_parquet_table_gives_the_same(laboratory: LaboratoryFolder) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    parquet.write_table(pyarrow.table(columns(laboratory.signals)), laboratory.path / "run_1.parquet")
+    assert_known(laboratory.read()[0], laboratory.signals)
+
+
+def test_a_parquet_time_that_tells_its_unit_is_believed(laboratory: LaboratoryFolder) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = columns(laboratory.signals)
+    stamps = pyarrow.array(laboratory.signals.time + 1_763_500_000 * 10**9).cast(pyarrow.timestamp("ns"))
+    parquet.write_table(pyarrow.table({**table, "time": stamps}), laboratory.path / "run_1.parquet")
+    assert_known(laboratory.read()[0], laboratory.signals)
+
+
+def test_arrays_have_their_own_times(laboratory: LaboratoryFolder) -> None:
+    np.savez(laboratory.path / "run_1.npz", **arrays(laboratory.signals))
+    assert_known(laboratory.read()[0], laboratory.signals)
+
+
+def test_a_slower_signal_of_the_arm_is_interpolated_onto_its_grid(laboratory: LaboratoryFolder) -> None:
+    known = laboratory.signals
+    motors = {"motor_time": 1e-9 * known.time[::3], "theta": known.torque[::3]}
+    np.savez(laboratory.path / "run_1.npz", **arrays(known), **motors)
+    laboratory.mapping({"motor_position": {"array": "theta", "time_array": "motor_time", "unit": "rad"}})
+    (run,) = laboratory.read()
+    np.testing.assert_allclose(run.motor_position, known.torque, atol=5e-3)
+    assert run.motor_velocity.shape == (0, 7)
+
+
+def test_position_and_quaternion_of_the_object_may_be_two_arrays(laboratory: LaboratoryFolder) -> None:
+    known = laboratory.signals
+    parts = {"p": 1e3 * known.pose[:, :3], "wxyz": known.pose[:, [6, 3, 4, 5]]}
+    np.savez(laboratory.path / "run_1.npz", **arrays(known), **parts)
+    time = {"time_array": "object_time"}
+    laboratory.mapping(
+        {
+            "object_pose": None,
+            "object_position": {"array": "p", "unit": "mm", **time},
+            "object_quaternion": {"array": "wxyz", "unit": "-", "quaternion_order": "wxyz", **time},
+        }
+    )
+    assert_known(laboratory.read()[0], known)
+
+
+def test_arrays_of_an_hdf5_file_may_lie_in_groups(laboratory: LaboratoryFolder) -> None:
+    h5py = pytest.importorskip("h5py")
+    names = {"position": "robot/q", "velocity": "robot/dq", "torque": "robot/tau_J"}
+    with h5py.File(laboratory.path / "run_1.h5", "w") as file:
+        for name, values in arrays(laboratory.signals).items():
+            file[names.get("torque" if name == "effort" else name, name)] = values
+    laboratory.mapping({signal: {"array": name} for signal, name in names.items()})
+    assert_known(laboratory.read()[0], laboratory.signals)
+
+
+def test_a_folder_per_run_with_a_file_per_group(laboratory: LaboratoryFolder) -> None:
+    table, folder, signals = columns(laboratory.signals), laboratory.path / "run_1", laboratory.signals
+    folder.mkdir()
+    joints = {name: values for name, values in table.items() if name.split("_")[0] in ("time", *JOINT_COLUMNS)}
+    write_csv(folder / "joints.csv", joints)
+    command = {f"tau_{joint + 1}": signals.command[:, joint] for joint in range(7)}
+    write_csv(folder / "command.csv", {"stamp": 1e-9 * signals.time, **command})
+    pose = dict(zip(["x", "y", "z", "w", "i", "j", "k"], signals.pose[:, [0, 1, 2, 6, 3, 4, 5]].T, strict=True))
+    pose |= {name: 1e3 * pose[name] for name in "xyz"}
+    write_csv(folder / "run_1_box.csv", {"time": 1e-9 * signals.object_time, **pose})
+    laboratory.mapping(
+        {name: {"file": "joints.csv"} for name in ("position", "velocity", "torque")}
+        | {
+            "command": {"file": "command.csv", "column": "tau_{joint}", "time_column": "stamp"},
+            "object_pose": {
+                "file": "{run}_box.csv",
+                "columns": list(pose),
+                "quaternion_order": "wxyz",
+                "unit": "mm",
+            },
+        }
+    )
+    assert_known(laboratory.read()[0], laboratory.signals)
+
+
+@pytest.mark.parametrize(("package", "name"), [("pyarrow", "run_1.parquet"), ("h5py", "run_1.h5")])
+def test_a_missing_library_is_told_with_the_way_to_get_it(
+    laboratory: LaboratoryFolder, monkeypatch: pytest.MonkeyPatch, package: str, name: str
+) -> None:
+    (laboratory.path / name).write_text("not empty")
+    module = "impact_rs_trials.recordings.table_file.find_spec"
+    monkeypatch.setattr(module, lambda asked: None if asked == package else object())
+    with pytest.raises(InputError, match=rf"{name}: .* files need {package}: pip install 'impact-rs\[export\]'"):
+        laboratory.read()
+
+
+# ---- clocks ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_delay_in_the_mapping_is_added_to_the_stamps(laboratory: LaboratoryFolder) -> None:
+    laboratory.bag()
+    laboratory.mapping({"command": {"delay": -0.003}})
+    assert_known(laboratory.read()[0], laboratory.signals, 150e-6 - 0.003)
+
+
+def test_stamps_that_jitter_are_interpolated_onto_an_even_grid(laboratory: LaboratoryFolder) -> None:
+    rng, known = np.random.default_rng(0), laboratory.signals
+    jitter = rng.uniform(-0.2e6, 0.2e6, known.time.size).astype(int)
+    jitter[[0, -1]] = 0
+    moved = 1e-9 * jitter[:, None] * known.velocity  # where the arm is at those times
+    laboratory.signals = replace(known, time=known.time + jitter, position=known.position + moved)
+    laboratory.bag()
+    (run,) = laboratory.read()
+    np.testing.assert_allclose(run.time, 1e-9 * known.time, atol=1e-6)
+    np.testing.assert_allclose(run.position, known.position, atol=2e-5)  # rad; the kink of the impact
+    assert not any("even grid" in remark for remark in run.remarks)
+
+
+def test_rates_too_low_for_a_question_are_told(laboratory: LaboratoryFolder) -> None:
+    known = laboratory.signals
+    slow = {name: getattr(known, name)[::10] for name in ("time", "position", "velocity", "torque", "command")}
+    laboratory.signals = replace(known, **slow, object_time=known.object_time[::8], pose=known.pose[::8])
+    laboratory.bag()
+    remarks = "\n".join(laboratory.read()[0].remarks)
+    assert "joints at 100 Hz: the jump of an impact is seen, its force is not" in remarks
+    assert "object pose at 31 Hz" in remarks
+
+
+def test_all_gaps_are_listed_and_short_ones_are_bridged(laboratory: LaboratoryFolder) -> None:
+    laboratory.signals = laboratory.signals.without(0.1, 0.107).without(0.6, 0.608)
+    laboratory.bag()
+    (run,) = laboratory.read()
+    assert run.time[-1] == pytest.approx(0.699)
+    assert any("gaps of 0.007 s at t = 0.100 s, 0.008 s at t = 0.600 s" in remark for remark in run.remarks)
+
+
+def test_a_run_is_cut_to_the_piece_with_the_impact(laboratory: LaboratoryFolder) -> None:
+    laboratory.signals = laboratory.signals.known(1.6).without(0.2, 0.22).without(0.7, 0.75)
+    laboratory.bag()
+    (run,) = laboratory.read()  # the piece behind 0.75 s is longer
+    assert run.time[0] == 0.0
+    assert run.time[-1] == pytest.approx(0.479)  # the first command comes right after the first state
+    assert "cut to 0.220 ... 0.700 s, for gaps > 0.01 s" in run.remarks
+    assert -0.1 < run.command_time[0] < 0.0  # a command holds until the next, so those before are needed
+    at_impact = np.argmin(np.abs(run.object_time - 0.179))  # 0.4 s
+    assert run.object_position[at_impact, 1] == pytest.approx(-0.15)
+    assert run.object_position[at_impact + 2, 1] < -0.15
+
+
+def test_what_is_left_out_is_named_with_the_reason_and_the_others_are_read(laboratory: LaboratoryFolder) -> None:
+    known = laboratory.signals
+    laboratory.bag("whole")
+    laboratory.signals = known.without(0.39, 0.41)
+    laboratory.bag("hole")
+    laboratory.signals = known.without(0.2, 0.22).without(0.45, 0.47)
+    laboratory.bag("short")
+    runs, skipped = laboratory.read_all(*(f"{name},parcel,hit,fast,a" for name in ("hole", "whole", "short")))
+    assert [run.name for run in runs] == ["whole"]
+    reasons = {Path(path).name: reason for path, reason in skipped}
+    assert reasons["hole"] == "the impact falls into a gap of 0.020 s at t = 0.390 s"
+    assert reasons["short"].startswith("gaps leave 0.230 s with the impact in one piece, at least 0.3 s are needed")
+    with pytest.raises(InputError, match="no run can be used; hole: the impact falls into a gap"):
+        laboratory.read_all("hole,parcel,hit,fast,a")
+
+
+# ---- what is wrong --------------------------------------------------------------------------------------------------
+
+
+def changed(name: str, row: int, value: float) -> Callable[[Signals], Signals]:
+    def change(signals: Signals) -> Signals:
+        values = getattr(signals, name).copy()
+        values[row] = value
+        return replace(signals, **{name: values})
+
+    return change
+
+
+def later(row: int, nanoseconds: int, name: str = "time") -> Callable[[Signals], Signals]:
+    def change(signals: Signals) -> Signals:
+        time = getattr(signals, name).copy()
+        time[row:] += nanoseconds
+        return replace(signals, **{name: time})
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (changed("position", 50, np.nan), "/joint_states: position (position): number 1 is nan at t = 0.050 s (1 of"),
+        (changed("command", 50, np.inf), "/effort_controller/commands: data (command): number 1 is inf at t = 0.050 s"),
+        (changed("pose", 9, np.array([np.nan, 0, 0, 0, 0, 0, 1])), "(object_pose): number 1 is nan at t = 0.036 s"),
+        (later(300, 5_000_000_000), "time stamps jump by 5.001 s at t = 0.299 s, a jump of the clock, or a pause; cut"),
+        (later(300, -1_000_000), "time stamps stand still at t = 0.299 s, 1 of 700 repeat the one before"),
+        (later(300, -9_000_000), "time stamps run backwards by 0.008 s at t = 0.299 s: the clock was set, or"),
+        (later(0, 10**12, "object_time"), "spans 1763501000.000 ... 1763501000.696 s"),
+        (lambda s: replace(s, torque=-s.torque), "torque holds -1.0"),
+        (lambda s: replace(s, velocity=-s.velocity), "velocity is -1 times the derivative of position"),
+        (lambda s: replace(s, position=57.3 * s.position), "wrong unit (now rad) or joints?"),
+        (lambda s: replace(s, pose=s.pose + np.eye(7)[2]), "(+1.000 m off): pose in another frame or unit?"),
+        (lambda s: replace(s, pose=s.pose + 3.0 * np.eye(7)[0]), "from the base of arm 'arm', expected less than 2 m"),
+        (lambda s: replace(s, pose=s.pose * 1e3), "pose in another frame or unit?"),
+        (lambda s: replace(s, pose=s.pose - 0.4 * np.eye(7)[1]), "the pad never comes nearer to 'parcel' than 0.39"),
+    ],
+)  # fmt: skip
+def test_signals_that_cannot_be_are_refused_with_place_and_remedy(
+    laboratory: LaboratoryFolder, change: Callable[[Signals], Signals], complaint: str
+) -> None:
+    laboratory.signals = change(laboratory.signals)
+    laboratory.bag()
+    with pytest.raises(InputError, match="run_1: ") as caught:
+        laboratory.read()
+    assert complaint in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("format_", "complaint"),
+    [
+        ({"topics": {"/joint_states": "/joint_state"}}, "expected topic *joint_states of type sensor_msgs/msg"),
+        ({"topics": {"/effort_controller/commands": ""}}, "take signals.command out of the mapping"),
+        ({"topics": {"/mocap/box/pose": "/box/pose"}}, "object_pose: expected topic /mocap/*/pose, found /joint"),
+        ({"joints": NORMAL_JOINTS[:6], "order": range(6)}, "joint *joint7 is missing; the message names panda_joint1"),
+        ({"joints": [f"wheel_{i}" for i in range(7)], "order": range(7)}, "joint *joint1 is missing; the messages"),
+        ({"joints": NORMAL_JOINTS, "order": range(6)}, "has 6 numbers for 7 joint names"),
+        ({"topics": {"/joint_states": "/a", "/effort_controller/commands": "/b", "/mocap/box/pose": "/c"}}, "found /a"),
+        ({"stamps": False}, "no header is stamped (all are zero): set time.stamp to log in the mapping"),
+        ({"pose": "TFMessage"}, "box, table all fit child_frame *; name one of them in a mapping file"),
+    ],
+)  # fmt: skip
+def test_bags_that_do_not_fit_the_mapping_are_refused_with_what_was_found(
+    laboratory: LaboratoryFolder, format_: dict[str, object], complaint: str
+) -> None:
+    laboratory.bag(**format_)
+    with pytest.raises(InputError, match="run_1: ") as caught:
+        laboratory.read()
+    assert complaint in str(caught.value)
+
+
+def test_a_field_that_is_not_there_is_told_with_those_that_are(laboratory: LaboratoryFolder) -> None:
+    laboratory.bag()
+    laboratory.mapping({"torque": {"field": "efort"}})
+    with pytest.raises(InputError, match="has no such field; did you mean 'effort'.; it has: header, name, position"):
+        laboratory.read()
+    laboratory.mapping({"object_pose": {"field": "poze"}})
+    with pytest.raises(InputError, match="object_pose.*has no such field; did you mean 'pose'"):
+        laboratory.read()
+
+
+def test_two_arms_on_one_topic_ask_for_the_names_of_one(laboratory: LaboratoryFolder) -> None:
+    both = [f"{side}_joint{joint}" for side in ("left", "right") for joint in range(1, 8)]
+    laboratory.bag(joints=both, order=[*range(7), *range(7)])
+    with pytest.raises(InputError, match=r"joint \*joint1 fits several joints"):
+        laboratory.read()
+    laboratory.mapping({}, joints=[f"right_joint{joint}" for joint in range(1, 8)])
+    assert_known(laboratory.read()[0], laboratory.signals, 150e-6)
+
+
+def test_free_motion_needs_no_object_and_no_pose(laboratory: LaboratoryFolder) -> None:
+    laboratory.bag(topics={"/mocap/box/pose": ""})
+    (run,) = laboratory.read("run_1,none,free motion,slow,")
+    assert (run.object, run.hit, run.object_time.size, run.object_position.shape) == (None, False, 0, (0, 3))
+
+
+def test_an_object_that_is_out_of_sight_for_a_while_is_told_and_not_needed(laboratory: LaboratoryFolder) -> None:
+    pose = laboratory.signals.pose.copy()
+    pose[20:25] = 0.0
+    laboratory.signals = replace(laboratory.signals, pose=pose)
+    laboratory.bag()
+    (run,) = laboratory.read()
+    assert run.object_time.size == pose.shape[0] - 5
+    assert any("the object is not seen in 5 of 175 samples" in remark for remark in run.remarks)
+    assert any("a gap of 0.024 s at t = 0.076 s" in remark for remark in run.remarks)
+
+
+# ---- gravity and frames ---------------------------------------------------------------------------------------------
+
+
+def without_weight(signals: Signals) -> Signals:
+    wave = 0.5 * (signals.torque - signals.command)
+    return replace(signals, command=-wave)
+
+
+def test_a_command_without_the_weight_of_the_arm_gets_it(laboratory: LaboratoryFolder) -> None:
+    known = laboratory.signals
+    laboratory.signals = without_weight(known)
+    laboratory.bag()
+    laboratory.mapping({}, command_includes_gravity=False)
+    (run,) = laboratory.read()
+    np.testing.assert_allclose(run.command, known.command, atol=3e-3)  # the arm moves on until the command
+
+
+@pytest.mark.parametrize("included", [True, False])
+def test_a_mapping_that_is_wrong_about_gravity_is_told(laboratory: LaboratoryFolder, included: bool) -> None:
+    if included:
+        laboratory.signals = without_weight(laboratory.signals)
+    laboratory.bag()
+    laboratory.mapping({}, command_includes_gravity=included)
+    with pytest.raises(InputError, match=r"command holds [02].00 times the weight of .*command_includes_gravity"):
+        laboratory.read()
+
+
+def test_the_world_of_the_motion_capture_is_turned_into_that_of_the_robot(laboratory: LaboratoryFolder) -> None:
+    known = laboratory.signals
+    turned = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # world seen from A: +90 degrees about z
+    pose = known.pose.copy()
+    pose[:, :3] = (known.pose[:, :3] - [1.0, 0.2, -0.1]) @ turned.T
+    pose[:, 3:] = [0.0, 0.0, -np.sqrt(0.5), np.sqrt(0.5)]
+    laboratory.signals = replace(known, pose=pose)
+    laboratory.bag()
+    laboratory.experiment["motion_capture"] = {"position": [1.0, 0.2, -0.1], "rpy": [0.0, 0.0, np.pi / 2.0]}
+    (run,) = laboratory.read()
+    np.testing.assert_allclose(run.object_position, known.pose[:, :3], atol=1e-12)
+    np.testing.assert_allclose(np.abs(run.object_quaternion[:, 3]), 1.0, atol=1e-12)
+
+
+def test_a_tracked_frame_need_not_be_the_centre_of_the_object(laboratory: LaboratoryFolder) -> None:
+    known = laboratory.signals
+    laboratory.signals = replace(known, pose=known.pose + 0.08 * np.eye(7)[2])  # markers on the lid
+    laboratory.bag()
+    with pytest.raises(InputError, match=r"\+0.080 m off"):
+        laboratory.read()
+    laboratory.experiment["motion_capture"] = {"bodies": {"parcel": {"position": [0.0, 0.0, -0.08]}}}
+    np.testing.assert_allclose(laboratory.read()[0].object_position, known.pose[:, :3], atol=1e-12)
+
+
+def test_runs_can_be_read_by_other_processes(laboratory: LaboratoryFolder) -> None:
+    laboratory.bag()
+
+    def elsewhere(function: Callable[..., object], tasks: list[object]) -> Iterator[object]:
+        for task in tasks:
+            yield pickle.loads(pickle.dumps(pickle.loads(pickle.dumps((function, task)))[0](task)))
+
+    laboratory.read()
+    experiment = load_experiment(laboratory.path / "experiment.yaml")
+    ((run,), _) = read_laboratory(laboratory.path, experiment, elsewhere)
+    assert_known(run, laboratory.signals, 150e-6)
+
+
+# ---- scenario and mapping -------------------------------------------------------------------------------------------
+
+
+def test_several_arms_are_refused_for_now(laboratory: LaboratoryFolder) -> None:
+    laboratory.bag()
+    laboratory.experiment["scenario"] = "grab"
+    with pytest.raises(
+        InputError, match=r"scenario 'grab' has 2 arms \(.*\); recordings of a laboratory are read for one"
+    ):
+        laboratory.read()
+
+
+def test_torque_that_motors_were_asked_for_is_no_joint_torque(laboratory: LaboratoryFolder) -> None:
+    laboratory.bag()
+    laboratory.mapping({}, torque_measured_at="motor")
+    with pytest.raises(InputError, match="torque_measured_at is 'motor'"):
+        laboratory.read()
+
+
+def test_a_mapping_for_another_robot_is_refused(laboratory: LaboratoryFolder) -> None:
+    from impact_rs_sim.paths import config_directory
+
+    facts = yaml.safe_load((config_directory() / "robots" / "franka_fer.yaml").read_text())
+    facts["links"][0]["mass"] += 1.0
+    (laboratory.path / "other.yaml").write_text(yaml.safe_dump(facts))
+    laboratory.bag()
+    laboratory.mapping({}, robot=str(laboratory.path / "other.yaml"))
+    with pytest.raises(InputError, match=r"the mapping is for robot .*other.yaml', arm 'arm' .* is 'franka_fer'"):
+        laboratory.read()
