@@ -23,7 +23,8 @@ column                                      unit      what it is
                                                       empty where a row has fewer. Absent: from the geometry
 ``nx`` ``ny`` ``nz``                        -         unit normal into the body; absent: up, or that of the nearest
                                                       faces of pad and object
-``friction``                                -         Coulomb coefficient that is assumed, free body; absent: 0.3
+``friction``                                -         Coulomb coefficient that is assumed: of a free body on its plane
+                                                      (absent: 0.3), of pads on an object (absent: the scenario's)
 ``restitution``                             -         Newton restitution that is assumed; absent: 0, or the scenario's
 ``q1`` ``q2`` ...                           rad       joint positions; with several arms ``left.q1`` and so on
 ``dq1_before`` ... , ``dq1_after`` ...      rad/s     joint velocities just before and just after
@@ -34,7 +35,8 @@ column                                      unit      what it is
                                             rad/s     known
 ==========================================  ========  ============================================================
 
-Lengths may also be in mm, masses in g, angles in deg. Other columns are left alone.
+Lengths may also be in mm, masses in g, angles in deg. Other columns are left alone. Cells of a CSV file are separated by
+commas, semicolons or tabs; empty lines and lines that begin with # are skipped.
 """
 
 from __future__ import annotations
@@ -63,6 +65,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_trials.recordings.table_file import require
 
 SUFFIXES = (".csv", ".parquet")
 FACTORS: dict[str, dict[str, float]] = {  # from the unit of a header to SI
@@ -167,24 +170,26 @@ def _read(path: Path) -> tuple[list[str], Cells, str]:
 
 def _csv(path: Path) -> tuple[list[str], Cells]:
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            lines = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
-    except (UnicodeDecodeError, csv.Error) as error:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
         raise InputError(f"no readable CSV file ({error})", file=path) from None
-    header = [name.strip() for name in lines[0]]
-    for number, row in enumerate(lines[1:], start=1):
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    if not lines:
+        raise InputError("no header; expected names of columns with their units", file=path)
+    separator = max(",;\t", key=lines[0].count)
+    header, *rows = csv.reader(lines, delimiter=separator, skipinitialspace=True)
+    header = [name.strip() for name in header]
+    for number, row in enumerate(rows, start=1):
         if len(row) != len(header):
-            raise InputError(
-                f"expected {len(header)} cells as in the header, got {len(row)}", file=path, key=_row(number)
-            )
-    return header, [dict(zip(header, row, strict=True)) for row in lines[1:]]
+            said = f"expected {len(header)} cells as in the header, got {len(row)}"
+            raise InputError(said, file=path, key=_row(number))
+    return header, [dict(zip(header, row, strict=True)) for row in rows]
 
 
 def _parquet(path: Path) -> tuple[list[str], Cells]:
-    try:
-        import pyarrow.parquet
-    except ImportError:
-        raise InputError("Parquet files need pyarrow: pip install 'impact-rs[tables]'", file=path) from None
+    require("pyarrow", path)
+    import pyarrow.parquet
+
     try:
         table = pyarrow.parquet.read_table(path)
     except Exception as error:  # a damaged file can fail anywhere inside the library
