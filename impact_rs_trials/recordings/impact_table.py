@@ -35,8 +35,8 @@ column                                      unit      what it is
                                             rad/s     known
 ==========================================  ========  ============================================================
 
-Lengths may also be in mm, masses in g, angles in deg. Other columns are left alone. Cells of a CSV file are separated by
-commas, semicolons or tabs; empty lines and lines that begin with # are skipped.
+Lengths may also be in mm, masses in g, angles in deg. Other columns are left alone. Cells of a CSV file are separated
+by commas, semicolons or tabs; empty lines and lines that begin with # are skipped.
 """
 
 from __future__ import annotations
@@ -333,8 +333,9 @@ class _Reader:
         for name, unit in needed.items():
             if name not in self._where:
                 wanted = f"{name} [{unit}]"
+                others = set(self.header) - set(self._where.values())
                 raise InputError(
-                    f"no column {wanted!r}{did_you_mean(wanted, self.header)}; there are: {', '.join(self.header)}",
+                    f"no column {wanted!r}{did_you_mean(wanted, others)}; there are: {', '.join(self.header)}",
                     file=self.path,
                 )
         shaped = "size_x" in self._where
