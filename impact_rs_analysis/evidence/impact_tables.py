@@ -9,17 +9,21 @@ clusters:
   its own ante-impact state, and the prediction of a condition is the mean over its repeats, so that its mean residual
   is linear in what the map gets wrong. Repeats scatter, and that is the pure error.
 * **Blocks.** Else a cluster is a block of neighbouring rows, as a stretch of a recording is. Nothing was repeated; how
-  the scores of blocks vary tells chance, and differences are scaled by the root mean square that the model leaves in
-  their signal. Blocks are held out in runs of neighbours, without those next to them: what drifts from row to row, like
-  wear or the temper of whoever tosses, must not be learnt from next door.
+  the scores of blocks vary tells chance. Blocks are held out in runs of neighbours, without those next to them: what
+  drifts from row to row, like wear or the temper of whoever tosses, must not be learnt from next door.
 
-Blocks are told in one unit although linear and angular velocities are two: a difference du is worth the velocity at
-which the body holds the same kinetic energy, coordinate by coordinate,
+Linear and angular velocities of blocks are weighed by the kinetic energy in them. A difference du of a row is worth the
+velocity at which the body holds the same energy, coordinate by coordinate,
 
     d = sqrt(sum_i H_ii du_i^2 / m)                                      [m/s]
 
 with H the inertia of body and joints, motors included, and m the mass of the body: the energy norm of the difference
-where H is diagonal, as for a free body whose moments are alike.
+where H is diagonal, as for a free body whose moments are alike. Every entry has the scale
+
+    sigma_i = s / sqrt(H_ii / m),        s^2 = mean of d^2 over the rows / number of entries of a row
+
+so that fits minimise what is told. A scale by what the model leaves in each signal would not do: a real impact is never
+quite that of a rigid body, and the signal that an effect is missing in most would count least in estimating it.
 """
 
 from __future__ import annotations
@@ -48,6 +52,7 @@ LEAST_REPEATS = 3  # degrees of freedom of the pure error
 FLOOR_LINEAR = 0.005  # m/s; motion capture knows no velocity of a body better
 FLOOR_ANGULAR = 0.05  # rad/s; the same at a lever of 0.1 m
 FLOOR_JOINT = 0.005  # rad/s; the same at a lever of 1 m
+LEAST_SCALE = 1e-6  # m/s; a model that leaves less is exact
 GAINED = 1.05  # kinetic energy after over before, from which a row is suspect
 
 JOINTS, LINEAR, ANGULAR = "joint velocity after", "velocity after", "angular velocity after"
@@ -277,9 +282,10 @@ class ImpactTableSource(Source):
         if self.repeated:
             pure = pooled_error([rest[list(group.rows)] for group in self._groups])
             assert pure is not None
-            sigma, noise = np.hypot(pure, floor), np.broadcast_to(pure, rest.shape)
+            sigma = np.broadcast_to(np.hypot(pure, floor), rest.shape)
+            noise = np.broadcast_to(pure, rest.shape)
         else:
-            sigma = np.hypot(np.sqrt(np.mean(np.square(rest), axis=0)), floor)
+            sigma = max(self.size() / np.sqrt(len(self.signals)), LEAST_SCALE) / self.worth
             noise = np.zeros_like(rest) if self.table.noise is None else self.table.noise
         return tuple(self._cluster(group, rest, sigma, noise) for group in self._groups)
 
@@ -287,7 +293,7 @@ class ImpactTableSource(Source):
         rows = list(group.rows)
         shown = rows[:1] if self.repeated else rows
         features = tuple(replace(feature, phase=self._phase(row)) for row in shown for feature in self.signals)
-        scaled = rest[rows] / sigma
+        scaled = rest[rows] / sigma[rows]
         return Cluster(
             name=group.name,
             place=(self.table.path.name, self.table.rows[rows[0]].thing, group.name if self.repeated else ""),
@@ -296,8 +302,8 @@ class ImpactTableSource(Source):
             contact=True,
             features=features,
             residuals=scaled if self.repeated else scaled.reshape(1, -1),
-            sigma=np.tile(sigma, len(shown)),
-            pure=(noise[shown] / sigma).ravel(),
+            sigma=sigma[shown].ravel(),
+            pure=(noise[shown] / sigma[shown]).ravel(),
             discrepancy=np.zeros(len(features)),
         )
 

@@ -21,7 +21,7 @@ LEVELS = {
 NO_OBJECT = ("", "none")
 REPETITION = "what repetition alone gives"
 CARED_ABOUT = "what nobody cares about"  # where nothing was repeated
-SPREAD = "the root mean square of its signal"  # of impacts without repeats and without known noise
+SPREAD = "the root mean square of all, by kinetic energy"  # of impacts without repeats and without known noise
 NOISE = "the noise of its signal"  # of a recorded torque
 
 

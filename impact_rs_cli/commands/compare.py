@@ -134,7 +134,7 @@ def _show_joints(document: ComparisonDocument, terminal: Terminal) -> None:
 
 
 def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
-    alone = "the rms of the signal" if document.noise_floor is None else "what noise alone gives"
+    alone = "the rms of all, by kinetic energy" if document.noise_floor is None else "what noise alone gives"
     times = TIMES if document.source == "trials" or document.score_unit == TIMES else f"times {alone}"
     table = Table(title=f"How large the differences are [{times}]")
     table.add_column("level")
