@@ -37,6 +37,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState
 
+FRICTION, RESTITUTION = "friction", "restitution"  # what tables call the two numbers of a contact
 PAD_REACH = 0.02  # m, between pad and object; measured poses are off by less, and beyond it nothing was hit
 SUPPORT_REACH = 0.005  # m, between object and support; beyond it the object is in the air
 

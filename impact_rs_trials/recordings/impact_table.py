@@ -55,6 +55,8 @@ import pinocchio as pin
 
 from impact_rs_sim.errors import Infeasible, InputError, did_you_mean
 from impact_rs_sim.impact_map.measured import (
+    FRICTION,
+    RESTITUTION,
     MeasuredImpact,
     corners_that_touch,
     points_of_scene,
@@ -219,8 +221,8 @@ BODY = {
     **dict.fromkeys(_triple("size_"), "m"),
     **dict.fromkeys(_triple("n"), "-"),
     **{name + tail: "m" for tail in ("", *map(str, range(2, MOST_POINTS + 1))) for name in _triple("p")},
-    "friction": "-",
-    "restitution": "-",
+    FRICTION: "-",
+    RESTITUTION: "-",
     "v_noise": "m/s",
     "w_noise": "rad/s",
     "dq_noise": "rad/s",
@@ -468,12 +470,12 @@ class _Reader:
 
     def _assumption(self, number: int, cells: Mapping[str, Any], thing: str) -> tuple[Physics, dict[str, RobotModel]]:
         """Physics of a row before any effect; rows that assume the same share one."""
-        names = ("mass", "ixx", "iyy", "izz", *_triple("size_"), "friction", "restitution")
+        names = ("mass", "ixx", "iyy", "izz", *_triple("size_"), FRICTION, RESTITUTION)
         own = {name: self._value(number, cells, name) for name in names if name in self._where}
         for name, value in own.items():
-            low = 0.0 if name in ("friction", "restitution") else np.finfo(float).tiny
-            if value < low or (name == "restitution" and value > 1.0):
-                expected = {"friction": ">= 0 [-]", "restitution": "between 0 and 1 [-]"}
+            low = 0.0 if name in (FRICTION, RESTITUTION) else np.finfo(float).tiny
+            if value < low or (name == RESTITUTION and value > 1.0):
+                expected = {FRICTION: ">= 0 [-]", RESTITUTION: "between 0 and 1 [-]"}
                 unit = self._unit[name]
                 raise self._wrong(
                     number,
@@ -512,9 +514,9 @@ class _Reader:
             object=ObjectPhysics(own["mass"], size, inertia, np.zeros(3)),
             support_height=None,
             support_size=(np.inf, np.inf),
-            support_friction=own.get("friction", ASSUMED_FRICTION),
+            support_friction=own.get(FRICTION, ASSUMED_FRICTION),
             pad_friction=0.0,
-            restitution=own.get("restitution", 0.0),
+            restitution=own.get(RESTITUTION, 0.0),
         )
 
     def _of_scene(self, thing: str, own: Mapping[str, float], motors: Mapping[str, tuple[float, ...]]) -> Physics:
@@ -537,8 +539,8 @@ class _Reader:
             physics,
             arms=arms,
             object=ObjectPhysics(mass, size, inertia, box.com_offset),
-            pad_friction=own.get("friction", physics.pad_friction),
-            restitution=own.get("restitution", physics.restitution),
+            pad_friction=own.get(FRICTION, physics.pad_friction),
+            restitution=own.get(RESTITUTION, physics.restitution),
         )
 
     def _noise(self, rows: Sequence[ImpactRow]) -> Array | None:
@@ -560,7 +562,7 @@ class _Reader:
         """What is taken where the table says nothing."""
         if self.scenario is not None:
             return ()
-        taken = {"friction": ASSUMED_FRICTION, "restitution": 0.0}
+        taken = {FRICTION: ASSUMED_FRICTION, RESTITUTION: 0.0}
         return tuple(
             f"no column '{name} [-]': {value:g} is assumed, and estimates are relative to that"
             for name, value in taken.items()
