@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from impact_rs_analysis.evidence.aligned import aligned_runs
 from impact_rs_analysis.evidence.cluster import Added, Source
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_analysis.evidence.laboratory import read_laboratory_runs
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_analysis.evidence.runs import Runs, read_runs
@@ -24,6 +25,7 @@ from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.recordings.impact_table import ImpactTable, read_impact_table
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
 from impact_rs_trials.recordings.recording import Recording, is_foreign, read_recordings
@@ -33,12 +35,19 @@ DEFAULT_MAPPING = "joint_state"
 
 
 def add_source(parser: argparse.ArgumentParser) -> None:
-    """The options ``--mapping``, ``--impacts``, ``--scenario`` and ``--no-discrepancy``."""
+    """The options ``--mapping``, ``--experiment``, ``--impacts``, ``--scenario`` and ``--no-discrepancy``."""
     parser.add_argument(
         "--mapping",
         metavar="NAME",
         help="RUNS is a recording of a real robot in free motion (.db3, .mcap, .csv, .npz, or a folder of them): name "
         "of a mapping (joint_state, franka_robot_state), or path of a mapping file; default there: joint_state",
+    )
+    parser.add_argument(
+        "--experiment",
+        type=Path,
+        metavar="FILE.yaml",
+        help="RUNS is a folder of somebody else's runs, made with a controller of their own: experiment file with "
+        "scenario, mapping and the table of runs (docs/laboratory.md)",
     )
     parser.add_argument(
         "--impacts",
@@ -148,6 +157,8 @@ def measured(args: argparse.Namespace, terminal: Terminal) -> Iterator[Measureme
     if args.scenario is not None and args.impacts is None:
         raise InputError("--scenario is for --impacts; trials know their own scenario, recordings have a mapping")
     if args.impacts is not None:
+        if args.experiment is not None:
+            raise InputError("--experiment is for runs; a table of impacts says everything itself, or with --scenario")
         if args.mapping is not None:
             raise InputError("--mapping is for recordings; a table of impacts has fixed columns")
         scenario = None if args.scenario is None else load_scenario(args.scenario)
@@ -158,6 +169,12 @@ def measured(args: argparse.Namespace, terminal: Terminal) -> Iterator[Measureme
     discrepancy = NO_DISCREPANCY if args.no_discrepancy else None
     path = Path(args.runs)
     with started(args) as map_tasks:
+        if args.experiment is not None:
+            if args.mapping is not None:
+                raise InputError("--mapping beside --experiment: the experiment file names the mapping")
+            runs = read_experiment(path, args.experiment, map_tasks, terminal)
+            yield Measurements(map_tasks, terminal, runs, discrepancy=discrepancy)
+            return
         if args.mapping is not None or is_foreign(path):
             mapping = load_mapping(args.mapping or DEFAULT_MAPPING)
             yield Measurements(map_tasks, terminal, None, tuple(read_recordings(path, mapping)), mapping)
@@ -165,17 +182,35 @@ def measured(args: argparse.Namespace, terminal: Terminal) -> Iterator[Measureme
         yield Measurements(map_tasks, terminal, read(path, map_tasks, terminal), discrepancy=discrepancy)
 
 
+def read_experiment(directory: Path, file: Path, map_tasks: Map, terminal: Terminal) -> Runs:
+    """Read the runs of an experiment file and tell what was left out.
+
+    Raises:
+        InputError: The file, its table or a recording cannot be used.
+    """
+    experiment = load_experiment(file)
+    with terminal.progress("reading runs") as tell:
+        runs = read_laboratory_runs(directory.absolute(), experiment, _counted(map_tasks, tell))
+    warn_skipped(runs.skipped, terminal)
+    return runs
+
+
+def _counted(map_tasks: Map, tell: Callable[[int, int], None]) -> Map:
+    """A map that tells how far it is."""
+
+    def counted(function: Any, items: Any) -> Iterator[Any]:
+        for number, result in enumerate(map_tasks(function, items), start=1):
+            tell(number, len(items))
+            yield result
+
+    return counted
+
+
 def read(directory: Path, map_tasks: Map, terminal: Terminal) -> Runs:
     """Read trials and tell what was left out."""
     directory = directory.absolute()  # a worker process may stand elsewhere
     with terminal.progress("reading bags") as tell:
-
-        def counted(function: Any, items: Any) -> Iterator[Any]:
-            for number, result in enumerate(map_tasks(function, items), start=1):
-                tell(number, len(items))
-                yield result
-
-        runs = read_runs(directory, counted)
+        runs = read_runs(directory, _counted(map_tasks, tell))
     warn_skipped(runs.skipped, terminal)
     return runs
 

@@ -65,6 +65,7 @@ class BulletWorld:
     ) -> None:
         self.physics = physics
         self.client = client
+        self._open = True
         self.arms = arms
         counts = {name: arm.facts.joint_count for name, arm in physics.arms.items()}
         self.joints = {name: list(range(count)) for name, count in counts.items()}
@@ -108,9 +109,8 @@ class BulletWorld:
                 zero.
         """
         for name, arm in physics.arms.items():
-            _check_body(name, arm.end_effector)
-        with _quiet():
-            client = BulletClient(connection_mode=pybullet.DIRECT)
+            check_body(name, arm.end_effector)
+        client = _connected()
         client.setPhysicsEngineParameter(
             fixedTimeStep=time_step,
             numSubSteps=0,
@@ -132,10 +132,10 @@ class BulletWorld:
         return cls(physics, client, arms, _make_object(client, physics.object), _make_support(client, physics, arms))
 
     def close(self) -> None:
-        """Disconnect from Bullet."""
-        if self.client._client >= 0:
-            self.client.disconnect()
-            self.client._client = -1
+        """Give the connection back."""
+        if self._open:
+            self._open = False
+            _give_back(self.client)
 
     def set_arm(self, name: str, state: ArmState) -> None:
         """Put an arm into a joint state."""
@@ -194,6 +194,28 @@ class BulletWorld:
         sizes = np.array([(point[9], point[10], point[12]) for point in points])  # normal and both tangents
         directions = np.array([(point[7], point[11], point[13]) for point in points])
         return np.asarray(sizes.ravel() @ directions.reshape(-1, 3))
+
+
+_idle: list[BulletClient] = []
+_IDLE = 4  # connections kept; to make one takes as long as half a window of a replay
+
+
+def _connected() -> BulletClient:
+    """A connection with nothing in it."""
+    if _idle:
+        client = _idle.pop()
+        client.resetSimulation()
+        return client
+    with _quiet():
+        return BulletClient(connection_mode=pybullet.DIRECT)
+
+
+def _give_back(client: BulletClient) -> None:
+    if len(_idle) < _IDLE:
+        _idle.append(client)
+        return
+    client.disconnect()
+    client._client = -1
 
 
 def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool) -> int:
@@ -284,7 +306,12 @@ def _make_support(client: BulletClient, physics: Physics, arms: dict[str, int]) 
     return int(body)
 
 
-def _check_body(name: str, end_effector: EndEffector) -> None:
+def check_body(name: str, end_effector: EndEffector) -> None:
+    """Refuse an end effector that is no rigid body.
+
+    Raises:
+        NotABody: Its mass is not positive, or its moments of inertia are those of no body.
+    """
     smallest, middle, largest = np.linalg.eigvalsh(end_effector.inertia)
     if end_effector.mass <= 0.0 or smallest <= 0.0 or largest > (1.0 + 1e-6) * (smallest + middle):
         raise NotABody(

@@ -87,6 +87,8 @@ class Drive:
         """Start with a spring that carries ``drive.torque``, stretched at ``drive.torque_rate``."""
         self.position = link.position + drive.torque / self._stiffness
         self.velocity = link.velocity + drive.torque_rate / self._stiffness
+        if self._net.shape != self.position.shape:  # several arms of a kind, one in every row
+            self._net, self.actuation_torque, self._load = (np.zeros_like(self.position) for _ in range(3))
         self.elastic_torque = drive.torque.copy()
         self.transmission_torque = drive.torque + self._damping / self._stiffness * drive.torque_rate
         self._desired = None

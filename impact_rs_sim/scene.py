@@ -100,7 +100,7 @@ class Scene:
             physics=physics,
             models=models,
             arms=arms,
-            object=_place_object(scenario, object_name),
+            object=resting_pose(scenario, object_name),
         )
 
 
@@ -115,8 +115,12 @@ def _impact_velocity(model: RobotModel, q: Array, linear: Array, joint_1: float 
     return np.linalg.solve(np.vstack((jacobian, selector)), np.append(task, joint_1))
 
 
-def _place_object(scenario: Scenario, object_name: str) -> BodyState:
-    """On the support: where the scenario says, or with a face in the plane of the only pad or ``object_gap`` off it."""
+def resting_pose(scenario: Scenario, object_name: str) -> BodyState:
+    """Where an object rests on the support: as the scenario says, or with a face in the plane of the only pad.
+
+    Raises:
+        InputError: The scenario has no such object.
+    """
     size = np.array(scenario.object(object_name).size)
     height = scenario.support.height + size[2] / 2.0
     if scenario.object_position is not None:

@@ -44,7 +44,6 @@ from impact_rs_analysis.evidence.cluster import Source
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.replays import ReplaySource
-from impact_rs_analysis.evidence.runs import runs_digest
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
@@ -150,7 +149,7 @@ def _lack_of_fit(verdict: Headline) -> LackOfFit:
 def _runs(source: Source) -> RunsIdentity:
     if isinstance(source, ReplaySource):
         return RunsIdentity(
-            digest=runs_digest(source.runs.directory),
+            digest=source.runs.digest,
             trials=len(source.runs.runs),
             conditions=tuple(source.runs.conditions),
         )

@@ -256,8 +256,10 @@ def measure_again(fitted: Fit) -> Fit:
 
 def evaluate_at(candidate: Candidate, point: Array, evidence: Evidence) -> Candidate | None:
     """The candidate with its features evaluated at another point, sensitivities kept."""
+    # Joints are smooth: what many parameters do is the same in all repeats, and a bounce has few.
+    every = candidate.point.size <= FEW
     changes = evidence.source.differences(
-        evidence.numbers, candidate.origin, candidate.split(point), "fit of the shortlist"
+        evidence.numbers, candidate.origin, candidate.split(point), "fit of the shortlist", every
     )
     if any(change is None for change in changes):
         return None

@@ -12,7 +12,11 @@ from impact_rs_sim.impact_map import ImpactProblem
 from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
-from impact_rs_sim.scene import ArmState
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scene import ArmState, BodyState
+
+NEARLY = 0.2  # rad; a pad that is further from parallel hits with an edge on purpose
+TURNS = 3  # of the wrist; each leaves the square of what was there
 
 
 def ante_impact_state(run: MeasuredRun) -> dict[str, ArmState]:
@@ -57,14 +61,19 @@ def _extrapolated(time: Array, values: Array) -> Array:
 def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced") -> ImpactProblem:
     """What the impact map is asked about a measured run.
 
+    A pad that comes tilted hits with an edge, turns, and ends face on face within milliseconds, for it is soft. The
+    velocity after that is what is measured, and what a rigid impact of parallel faces gives; so the wrist is turned
+    until they are parallel, with the velocity of the joints as measured.
+
     Args:
         run: With an impact.
         physics: What is believed.
         motor_inertia: Motor-inertia model: ``reduced``, ``rotor`` or ``zero``.
     """
-    arms = ante_impact_state(run)
     thing = run.setup.windows[-1].object
-    placements = {name: physics.robot_model(name).placement(state.position) for name, state in arms.items()}
+    models = {name: physics.robot_model(name) for name in physics.arms}
+    arms = {name: _face_on_face(state, models[name], thing) for name, state in ante_impact_state(run).items()}
+    placements = {name: models[name].placement(state.position) for name, state in arms.items()}
     shifts = [
         -meeting.separation * meeting.normal
         for meeting in meetings(physics, thing, placements)
@@ -78,4 +87,20 @@ def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced
         object=touching,
         motor_inertia={name: arm.motor_inertia(motor_inertia) for name, arm in physics.arms.items()},
         restitution=physics.restitution,
+        measured=True,
     )
+
+
+def _face_on_face(state: ArmState, model: RobotModel, thing: BodyState) -> ArmState:
+    """The arm with its pad parallel to the nearest face of the object, where it was nearly so."""
+    q = state.position.copy()
+    for _ in range(TURNS):
+        normal = model.placement(q).rotation[:, 2]
+        along = thing.rotation.T @ normal
+        axis = int(np.argmax(np.abs(along)))
+        face = thing.rotation[:, axis] * np.sign(along[axis])
+        turn = np.cross(normal, face)
+        if np.linalg.norm(turn) > np.sin(NEARLY):
+            return state
+        q = q + np.linalg.pinv(model.jacobian(q)) @ np.concatenate((np.zeros(3), turn))
+    return ArmState(q, state.velocity)

@@ -168,18 +168,22 @@ class Source(ABC):
             ``(F,)`` each; None where nothing is hit although it should be, or where the effects leave no body.
         """
 
-    def differences(self, numbers: Sequence[int], before: Added, after: Added, what: str) -> list[Array | None]:
-        """What a change of effects does to features, in their units, mean over the repeats of every cluster.
+    def differences(
+        self, numbers: Sequence[int], before: Added, after: Added, what: str, every: bool = True
+    ) -> list[Array | None]:
+        """What a change of effects does to features, in their units.
 
         Args:
             numbers: Of the clusters.
             before: What is switched on before.
             after: What is switched on after.
             what: What it is for, to tell the user.
+            every: Whether it is the mean over all repeats of a cluster, or one of them stands for all.
 
         Returns:
             ``(F,)`` each; None where one of the two cannot be predicted.
         """
+        del every
         found = self.predict([(number, added) for added in (before, after) for number in numbers], what)
         return [difference(a, b) for a, b in zip(found[: len(numbers)], found[len(numbers) :], strict=True)]
 

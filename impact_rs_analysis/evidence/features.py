@@ -38,6 +38,7 @@ JUMP_WINDOWS = ((0.0, 0.004), (0.004, 0.010), (0.010, 0.020), (0.020, 0.040), (0
 SETTLED = 3
 OBJECT_WINDOWS = ((0.006, 0.040), (0.040, 0.100))  # s
 PUSH = (0.10, 0.175, 0.25, 0.325, 0.395)  # s, edges of the bins in which both bodies move together
+STRIDE = 5  # samples of a free motion, of which one is looked at for gravity and Coriolis torque
 RATE_SPAN = 0.009  # s, over which the slope of the joint torque is taken where the motor is not measured
 AXES = ("x", "y", "z")
 
@@ -118,7 +119,7 @@ def extract(
     last = windows[-1] if contact and contact[-1] else None
     for name, (physics, model) in arms.items():
         free = [
-            _Dynamics(w.time, w.arms[name], c.get(name), physics, model, motor)
+            Balances(w.time, w.arms[name], c.get(name), physics, model, motor, coarse=True)
             for w, c, hit in zip(windows, commands, contact, strict=True)
             if not hit
         ]
@@ -137,7 +138,7 @@ def extract(
             )
         if last is None:
             continue
-        dynamics = _Dynamics(last.time, last.arms[name], commands[-1].get(name), physics, model, motor)
+        dynamics = Balances(last.time, last.arms[name], commands[-1].get(name), physics, model, motor)
         onset = onset_of(last.time, dynamics.twists[:, :3], levels[name])
         if onset is None:
             return None
@@ -193,7 +194,7 @@ def _loss(time: Array, velocity: Array) -> tuple[Array, float]:
     return speed - velocity[near] @ before / speed, speed
 
 
-def _impact_features(onset: float, dynamics: _Dynamics) -> list[Array]:
+def _impact_features(onset: float, dynamics: Balances) -> list[Array]:
     """Jump and first 80 ms; windows begin between two ticks, so that an impact a little later changes nothing much."""
     time = dynamics.time
     velocity, twist = _Integral(time, dynamics.arm.velocity), _Integral(time, dynamics.twists)
@@ -211,7 +212,7 @@ def _impact_features(onset: float, dynamics: _Dynamics) -> list[Array]:
     return [jump, np.concatenate(linear), np.concatenate(force), np.concatenate(rotation)]
 
 
-def _push_features(onset: float, dynamics: _Dynamics, pushes: int) -> list[Array]:
+def _push_features(onset: float, dynamics: Balances, pushes: int) -> list[Array]:
     motor, wrench, velocity = [], [], []
     twist = _Integral(dynamics.time, dynamics.twists[:, :3])
     for start, end in zip(PUSH[:pushes], PUSH[1:], strict=False):
@@ -256,24 +257,44 @@ def _between(time: Array, values: Array, moment: float) -> Array:
     return np.asarray((1.0 - share) * values[row] + share * values[row + 1])
 
 
-class _Dynamics:
-    """Rigid-body terms of the nominal model along a motion."""
+class Balances:
+    """Torque balances of the nominal model along a motion.
+
+    Args:
+        time: Ticks, ``(k,)`` [s].
+        arm: Measured or replayed.
+        command: Desired torque, ``(k, n)`` [N m]; None: not known.
+        physics: Nominal, of the drives.
+        model: Nominal rigid-body model.
+        motor: Whether motor position and velocity are looked at.
+        coarse: Whether only the balance of the whole is asked for; nothing else is right then.
+    """
 
     def __init__(
-        self, time: Array, arm: ArmSignals, command: Array | None, physics: ArmPhysics, model: RobotModel, motor: bool
+        self,
+        time: Array,
+        arm: ArmSignals,
+        command: Array | None,
+        physics: ArmPhysics,
+        model: RobotModel,
+        motor: bool,
+        coarse: bool = False,
     ) -> None:
         self.time, self.arm, self.command, self.physics, self.model = time, arm, command, physics, model
-        self.momentum = np.zeros_like(arm.position)
-        self.known = np.zeros_like(arm.position)
-        self.twists = np.zeros((time.size, 6))
+        rows = np.arange(time.size)
+        if coarse:  # momentum counts at the ends alone, and what else there is changes slowly
+            ends = (time <= time[0] + 1.5 * EDGE) | (time >= time[-1] - 1.5 * EDGE)
+            rows = rows[ends | (rows % STRIDE == 0)]
+        momentum, known = np.zeros((2, rows.size, arm.position.shape[1]))
+        self.twists = np.zeros((rows.size, 6))
         pinocchio, data = model.pinocchio, model.data
-        for row in range(time.size):
+        for place, row in enumerate(rows):
             q, dq = arm.position[row], arm.velocity[row]
             terms = model.terms(q, dq)
             coriolis = pin.computeCoriolisMatrix(pinocchio, data, q, dq)
-            self.momentum[row] = terms.mass_matrix @ dq
-            self.known[row] = coriolis.T @ dq - (terms.bias - coriolis @ dq)
-            self.twists[row] = terms.twist
+            momentum[place] = terms.mass_matrix @ dq
+            known[place] = coriolis.T @ dq - (terms.bias - coriolis @ dq)
+            self.twists[place] = terms.twist
         if motor:
             spring_rate = arm.motor_velocity - arm.velocity
         else:
@@ -285,23 +306,29 @@ class _Dynamics:
         self._damped = _Integral(time, arm.torque + physics.damping * spring_rate)
         self._command = None if command is None else _Integral(time, command)
         self._motor_velocity = _Integral(time, self.motor_velocity)
-        self._momentum = _Integral(time, self.momentum)
-        self._known = _Integral(time, self.known)
+        self._momentum = _Integral(time[rows], momentum)
+        self._known = _Integral(time[rows], known)
+
+    @staticmethod
+    def middle(start: float, end: float) -> tuple[float, float]:
+        """What a bin is averaged over [s]: means over its ends, of the momentum, stand at their middles."""
+        return start + 0.5 * EDGE, end - 0.5 * EDGE
+
+    def motor_terms(self, start: float, end: float) -> tuple[Array, Array]:
+        """Mean motor acceleration over a bin, ``(n,)`` [rad/s^2], and mean torque that is passed on [N m]."""
+        begin, stop = self.middle(start, end)
+        ramp = self._motor_velocity.mean(end - EDGE, end) - self._motor_velocity.mean(start, start + EDGE)
+        return ramp / (stop - begin), self._damped.mean(begin, stop)
 
     def balance(self, start: float, end: float) -> tuple[Array, Array]:
         """Motor-side and link-side balance over a bin, ``(n,)`` each [N m]; the former is 0 without a command."""
-        head, tail = (start, start + EDGE), (end - EDGE, end)
-        # Means over the ends stand at their middles; the torque is averaged between exactly these.
-        middle = (start + 0.5 * EDGE, end - 0.5 * EDGE)
-        span = middle[1] - middle[0]
-        damped = self._damped.mean(*middle)
-        ramp = self._motor_velocity.mean(*tail) - self._motor_velocity.mean(*head)
-        change = self._momentum.mean(*tail) - self._momentum.mean(*head)
-        link = damped + self._known.mean(*middle) - change / span
+        begin, stop = self.middle(start, end)
+        ramp, damped = self.motor_terms(start, end)
+        change = self._momentum.mean(end - EDGE, end) - self._momentum.mean(start, start + EDGE)
+        link = damped + self._known.mean(begin, stop) - change / (stop - begin)
         if self._command is None:
             return np.zeros_like(link), link
-        motor = self._command.mean(*middle) - damped - self.physics.motor_inertia_reduced * ramp / span
-        return motor, link
+        return self._command.mean(begin, stop) - damped - self.physics.motor_inertia_reduced * ramp, link
 
     def link_balance(self, start: float, end: float) -> Array:
         """Link-side balance over a short window that begins and ends between ticks, ``(n,)`` [N m]."""

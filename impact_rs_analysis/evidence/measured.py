@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import pickle
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,6 +23,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_trials.spec import TrialSpec
 
+KEPT = 64  # free motions in the memory of a process, about 0.2 MB each
 SAMPLED = ("position", "velocity", "torque", "motor_position", "motor_velocity", "command")
 
 
@@ -86,10 +89,24 @@ class Setup:
     def replayed(self, physics: Physics) -> list[Signals]:
         """What the plant does in the windows under other physics.
 
+        Free motion knows nothing of pad, object and support: where nothing else changed, it is taken as it was.
+
         Raises:
             NotABody: Mass and inertia of an end effector are those of no body.
         """
-        return replay(self.windows, physics, self.drive_period, self.drive)
+        free = [window for window in self.windows if not window.contact]
+        if not free or len(free) == len(self.windows):
+            return replay(self.windows, physics, self.drive_period, self.drive)
+        key = self.digest, _free_physics(physics)
+        if key in _free_motions:
+            _free_motions.move_to_end(key)
+            contact = self.windows[len(free) :]
+            return [*_free_motions[key], *replay(contact, physics, self.drive_period, self.drive)]
+        found = replay(self.windows, physics, self.drive_period, self.drive)
+        _free_motions[key] = found[: len(free)]
+        while len(_free_motions) > KEPT:
+            _free_motions.popitem(last=False)
+        return found
 
 
 @dataclass(frozen=True)
@@ -188,6 +205,15 @@ class MeasuredRun:
             features=tuple(self.features[row] for row in rows),
             measured=self.measured[rows],
         )
+
+
+_free_motions: OrderedDict[tuple[str, bytes], list[Signals]] = OrderedDict()
+
+
+def _free_physics(physics: Physics) -> bytes:
+    """What free motion depends on, to the last bit."""
+    arms = {name: replace(arm, pad_stiffness=None, pad_damping=0.0) for name, arm in physics.arms.items()}
+    return pickle.dumps((arms, physics.gravity))
 
 
 def _within(signals: Signals, window: Window) -> Signals:

@@ -25,7 +25,9 @@ from numpy.typing import NDArray
 
 from impact_rs_analysis.evidence.run import DriveName, Run
 from impact_rs_analysis.evidence.signals import ArmSignals, Signals
+from impact_rs_sim.bullet_world import check_body
 from impact_rs_sim.drive import Drive, DriveStart, LinkTorque
+from impact_rs_sim.free_motion import FreeStretch, run_free
 from impact_rs_sim.mechanics import Mechanics
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
@@ -69,6 +71,29 @@ class Window:
     def substeps(self) -> int:
         """Periods of the torque loop from tick to tick."""
         return len(next(iter(self.acting.values()))) // (self.time.size - 1)
+
+    def delivered(self, arm: str, delay: float, period: float) -> Array:
+        """Driving torque that arrives in every period of the torque loop after a delay, ``(s, n)`` [N m].
+
+        The mean of the held torques over the period that began ``delay`` ago, as the drive has it.
+
+        Args:
+            arm: Name of the arm.
+            delay: Of the desired torque [s].
+            period: Of the torque loop [s].
+        """
+        held = self.torque[arm][self.acting[arm]]
+        if delay == 0.0:
+            return held
+        earlier = self.drives[arm].earlier or ((-np.inf, self.drives[arm].torque),)
+        since = np.concatenate(([moment for moment, _ in earlier], np.arange(len(held)) * period))
+        values = np.vstack((*(torque for _, torque in earlier), held))
+        since[0] = min(since[0], -2.0 * delay - period)  # nothing else was sent before
+        edges = np.append(since, len(held) * period)
+        sums = np.vstack((np.zeros(held.shape[1]), np.cumsum(np.diff(edges)[:, None] * values, axis=0)))
+        grid = np.arange(len(held) + 1) * period - delay
+        at = np.column_stack([np.interp(grid, edges, column) for column in sums.T])
+        return np.asarray(np.diff(at, axis=0) / period)
 
     def commanded(self, arm: str) -> Array:
         """Driving torque at every tick, ``(k, n)`` [N m]."""
@@ -198,13 +223,49 @@ def replay(windows: Sequence[Window], physics: Physics, drive_period: float, dri
     Raises:
         NotABody: Mass and inertia of an end effector are those of no body.
     """
-    if not windows:
-        return []
-    mechanics = Mechanics.load(physics, drive_period, Drive if drive == "command" else LinkTorque)
-    try:
-        return [_replayed(window, mechanics) for window in windows]
-    finally:
-        mechanics.close()
+    kind = Drive if drive == "command" else LinkTorque
+    for name, arm in physics.arms.items():
+        check_body(name, arm.end_effector)
+    found: dict[int, Signals] = {}
+    alike: dict[int, list[int]] = {}
+    for number, window in enumerate(windows):
+        if not window.contact:
+            alike.setdefault(window.time.size, []).append(number)
+    for numbers in alike.values():
+        free = _freely([windows[number] for number in numbers], physics, drive_period, kind)
+        found |= dict(zip(numbers, free, strict=True))
+    touching = [number for number, window in enumerate(windows) if window.contact]
+    if touching:
+        mechanics = Mechanics.load(physics, drive_period, kind)
+        try:
+            found |= {number: _replayed(windows[number], mechanics) for number in touching}
+        finally:
+            mechanics.close()
+    return [found[number] for number in range(len(windows))]
+
+
+def _freely(
+    windows: Sequence[Window], physics: Physics, period: float, kind: type[Drive] | type[LinkTorque]
+) -> list[Signals]:
+    """Windows without contact, all of one length, at once."""
+    arms: list[dict[str, ArmSignals]] = [{} for _ in windows]
+    for name, arm in physics.arms.items():
+        stretches = [
+            FreeStretch(
+                window.arms[name],
+                window.drives[name],
+                window.delivered(name, arm.actuation_delay if kind is Drive else 0.0, period),
+                float(window.time[0]),
+            )
+            for window in windows
+        ]
+        paths = run_free(physics, name, stretches, period, windows[0].substeps, kind)
+        for own, path in zip(arms, paths, strict=True):
+            own[name] = ArmSignals(
+                path.position, path.velocity, path.torque, path.motor_position, path.motor_velocity, np.zeros(0)
+            )
+    none = np.zeros(0)
+    return [Signals(window.time, own, none, np.zeros((0, 3)), none) for window, own in zip(windows, arms, strict=True)]
 
 
 def _replayed(window: Window, mechanics: Mechanics) -> Signals:

@@ -160,7 +160,7 @@ class ReplaySource(Source):
                 raise InputError(f"with model {model.name!r} the replay is not finite", file=run.path)
             residuals.append(run.measured - values)
         clusters, remarks = clusters_of(runs, residuals, discrepancy)
-        return cls(runs, model, store, clusters, discrepancy, remarks)
+        return cls(runs, model, store, clusters, discrepancy, (*runs.remarks, *remarks))
 
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         """See :meth:`Source.predict`; of every condition the first run is replayed."""
@@ -168,9 +168,11 @@ class ReplaySource(Source):
             [Replay(self.conditions[number][0].setup, self.model, added) for number, added in wanted], what
         )
 
-    def differences(self, numbers: Sequence[int], before: Added, after: Added, what: str) -> list[Array | None]:
+    def differences(
+        self, numbers: Sequence[int], before: Added, after: Added, what: str, every: bool = True
+    ) -> list[Array | None]:
         """See :meth:`Source.differences`; repeats are replayed one by one, for a bounce is another in each of them."""
-        groups = [self.conditions[number] for number in numbers]
+        groups = [self.conditions[number][: None if every else 1] for number in numbers]
         tasks = [Replay(run.setup, self.model, added) for added in (before, after) for group in groups for run in group]
         found = self.store(tasks, what)
         half = len(tasks) // 2

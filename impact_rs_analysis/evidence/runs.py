@@ -22,11 +22,21 @@ class Runs:
         directory: The folder.
         runs: Measured runs; repeats of a condition have the same features.
         skipped: Path and reason of everything that cannot be used.
+        remarks: What a reader should know of how they were read.
     """
 
     directory: Path
     runs: tuple[MeasuredRun, ...]
     skipped: tuple[tuple[str, str], ...]
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def digest(self) -> str:
+        """Identity of the runs; where they lie does not count."""
+        if all(run.spec is not None for run in self.runs):
+            return runs_digest(self.directory)
+        rows = sorted(f"{run.condition} {run.setup.digest}" for run in self.runs)
+        return hashlib.sha256("\n".join(rows).encode()).hexdigest()[:16]
 
     @property
     def conditions(self) -> dict[str, list[MeasuredRun]]:

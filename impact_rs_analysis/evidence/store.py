@@ -22,7 +22,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.version import package_version
 from impact_rs_trials.workers import Map
 
-CACHE_VERSION = 9
+CACHE_VERSION = 10
 
 Progress = Callable[[str, int, int], None]
 

@@ -8,10 +8,14 @@ from pathlib import Path
 from rich.table import Table
 
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
+from impact_rs_analysis.measure.laboratory import jumps_of
 from impact_rs_analysis.measure.table import result_table
 from impact_rs_analysis.report import write_report
+from impact_rs_cli.arguments import add_jobs, started
+from impact_rs_cli.measurements import read_experiment
 from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_trials.campaign import MANIFEST
 from impact_rs_trials.store import is_url, local_copy
 
@@ -25,7 +29,11 @@ offline and on a phone, analysis.json, and the figures as PNG.
 
 Damaged or foreign bags are named and left out; trials without impact never enter a fit.
 
+Of a laboratory with a controller of its own there is no net feedback: with --experiment the speed 20 to 40 ms after the
+impact stands beside the impact map, asked in the measured state just before it.
+
 example:
+  impact-rs analyze lab/ --experiment experiment.yaml
   impact-rs analyze campaigns/push                  # report in campaigns/push/report
   impact-rs analyze campaigns/push -o /tmp/report --json
 
@@ -39,15 +47,46 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", dest="output", type=Path, metavar="REPORT_DIR", help="folder for the report; default: DIR/report"
     )
+    parser.add_argument(
+        "--experiment", type=Path, metavar="FILE.yaml", help="DIR holds somebody else's runs: experiment file"
+    )
+    add_jobs(parser)
     add_json(parser)
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
+    if args.experiment is not None:
+        return _laboratory(args, terminal)
     if is_url(args.directory) and args.output is None:
         raise InputError("expected a folder for the report: -o REPORT_DIR", file=args.directory)
     with local_copy(args.directory, (MANIFEST,)) as directory:
         return report_on(directory, args.output, terminal)[0]
+
+
+def _laboratory(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Measured against predicted jumps of somebody else's runs."""
+    if args.output is not None:
+        raise InputError("-o is for trials of our own; with --experiment use --json, or compare -o for a report")
+    with started(args) as map_tasks:
+        runs = read_experiment(Path(args.directory), args.experiment, map_tasks, terminal)
+    with terminal.progress("impact maps"):
+        found = jumps_of(runs)
+    table = Table(title="Speed after the impact along its direction, and errors of the predictions [%]")
+    table.add_column("", no_wrap=True)
+    for heading in ("runs", "before [m/s]", "after [m/s]", "B_θ", "B_ρ", "B = 0"):
+        table.add_column(heading, justify="right")
+    for jump in found.jumps:
+        half = "" if jump.interval is None else f" ± {(jump.interval[1] - jump.interval[0]) / 2.0:.3f}"
+        errors = [f"{jump.errors[name]:+.2f}" for name in MOTOR_INERTIA_MODELS]
+        table.add_row(jump.condition, str(jump.runs), f"{jump.before:.3f}", f"{jump.after:.3f}{half}", *errors)
+    table.add_section()
+    table.add_row("mean absolute", "", "", "", *(f"{found.errors[name]:.2f}" for name in MOTOR_INERTIA_MODELS))
+    terminal.say(table)
+    for remark in found.remarks:
+        terminal.say(f"note: {remark}")
+    terminal.result(found.to_json())
+    return 0
 
 
 def report_on(directory: Path, output: Path | None, terminal: Terminal) -> tuple[int, Path]:

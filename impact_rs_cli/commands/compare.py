@@ -30,7 +30,10 @@ example:
   {PROGRAM} compare campaigns/blind/runs --model config/models/nominal.yaml -o report
   {PROGRAM} compare campaigns/blind/runs --model model_2.yaml --mcap aligned --json
 
-A recording of a real robot in free motion (a bag with sensor_msgs/JointState, CSV or NPZ) is compared on joint torque:
+Runs of a laboratory with a controller of its own (bags, CSV, NPZ, Parquet, HDF5):
+  {PROGRAM} compare lab/ --experiment experiment.yaml -o report
+
+A recording of a real robot in free motion is compared on joint torque:
   {PROGRAM} compare recording.db3 --mapping joint_state
 
 A table with one row per impact, of one free body on a plane or of an arm and an object (--scenario), is compared

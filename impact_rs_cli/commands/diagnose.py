@@ -45,7 +45,10 @@ example:
   {PROGRAM} diagnose campaigns/blind/runs -o diagnosis.json --effects torque_offset joint_coulomb_friction
   {PROGRAM} add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
 
-A recording of a real robot in free motion (a bag with sensor_msgs/JointState, CSV or NPZ) is compared on joint torque:
+Runs of a laboratory with a controller of its own (bags, CSV, NPZ, Parquet, HDF5):
+  {PROGRAM} diagnose lab/ --experiment experiment.yaml -o diagnosis.json
+
+A recording of a real robot in free motion is compared on joint torque:
   {PROGRAM} diagnose recording.db3 --mapping joint_state
 
 A table with one row per impact, of one free body on a plane or of an arm and an object (--scenario), is diagnosed

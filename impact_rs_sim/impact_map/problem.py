@@ -13,6 +13,7 @@ gravity and every other finite force drop out.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -36,6 +37,7 @@ class ImpactProblem:
         object: Pose and ante-impact twist of the object.
         motor_inertia: Diagonal of B by arm, ``(n,)`` [kg m^2].
         restitution: Newton restitution e of every closing contact [-].
+        measured: Whether the state was measured: then a robot has been there, whatever its data sheet allows.
     """
 
     physics: Physics
@@ -43,6 +45,7 @@ class ImpactProblem:
     object: BodyState
     motor_inertia: dict[str, Array]
     restitution: float = 0.0
+    measured: bool = False
 
     @staticmethod
     def at_nominal_impact(scene: Scene, motor_inertia: str = "reduced") -> ImpactProblem:
@@ -213,7 +216,7 @@ def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
     _vector(state.position, count, f"arms.{name}.position", "rad")
     _vector(state.velocity, count, f"arms.{name}.velocity", "rad/s")
     _vector(problem.motor_inertia[name], count, f"motor_inertia.{name}", "kg m^2")
-    slack = 1e-9  # rad, so that a configuration on its limit passes
+    slack = math.inf if problem.measured else 1e-9  # rad, so that a configuration on its limit passes
     for index, value in enumerate(state.position):
         low, high = limits.position_min_rad[index], limits.position_max_rad[index]
         if not low - slack <= value <= high + slack:

@@ -175,7 +175,7 @@ class BagFile:
             raise InputError(f"{topic}: messages have no header: set time.stamp to log in the mapping", file=self._path)
         if clock == "header" and (source.stamp == "log" or not stamped):
             shift, remark = self._log_after_stamp()
-            return log - shift, (f"{topic}: log time, less {1e3 * shift:.3f} ms to be on the stamps' clock{remark}",)
+            return log - shift, (f"{topic}: log time, less {1e3 * shift:.1f} ms to be on the stamps' clock{remark}",)
         if not stamped:
             raise InputError(f"{topic}: messages have no header, but signals.{name}.stamp asks for it", file=self._path)
         stamps = _stamps(headers)

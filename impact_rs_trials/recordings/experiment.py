@@ -117,7 +117,7 @@ def load_experiment(path: Path) -> Experiment:
 
 
 @dataclass(frozen=True)
-class Run:
+class RunRow:
     """One row of the table of runs.
 
     Attributes:
@@ -138,7 +138,7 @@ class Run:
         return self.path.name if self.path.is_dir() else self.path.stem
 
 
-def read_runs(directory: Path, experiment: Experiment, scenario: Scenario) -> list[Run]:
+def read_runs(directory: Path, experiment: Experiment, scenario: Scenario) -> list[RunRow]:
     """The table of runs, checked: every recording is there, every object is known, and none is named twice.
 
     Args:
@@ -180,7 +180,7 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario) -> li
             raise _wrong(path, line, "bag", cells["bag"], f"stands in line {seen[recording]} already")
         seen[recording] = line
         condition = "/".join(cells[name] for name in further)
-        runs.append(Run(recording, name if hit else None, hit, condition))
+        runs.append(RunRow(recording, name if hit else None, hit, condition))
     return runs
 
 

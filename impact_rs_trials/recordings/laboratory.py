@@ -28,7 +28,7 @@ from impact_rs_trials.recordings.clock import (
     on_the_grid,
     tell_gaps,
 )
-from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, Run, read_runs
+from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, RunRow, read_runs
 from impact_rs_trials.recordings.mapping import REQUIRED, Mapping, SignalName
 from impact_rs_trials.recordings.plausibility import check_object, check_touch, check_weight, gravity_torques
 from impact_rs_trials.recordings.recording import Recording, check_recording
@@ -195,7 +195,7 @@ def read_laboratory(
     return read, skipped
 
 
-def _try_to_read(task: tuple[Laboratory, Run]) -> LaboratoryRun | InputError:
+def _try_to_read(task: tuple[Laboratory, RunRow]) -> LaboratoryRun | InputError:
     """Errors come back as results: a worker would try what it raised again."""
     try:
         return read_run(*task)
@@ -203,7 +203,7 @@ def _try_to_read(task: tuple[Laboratory, Run]) -> LaboratoryRun | InputError:
         return error
 
 
-def read_run(laboratory: Laboratory, run: Run) -> LaboratoryRun:
+def read_run(laboratory: Laboratory, run: RunRow) -> LaboratoryRun:
     """One run, checked.
 
     Raises:
@@ -335,7 +335,7 @@ def _check_overlap(path: Path, series: dict[SignalName, Series]) -> None:
             )
 
 
-def _piece(run: Run, series: dict[SignalName, Series], remarks: list[str]) -> tuple[float, float]:
+def _piece(run: RunRow, series: dict[SignalName, Series], remarks: list[str]) -> tuple[float, float]:
     """First and last stamp to use: all, or the longest piece without gaps (of a hit: the one with the impact)."""
     base = series["position"]
     start, end = float(base.time[0]), float(base.time[-1])
@@ -450,7 +450,7 @@ def _with_weight(
 # ---- object ---------------------------------------------------------------------------------------------------------
 
 
-def _in_inertial_frame(motion_capture: MotionCapture, run: Run, pose: Array) -> Array:
+def _in_inertial_frame(motion_capture: MotionCapture, run: RunRow, pose: Array) -> Array:
     """Poses of the object in A, ``(p, 7)``, from those of the tracked frame in the world of the motion capture."""
     assert run.object is not None
     world = motion_capture.placement
@@ -467,7 +467,7 @@ def _in_inertial_frame(motion_capture: MotionCapture, run: Run, pose: Array) -> 
 
 
 def _check_object(
-    laboratory: Laboratory, run: Run, time: Array, position: Array, object_time: Array, pose: Array
+    laboratory: Laboratory, run: RunRow, time: Array, position: Array, object_time: Array, pose: Array
 ) -> list[str]:
     """The object stands where it can, and the pad meets it; what the user should know of both."""
     assert run.object is not None

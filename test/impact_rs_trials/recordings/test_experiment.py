@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from impact_rs_sim.errors import InputError
-from impact_rs_trials.recordings.experiment import Run, load_experiment, read_runs
+from impact_rs_trials.recordings.experiment import RunRow, load_experiment, read_runs
 
 HEADER = "bag,object,kind"
 
@@ -19,7 +19,7 @@ def experiment_file(folder: Path, text: str = "scenario: push\n") -> Path:
     return path
 
 
-def runs(folder: Path, *lines: str, header: str = HEADER) -> list[Run]:
+def runs(folder: Path, *lines: str, header: str = HEADER) -> list[RunRow]:
     """The table of runs of a folder with two bags and two tables."""
     for name in ("run_1", "run_2"):
         (folder / name).mkdir(exist_ok=True)
@@ -41,9 +41,9 @@ def test_further_columns_become_the_condition_and_endings_may_be_left_out(tmp_pa
         header=f"{HEADER}, speed, pose",
     )
     assert found == [
-        Run(tmp_path / "run_1", "parcel", True, "fast/a"),
-        Run(tmp_path / "run_2", None, False, "slow/b"),
-        Run(tmp_path / "run_3.csv", "juice", True, "fast/b"),
+        RunRow(tmp_path / "run_1", "parcel", True, "fast/a"),
+        RunRow(tmp_path / "run_2", None, False, "slow/b"),
+        RunRow(tmp_path / "run_3.csv", "juice", True, "fast/b"),
     ]
 
 

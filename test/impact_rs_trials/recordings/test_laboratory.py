@@ -51,7 +51,7 @@ def test_a_bag_with_unsorted_joints_and_unstamped_commands_gives_the_known_signa
     (run,) = laboratory.read()
     assert_known(run, laboratory.signals, 150e-6)  # what the log has of them beyond that of the states
     assert (run.name, run.object, run.hit, run.condition) == ("run_1", "parcel", True, "fast/a")
-    assert run.remarks == ("/effort_controller/commands: log time, less 0.200 ms to be on the stamps' clock",)
+    assert run.remarks == ("/effort_controller/commands: log time, less 0.2 ms to be on the stamps' clock",)
 
 
 def test_a_bag_that_has_lost_its_metadata_is_read_as_well(laboratory: LaboratoryFolder) -> None:

@@ -1,0 +1,206 @@
+"""Runs of a laboratory as measured runs: what its experiment file says, and a clock that command and state share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_analysis.evidence.features import Balances
+from impact_rs_analysis.evidence.measured import MeasuredRun
+from impact_rs_analysis.evidence.replay import FREE, free_starts
+from impact_rs_analysis.evidence.run import Run
+from impact_rs_analysis.evidence.runs import Runs
+from impact_rs_analysis.evidence.signals import ArmSignals, Signals
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scene import BodyState, resting_pose
+from impact_rs_trials.recordings.experiment import Experiment
+from impact_rs_trials.recordings.laboratory import LaboratoryRun, read_laboratory
+from impact_rs_trials.workers import Map
+
+OUT_OF_REACH = 5.0  # m, where the object stands in a free motion
+LARGEST_OFFSET = 0.5  # sampling periods; a later command is a delay, which the diagnosis shall find
+SLOPE = 0.002  # s, over which the command is averaged at both ends of a window for its slope
+SMALLEST_OFFSET = 3.0  # standard errors; less is not told from none
+
+
+def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map) -> Runs:
+    """Every run of an experiment.
+
+    Args:
+        directory: Folder of the recordings.
+        experiment: Says what they are.
+        map_tasks: Parallel map.
+
+    Raises:
+        InputError: Something cannot be used; says what and where.
+    """
+    recorded, skipped = read_laboratory(directory, experiment, map_tasks)
+    scenario = experiment.load_scenario()
+    runs = [run_of(item, scenario) for item in recorded]
+    remarks = [f"{item.name}: {remark}" for item in recorded for remark in item.remarks]
+    offset = command_offset(runs)
+    if offset != 0.0:
+        runs = [_shifted(run, offset) for run in runs]
+        remarks.append(
+            f"commands act {1e3 * abs(offset):.2f} ms {'after' if offset > 0.0 else 'before'} their stamps, by the "
+            "torque balance of free motion: shifted by that, as it is less than half a sampling period and says "
+            "nothing of the robot"
+        )
+    found = Runs.of(directory, [*map_tasks(measured_or_why_not, runs), *skipped])
+    return replace(found, remarks=tuple(_merged(remarks)))
+
+
+def measured_or_why_not(run: Run) -> MeasuredRun | tuple[str, str]:
+    """The measured run, or its path and why it cannot be used."""
+    try:
+        return MeasuredRun.of(run)
+    except InputError as error:
+        return str(run.path), error.message
+
+
+def run_of(item: LaboratoryRun, scenario: Scenario) -> Run:
+    """A run of a laboratory in the scene of a scenario with one arm."""
+    (name,) = scenario.robots
+    thing = item.object or next(iter(scenario.objects))
+    place = resting_pose(scenario, thing)
+    if not item.hit:
+        place = BodyState(place.position + [OUT_OF_REACH, OUT_OF_REACH, 0.0], place.rotation, place.twist)
+    arm = ArmSignals(
+        position=item.position,
+        velocity=item.velocity,
+        torque=item.torque,
+        motor_position=item.motor_position,
+        motor_velocity=item.motor_velocity,
+        command=np.zeros((0, item.position.shape[1])),
+    )
+    known = item.command_time.size > 0
+    return Run(
+        path=item.path,
+        condition="/".join(part for part in (item.object or "free motion", item.condition) if part),
+        place=(scenario.name, item.object or "none", item.condition),
+        hit=item.hit,
+        physics=Physics.nominal(scenario, thing),
+        object=place,
+        drive_period=scenario.timing.drive_period,
+        axis=scenario.axis_index,
+        signals=Signals(item.time, {name: arm}, item.object_time, item.object_position, _yaw(item.object_quaternion)),
+        command_time={name: item.command_time} if known else {},
+        command={name: item.command} if known else {},
+    )
+
+
+def _yaw(quaternion: Array) -> Array:
+    x, y, z, w = quaternion.T if quaternion.size else np.zeros((4, 0))
+    return np.unwrap(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+
+
+def _shifted(run: Run, offset: float) -> Run:
+    return replace(run, command_time={name: time + offset for name, time in run.command_time.items()})
+
+
+def command_offset(runs: Sequence[Run]) -> float:
+    """How much later than their stamps commands act [s]; 0 where that is not told, or is a delay worth finding.
+
+    In free motion the motor-side balance of a window is
+
+        b_m = delta dtau_d/dt + (what friction, offset, gain and inertia of the joint leave of it)
+
+    to first order in the offset delta: a regression over all windows, with one delta and, for every joint, a constant,
+    the sign and the mean of its velocity, the mean torque and the acceleration beside it. Free motions are looked at
+    where there are any, because windows before an impact are few.
+
+    Args:
+        runs: Of one laboratory.
+    """
+    chosen = [run for run in runs if run.command and not run.hit] or [run for run in runs if run.command]
+    rows: dict[int, list[Array]] = {}
+    for run in chosen:
+        for name, arm in run.signals.arms.items():
+            for start in free_starts(run, {}) if not run.hit else free_starts(run, _rough_impact(run)):
+                for joint, row in enumerate(_window_terms(run, name, arm, start)):
+                    rows.setdefault(joint, []).append(row)
+    if not rows or min(len(own) for own in rows.values()) < 8:
+        return 0.0
+    slopes, rests = [], []
+    for own in rows.values():
+        table = np.array(own)
+        balance, slope, beside = table[:, 0], table[:, 1], table[:, 2:]
+        design = np.column_stack((np.ones(len(table)), beside))
+        basis = np.linalg.qr(design / np.maximum(np.linalg.norm(design, axis=0), 1e-12))[0]
+        slopes.append(slope - basis @ (basis.T @ slope))
+        rests.append(balance - basis @ (basis.T @ balance))
+    # Joints with less noise say more.
+    weights = [1.0 / max(float(np.std(rest)), 1e-9) for rest in rests]
+    a = np.concatenate([weight * slope for weight, slope in zip(weights, slopes, strict=True)])
+    b = np.concatenate([weight * rest for weight, rest in zip(weights, rests, strict=True)])
+    offset = float(a @ b / (a @ a))
+    error = float(np.sqrt(np.mean(np.square(b - offset * a)) / (a @ a)))
+    period = chosen[0].period
+    if abs(offset) < SMALLEST_OFFSET * error or abs(offset) > LARGEST_OFFSET * period:
+        return 0.0
+    return offset
+
+
+def _rough_impact(run: Run) -> dict[str, float]:
+    """Before any impact: where joint velocities change fastest."""
+    change = np.max([np.abs(np.diff(arm.velocity, axis=0)).max(axis=1) for arm in run.signals.arms.values()], axis=0)
+    return {name: float(run.signals.time[int(np.argmax(change))]) for name in run.signals.arms}
+
+
+def _window_terms(run: Run, name: str, arm: ArmSignals, start: float) -> Array:
+    """By joint: balance, slope of the command, and what stands beside it in :func:`command_offset`, ``(n, 6)``."""
+    time = run.signals.time
+    rows = (time >= start - 1e-9) & (time <= start + FREE + 1e-9)
+    cut = replace(
+        arm,
+        position=arm.position[rows],
+        velocity=arm.velocity[rows],
+        torque=arm.torque[rows],
+        motor_position=arm.motor_position[rows] if arm.motor_position.size else arm.motor_position,
+        motor_velocity=arm.motor_velocity[rows] if arm.motor_velocity.size else arm.motor_velocity,
+    )
+    physics = run.physics.arms[name]
+    balances = Balances(time[rows], cut, None, physics, run.physics.robot_model(name), run.motor_measured, coarse=True)
+    begin, end = balances.middle(float(time[rows][0]), float(time[rows][-1]))
+    ramp, passed = balances.motor_terms(float(time[rows][0]), float(time[rows][-1]))
+    sent, values = run.command_time[name], run.command[name]
+    torque = _held_mean(sent, values, begin, end)
+    slope = (
+        _held_mean(sent, values, end - SLOPE, end + SLOPE) - _held_mean(sent, values, begin - SLOPE, begin + SLOPE)
+    ) / (end - begin)
+    balance = torque - passed - physics.motor_inertia_reduced * ramp
+    speed = cut.velocity.mean(axis=0)
+    # Held later by delta, the mean of the command is smaller by delta times its slope.
+    return np.column_stack((balance, slope, np.sign(speed), speed, torque, ramp))
+
+
+def _held_mean(sent: Array, values: Array, start: float, end: float) -> Array:
+    """Mean over a window of commands that are held until the next, ``(n,)`` [N m]."""
+    inside = (sent > start) & (sent < end)
+    edges = np.concatenate(([start], sent[inside], [end]))
+    rows = np.maximum(np.searchsorted(sent, edges[:-1] + 1e-12, side="right") - 1, 0)
+    return np.asarray(np.diff(edges) @ values[rows] / (end - start))
+
+
+def _merged(remarks: Sequence[str]) -> list[str]:
+    """Remarks with the runs that share them told once."""
+    grouped: dict[str, list[str]] = {}
+    for remark in remarks:
+        name, separator, text = remark.partition(": ")
+        grouped.setdefault(text if separator else remark, []).append(name if separator else "")
+    merged = []
+    for text, names in grouped.items():
+        named = [name for name in names if name]
+        if not named:
+            merged.append(text)
+        elif len(named) > 3:
+            merged.append(f"{len(named)} runs: {text}")
+        else:
+            merged.append(f"{', '.join(named)}: {text}")
+    return merged

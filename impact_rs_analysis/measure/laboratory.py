@@ -1,0 +1,217 @@
+"""The jump of a laboratory's runs: measured post-impact velocity with its interval, beside three motor inertias.
+
+Without reference spreading there is no net feedback to cross zero. What there is: the velocity of the end effector 20
+to 40 ms after the impact, and the impact map asked in the ante-impact state of every run. Until then the controller has
+already pushed on, which says nothing of the impact; its recorded torque does so in the prediction as well,
+
+    (M + B + J_n^T m J_n) ddq = tau_d - h - J_n^T mu m g        (paper eq. eom; the object moves along with the pad)
+
+integrated from the impact on. Errors are taken run by run, prediction minus measurement over measurement; repeats make
+the interval (Student's t).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+from impact_rs_analysis.evidence.ante_impact import ante_impact_state, problem_of
+from impact_rs_analysis.evidence.features import AXES, JUMP_BEFORE, JUMP_WINDOWS, SETTLED
+from impact_rs_analysis.evidence.measured import MeasuredRun
+from impact_rs_analysis.evidence.runs import Runs
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import ImpactMapError, compute_impact_map
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import STANDARD_GRAVITY
+
+ENGINE = "pinocchio"
+GRAVITY = -STANDARD_GRAVITY[2]
+
+
+@dataclass(frozen=True)
+class MeasuredJump:
+    """Post-impact velocity of one condition along the direction of the hit.
+
+    Attributes:
+        condition: Condition.
+        runs: Runs of it.
+        before: Mean speed before the impact [m/s].
+        after: Mean speed 20 to 40 ms after it, along the same direction [m/s].
+        interval: 95 % interval of ``after`` [m/s]; None of a single run.
+        predicted: Mean speed then, by motor inertia [m/s].
+        errors: Mean of (predicted - measured) / measured, by motor inertia [%].
+    """
+
+    condition: str
+    runs: int
+    before: float
+    after: float
+    interval: tuple[float, float] | None
+    predicted: dict[str, float]
+    errors: dict[str, float]
+
+
+@dataclass(frozen=True)
+class LaboratoryJumps:
+    """Jumps of all conditions.
+
+    Attributes:
+        jumps: By condition.
+        errors: Mean absolute error of every motor inertia over the conditions [%].
+        remarks: What could not be said.
+    """
+
+    jumps: tuple[MeasuredJump, ...]
+    errors: dict[str, float]
+    remarks: tuple[str, ...]
+
+    @property
+    def nearest(self) -> str:
+        """Motor inertia with the smallest mean absolute error."""
+        return min(self.errors, key=lambda name: self.errors[name])
+
+    def to_json(self) -> dict[str, Any]:
+        """Content of ``analyze --json``."""
+        return {
+            "conditions": [
+                {
+                    "condition": jump.condition,
+                    "runs": jump.runs,
+                    "speed_before": jump.before,
+                    "speed_after": jump.after,
+                    "ci95": None if jump.interval is None else list(jump.interval),
+                    "predicted": jump.predicted,
+                    "error_percent": jump.errors,
+                }
+                for jump in self.jumps
+            ],
+            "mean_absolute_error_percent": self.errors,
+            "nearest": self.nearest,
+            "remarks": list(self.remarks),
+        }
+
+
+def jumps_of(runs: Runs) -> LaboratoryJumps:
+    """Measured and predicted jumps of every condition in which something is hit.
+
+    Raises:
+        InputError: Nothing is hit in any run, or no impact map can be computed.
+    """
+    found, remarks = [], list(runs.remarks)
+    for condition, group in runs.conditions.items():
+        if not group[0].hit:
+            continue
+        try:
+            found.append(_jump_of(condition, group))
+        except (ImpactMapError, InputError) as error:
+            remarks.append(f"impact map of {condition}: {error}")
+    if not found:
+        why = f": {remarks[-1]}" if remarks else ": nothing is hit in any run"
+        raise InputError(f"no jump to analyse{why}", file=runs.directory)
+    errors = {name: float(np.mean([abs(jump.errors[name]) for jump in found])) for name in MOTOR_INERTIA_MODELS}
+    return LaboratoryJumps(tuple(found), errors, tuple(remarks))
+
+
+def _jump_of(condition: str, group: Sequence[MeasuredRun]) -> MeasuredJump:
+    before, after = np.array([_speeds(run) for run in group]).T
+    predicted = {name: np.array([_predicted(run, name) for run in group]) for name in MOTOR_INERTIA_MODELS}
+    interval = None
+    if len(group) > 1:
+        half = float(scipy.stats.t.ppf(0.975, len(group) - 1) * after.std(ddof=1) / math.sqrt(len(group)))
+        interval = (float(after.mean()) - half, float(after.mean()) + half)
+    return MeasuredJump(
+        condition=condition,
+        runs=len(group),
+        before=float(before.mean()),
+        after=float(after.mean()),
+        interval=interval,
+        predicted={name: float(values.mean()) for name, values in predicted.items()},
+        errors={name: float(np.mean((values - after) / after)) * 100.0 for name, values in predicted.items()},
+    )
+
+
+def _speeds(run: MeasuredRun) -> tuple[float, float]:
+    """Speed before and after the impact along the direction before it, mean over the arms [m/s]."""
+    pairs = []
+    values = {
+        (f.signal, f.index, f.bin): value
+        for f, value in zip(run.features, run.measured, strict=True)
+        if f.phase == "impact"
+    }
+    for name, direction in _directions(run).items():
+        label = f"{name}." if len(run.setup.physics.arms) > 1 else ""
+        # The feature is the change against the mean over the last milliseconds before the impact.
+        change = np.array([values["end-effector velocity", f"{label}{axis}", SETTLED] for axis in AXES])
+        baseline = _baseline(run, name)
+        pairs.append((float(_ante_velocity(run, name) @ direction), float((baseline + change) @ direction)))
+    before, after = np.mean(pairs, axis=0)
+    return float(before), float(after)
+
+
+def _ante_velocity(run: MeasuredRun, name: str) -> Array:
+    state = ante_impact_state(run)[name]
+    return np.asarray((run.setup.physics.robot_model(name).jacobian(state.position) @ state.velocity)[:3])
+
+
+def _directions(run: MeasuredRun) -> dict[str, Array]:
+    found = {name: _ante_velocity(run, name) for name in run.setup.physics.arms}
+    return {name: velocity / np.linalg.norm(velocity) for name, velocity in found.items()}
+
+
+def _baseline(run: MeasuredRun, name: str) -> Array:
+    """Mean velocity of the end effector over the window that the features are changes against, ``(3,)`` [m/s]."""
+    window, model = run.signals[-1], run.setup.physics.robot_model(name)
+    onset, arm = run.impacts[name], window.arms[name]
+    rows = (window.time >= onset + JUMP_BEFORE[0]) & (window.time <= onset + JUMP_BEFORE[1])
+    twists = [model.jacobian(q)[:3] @ dq for q, dq in zip(arm.position[rows], arm.velocity[rows], strict=True)]
+    return np.asarray(np.mean(twists, axis=0))
+
+
+def _predicted(run: MeasuredRun, motor_inertia: str) -> float:
+    """Speed 20 to 40 ms after the impact along the direction before it, mean over the arms [m/s]."""
+    result = compute_impact_map(problem_of(run, run.setup.physics, motor_inertia), ENGINE)
+    return float(
+        np.mean(
+            [
+                result.end_effector_twist[name][:3] @ way + _pushed_on(run, name, way, motor_inertia)
+                for name, way in _directions(run).items()
+            ]
+        )
+    )
+
+
+def _pushed_on(run: MeasuredRun, name: str, way: Array, motor_inertia: str) -> float:
+    """What the recorded torque adds to the speed along ``way`` until 20 to 40 ms after the impact [m/s].
+
+    The object counts in full for every arm that pushes it; where only the joint torque was recorded that drives.
+    """
+    setup = run.setup
+    physics, window, signals = setup.physics.arms[name], setup.windows[-1], run.signals[-1]
+    model, arm, thing = setup.physics.robot_model(name), signals.arms[name], setup.physics.object
+    driving = window.commanded(name) if setup.drive == "command" else arm.torque
+    inertia = physics.motor_inertia(motor_inertia)
+    drag = 0.0 if setup.physics.support_height is None else setup.physics.support_friction * thing.mass * GRAVITY
+    start, (first, last) = run.impacts[name], JUMP_WINDOWS[SETTLED]
+    speed, mean, ticks = 0.0, 0.0, 0
+    for row in range(1, window.time.size):
+        since = float(window.time[row] - start)
+        if since > last:
+            break
+        step = min(since, float(window.time[row] - window.time[row - 1]))
+        if step <= 0.0:
+            continue
+        q, dq = arm.position[row - 1], arm.velocity[row - 1]
+        terms = model.terms(q, dq)
+        along = way @ terms.jacobian[:3]
+        moved = terms.mass_matrix + np.diag(inertia) + thing.mass * np.outer(along, along)
+        acceleration = np.linalg.solve(moved, driving[row - 1] - terms.bias - along * drag)
+        speed += step * float(along @ acceleration)
+        if since >= first:
+            mean, ticks = mean + speed, ticks + 1
+    return mean / max(ticks, 1)

@@ -1,0 +1,109 @@
+"""Arms that touch nothing, several copies at a time: the links of :mod:`impact_rs_sim.mechanics` without Bullet.
+
+    ddq = ABA(q, dq, tau),    dq += h ddq,    q += h dq                     (Featherstone; Bullet's own order of steps)
+
+Stretches of a measured motion that start in different states are independent of each other and have the same physics:
+one array for all of them costs the torque loop what one stretch would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.drive import Drive, DriveStart, LinkTorque
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scene import ArmState
+
+
+@dataclass(frozen=True)
+class FreeStretch:
+    """What one copy of an arm does.
+
+    Attributes:
+        arm: Where it starts.
+        drive: How its drive starts.
+        torque: Driving torque of every period of the torque loop, ``(s, n)`` [N m].
+        time: When it starts, for loads that depend on it [s].
+    """
+
+    arm: ArmState
+    drive: DriveStart
+    torque: Array
+    time: float
+
+
+@dataclass(frozen=True)
+class FreePath:
+    """What it did, at every tick; arrays are ``(k, n)``.
+
+    Attributes:
+        position: q [rad].
+        velocity: dq [rad/s].
+        torque: tau_J [N m].
+        motor_position: theta [rad].
+        motor_velocity: dtheta [rad/s].
+    """
+
+    position: Array
+    velocity: Array
+    torque: Array
+    motor_position: Array
+    motor_velocity: Array
+
+
+def run_free(
+    physics: Physics,
+    arm: str,
+    stretches: Sequence[FreeStretch],
+    period: float,
+    substeps: int,
+    drive: type[Drive] | type[LinkTorque] = Drive,
+) -> list[FreePath]:
+    """Move copies of one arm.
+
+    Args:
+        physics: What is believed; its actuation delay is ignored, for the torques are those that arrive.
+        arm: Name of the arm.
+        stretches: Copies, with the same number of periods.
+        period: Period of the torque loop [s].
+        substeps: Periods from tick to tick.
+        drive: What the torque goes through.
+    """
+    model = physics.robot_model(arm)
+    pinocchio, data = model.pinocchio, model.data
+    loaded = bool(physics.arms[arm].loads)
+    motors = drive(replace(physics.arms[arm], actuation_delay=0.0), period)
+    q = np.array([one.arm.position for one in stretches])
+    dq = np.array([one.arm.velocity for one in stretches])
+    start = DriveStart(
+        np.array([one.drive.torque for one in stretches]), np.array([one.drive.torque_rate for one in stretches])
+    )
+    motors.start(ArmState(q, dq), start)
+    torques = np.stack([one.torque for one in stretches], axis=1)
+    ticks, acceleration = torques.shape[0] // substeps + 1, np.empty_like(q)
+    kept = np.empty((5, ticks, *q.shape))
+    loads = np.zeros_like(q)
+    for tick in range(ticks):
+        kept[:, tick] = q, dq, motors.elastic_torque, motors.position, motors.velocity
+        if tick + 1 == ticks:
+            break
+        if loaded:
+            on_motors = np.empty_like(q)
+            for row, one in enumerate(stretches):
+                now = one.time + tick * substeps * period
+                loads[row], on_motors[row] = physics.load_torques(arm, model, now, q[row], dq[row])
+            motors.load(on_motors)
+        for torque in torques[tick * substeps : (tick + 1) * substeps]:
+            passed = motors.passed(torque) + loads
+            motors.step(torque)
+            for row in range(len(q)):
+                acceleration[row] = pin.aba(pinocchio, data, q[row], dq[row], passed[row])
+            dq = dq + period * acceleration
+            q = q + period * dq
+            motors.sense(q, dq)
+    return [FreePath(*kept[:, :, row]) for row in range(len(q))]
