@@ -294,9 +294,10 @@ class ImpactTableSource(Source):
         shown = rows[:1] if self.repeated else rows
         features = tuple(replace(feature, phase=self._phase(row)) for row in shown for feature in self.signals)
         scaled = rest[rows] / sigma[rows]
+        first = self.table.rows[rows[0]]
         return Cluster(
             name=group.name,
-            place=(self.table.path.name, self.table.rows[rows[0]].thing, group.name if self.repeated else ""),
+            place=(self.table.path.name, first.thing, (first.condition or group.name) if self.repeated else ""),
             layout="impacts" if self.repeated else group.name,
             unit=group.unit,
             contact=True,
@@ -308,10 +309,10 @@ class ImpactTableSource(Source):
         )
 
     def _phase(self, number: int) -> str:
-        """Of a free body what it hits with; of an arm the impact."""
+        """What a body is hit on."""
         impact = self.table.rows[number].impact
         if impact.arms:
-            return "impact"
+            return "on the pad"
         return {1: "on a corner", 2: "on an edge"}.get(len(impact.points), "on a face")
 
     def _remarks(self) -> list[str]:
