@@ -20,7 +20,7 @@ RUNS = "folder with bags of trials, however deep, or URL"
 
 def add_runs(parser: argparse.ArgumentParser) -> None:
     """The argument RUNS and the option ``--model``."""
-    parser.add_argument("runs", metavar="RUNS", help=RUNS)
+    parser.add_argument("runs", metavar="RUNS", nargs="?", help=f"{RUNS}; none with --impacts")
     add_model(parser)
 
 
@@ -33,6 +33,13 @@ def on_local_runs(run: Command) -> Command:
 
     @functools.wraps(run)
     def command(args: argparse.Namespace, terminal: Terminal) -> int:
+        impacts = getattr(args, "impacts", None)  # not every command knows tables of impacts
+        if impacts is not None:
+            if args.runs is not None:
+                raise InputError(f"--impacts {impacts} takes the place of RUNS; leave {args.runs} out")
+            return run(args, terminal)
+        if args.runs is None:
+            raise InputError(f"nothing to read; expected RUNS, a {RUNS}, or --impacts TABLE")
         if is_url(args.runs) and args.scheduler is not None:
             raise InputError(
                 "with --scheduler RUNS must be a folder that its workers see; copy the bags into one", file=args.runs

@@ -1,4 +1,4 @@
-"""What the commands of the loop read: trials of ours, or recordings of others, as evidence against a model."""
+"""What the commands of the loop read as evidence against a model: our trials, others' recordings, tables of impacts."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 from impact_rs_analysis.evidence.aligned import aligned_runs
 from impact_rs_analysis.evidence.cluster import Added, Source
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy
+from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.laboratory import read_laboratory_runs
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.replays import ReplaySource
@@ -23,7 +24,9 @@ from impact_rs_cli.arguments import started, warn_skipped
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.recordings.experiment import load_experiment
+from impact_rs_trials.recordings.impact_table import ImpactTable, read_impact_table
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
 from impact_rs_trials.recordings.recording import Recording, is_foreign, read_recordings
 from impact_rs_trials.workers import Map
@@ -32,7 +35,7 @@ DEFAULT_MAPPING = "joint_state"
 
 
 def add_source(parser: argparse.ArgumentParser) -> None:
-    """The options ``--mapping``, ``--experiment`` and ``--no-discrepancy``."""
+    """The options ``--mapping``, ``--experiment``, ``--impacts``, ``--scenario`` and ``--no-discrepancy``."""
     parser.add_argument(
         "--mapping",
         metavar="NAME",
@@ -45,6 +48,19 @@ def add_source(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.yaml",
         help="RUNS is a folder of somebody else's runs, made with a controller of their own: experiment file with "
         "scenario, mapping and the table of runs (docs/laboratory.md)",
+    )
+    parser.add_argument(
+        "--impacts",
+        type=Path,
+        metavar="TABLE",
+        help="instead of RUNS: a table (.csv, .parquet) with one row per impact, of one free body on a plane or of an "
+        "arm and an object; columns are headed by name and unit, as in 'vx_before [m/s]' (docs/impact_tables.md)",
+    )
+    parser.add_argument(
+        "--scenario",
+        metavar="NAME",
+        help="with --impacts: the rows are impacts of the arms of this scenario (name or file), whose robots, pads and "
+        "support are taken; without it each row is one free body that hits a fixed plane",
     )
     parser.add_argument(
         "--no-discrepancy",
@@ -64,6 +80,7 @@ class Measurements:
         recordings: Recordings; empty: trials.
         mapping: How the recordings were read.
         discrepancy: Of the twin; None: as measured.
+        impacts: Table of impacts; None: trials or recordings.
     """
 
     def __init__(
@@ -74,7 +91,9 @@ class Measurements:
         recordings: tuple[Recording, ...] = (),
         mapping: Mapping | None = None,
         discrepancy: Discrepancy | None = None,
+        impacts: ImpactTable | None = None,
     ) -> None:
+        self.impacts = impacts
         self.trials, self.recordings, self.mapping = trials, recordings, mapping
         self._map, self._terminal, self._discrepancy = map_tasks, terminal, discrepancy
         self._stage = lambda *_: None
@@ -99,8 +118,10 @@ class Measurements:
         """
         key = f"{model.digest} {[spec.name for spec in model.formulas]}"
         if key not in self._sources:
-            if self.trials is not None:
-                source: Source = ReplaySource.of(self.trials, model, self._store, self._discrepancy)
+            if self.impacts is not None:
+                source: Source = ImpactTableSource(self.impacts, model)
+            elif self.trials is not None:
+                source = ReplaySource.of(self.trials, model, self._store, self._discrepancy)
             else:
                 assert self.mapping is not None
                 source = RecordingSource.of(self.recordings, self.mapping, model)
@@ -112,11 +133,13 @@ class Measurements:
 
         Args:
             model: What is believed.
-            added: Effects that were found on top of it; shown beside it for recordings.
+            added: Effects that were found on top of it; shown beside it for recordings and impacts.
         """
         if self.trials is not None:
             return tracks_of_runs(aligned_runs(self.trials, model, self._map, added))
         source = self.against(model)
+        if isinstance(source, ImpactTableSource):
+            return source.tracks(added)
         assert isinstance(source, RecordingSource)
         rests = {"the model": source.rest}
         if added:
@@ -131,6 +154,18 @@ def measured(args: argparse.Namespace, terminal: Terminal) -> Iterator[Measureme
     Raises:
         InputError: There is nothing here that can be used.
     """
+    if args.scenario is not None and args.impacts is None:
+        raise InputError("--scenario is for --impacts; trials know their own scenario, recordings have a mapping")
+    if args.impacts is not None:
+        if args.experiment is not None:
+            raise InputError("--experiment is for runs; a table of impacts says everything itself, or with --scenario")
+        if args.mapping is not None:
+            raise InputError("--mapping is for recordings; a table of impacts has fixed columns")
+        scenario = None if args.scenario is None else load_scenario(args.scenario)
+        table = read_impact_table(args.impacts, scenario)
+        with started(args) as map_tasks:
+            yield Measurements(map_tasks, terminal, None, impacts=table)
+        return
     discrepancy = NO_DISCREPANCY if args.no_discrepancy else None
     path = Path(args.runs)
     with started(args) as map_tasks:
@@ -184,10 +219,11 @@ def only_trials(measurements: Measurements, option: str) -> Runs:
     """The trials, for an option that recordings have nothing for.
 
     Raises:
-        InputError: Recordings were read.
+        InputError: Recordings or a table of impacts were read.
     """
     if measurements.trials is None:
-        raise InputError(f"{option} is for trials; recordings without a scenario have --json and the report")
+        what = "recordings without a scenario" if measurements.impacts is None else "tables of impacts"
+        raise InputError(f"{option} is for trials; {what} have --json and the report")
     return measurements.trials
 
 

@@ -62,7 +62,7 @@ class Model(Schema):
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 
     def apply(self, physics: Physics) -> Physics:
-        """Nominal physics with every effect of the model.
+        """Nominal physics with every effect of the model; where there is no arm, without those of its joints.
 
         Raises:
             InputError: The model is for arms with another number of joints.
@@ -71,6 +71,8 @@ class Model(Schema):
         for item in self.effects:
             effect = known[item.name]
             count = _joint_count(effect, item)
+            if count is not None and not physics.arms:
+                continue
             if count is not None and count != physics.joint_count:
                 raise InputError(
                     f"model {self.name!r} is for arms with {count} joints (effect {item.name}), "

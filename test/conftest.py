@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -15,6 +16,8 @@ import pytest
 
 if TYPE_CHECKING:
     from impact_rs_ros.graph import Graph
+
+sys.path.append(str(Path(__file__).parent / "shared"))  # what tests of several packages have in common
 
 # A shared machine is slow now and then, and the first message of a type loads its type support.
 hypothesis.settings.register_profile("impact_rs", deadline=None)

@@ -3,15 +3,30 @@
 from __future__ import annotations
 
 import importlib.util
+import io
+import pickle
+import struct
+import sys
+import zipfile
+from collections import OrderedDict
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
+import pinocchio as pin
 import pytest
+from impact_table_cases import cube, tossed
 
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map.measured import MeasuredImpact, corners_that_touch, solve_measured
+from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.recordings.experiment import load_experiment
+from impact_rs_trials.recordings.impact_table import read_impact_table
 from impact_rs_trials.recordings.laboratory import read_laboratory
 
+CONVERTERS = ("cube_tosses",)  # turn somebody else's files into ours, and say in full how
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 
@@ -20,6 +35,7 @@ def load(name: str) -> ModuleType:
     found = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
     assert found is not None and found.loader is not None
     module = importlib.util.module_from_spec(found)
+    sys.modules[found.name] = module  # where dataclasses look for what their annotations mean
     found.loader.exec_module(module)
     return module
 
@@ -69,8 +85,103 @@ def test_the_bags_of_a_laboratory_are_read_with_the_experiment_file_beside_them(
     assert len(run.remarks) == 1  # that the commands have no stamps
 
 
+def test_tosses_as_torch_writes_them_become_a_table_of_impacts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Cubes that bounce as the impact map says, in the layout of the public files; one in the zip format, one twice."""
+    example = load("cube_tosses")
+    truth = replace(cube(0.2, 0.3), object=ObjectPhysics(0.37, np.full(3, 0.1048), np.full(3, 8.1e-4), np.zeros(3)))
+    rng = np.random.default_rng(0)
+    before, after = [], []
+    for number in range(6):
+        states, twists = _toss(rng, truth, example.GRAVITY, example.PERIOD)
+        _save_like_torch(tmp_path / f"{number}.pt", states / example.HALF_WIDTH ** _lengths(), number == 3, monkeypatch)
+        before.append(twists[0])
+        after.append(twists[1])
+    (tmp_path / "6.pt").write_bytes((tmp_path / "2.pt").read_bytes())
+    assert example.write_table(tmp_path, tmp_path / "tosses.csv", 0.3, 0.0) == 6
+    assert "6 of 7 tosses; left out: 1 there twice" in capsys.readouterr().out
+    table = read_impact_table(tmp_path / "tosses.csv")
+    for row, ante, post in zip(table.rows, before, after, strict=True):
+        assert row.impact.object.twist == pytest.approx(ante, abs=0.02)
+        assert row.after == pytest.approx(post, abs=0.02)
+        assert len(row.impact.points) == 1
+    (tmp_path / "7.pt").write_bytes(pickle.dumps(Path("x")))
+    with pytest.raises(InputError, match="no tensor of a toss"):
+        example.read_tensor(tmp_path / "7.pt")
+
+
+def _lengths() -> np.ndarray:
+    """Powers of length in the columns of a toss."""
+    powers = np.zeros(19)
+    powers[[0, 1, 2, 7, 8, 9]] = 1.0
+    return powers
+
+
+def _toss(
+    rng: np.random.Generator, truth: Physics, gravity: np.ndarray, period: float
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Ten samples before an impact on one corner and ten after it, and both twists."""
+    while True:
+        impact = tossed(rng)
+        signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
+        heights = np.sort(0.0524 * signs @ impact.object.rotation[2])
+        if heights[1] - heights[0] > 0.015:
+            break
+    place = np.array([0.1, 0.2, -heights[0]])
+    body = replace(impact.object, position=place)
+    impact = MeasuredImpact({}, body, corners_that_touch(body, truth.object.size, np.array([0.0, 0.0, 1.0])))
+    after, _ = solve_measured(truth, impact)
+    states = np.zeros((20, 19))
+    for sample in range(20):
+        time = (sample - 9.6) * period
+        twist = body.twist if time < 0.0 else after
+        turn = pin.exp3(twist[3:] * time) @ body.rotation
+        x, y, z, w = pin.Quaternion(turn).coeffs()
+        states[sample, :3] = place + twist[:3] * time + 0.5 * gravity * time**2
+        states[sample, 3:7] = w, x, y, z
+    return states, (body.twist, after)
+
+
+def _save_like_torch(path: Path, states: np.ndarray, as_zip: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file as ``torch.save`` writes it, in its old format or as zip."""
+    torch, utils = ModuleType("torch"), ModuleType("torch._utils")
+    torch.DoubleStorage = type("DoubleStorage", (), {"__module__": "torch", "__qualname__": "DoubleStorage"})
+
+    def _rebuild_tensor_v2() -> None: ...
+
+    _rebuild_tensor_v2.__module__, _rebuild_tensor_v2.__qualname__ = "torch._utils", "_rebuild_tensor_v2"
+    utils._rebuild_tensor_v2 = _rebuild_tensor_v2
+    monkeypatch.setitem(sys.modules, "torch", torch)
+    monkeypatch.setitem(sys.modules, "torch._utils", utils)
+    shape = (1, *states.shape)
+
+    class Storage:
+        pass
+
+    class Tensor:
+        def __reduce__(self) -> tuple[object, ...]:
+            return _rebuild_tensor_v2, (Storage(), 0, shape, (states.size, shape[2], 1), False, OrderedDict())
+
+    class Pickler(pickle.Pickler):
+        def persistent_id(self, item: object) -> object:
+            return ("storage", torch.DoubleStorage, "0", "cpu", states.size) if isinstance(item, Storage) else None
+
+    stream = io.BytesIO()
+    Pickler(stream, protocol=2).dump(Tensor())
+    raw = states.astype("<f8").tobytes()
+    if as_zip:
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("toss/data.pkl", stream.getvalue())
+            archive.writestr("toss/data/0", raw)
+        return
+    head = b"".join(pickle.dumps(part, protocol=2) for part in (0x1950A86A20F9469CFC6C, 1001, {"little_endian": True}))
+    keys = pickle.dumps(["0"], protocol=2)
+    path.write_bytes(head + stream.getvalue() + keys + struct.pack("<q", states.size) + raw)
+
+
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
 def test_an_example_is_short_and_says_how_to_run_it(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert f"./run python examples/{path.name}" in text
-    assert len(text.splitlines()) <= 75
+    assert len(text.splitlines()) <= (75 if path.stem not in CONVERTERS else 300)

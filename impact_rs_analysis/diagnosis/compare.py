@@ -6,14 +6,17 @@ Trials are compared on three levels:
 * **free motion**: torque balances and deflections in windows without contact,
 * **trial**: the replay from before the impact through the push;
 
-recordings on one, the torque balance of free motion. Every difference is given in its unit and in multiples of what
-repetition explains, so that torques and velocities can be ranked together. The score of trials is the one the diagnosis
-lowers: the size of the mean residuals (:func:`impact_rs_analysis.evidence.cluster.size_of`), 1 being what repetition
-alone leaves. That of recordings is the root mean square torque that is not explained [N m].
+recordings on one, the torque balance of free motion; tables of impacts on one as well, the velocities just after. Every
+difference is given in its unit and in multiples of what repetition explains, so that torques and velocities can be
+ranked together. The score of trials is the one the diagnosis lowers: the size of the mean residuals
+(:func:`impact_rs_analysis.evidence.cluster.size_of`), 1 being what repetition alone leaves. That of recordings is the
+root mean square torque that is not explained [N m], that of impacts without repeats the root mean square velocity
+(:mod:`impact_rs_analysis.evidence.impact_tables`) [m/s].
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Literal
@@ -24,6 +27,7 @@ from pydantic import Field
 from impact_rs_analysis.diagnosis.document import TIMES, DiscrepancyDocument, ModelIdentity, RecordingDocument
 from impact_rs_analysis.diagnosis.jump import JOINTS, JumpEntry, jump_entries
 from impact_rs_analysis.evidence.cluster import Cluster, Source, size_of
+from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.replays import ReplaySource, clusters_of
 from impact_rs_sim.robot import Array
@@ -37,6 +41,7 @@ LEVEL_TEXT = {
     "free_motion": "torque balances and deflection in windows without contact",
     "trial": "the replay from before the impact through the push: velocity, contact force and object motion",
     "recording": "torque balance of the arm while it touches nothing, both sides low-passed",
+    "impacts": "velocities just after every impact, measured and by the impact map from the state just before",
 }
 
 
@@ -49,7 +54,10 @@ class Cell(Schema):
     phase: str = Field(description="free, impact or push; of a recording moving up, moving down or slow")
     signal: str = Field(description="what was compared")
     index: str = Field(description="joint or axis")
-    error: float = Field(description="measured minus model where it is largest, or mean of a recording, in the unit")
+    error: float = Field(
+        description="measured minus model where it is largest; of a recording the mean, of impacts "
+        "without repeats the root mean square with the sign of the mean; in the unit"
+    )
     unit: str = Field(description="unit")
     floor: float = Field(description="difference below which nobody cares, in the unit")
     share: float = Field(description="share of all squares")
@@ -113,7 +121,7 @@ class LeftOut(Schema):
 class ComparisonDocument(Schema):
     """``compare --json``."""
 
-    source: Literal["trials", "recordings"] = Field(description="what was compared")
+    source: Literal["trials", "recordings", "impacts"] = Field(description="what was compared")
     model: ModelIdentity = Field(description="compared model")
     trials: int = Field(description="trials, or recordings")
     conditions: tuple[ConditionScore, ...] = Field(description="by condition or recording")
@@ -121,7 +129,7 @@ class ComparisonDocument(Schema):
     score_is: str = Field(description="what the number is")
     score_unit: str = Field(description="its unit")
     noise_floor: float | None = Field(description="what the score is if only noise is left; null: nothing was repeated")
-    levels: dict[str, Level] = Field(description="jump, free_motion and trial; of a recording: recording")
+    levels: dict[str, Level] = Field(description="jump, free_motion and trial; recording; or impacts")
     where: tuple[Cell, ...] = Field(description="places by size")
     not_measured: tuple[str, ...] = Field((), description="what the measurements say nothing of")
     skipped: tuple[LeftOut, ...] = Field((), description="bags that were left out")
@@ -138,8 +146,17 @@ def compare(source: Source) -> ComparisonDocument:
     """
     if isinstance(source, RecordingSource):
         return _of_recordings(source)
+    if isinstance(source, ImpactTableSource):
+        return _of_impacts(source)
     assert isinstance(source, ReplaySource)
     return _of_runs(source)
+
+
+def kind_of(source: Source) -> Literal["trials", "recordings", "impacts"]:
+    """What was measured, as documents say it."""
+    if isinstance(source, ImpactTableSource):
+        return "impacts"
+    return "recordings" if isinstance(source, RecordingSource) else "trials"
 
 
 def score_of(clusters: Sequence[Cluster]) -> float:
@@ -351,6 +368,73 @@ def _of_recordings(source: RecordingSource) -> ComparisonDocument:
         recording=RecordingDocument(**asdict(source.facts)),
         remarks=(),
     )
+
+
+def _of_impacts(source: ImpactTableSource) -> ComparisonDocument:
+    clusters, rows = source.clusters, source.table.rows
+    if source.repeated:
+        score, floor, unit = score_of(clusters), noise_floor_of(clusters), TIMES
+        score_is = "size of the difference between measured and predicted velocities over all conditions, 1 being what "
+        score_is += "repetition alone gives"
+        conditions = [ConditionScore(name=c.name, repeats=c.count, score=rounded(score_of([c]))) for c in clusters]
+    else:
+        score, floor, unit = source.size(), source.noise_size(), source.told_unit
+        score_is = (
+            "root mean square over the impacts of measured minus predicted velocity, turning and joints counted by "
+        )
+        score_is += "the kinetic energy in them"
+        conditions = [ConditionScore(name=source.table.path.name, repeats=len(clusters), score=rounded(score))]
+    phases = tuple(dict.fromkeys(feature.phase for item in clusters for feature in item.features))
+    return ComparisonDocument(
+        source="impacts",
+        model=ModelIdentity(name=source.model.name, digest=source.model.digest),
+        trials=len(rows),
+        conditions=tuple(conditions),
+        score=rounded(score),
+        score_is=score_is,
+        score_unit=unit,
+        noise_floor=None if floor is None else rounded(floor),
+        levels={"impacts": _level("impacts", clusters, phases)},
+        where=tuple(_where(clusters) if source.repeated else _where_of_blocks(clusters)),
+        not_measured=("motion before and after", "torques", "forces"),
+        remarks=tuple(source.remarks),
+    )
+
+
+def _where_of_blocks(clusters: Sequence[Cluster]) -> list[Cell]:
+    """Every object x kind of contact x signal x index over all rows, largest share first.
+
+    Errors are root mean squares with the sign of the mean.
+    """
+    total = sum(float(np.sum(np.square(item.mean))) for item in clusters)
+    found: dict[tuple[str, str, str, str, str], list[tuple[float, float, float]]] = {}
+    facts: dict[tuple[str, str, str], tuple[str, float]] = {}
+    for item in clusters:
+        for feature, mean, sigma, pure in zip(item.features, item.mean, item.sigma, item.pure, strict=True):
+            row = (float(mean * sigma), float(mean), float(mean / pure if pure else mean))
+            found.setdefault((*item.place[:2], *feature.group), []).append(row)
+            facts[feature.group] = feature.unit, feature.floor
+    cells = []
+    for (file, thing, *group), rows in found.items():
+        phase, signal, index = group
+        error, scaled, times = np.array(rows).T
+        unit, floor = facts[phase, signal, index]
+        cells.append(
+            Cell(
+                scenario=file,
+                object=thing,
+                case="",
+                phase=phase,
+                signal=signal,
+                index=index,
+                error=rounded(math.copysign(root_mean_square(error), float(error.mean()))),
+                unit=unit,
+                floor=floor,
+                share=rounded(float(np.sum(np.square(scaled))) / max(total, 1e-300)),
+                times_noise=rounded(root_mean_square(times)),
+            )
+        )
+    return sorted(cells, key=lambda cell: -cell.share)
 
 
 LEAST_SAMPLES = 5  # of a phase of one joint; fewer say nothing

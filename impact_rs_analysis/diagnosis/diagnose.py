@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from impact_rs_analysis.diagnosis.compare import discrepancy_of
+from impact_rs_analysis.diagnosis.compare import discrepancy_of, kind_of
 from impact_rs_analysis.diagnosis.document import (
     CorrelatedPair,
     DesignDocument,
@@ -41,6 +41,7 @@ from impact_rs_analysis.diagnosis.verdicts import (
 )
 from impact_rs_analysis.diagnosis.words import summary_of
 from impact_rs_analysis.evidence.cluster import Source
+from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_sim.effects import Effect
@@ -104,7 +105,7 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
     ties = {name: found.tied_with(name) for name in found.names}
     remarks = _remarks(found, source)
     document = DiagnosisDocument(
-        source="trials" if source.repeated else "recordings",
+        source=kind_of(source),
         verdict=verdict.verdict,
         named=found.names,
         effects=tuple(effect_documents(found, known)),
@@ -152,6 +153,10 @@ def _runs(source: Source) -> RunsIdentity:
             trials=len(source.runs.runs),
             conditions=tuple(source.runs.conditions),
         )
+    if isinstance(source, ImpactTableSource):
+        return RunsIdentity(
+            digest=source.table.digest, trials=len(source.table.rows), conditions=tuple(source.conditions)
+        )
     units = tuple(dict.fromkeys(item.unit for item in source.clusters))
     return RunsIdentity(digest="", trials=len(units), conditions=units)
 
@@ -167,9 +172,10 @@ def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
     ):
         what = f"whole recordings, in {count} folds"
     else:
+        blocks = "blocks of rows" if isinstance(source, ImpactTableSource) else "stretches of time"
         what = (
-            f"{len(source.clusters)} stretches of time in {count} folds of neighbours; every fold is predicted from "
-            "the others without the stretches that touch it"
+            f"{len(source.clusters)} {blocks} in {count} folds of neighbours; every fold is predicted from "
+            "the others without those that touch it"
         )
     return HoldOutDocument(what=f"{what}; the whole search is run again without what it shall predict", folds=count)
 
@@ -203,7 +209,8 @@ def _remarks(found: Findings, source: Source) -> list[str]:
     reference = found.evidence.reference
     if reference.shortage is not None:
         remarks.append(f"too few repeats to decide anything: {reference.shortage}")
-    if source.repeated and all(item.contact for item in source.clusters):
+    closed_loop = source.repeated and not isinstance(source, ImpactTableSource)
+    if closed_loop and all(item.contact for item in source.clusters):
         remarks.append(
             "no free motion there and back was measured: friction, torque offset and torque gain look alike in a push"
         )

@@ -203,7 +203,7 @@ class DiagnosisDocument(Schema):
     """``diagnosis.json``."""
 
     format: int = Field(2, description="version of this format")
-    source: Literal["trials", "recordings"] = Field("trials", description="what was diagnosed")
+    source: Literal["trials", "recordings", "impacts"] = Field("trials", description="what was diagnosed")
     verdict: str = Field(
         description="NOTHING-MISSING, NONE-EXPLAINS, PRESENT-BUT-SMALL, TOO-FEW-REPEATS, PARTLY{...}, or the missing "
         "effects joined by +"

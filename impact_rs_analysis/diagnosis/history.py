@@ -11,8 +11,11 @@ import numpy as np
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.compare import noise_floor_of, score_of
+from impact_rs_analysis.diagnosis.document import TIMES
 from impact_rs_analysis.diagnosis.fit import Evidence
+from impact_rs_analysis.diagnosis.verdicts import told
 from impact_rs_analysis.evidence.cluster import Cluster, Source
+from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model
 
@@ -42,12 +45,14 @@ class VersionError:
         error_held_out: Error in every condition with the added effect's parameters fitted to all other conditions;
             None where there are too few conditions.
         noise_floor: What both would be if only repetition were left; None if nothing was repeated.
+        unit: Of the errors; they are multiples where it says so.
     """
 
     version: Version
     error_fit: float
     error_held_out: float | None
     noise_floor: float | None
+    unit: str = TIMES
 
     def to_json(self) -> dict[str, Any]:
         """One entry of ``history --json``."""
@@ -108,12 +113,17 @@ def history(path: Path, source_of: Callable[[Model], Source]) -> list[VersionErr
     """
     found: list[VersionError] = []
     for version in versions(path):
-        clusters = source_of(version.model).clusters
-        error = score_of(clusters)
+        source = source_of(version.model)
+        clusters = source.clusters
+        unrepeated = isinstance(source, ImpactTableSource) and not source.repeated
+        error = source.size() if isinstance(source, ImpactTableSource) and unrepeated else score_of(clusters)
+        floor = (
+            source.noise_size() if isinstance(source, ImpactTableSource) and unrepeated else noise_floor_of(clusters)
+        )
         held_out: float | None = error
         if version.effect_added is not None:
             held_out = _held_out(version, clusters, source_of)
-        found.append(VersionError(version, error, held_out, noise_floor_of(clusters)))
+        found.append(VersionError(version, error, held_out, floor, source.told_unit if unrepeated else TIMES))
     return found
 
 
@@ -142,4 +152,6 @@ def _held_out(version: Version, clusters: tuple[Cluster, ...], source_of: Callab
     if candidate is None:
         return None
     evidence = Evidence(bare, tuple(range(len(clusters))), clusters)
+    if isinstance(bare, ImpactTableSource):
+        return told(evidence, evidence.problem(candidate).left_out_rest)
     return evidence.size(evidence.problem(candidate).held_out)

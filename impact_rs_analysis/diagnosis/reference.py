@@ -302,7 +302,8 @@ class BlockReference(Reference):
         if len(self.clusters) >= self.LEAST:
             return None
         return (
-            f"{self.LEAST - len(self.clusters)} more stretches of motion: {len(self.clusters)} of {self.LEAST} needed"
+            f"{self.LEAST - len(self.clusters)} more stretches of motion or impacts: {len(self.clusters)} of "
+            f"{self.LEAST} needed"
         )
 
     @cached_property

@@ -409,7 +409,7 @@ def consistent(fitted: Fit, first: int = 0) -> bool:
 
 
 def noticeable(fitted: Fit, first: int = 0) -> bool:
-    """Whether the interval of some parameter, from number ``first`` on, lies wholly beyond a noticeable change.
+    """Whether the interval of some parameter, from number ``first`` on, lies wholly beyond what the source counts.
 
     Parameters that stop at a bound do not count: there the interval means nothing.
     """
@@ -417,7 +417,7 @@ def noticeable(fitted: Fit, first: int = 0) -> bool:
     distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale - fitted.half_widths
     free = (fitted.estimate > candidate.lower) & (fitted.estimate < candidate.upper)
     own = np.array([not scalar.shape for scalar in candidate.scalars])
-    return bool(np.any((distance > 1.0)[first:] & free[first:] & own[first:]))
+    return bool(np.any((distance > fitted.evidence.source.least_change)[first:] & free[first:] & own[first:]))
 
 
 def adjusted(p_values: dict[str, float]) -> dict[str, float]:

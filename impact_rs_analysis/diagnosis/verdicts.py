@@ -95,7 +95,7 @@ class Findings:
 
 
 def told(evidence: Evidence, rest: Sequence[Array]) -> float:
-    """Size of residuals as the user reads it: in multiples of repetition, or of recordings in N m rms.
+    """Size of residuals as the user reads it: in multiples of repetition, or rms in the unit of the source.
 
     Args:
         evidence: The clusters.
@@ -103,8 +103,9 @@ def told(evidence: Evidence, rest: Sequence[Array]) -> float:
     """
     if evidence.source.repeated:
         return evidence.size(np.array([float(np.mean(np.square(values))) for values in rest]))
-    torque = [values * item.sigma for item, values in zip(evidence.clusters, rest, strict=True)]
-    return float(np.sqrt(np.mean(np.square(np.concatenate(torque)))))
+    weight = evidence.source.told_weight
+    weighted = [values * weight(item) for item, values in zip(evidence.clusters, rest, strict=True)]
+    return float(np.sqrt(np.mean(np.square(np.concatenate(weighted)))))
 
 
 def noise_told(evidence: Evidence) -> float:
@@ -116,7 +117,7 @@ def noise_told(evidence: Evidence) -> float:
 
 def unit_told(evidence: Evidence) -> str:
     """Unit of :func:`told`."""
-    return TIMES if evidence.source.repeated else "N m"
+    return TIMES if evidence.source.repeated else evidence.source.told_unit
 
 
 def p_told(value: float) -> float:
@@ -144,7 +145,8 @@ def sizes_of(fitted: Fit, name: str) -> list[SizeDocument]:
 
 def matters(fitted: Fit, name: str) -> bool:
     """Whether an effect moves some signal by more than anybody cares about, or of a recording is noticeable."""
-    if not fitted.evidence.source.repeated:
+    source = fitted.evidence.source
+    if not source.repeated and source.least_change > 0.0:
         return noticeable(fitted)
     return any(size.value > size.floor for size in sizes_of(fitted, name))
 
@@ -209,7 +211,10 @@ def headline(found: Findings) -> Headline:
     if not evidence.source.repeated:
         noise, left = noise_told(evidence), told(evidence, found.unexplained)
         if chosen is None:
-            return Headline(NONE if left > 2.0 * noise else NOTHING, share, before, after)
+            # Where nobody knows the noise, what no effect explains is not known to be more than that.
+            return Headline(NONE if left > 2.0 * noise > 0.0 else NOTHING, share, before, after)
+        if evidence.source.least_change == 0.0 and left > 2.0 * noise > 0.0 and share > LEAST_REST:
+            return Headline(_partly(found, share), share, before, after)
         return Headline("+".join(found.names), share, before, after)
     stays = after is not None and after < SIGNIFICANT
     large = any(rest.value > rest.floor for rest in rests_of(evidence, found.unexplained))
@@ -217,12 +222,17 @@ def headline(found: Findings) -> Headline:
         # An effect may be significant alone; where all that differs is noise, it explains nothing that is missing.
         verdict = NONE if stays and large else SMALL if stays else NOTHING
     elif stays and large and share > LEAST_REST:
-        verdict = f"{PARTLY}{{{', '.join(found.names)}}}" if share < 1.0 - MOST else NONE
+        verdict = _partly(found, share)
     elif not any(matters(chosen, name) for name in found.names):
         verdict = SMALL
     else:
         verdict = "+".join(found.names)
     return Headline(verdict, share, before, after)
+
+
+def _partly(found: Findings, share: float) -> str:
+    """The verdict where the chosen effects leave more than noise, by the share of the excess that stays."""
+    return f"{PARTLY}{{{', '.join(found.names)}}}" if share < 1.0 - MOST else NONE
 
 
 def effect_documents(found: Findings, known: dict[str, Effect]) -> list[EffectDocument]:

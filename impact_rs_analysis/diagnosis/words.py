@@ -11,7 +11,8 @@ def summary_of(document: DiagnosisDocument) -> str:
     unit = "times what repetition alone gives" if document.error_unit == TIMES else document.error_unit
     before, after = document.held_out_error_before, document.held_out_error_after
     fall = f"The error on data that no search has seen falls from {before:.3g} to {after:.3g} {unit}"
-    fall += "." if document.error_unit == TIMES else f" (noise alone gives {document.noise_floor:.3g})."
+    noise = document.noise_floor if document.error_unit != TIMES else 0.0
+    fall += f" (noise alone gives {noise:.3g})." if noise else "."
     named = " and ".join(document.named)
     runs = f"{document.runs.trials} {document.source}"
     if verdict == TOO_FEW:
@@ -19,7 +20,7 @@ def summary_of(document: DiagnosisDocument) -> str:
     if verdict == NOTHING:
         return (
             f"Nothing is missing in model '{name}' that these {runs} could show: its error is {before:.3g} {unit}"
-            f"{'.' if document.error_unit == TIMES else f', noise alone gives {document.noise_floor:.3g}.'}"
+            f"{f', noise alone gives {noise:.3g}.' if noise else '.'}"
         )
     if verdict == SMALL:
         what = named or "A difference"
@@ -56,7 +57,7 @@ def _small(document: DiagnosisDocument) -> str:
 def _rest(document: DiagnosisDocument) -> str:
     """What is left, in the units of the signals."""
     rests = [entry for entry in document.unexplained.where if entry.value > max(entry.floor, 1e-12)]
-    if document.error_unit != TIMES:
+    if document.error_unit != TIMES and document.joints:
         worst = max(document.joints, key=lambda joint: joint.after, default=None)
         return "" if worst is None else f"Left is at most {worst.after:.2g} N m, in {worst.joint}."
     if not rests:

@@ -132,6 +132,9 @@ class Source(ABC):
         repeated: Whether clusters hold repeats; if not, clusters are stretches of time.
         cheap: Whether predictions cost so little that several starting points can be tried.
         remarks: What a reader should know of the measurements.
+        told_unit: Where nothing is repeated, unit in which the size of residuals is told.
+        least_change: Where nothing is repeated, parameter scales beyond which the whole interval of an accepted effect
+            lies; 0: its features have floors, by which it is judged.
     """
 
     model: Model
@@ -140,11 +143,18 @@ class Source(ABC):
     repeated: bool
     cheap: bool
     remarks: Sequence[str] = ()
+    told_unit: str = "N m"
+    least_change: float = 1.0
 
     @property
     def joint_count(self) -> int:
-        """Number of joints of an arm."""
-        return next(iter(self.physics.arms.values())).facts.joint_count
+        """Number of joints of an arm; 0 where there is none."""
+        arm = next(iter(self.physics.arms.values()), None)
+        return 0 if arm is None else arm.facts.joint_count
+
+    def told_weight(self, item: Cluster) -> Array:
+        """Where nothing is repeated, what scaled residuals are multiplied by to be told in ``told_unit``, ``(F,)``."""
+        return item.sigma
 
     @abstractmethod
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:

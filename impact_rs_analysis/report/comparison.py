@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from impact_rs_analysis.diagnosis.compare import Cell, ComparisonDocument, JumpLevel, SignalLevel
+from impact_rs_analysis.diagnosis.document import TIMES
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.tracks import TrackSet
 from impact_rs_analysis.report.history import HistoryPart, history_part
-from impact_rs_analysis.report.labels import CARED_ABOUT, LEVELS, NOISE, REPETITION, phase_text, place_text
+from impact_rs_analysis.report.labels import CARED_ABOUT, LEVELS, NOISE, REPETITION, SPREAD, phase_text, place_text
 from impact_rs_analysis.report.page import (
     Plot,
     number_text,
@@ -21,7 +22,7 @@ from impact_rs_analysis.report.page import (
     track_data,
     write_files,
 )
-from impact_rs_analysis.report.plots import signals_plot, tracks_plot, where_plots
+from impact_rs_analysis.report.plots import scatter_plot, signals_plot, tracks_plot, where_plots
 
 HARDLY_MORE = 1.3  # of the score over repetition, below which no place is named
 MOST_PLACES = 8
@@ -88,11 +89,13 @@ class TracksPart:
         sets: What the page's script reads; empty: nothing is shown.
         plot: The empty figure that it fills.
         of_trials: Whether the tracks are of trials; else of recordings.
+        scatter: Measured against predicted numbers, of impacts, which have no time; None: tracks.
     """
 
     sets: list[dict[str, Any]]
     plot: Plot
     of_trials: bool
+    scatter: Plot | None = None
 
 
 @dataclass(frozen=True)
@@ -146,7 +149,7 @@ def write_comparison(
         title=f"Model '{document.model.name}' against measurement",
         headline=comparison_in_words(document),
         yardstick=yardstick_of(document),
-        unit=document.score_unit if document.source == "recordings" else "",
+        unit="" if on_scale(document) else document.score_unit,
         document=document,
         levels=level_parts(document),
         where=where_part(document),
@@ -165,8 +168,13 @@ def comparison_in_words(document: ComparisonDocument) -> str:
     if document.source == "recordings":
         text = f"Model '{name}' leaves {score} {document.score_unit} rms of joint torque unexplained"
         text += "." if floor is None else f"; noise alone would leave {number_text(floor)} {document.score_unit}."
+    elif not on_scale(document):
+        text = (
+            f"Model '{name}' misses the velocity after {document.trials} impacts by {score} {document.score_unit} rms"
+        )
+        text += "." if floor is None else f"; noise alone would leave {number_text(floor)} {document.score_unit}."
     else:
-        text = f"Model '{name}' differs from {document.trials} trials by {score} times {yardstick}."
+        text = f"Model '{name}' differs from {document.trials} {document.source} by {score} times {yardstick}."
     if floor is not None and document.score < HARDLY_MORE * floor:
         return f"{text} That is hardly more than noise."
     if not document.where:
@@ -178,9 +186,16 @@ def comparison_in_words(document: ComparisonDocument) -> str:
     )
 
 
+def on_scale(document: ComparisonDocument) -> bool:
+    """Whether the score is in multiples of something; else it has a unit."""
+    return document.source == "trials" or document.score_unit == TIMES
+
+
 def yardstick_of(document: ComparisonDocument) -> str:
     """What differences are told in multiples of."""
-    if document.source == "recordings":
+    if document.source == "impacts" and document.noise_floor is None:
+        return SPREAD
+    if not on_scale(document):
         return NOISE
     return CARED_ABOUT if document.noise_floor is None else REPETITION
 
@@ -218,7 +233,7 @@ def level_parts(document: ComparisonDocument) -> tuple[LevelPart, ...]:
 
 def where_part(document: ComparisonDocument) -> WherePart:
     """Heat maps, and the worst places as numbers."""
-    of_recordings = document.source == "recordings"
+    of_recordings = not on_scale(document)
     several = len({cell.scenario for cell in document.where}) > 1
     return WherePart(
         plots=tuple(
@@ -234,4 +249,7 @@ def where_part(document: ComparisonDocument) -> WherePart:
 
 def tracks_part(document: ComparisonDocument, tracks: Sequence[TrackSet]) -> TracksPart:
     """Tracks, to be chosen in the page."""
+    if document.source == "impacts":
+        scatter = Plot("scatter", scatter_plot(tracks), zoom=True) if tracks else None
+        return TracksPart([], Plot("tracks-plot", tracks_plot(), zoom=True), False, scatter)
     return TracksPart(track_data(tracks), Plot("tracks-plot", tracks_plot(), zoom=True), document.source == "trials")

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from impact_rs_analysis.diagnosis.document import TIMES
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.report.labels import CARED_ABOUT, REPETITION
 from impact_rs_analysis.report.page import Plot, render, write_files
@@ -58,4 +59,7 @@ def history_part(versions: Sequence[VersionError]) -> HistoryPart:
     """The part of a page that shows a history."""
     repeated = all(entry.noise_floor is not None for entry in versions)
     yardstick = REPETITION if repeated else CARED_ABOUT
-    return HistoryPart(tuple(versions), yardstick, Plot("history", history_plot(versions, f"times {yardstick}")))
+    unit = f"times {yardstick}"
+    if versions and versions[0].unit != TIMES:
+        yardstick, unit = f"1 {versions[0].unit}", f"error [{versions[0].unit}]"
+    return HistoryPart(tuple(versions), yardstick, Plot("history", history_plot(versions, unit)))

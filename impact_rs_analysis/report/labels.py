@@ -16,10 +16,12 @@ LEVELS = {
     "free_motion": "Free motion",
     "trial": "Whole trial",
     "recording": "Torque balance",
+    "impacts": "Velocities just after the impact",
 }
 NO_OBJECT = ("", "none")
 REPETITION = "what repetition alone gives"
 CARED_ABOUT = "what nobody cares about"  # where nothing was repeated
+SPREAD = "the root mean square of all, by kinetic energy"  # of impacts without repeats and without known noise
 NOISE = "the noise of its signal"  # of a recorded torque
 
 

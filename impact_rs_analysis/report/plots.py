@@ -11,6 +11,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from impact_rs_analysis.diagnosis.document import TIMES
+from impact_rs_analysis.evidence.tracks import TrackSet
 from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED, Curve, Figure
 from impact_rs_analysis.report.labels import Tag, phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import quantity_text
@@ -190,7 +191,8 @@ def where_plots(cells: Sequence[Cell], by_phase: bool) -> list[tuple[str, go.Fig
     top = min(max(largest, DARKEST[0]), DARKEST[1])
     if by_phase:
         drawn = _heat_map(cells, [(phase_text(cell.phase), cell) for cell in cells], top)
-        return [] if drawn is None else [("By joint and motion", drawn)]
+        title = "By joint and motion" if all(cell.signal == "torque" for cell in cells) else "By signal"
+        return [] if drawn is None else [(title, drawn)]
     several = len({cell.scenario for cell in cells}) > 1
     found = []
     for phase in sorted({cell.phase for cell in cells}, key=_order_of_phase):
@@ -301,6 +303,59 @@ def tracks_plot() -> go.Figure:
         yaxis={"domain": [0.42, 1.0]},
         yaxis2={"domain": [0.0, 0.36]},
     )
+
+
+def scatter_plot(sets: Sequence[TrackSet]) -> go.Figure:
+    """Measured over predicted numbers, a panel per quantity; of several predictions the last is on top."""
+    groups = list(dict.fromkeys(signal.name.rsplit(" ", 1)[0] for signal in sets[0].signals))
+    drawn = go.Figure()
+    gap = 0.12
+    width = (1.0 - gap * (len(groups) - 1)) / len(groups)
+    for number, group in enumerate(groups):
+        suffix = "" if number == 0 else str(number + 1)
+        ends: list[float] = []
+        for place, track in enumerate(sets):
+            own = [signal for signal in track.signals if signal.name.rsplit(" ", 1)[0] == group]
+            x = np.concatenate([signal.predicted for signal in own])
+            y = np.concatenate([signal.measured for signal in own])
+            names = [name for signal in own for name in [_plain(signal.name.rsplit(" ", 1)[1])] * signal.measured.size]
+            ends += [float(min(x.min(), y.min())), float(max(x.max(), y.max()))]
+            last = place == len(sets) - 1
+            drawn.add_trace(
+                go.Scatter(
+                    x=x.astype(np.float32),
+                    y=y.astype(np.float32),
+                    text=[
+                        f"{name}, row {row:g}" for name, row in zip(names, np.tile(track.time, len(own)), strict=True)
+                    ],
+                    name=_plain(track.label),
+                    legendgroup=track.label,
+                    showlegend=number == 0 and len(sets) > 1,
+                    mode="markers",
+                    marker={"color": BLUE if last else GREY, "size": 5, "opacity": 0.7},
+                    hovertemplate="%{text}: predicted %{x:.3g}, measured %{y:.3g}<extra></extra>",
+                    xaxis=f"x{suffix}",
+                    yaxis=f"y{suffix}",
+                )
+            )
+        low, high = min(ends), max(ends)
+        drawn.add_shape(
+            type="line", x0=low, y0=low, x1=high, y1=high, xref=f"x{suffix}", yref=f"y{suffix}", layer="below",
+            line={"color": ZERO, "width": 1},
+        )  # fmt: skip
+        unit = _plain(next(signal.unit for signal in sets[0].signals if signal.name.startswith(group)))
+        left = number * (width + gap)
+        drawn.update_layout(
+            {
+                f"xaxis{suffix}": {
+                    "domain": [left, left + width],
+                    "anchor": f"y{suffix}",
+                    "title": {"text": f"predicted [{unit}]"},
+                },
+                f"yaxis{suffix}": {"anchor": f"x{suffix}", "title": {"text": f"{_plain(group)}, measured [{unit}]"}},
+            }
+        )
+    return drawn.update_layout(template=TEMPLATE, height=380)
 
 
 def _vertical(x: float) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.table import Table
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
+from impact_rs_analysis.diagnosis.document import TIMES
 from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.diagnosis.jump import JOINTS
 from impact_rs_analysis.evidence.aligned import aligned_runs, check_free, write_aligned
@@ -35,7 +36,13 @@ Runs of a laboratory with a controller of its own (bags, CSV, NPZ, Parquet, HDF5
 A recording of a real robot in free motion is compared on joint torque:
   {PROGRAM} compare recording.db3 --mapping joint_state
 
-Units: each difference says its own; scores are multiples of what repetition alone gives, of recordings N m."""
+A table with one row per impact, of one free body on a plane or of an arm and an object (--scenario), is compared
+on the velocities just after; docs/impact_tables.md lists its columns:
+  {PROGRAM} compare --impacts tosses.csv
+  {PROGRAM} compare --impacts pushes.csv --scenario push
+
+Units: each difference says its own; scores are multiples of what repetition alone gives, of recordings N m,
+of impacts without repeats m/s."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -99,9 +106,10 @@ def _show(document: ComparisonDocument, terminal: Terminal) -> None:
     where = (
         f" in {len(document.conditions)} condition{'' if len(document.conditions) == 1 else 's'}" if of_trials else ""
     )
+    on_scale = of_trials or document.score_unit == TIMES
     terminal.say(
         f"Model {document.model.name!r} against {document.trials} {document.source.removesuffix('s')}{many}{where}: "
-        f"score {number(document.score)}{'' if of_trials else ' ' + document.score_unit}{alone}"
+        f"score {number(document.score)}{'' if on_scale else ' ' + document.score_unit}{alone}"
     )
     if (facts := document.recording) is not None:
         terminal.say(
@@ -129,7 +137,9 @@ def _show_joints(document: ComparisonDocument, terminal: Terminal) -> None:
 
 
 def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
-    table = Table(title="How large the differences are [times what repetition alone gives]")
+    alone = "the rms of all, by kinetic energy" if document.noise_floor is None else "what noise alone gives"
+    times = TIMES if document.source == "trials" or document.score_unit == TIMES else f"times {alone}"
+    table = Table(title=f"How large the differences are [{times}]")
     table.add_column("level")
     table.add_column("difference", justify="right")
     table.add_column("worst signal")
@@ -148,8 +158,10 @@ def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
     for heading in ("object", "case", "phase", "signal", ""):
         places.add_column(heading)
     places.add_column("error", justify="right")
-    places.add_column("x noise", justify="right")
+    shared = document.source == "impacts" and document.noise_floor is None
+    places.add_column("share" if shared else "x noise", justify="right")
     for cell in document.where[:8]:
         error = f"{cell.error:+.3g} {cell.unit}"
-        places.add_row(cell.object, cell.case, cell.phase, cell.signal, cell.index, error, number(cell.times_noise))
+        size = f"{100 * cell.share:.0f} %" if shared else number(cell.times_noise)
+        places.add_row(cell.object, cell.case, cell.phase, cell.signal, cell.index, error, size)
     terminal.say(places)

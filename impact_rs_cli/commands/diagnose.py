@@ -51,7 +51,13 @@ Runs of a laboratory with a controller of its own (bags, CSV, NPZ, Parquet, HDF5
 A recording of a real robot in free motion is compared on joint torque:
   {PROGRAM} diagnose recording.db3 --mapping joint_state
 
-Units: each estimate says its own; errors are multiples of what repetition alone gives, of recordings N m."""
+A table with one row per impact, of one free body on a plane or of an arm and an object (--scenario), is diagnosed
+on the velocities just after; docs/impact_tables.md lists its columns:
+  {PROGRAM} diagnose --impacts tosses.csv -o diagnosis.json
+  {PROGRAM} diagnose --impacts pushes.csv --scenario push -o diagnosis.json
+
+Units: each estimate says its own; errors are multiples of what repetition alone gives, of recordings N m,
+of impacts without repeats m/s."""
 
 MOST_SHOWN = 8
 

@@ -22,15 +22,17 @@ added effect fitted to all other conditions. The second cannot be bettered by fi
 example:
   {PROGRAM} history model_3.yaml --runs campaigns/blind/runs
   {PROGRAM} history model_3.yaml --runs campaigns/blind/runs -o report --json
+  {PROGRAM} history model_2.yaml --impacts tosses.csv
 
-Units: errors are multiples of what repetition alone gives; of recordings, of the noise of the torque."""
+Units: errors are multiples of what repetition alone gives; of recordings, of the noise of the torque;
+of impacts without repeats they are m/s."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
     declare(parser, run, TEXT)
     parser.add_argument("model", type=Path, metavar="MODEL.yaml", help="the last model")
-    parser.add_argument("--runs", required=True, metavar="RUNS", help=RUNS)
+    parser.add_argument("--runs", metavar="RUNS", help=f"{RUNS}; none with --impacts")
     parser.add_argument("-o", dest="output", type=Path, metavar="DIR", help="folder for an HTML page with the plot")
     add_source(parser)
     add_jobs(parser)
@@ -54,7 +56,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 def show_history(found: list[VersionError], terminal: Terminal) -> None:
     """The table."""
-    table = Table(title="Error per model version [times what repetition alone gives]")
+    table = Table(title=f"Error per model version [{found[0].unit}]")
     for heading in ("model", "effect added"):
         table.add_column(heading)
     for heading in ("fit", "held out", "repetition alone"):

@@ -2,26 +2,51 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from impact_rs_sim.effects.base import ArmEffect, Parameter, SceneEffect, Values, number
 from impact_rs_sim.physics import ArmPhysics, Physics
+from impact_rs_sim.robot import Array
 
 REDUCED_MASS = 1.0  # kg, of arm and object together; turns a coefficient into a damping
 
 
-def _restitution(arm: ArmPhysics, values: Values) -> ArmPhysics:
+@dataclass(frozen=True)
+class RestitutionEffect(SceneEffect):
+    """More or less restitution than assumed; both together stay between 0 and 1."""
+
+    def bounds(self, physics: Physics) -> tuple[Array, Array]:
+        """See :meth:`Effect.bounds`; where some restitution is assumed, there may be less of it."""
+        lower, upper = super().bounds(physics)
+        assumed = physics.restitution + physics.bounce
+        return np.minimum(lower, 0.0 - assumed), np.minimum(upper, 1.0 - assumed)
+
+
+def _restitution(physics: Physics, values: Values) -> Physics:
+    """Bounce of a single rigid impact, and damping of compliant pads.
+
+    One impact that is looked at by itself leaves with e = restitution + bounce. A plant has compliant pads and no e;
+    there the damping changes (:func:`_less_damping`), and restitution comes out of it.
+    """
+    more = number(values, "restitution")
+    if more == 0.0:
+        return physics
+    arms = {name: _less_damping(arm, more) for name, arm in physics.arms.items()}
+    return replace(physics, arms=arms, bounce=physics.bounce + more)
+
+
+def _less_damping(arm: ArmPhysics, more: float) -> ArmPhysics:
     """Damping for more restitution.
 
     A spring-damper with damping ratio z throws a mass back with e = exp(-pi z / sqrt(1 - z^2)); the pad's damping is
     set so that a reduced mass of 1 kg would leave with ``restitution``. The formula lets the pad pull, which it cannot:
-    little restitution comes out as more (0.1 as about 0.23). The rigid impact map keeps e = 0: a series of bounces
-    under a constant push ends where a single inelastic impact ends (paper sec. Single-arm hit-and-push scenario).
+    little restitution comes out as more (0.1 as about 0.23). The impact map of a whole push keeps its e: a series of
+    bounces under a constant push ends where a single inelastic impact ends (paper sec. Single-arm hit-and-push
+    scenario).
     """
-    more = number(values, "restitution")
-    if arm.pad_stiffness is None or more == 0.0:
+    if arm.pad_stiffness is None:
         return arm
     root = 2.0 * np.sqrt(arm.pad_stiffness * REDUCED_MASS)
     present = np.clip(arm.pad_damping / root, 0.0, 0.999)
@@ -45,10 +70,10 @@ def _support_friction(physics: Physics, values: Values) -> Physics:
     return replace(physics, support_friction=physics.support_friction * number(values, "scale"))
 
 
-RESTITUTION = ArmEffect(
+RESTITUTION = RestitutionEffect(
     name="restitution",
     acts_on="contact",
-    sentence="The object bounces off the pad more or less than assumed before both move together.",
+    sentence="The object bounces off what it hits more or less than assumed.",
     parameters=(Parameter("restitution", "-", 0.0, 0.0, 0.9, 0.1, "restitution of pad and object beyond the assumed"),),
     law=_restitution,
     phases=("contact",),

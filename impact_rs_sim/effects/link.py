@@ -25,7 +25,7 @@ class PayloadEffect(ArmEffect):
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
         """See :meth:`Effect.bounds`; most of what is on the flange stays, and from a bare flange nothing can go."""
         lower, upper = super().bounds(physics)
-        lightest = min(arm.end_effector.mass for arm in physics.arms.values())
+        lightest = min((arm.end_effector.mass for arm in physics.arms.values()), default=0.0)
         lower[0] = max(lower[0], 0.0 - REMOVABLE * lightest)
         return lower, upper
 

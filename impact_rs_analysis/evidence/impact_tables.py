@@ -1,0 +1,401 @@
+"""Tables of impacts as a source of evidence: the impact map predicts what every row measured just after.
+
+Features are the post-impact velocities: of the joints, of the body's centre, and its angular velocity. Those of a free
+body are told in axes of its contact, where they mean something in every row alike: along the ``normal``, along the
+``sliding`` of the contact just before, and ``across`` both. Those of an object are told in x, y and z. Two kinds of
+clusters:
+
+* **Conditions.** Where enough rows are repeats of each other, a cluster is a condition. Every repeat is predicted from
+  its own ante-impact state, and the prediction of a condition is the mean over its repeats, so that its mean residual
+  is linear in what the map gets wrong. Repeats scatter, and that is the pure error.
+* **Blocks.** Else a cluster is a block of neighbouring rows, as a stretch of a recording is. Nothing was repeated; how
+  the scores of blocks vary tells chance. Blocks are held out in runs of neighbours, without those next to them: what
+  drifts from row to row, like wear or the temper of whoever tosses, must not be learnt from next door.
+
+Linear and angular velocities of blocks are weighed by the kinetic energy in them. A difference du of a row is worth the
+velocity at which the body holds the same energy, coordinate by coordinate,
+
+    d = sqrt(sum_i H_ii du_i^2 / m)                                      [m/s]
+
+with H the inertia of body and joints, motors included, and m the mass of the body: the energy norm of the difference
+where H is diagonal, as for a free body whose moments are alike. Every entry has the scale
+
+    sigma_i = s / sqrt(H_ii / m),        s^2 = mean of d^2 over the rows / number of entries of a row
+
+so that fits minimise what is told. A scale by what the model leaves in each signal would not do: a real impact is never
+quite that of a rigid body, and the signal that an effect is missing in most would count least in estimating it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature, Source, pooled_error
+from impact_rs_analysis.evidence.tracks import TrackSet, TrackSignal
+from impact_rs_sim.errors import InputError, NotABody
+from impact_rs_sim.impact_map.contacts import contact_frame
+from impact_rs_sim.impact_map.measured import MeasuredImpact, restitution_of, solve_measured
+from impact_rs_sim.impact_map.problem import ImpactMapError
+from impact_rs_sim.model import Model
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.impact_table import ImpactTable
+
+BLOCKS = 24  # at most: of 24, a fold of the hold-out leaves 18 to search in, and 12 are needed to tell chance
+LEAST_CONDITIONS = 3  # that are repeated, for repeats to be what is counted on
+LEAST_REPEATS = 3  # degrees of freedom of the pure error
+FLOOR_LINEAR = 0.005  # m/s; motion capture knows no velocity of a body better
+FLOOR_ANGULAR = 0.05  # rad/s; the same at a lever of 0.1 m
+FLOOR_JOINT = 0.005  # rad/s; the same at a lever of 1 m
+LEAST_SCALE = 1e-6  # m/s; a model that leaves less is exact
+GAINED = 1.05  # kinetic energy after over before, from which a row is suspect
+
+JOINTS, LINEAR, ANGULAR = "joint velocity after", "velocity after", "angular velocity after"
+AXES = ("x", "y", "z")
+CONTACT_AXES = ("normal", "sliding", "across")
+STICKING = 1e-6  # m/s; a contact that slides no faster has no direction, and any tangent is taken
+NO_DISCREPANCY_KNOWN = (
+    "no discrepancy of the rigid impact map is measured, so 0 is taken: what no rigid body does (finite duration, "
+    "compliance) counts against the model"
+)
+NO_REPEATS = (
+    "too few rows are repeats of each other (column 'condition'), so blocks of neighbouring rows are held out instead"
+)
+NO_NOISE = (
+    "how large the noise is, nothing says: neither repeats nor columns 'v_noise [m/s]' and 'w_noise [rad/s]'; what no "
+    "effect explains may be noise or not"
+)
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Rows of one cluster, by position in the table."""
+
+    name: str
+    unit: str
+    rows: tuple[int, ...]
+
+
+class ImpactTableSource(Source):
+    """A table of impacts against the impact map of a model.
+
+    Args:
+        table: What was measured.
+        model: What is believed.
+
+    Attributes:
+        predicted: u^+ of the model in the axes of the features, ``(rows, nv)`` [rad/s, m/s].
+        measured: The same as measured.
+
+    Raises:
+        InputError: With this model some row has no answer.
+    """
+
+    cheap = True
+    told_unit = "m/s"
+    least_change = 0.0  # what matters is told by floors; rows are independent, as samples of a torque are not
+
+    def __init__(self, table: ImpactTable, model: Model) -> None:
+        self.table, self.model = table, model
+        self._applied: dict[tuple[int, Added], Physics | None] = {}
+        self._models: dict[int, dict[str, RobotModel]] = {}
+        self._known: dict[tuple[int, bytes], Array] = {}
+        for row in table.rows:
+            self._applied.setdefault((id(row.physics), ()), model.apply(row.physics))
+        physics = self._applied[id(table.rows[0].physics), ()]
+        assert physics is not None
+        self.physics = physics
+        self._axes = [_axes_of(row.impact) for row in table.rows]
+        self.measured = np.array([_turned(row.after, axes) for row, axes in zip(table.rows, self._axes, strict=True)])
+        self.predicted = self._predict_all()
+        groups = _conditions(table)
+        self.repeated = groups is not None
+        self._groups = tuple(_blocks(table) if groups is None else groups)
+        self.clusters = self._clusters()
+        self.remarks = tuple(self._remarks())
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """Names of conditions; where nothing was repeated, the name of the table."""
+        return tuple(item.name for item in self.clusters) if self.repeated else (self.table.path.name,)
+
+    @cached_property
+    def signals(self) -> tuple[Feature, ...]:
+        """What the entries of a row are, whatever it hits with, ``nv`` of them."""
+        found = []
+        for name, state in self.table.rows[0].impact.arms.items():
+            label = f"{name}." if len(self.table.arms) > 1 else ""
+            for joint in range(state.position.size):
+                found.append(Feature("impact", JOINTS, f"{label}joint{joint + 1}", 0, "rad/s", FLOOR_JOINT))
+        names = AXES if self.table.arms else CONTACT_AXES
+        found += [Feature("impact", LINEAR, axis, 0, "m/s", FLOOR_LINEAR) for axis in names]
+        found += [Feature("impact", ANGULAR, axis, 0, "rad/s", FLOOR_ANGULAR) for axis in names]
+        return tuple(found)
+
+    @cached_property
+    def worth(self) -> Array:
+        """Velocity of the body that holds the energy of 1 rad/s or 1 m/s, ``(rows, nv)`` [m, -]; see the module."""
+        found = []
+        for number in range(len(self.table.rows)):
+            physics = self._physics(number, ())
+            assert physics is not None
+            system = self.table.rows[number].impact.system(physics, self._robots(physics))
+            axes = self._axes[number]
+            turned = np.array([_turned(column, axes) for column in system.inertia.T])  # H T^T, with T the axes
+            diagonal = np.diag([_turned(column, axes) for column in turned.T])
+            found.append(np.sqrt(diagonal / physics.object.mass))
+        return np.array(found)
+
+    def told_weight(self, item: Cluster) -> Array:
+        """See :meth:`Source.told_weight`; the mean over all entries of a row times their number is d^2."""
+        rows = next(group.rows for group in self._groups if group.name == item.name)
+        worth = self.worth[list(rows)]
+        worth = worth.mean(axis=0) if self.repeated else worth.ravel()
+        return np.asarray(item.sigma * worth * np.sqrt(len(self.signals)))
+
+    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+        """See :meth:`Source.predict`."""
+        del what
+        found: list[Array | None] = []
+        for number, added in wanted:
+            rows = self._rows(number, added)
+            found.append(None if rows is None else rows.mean(axis=0) if self.repeated else rows.ravel())
+        return found
+
+    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        """See :meth:`Source.measure_again`; every repeat starts where it started."""
+        numbers = {item.name: number for number, item in enumerate(self.clusters)}
+        result = []
+        for item in like:
+            number = numbers[item.name]
+            rows = self._rows(number, added)
+            if rows is None:
+                return None
+            rest = self.measured[list(self._groups[number].rows)] - rows
+            result.append(replace(item, residuals=(rest if self.repeated else rest.reshape(1, -1)) / item.sigma))
+        return result
+
+    def predicted_with(self, added: Added) -> Array:
+        """u^+ of all rows with effects on top of the model, as ``predicted``, ``(rows, nv)`` [rad/s, m/s].
+
+        Raises:
+            InputError: The effects leave no body, or some row has no answer.
+        """
+        return self._predict_all(added)
+
+    def size(self) -> float:
+        """Root mean square over the rows of what the model leaves of them, d of the module [m/s]."""
+        return float(np.sqrt(np.mean(np.sum(np.square((self.measured - self.predicted) * self.worth), axis=1))))
+
+    def noise_size(self) -> float | None:
+        """What :meth:`size` is if only noise is left [m/s]; None where nothing is known of it."""
+        if self.table.noise is None:
+            return None
+        return float(np.sqrt(np.mean(np.sum(np.square(self.table.noise * self.worth), axis=1))))
+
+    def tracks(self, added: Added = ()) -> tuple[TrackSet, ...]:
+        """Measured and predicted velocities by row, to be drawn against each other.
+
+        Args:
+            added: Effects that were found on top of the model; shown beside it.
+        """
+        predictions = {"the model": self.predicted}
+        if added:
+            found = self.predicted_with(added)
+            predictions = {"the model as it is": self.predicted, "the model with what was found": found}
+        number = np.array([float(row.number) for row in self.table.rows])
+        return tuple(
+            TrackSet(
+                label=label,
+                impact=None,
+                time=number,
+                signals=tuple(
+                    TrackSignal(f"{feature.signal} {feature.index}", feature.unit, self.measured[:, i], values[:, i])
+                    for i, feature in enumerate(self.signals)
+                ),
+            )
+            for label, values in predictions.items()
+        )
+
+    def _predict_all(self, added: Added = ()) -> Array:
+        found = []
+        for number, row in enumerate(self.table.rows):
+            physics = self._physics(number, added)
+            if physics is None:
+                raise InputError("with these effects there is no body", file=self.table.path)
+            try:
+                found.append(self._solve(number, physics))
+            except ImpactMapError as error:
+                raise InputError(str(error), file=self.table.path, key=f"row {row.number}") from None
+        return np.array(found)
+
+    def _rows(self, number: int, added: Added) -> Array | None:
+        """u^+ of the rows of a cluster, ``(n, nv)``; None where there is none."""
+        found = []
+        for row in self._groups[number].rows:
+            physics = self._physics(row, added)
+            if physics is None:
+                return None
+            try:
+                found.append(self._solve(row, physics))
+            except ImpactMapError:
+                return None
+        return np.array(found)
+
+    def _physics(self, number: int, added: Added) -> Physics | None:
+        """Physics of a row with effects on top of the model; None where they leave no body."""
+        base = id(self.table.rows[number].physics)
+        if (base, added) not in self._applied:
+            physics = self._applied[base, ()]
+            known = self.model.known_effects
+            try:
+                assert physics is not None
+                for name, values in added:
+                    physics = known[name].apply_vector(physics, np.array(values))
+                self._applied[base, added] = physics
+            except NotABody:
+                self._applied[base, added] = None
+        return self._applied[base, added]
+
+    def _solve(self, number: int, physics: Physics) -> Array:
+        """u^+ of one row as a feature, ``(nv,)``; what the map does not depend on makes no new question."""
+        key = (number, _what_the_map_knows(physics))
+        if key not in self._known:
+            velocity, _ = solve_measured(physics, self.table.rows[number].impact, self._robots(physics))
+            self._known[key] = _turned(velocity, self._axes[number])
+        return self._known[key]
+
+    def _robots(self, physics: Physics) -> dict[str, RobotModel]:
+        """Rigid-body models; kept with physics that are kept, so an id cannot come to mean another."""
+        if id(physics) not in self._models:
+            self._models[id(physics)] = {name: physics.robot_model(name) for name in physics.arms}
+        return self._models[id(physics)]
+
+    def _clusters(self) -> tuple[Cluster, ...]:
+        rest = self.measured - self.predicted
+        floor = np.array([feature.floor for feature in self.signals]) / 2.0
+        if self.repeated:
+            pure = pooled_error([rest[list(group.rows)] for group in self._groups])
+            assert pure is not None
+            sigma = np.broadcast_to(np.hypot(pure, floor), rest.shape)
+            noise = np.broadcast_to(pure, rest.shape)
+        else:
+            sigma = max(self.size() / np.sqrt(len(self.signals)), LEAST_SCALE) / self.worth
+            noise = np.zeros_like(rest) if self.table.noise is None else self.table.noise
+        return tuple(self._cluster(group, rest, sigma, noise) for group in self._groups)
+
+    def _cluster(self, group: _Group, rest: Array, sigma: Array, noise: Array) -> Cluster:
+        rows = list(group.rows)
+        shown = rows[:1] if self.repeated else rows
+        features = tuple(replace(feature, phase=self._phase(row)) for row in shown for feature in self.signals)
+        scaled = rest[rows] / sigma[rows]
+        first = self.table.rows[rows[0]]
+        return Cluster(
+            name=group.name,
+            place=(self.table.path.name, first.thing, (first.condition or group.name) if self.repeated else ""),
+            layout="impacts" if self.repeated else group.name,
+            unit=group.unit,
+            contact=True,
+            features=features,
+            residuals=scaled if self.repeated else scaled.reshape(1, -1),
+            sigma=sigma[shown].ravel(),
+            pure=(noise[shown] / sigma[shown]).ravel(),
+            discrepancy=np.zeros(len(features)),
+        )
+
+    def _phase(self, number: int) -> str:
+        """What a body is hit on."""
+        impact = self.table.rows[number].impact
+        if impact.arms:
+            return "on the pad"
+        return {1: "on a corner", 2: "on an edge"}.get(len(impact.points), "on a face")
+
+    def _remarks(self) -> list[str]:
+        remarks = [*self.table.assumed, NO_DISCREPANCY_KNOWN]
+        if not self.repeated:
+            remarks.append(NO_REPEATS)
+            if self.table.noise is None:
+                remarks.append(NO_NOISE)
+        gained = [row.number for number, row in enumerate(self.table.rows) if self._energy_ratio(number) > GAINED]
+        if gained:
+            shown = ", ".join(str(number) for number in gained[:5]) + (" ..." if len(gained) > 5 else "")
+            remarks.append(
+                f"{len(gained)} of {len(self.table.rows)} rows leave with over {100.0 * (GAINED - 1.0):.0f} % more "
+                f"kinetic energy than they came with (rows {shown}): no impact does that; something pushed, or "
+                "velocities are off"
+            )
+        if self.table.unread:
+            remarks.append(f"columns that mean nothing here: {', '.join(self.table.unread)}")
+        return remarks
+
+    def _energy_ratio(self, number: int) -> float:
+        """Measured kinetic energy after over before [-]."""
+        physics = self._physics(number, ())
+        assert physics is not None
+        system = self.table.rows[number].impact.system(physics, self._robots(physics))
+        velocities = (system.velocity, self.table.rows[number].after)
+        before, after = (float(u @ system.inertia @ u) for u in velocities)
+        return after / max(before, 1e-300)
+
+
+def _conditions(table: ImpactTable) -> list[_Group] | None:
+    """Conditions with their repeats; None where too little is repeated."""
+    grouped: dict[str, list[int]] = {}
+    for number, row in enumerate(table.rows):
+        name = ", ".join(filter(None, (row.thing, row.condition))) if row.condition else f"row {row.number}"
+        grouped.setdefault(name, []).append(number)
+    freedom = sum(len(rows) - 1 for rows in grouped.values())
+    if len(grouped) < LEAST_CONDITIONS or freedom < LEAST_REPEATS:
+        return None
+    return [_Group(name, name, tuple(rows)) for name, rows in grouped.items()]
+
+
+def _blocks(table: ImpactTable) -> list[_Group]:
+    """Runs of neighbouring rows of about one length, all of one unit."""
+    count = len(table.rows)
+    blocks = min(count, BLOCKS)
+    edges = np.arange(blocks + 1) * count // blocks
+    found = []
+    for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        name = f"row {low + 1}" if high - low == 1 else f"rows {low + 1} to {high}"
+        found.append(_Group(name, str(table.path), tuple(range(low, high))))
+    return found
+
+
+def _axes_of(impact: MeasuredImpact) -> Array:
+    """Axes of the features in A, as rows, ``(3, 3)``: of the contact of a free body, else those of A."""
+    if impact.arms:
+        return np.eye(3)
+    normal = impact.points[0].normal
+    velocity = np.mean([impact.object.point_velocity(point.position) for point in impact.points], axis=0)
+    sliding = velocity - (velocity @ normal) * normal
+    speed = float(np.linalg.norm(sliding))
+    tangent = sliding / speed if speed > STICKING else contact_frame(normal)[0]
+    return np.array([normal, tangent, np.cross(normal, tangent)])
+
+
+def _turned(velocity: Array, axes: Array) -> Array:
+    """u ``(nv,)`` with velocity and angular velocity of the body in other axes."""
+    count = velocity.size - 6
+    return np.concatenate((velocity[:count], axes @ velocity[count : count + 3], axes @ velocity[count + 3 :]))
+
+
+def _what_the_map_knows(physics: Physics) -> bytes:
+    """All numbers that the answer of an impact map depends on, besides its state."""
+    thing = physics.object
+    parts = [np.array([physics.support_friction, physics.pad_friction, restitution_of(physics)]), thing.com_offset]
+    if physics.arms:
+        parts += [np.array([thing.mass]), thing.inertia]
+    else:
+        # Against something fixed the mass cancels; what is left of it are last digits.
+        parts += [np.array([float(f"{moment:.12g}") for moment in thing.inertia / thing.mass])]
+    for arm in physics.arms.values():
+        tool = arm.end_effector
+        parts += [np.array([tool.mass, tool.length, tool.mount_yaw]), tool.com, tool.inertia.ravel()]
+        parts += [arm.motor_inertia_reduced, arm.base.homogeneous.ravel()]
+    return b"".join(np.ascontiguousarray(part, dtype=float).tobytes() for part in parts)

@@ -1,0 +1,570 @@
+"""Impact tables: one row per impact and nothing else, as CSV or Parquet.
+
+Two kinds of rows. Without joint positions **one free body hits a fixed plane**, for example a tossed cube. With them
+**an arm (or two) hits an object**; robots, pads and support are then those of a scenario. A column is headed by its
+name and its unit in brackets, ``mass [kg]``. Everything is in axes of the world A, twists are those of the geometric
+centre, and *before* and *after* are just before and just after the impact.
+
+==========================================  ========  ============================================================
+column                                      unit      what it is
+==========================================  ========  ============================================================
+``x`` ``y`` ``z``                           m         geometric centre of the body, or of the object
+``qx`` ``qy`` ``qz`` ``qw``                 -         its orientation: unit quaternion from its own axes to A
+``vx_before`` ... ``vz_before``             m/s       velocity of the centre just before
+``wx_before`` ... ``wz_before``             rad/s     angular velocity just before
+``vx_after`` ... ``vz_after``               m/s       velocity of the centre just after
+``wx_after`` ... ``wz_after``               rad/s     angular velocity just after
+``mass``                                    kg        mass; of an object: that of the scenario where it is absent
+``ixx`` ``iyy`` ``izz``                     kg m^2    principal moments about the centre, along the body's own axes;
+                                                      absent: of a homogeneous box of that size
+``size_x`` ``size_y`` ``size_z``            m         extent of the box along its own axes; of a free body optional
+                                                      where contact points are given
+``px`` ``py`` ``pz``                        m         contact point; further ones ``px2`` ``py2`` ``pz2`` and so on,
+                                                      empty where a row has fewer. Absent: from the geometry
+``nx`` ``ny`` ``nz``                        -         unit normal into the body; absent: up, or that of the nearest
+                                                      faces of pad and object
+``friction``                                -         Coulomb coefficient that is assumed: of a free body on its plane
+                                                      (absent: 0.3), of pads on an object (absent: the scenario's)
+``restitution``                             -         Newton restitution that is assumed; absent: 0, or the scenario's
+``q1`` ``q2`` ...                           rad       joint positions; with several arms ``left.q1`` and so on
+``dq1_before`` ... , ``dq1_after`` ...      rad/s     joint velocities just before and just after
+``B1`` ``B2`` ...                           kg m^2    motor inertia that is assumed; absent: B_theta of the scenario
+``object``                                            name of the scenario's object; absent: its only one
+``condition``                                         rows of one condition are repeats of each other
+``v_noise`` ``w_noise`` ``dq_noise``        m/s or    standard deviation of a measured change of velocity, where it is
+                                            rad/s     known
+==========================================  ========  ============================================================
+
+Lengths may also be in mm, masses in g, angles in deg. Other columns are left alone. Cells of a CSV file are separated
+by commas, semicolons or tabs; empty lines and lines that begin with # are skipped.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.errors import Infeasible, InputError, did_you_mean
+from impact_rs_sim.impact_map.measured import (
+    FRICTION,
+    RESTITUTION,
+    MeasuredImpact,
+    corners_that_touch,
+    points_of_scene,
+    points_on_plane,
+)
+from impact_rs_sim.physics import ObjectPhysics, Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_trials.recordings.table_file import require
+
+SUFFIXES = (".csv", ".parquet")
+FACTORS: dict[str, dict[str, float]] = {  # from the unit of a header to SI
+    "m": {"m": 1.0, "mm": 1e-3},
+    "m/s": {"m/s": 1.0, "mm/s": 1e-3},
+    "rad": {"rad": 1.0, "deg": np.pi / 180.0},
+    "rad/s": {"rad/s": 1.0, "deg/s": np.pi / 180.0},
+    "kg": {"kg": 1.0, "g": 1e-3},
+    "kg m^2": {"kg m^2": 1.0},
+    "-": {"-": 1.0, "": 1.0},
+    "": {"": 1.0, "-": 1.0},
+}
+ASSUMED_FRICTION = 0.3  # of a free body on a plane, where a table says nothing; dry solids lie around it
+UNIT_LENGTH = 1e-3  # how far a unit quaternion or a normal may be from length 1; what remains is rounding
+UP = np.array([0.0, 0.0, 1.0])
+AXES = "xyz"
+MOST_POINTS = 8  # contact points that a row may name
+SLIP = 0.75  # likeness from which an unknown column is taken for a slip of the pen
+
+
+@dataclass(frozen=True)
+class ImpactRow:
+    """One impact.
+
+    Attributes:
+        number: Row of the table, counted from 1 without the header.
+        condition: What it is a repeat of; empty: said nowhere.
+        thing: Name of the object; empty: a free body.
+        physics: What is assumed before any effect; rows that assume the same share one.
+        impact: State just before, and contact points.
+        after: Measured u^+, joint velocities of every arm and then the twist of the centre, ``(nv,)`` [rad/s, m/s].
+    """
+
+    number: int
+    condition: str
+    thing: str
+    physics: Physics
+    impact: MeasuredImpact
+    after: Array
+
+
+@dataclass(frozen=True)
+class ImpactTable:
+    """A table of impacts.
+
+    Attributes:
+        path: Its file.
+        digest: Of its bytes.
+        rows: Its impacts.
+        arms: Names of the arms; empty: free bodies.
+        noise: Standard deviation of a measured change of velocity in the order of ``after``, ``(rows, nv)``
+            [rad/s, m/s]; None: said nowhere.
+        assumed: What was taken where the table says nothing, in words.
+        unread: Columns that mean nothing here.
+    """
+
+    path: Path
+    digest: str
+    rows: tuple[ImpactRow, ...]
+    arms: tuple[str, ...]
+    noise: Array | None
+    assumed: tuple[str, ...] = ()
+    unread: tuple[str, ...] = ()
+
+
+def read_impact_table(path: Path, scenario: Scenario | None = None) -> ImpactTable:
+    """Read a table of impacts.
+
+    Args:
+        path: CSV or Parquet file.
+        scenario: Robots, pads and support of rows of arms; None: rows of free bodies.
+
+    Raises:
+        InputError: It cannot be read, a column is missing or has another unit, or a row is no impact; the message names
+            row and column, what is there, and what was expected.
+    """
+    header, cells, digest = _read(path)
+    return _Reader(path, header, cells, scenario).table(digest)
+
+
+Cells = list[dict[str, Any]]
+
+
+def _read(path: Path) -> tuple[list[str], Cells, str]:
+    """Headers, rows and digest of a file."""
+    if path.suffix not in SUFFIXES:
+        raise InputError(f"expected a table of impacts ({' or '.join(SUFFIXES)})", file=path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", file=path) from None
+    if not data:
+        raise InputError("this file is empty", file=path)
+    header, rows = (_csv if path.suffix == ".csv" else _parquet)(path)
+    if len(set(header)) != len(header):
+        twice = sorted({name for name in header if header.count(name) > 1})
+        raise InputError(f"columns that appear twice: {', '.join(twice)}", file=path)
+    if not rows:
+        raise InputError("no rows; expected one per impact", file=path)
+    return header, rows, hashlib.sha256(data).hexdigest()
+
+
+def _csv(path: Path) -> tuple[list[str], Cells]:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"no readable CSV file ({error})", file=path) from None
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    if not lines:
+        raise InputError("no header; expected names of columns with their units", file=path)
+    separator = max(",;\t", key=lines[0].count)
+    header, *rows = csv.reader(lines, delimiter=separator, skipinitialspace=True)
+    header = [name.strip() for name in header]
+    for number, row in enumerate(rows, start=1):
+        if len(row) != len(header):
+            said = f"expected {len(header)} cells as in the header, got {len(row)}"
+            raise InputError(said, file=path, key=_row(number))
+    return header, [dict(zip(header, row, strict=True)) for row in rows]
+
+
+def _parquet(path: Path) -> tuple[list[str], Cells]:
+    require("pyarrow", path)
+    import pyarrow.parquet
+
+    try:
+        table = pyarrow.parquet.read_table(path)
+    except Exception as error:  # a damaged file can fail anywhere inside the library
+        text = (str(error).splitlines() or [""])[0]
+        raise InputError(f"not a readable Parquet file ({type(error).__name__}: {text})", file=path) from None
+    return [str(name).strip() for name in table.column_names], [
+        {str(name).strip(): value for name, value in row.items()} for row in table.to_pylist()
+    ]
+
+
+def _row(number: int) -> str:
+    return f"row {number}"
+
+
+def _triple(stem: str, tail: str = "") -> list[str]:
+    return [f"{stem}{axis}{tail}" for axis in AXES]
+
+
+POSE = {**dict.fromkeys(_triple(""), "m"), **dict.fromkeys(("qx", "qy", "qz", "qw"), "-")}
+TWISTS = {
+    **dict.fromkeys([*_triple("v", "_before"), *_triple("v", "_after")], "m/s"),
+    **dict.fromkeys([*_triple("w", "_before"), *_triple("w", "_after")], "rad/s"),
+}
+BODY = {
+    "mass": "kg",
+    **dict.fromkeys(("ixx", "iyy", "izz"), "kg m^2"),
+    **dict.fromkeys(_triple("size_"), "m"),
+    **dict.fromkeys(_triple("n"), "-"),
+    **{name + tail: "m" for tail in ("", *map(str, range(2, MOST_POINTS + 1))) for name in _triple("p")},
+    FRICTION: "-",
+    RESTITUTION: "-",
+    "v_noise": "m/s",
+    "w_noise": "rad/s",
+    "dq_noise": "rad/s",
+    "condition": "",
+    "object": "",
+}
+JOINT_COLUMN = re.compile(r"(?:(?P<arm>.+)\.)?(?:q|dq|B)[0-9]+(?:_before|_after)?")
+
+
+@dataclass
+class _Reader:
+    """Turns cells into impacts.
+
+    Attributes:
+        path: File, for messages.
+        header: Headers of the file.
+        cells: Rows by header.
+        scenario: Of rows of arms.
+    """
+
+    path: Path
+    header: list[str]
+    cells: Cells
+    scenario: Scenario | None
+    _where: dict[str, str] = field(default_factory=dict)  # header by name of a column
+    _factor: dict[str, float] = field(default_factory=dict)
+    _unit: dict[str, str] = field(default_factory=dict)
+    _physics: dict[tuple[Any, ...], tuple[Physics, dict[str, RobotModel]]] = field(default_factory=dict)
+
+    def table(self, digest: str) -> ImpactTable:
+        """All rows, checked."""
+        unread = self._columns()
+        self._demand()
+        rows = tuple(self._impact(number, cells) for number, cells in enumerate(self.cells, start=1))
+        return ImpactTable(self.path, digest, rows, self._arms, self._noise(rows), self._assumed(), tuple(unread))
+
+    @property
+    def _arms(self) -> tuple[str, ...]:
+        return () if self.scenario is None else tuple(self.scenario.robots)
+
+    def _joints(self, arm: str) -> int:
+        assert self.scenario is not None
+        return self.scenario.robots[arm].robot_facts.joint_count
+
+    def _label(self, arm: str) -> str:
+        return f"{arm}." if len(self._arms) > 1 else ""
+
+    def _of_joints(self, arm: str, stem: str, tail: str = "") -> list[str]:
+        return [f"{self._label(arm)}{stem}{joint + 1}{tail}" for joint in range(self._joints(arm))]
+
+    def _columns(self) -> list[str]:
+        """Find the columns that are known, with their units; returns the others."""
+        known = {**POSE, **TWISTS, **BODY}
+        for arm in self._arms:
+            known |= dict.fromkeys(self._of_joints(arm, "q"), "rad")
+            known |= dict.fromkeys(self._of_joints(arm, "dq", "_before"), "rad/s")
+            known |= dict.fromkeys(self._of_joints(arm, "dq", "_after"), "rad/s")
+            known |= dict.fromkeys(self._of_joints(arm, "B"), "kg m^2")
+        unread = []
+        for text in self.header:
+            name, bracket, unit = text.partition("[")
+            name, unit = name.strip(), unit.strip().removesuffix("]").strip()
+            if name not in known:
+                unread.append(text)
+                continue
+            factors = FACTORS[known[name]]
+            if unit not in factors:
+                said = f"unit {unit!r}" if bracket else "no unit"
+                expected = " or ".join(f"'{name} [{one}]'" for one in factors if one)
+                raise InputError(f"column {text!r} has {said}; expected {expected}", file=self.path)
+            self._where[name], self._factor[name], self._unit[name] = text, factors[unit], unit or known[name]
+        joints = [text for text in unread if JOINT_COLUMN.fullmatch(text.partition("[")[0].strip())]
+        if joints and self.scenario is None:
+            raise InputError(
+                f"column {joints[0]!r} is of an arm; --scenario NAME says which robot, pad and support there were",
+                file=self.path,
+            )
+        if joints:
+            expected = ", ".join(f"{arm} has {self._joints(arm)}" for arm in self._arms)
+            raise InputError(
+                f"column {joints[0]!r} is of no joint of scenario {self._name} ({expected})", file=self.path
+            )
+        free = [name for name in known if name not in self._where]
+        for text in unread:
+            name = text.partition("[")[0].strip()
+            if close := get_close_matches(name, free, n=1, cutoff=SLIP):
+                unit = known[close[0]]
+                meant = f"{close[0]} [{unit}]" if unit else close[0]
+                raise InputError(f"no column is called {text!r}; did you mean {meant!r}?", file=self.path)
+        return unread
+
+    @property
+    def _name(self) -> str:
+        return "" if self.scenario is None else repr(self.scenario.name)
+
+    def _demand(self) -> None:
+        """Refuse a table that lacks a column."""
+        needed = {**POSE, **TWISTS}
+        for arm in self._arms:
+            needed |= dict.fromkeys(self._of_joints(arm, "q"), "rad")
+            needed |= dict.fromkeys(self._of_joints(arm, "dq", "_before"), "rad/s")
+            needed |= dict.fromkeys(self._of_joints(arm, "dq", "_after"), "rad/s")
+        if self.scenario is None:
+            needed["mass"] = "kg"
+        for group in (_triple("n"), _triple("size_"), ["ixx", "iyy", "izz"], *self._point_columns()):
+            if any(name in self._where for name in group):
+                needed |= {name: BODY[name] for name in group}
+        if any(f"{self._label(arm)}B1" in self._where for arm in self._arms):
+            needed |= {name: "kg m^2" for arm in self._arms for name in self._of_joints(arm, "B")}
+        for name, unit in needed.items():
+            if name not in self._where:
+                wanted = f"{name} [{unit}]"
+                others = set(self.header) - set(self._where.values())
+                raise InputError(
+                    f"no column {wanted!r}{did_you_mean(wanted, others)}; there are: {', '.join(self.header)}",
+                    file=self.path,
+                )
+        shaped = "size_x" in self._where
+        if self.scenario is None and not (shaped or "px" in self._where):
+            raise InputError(
+                "nothing says where the body touches; expected its size ('size_x [m]' ...) or contact points "
+                f"('px [m]' ...); there are: {', '.join(self.header)}",
+                file=self.path,
+            )
+        if self.scenario is None and not (shaped or "ixx" in self._where):
+            raise InputError(
+                "nothing says how hard the body is to turn; expected principal moments ('ixx [kg m^2]' ...) or its "
+                f"size ('size_x [m]' ...); there are: {', '.join(self.header)}",
+                file=self.path,
+            )
+
+    @staticmethod
+    def _point_columns() -> list[list[str]]:
+        return [_triple("p", tail) for tail in ("", *map(str, range(2, MOST_POINTS + 1)))]
+
+    def _value(self, number: int, cells: Mapping[str, Any], name: str) -> float:
+        """One number in SI units."""
+        text, unit = cells[self._where[name]], self._unit[name]
+        key = f"{_row(number)}, column {self._where[name]!r}"
+        if text is None or (isinstance(text, str) and not text.strip()):
+            raise InputError(f"this cell is empty; expected a number [{unit}]", file=self.path, key=key)
+        try:
+            value = float(text)
+        except (TypeError, ValueError):
+            raise InputError(f"expected a number [{unit}]", file=self.path, key=key, value=text) from None
+        if not np.isfinite(value):
+            raise InputError(f"expected a finite number [{unit}]", file=self.path, key=key, value=value)
+        return value * self._factor[name]
+
+    def _values(self, number: int, cells: Mapping[str, Any], names: Sequence[str]) -> Array:
+        return np.array([self._value(number, cells, name) for name in names])
+
+    def _wrong(self, number: int, names: str, value: object, message: str) -> InputError:
+        return InputError(message, file=self.path, key=f"{_row(number)}, {names}", value=value)
+
+    def _text(self, cells: Mapping[str, Any], name: str) -> str:
+        value = cells[self._where[name]] if name in self._where else None
+        return "" if value is None else str(value).strip()
+
+    def _impact(self, number: int, cells: Mapping[str, Any]) -> ImpactRow:
+        body = BodyState(
+            position=self._values(number, cells, _triple("")),
+            rotation=self._rotation(number, cells),
+            twist=self._values(number, cells, [*_triple("v", "_before"), *_triple("w", "_before")]),
+        )
+        after = [self._values(number, cells, [*_triple("v", "_after"), *_triple("w", "_after")])]
+        normal = self._normal(number, cells)
+        given = self._given_points(number, cells)
+        thing = self._object(number, cells)
+        physics, models = self._assumption(number, cells, thing)
+        arms = {}
+        for place, arm in enumerate(self._arms):
+            arms[arm] = ArmState(
+                self._values(number, cells, self._of_joints(arm, "q")),
+                self._values(number, cells, self._of_joints(arm, "dq", "_before")),
+            )
+            after.insert(place, self._values(number, cells, self._of_joints(arm, "dq", "_after")))
+        if arms:
+            on_pad = {next(iter(arms)): (given, normal)} if given and len(arms) == 1 else None
+            try:
+                points = points_of_scene(physics, arms, body, models, on_pad)
+            except Infeasible as error:
+                raise self._wrong(number, "pose of pad and object", None, error.message) from None
+        elif given:
+            points = points_on_plane(given, UP if normal is None else normal)
+        else:
+            points = corners_that_touch(body, physics.object.size, UP if normal is None else normal)
+        impact = MeasuredImpact(arms, body, points)
+        closing = impact.closing_speed(physics, models)
+        if not closing > 0.0:
+            raise self._wrong(
+                number,
+                "normal velocity of the contact before [m/s]",
+                round(-closing, 6),
+                "no impact: the contact does not close; expected a velocity < 0 m/s against the normal",
+            )
+        return ImpactRow(number, self._text(cells, "condition"), thing, physics, impact, np.concatenate(after))
+
+    def _rotation(self, number: int, cells: Mapping[str, Any]) -> Array:
+        quaternion = self._values(number, cells, ("qx", "qy", "qz", "qw"))
+        length = float(np.linalg.norm(quaternion))
+        if abs(length - 1.0) > UNIT_LENGTH:
+            raise self._wrong(
+                number, "length of (qx, qy, qz, qw) [-]", round(length, 6), "expected a unit quaternion: length 1"
+            )
+        x, y, z, w = quaternion / length
+        return np.asarray(pin.Quaternion(w, x, y, z).toRotationMatrix())
+
+    def _normal(self, number: int, cells: Mapping[str, Any]) -> Array | None:
+        if "nx" not in self._where:
+            return None
+        normal = self._values(number, cells, _triple("n"))
+        length = float(np.linalg.norm(normal))
+        if abs(length - 1.0) > UNIT_LENGTH:
+            raise self._wrong(
+                number, "length of (nx, ny, nz) [-]", round(length, 6), "expected a unit normal: length 1"
+            )
+        return normal / length
+
+    def _given_points(self, number: int, cells: Mapping[str, Any]) -> list[Array]:
+        found = []
+        for names in self._point_columns():
+            if names[0] in self._where and any(self._text(cells, name) for name in names):
+                found.append(self._values(number, cells, names))
+        if "px" in self._where and not found:
+            raise self._wrong(number, "columns 'px', 'py', 'pz'", None, "no contact point; expected at least one [m]")
+        return found
+
+    def _object(self, number: int, cells: Mapping[str, Any]) -> str:
+        """Name of the scenario's object in a row; empty: a free body."""
+        if self.scenario is None:
+            return ""
+        known = self.scenario.objects
+        name = self._text(cells, "object")
+        if not name and len(known) == 1:
+            return next(iter(known))
+        if name not in known:
+            raise self._wrong(
+                number,
+                "column 'object'",
+                name,
+                f"expected an object of scenario {self._name}{did_you_mean(name, known)}; known: {', '.join(known)}",
+            )
+        return name
+
+    def _assumption(self, number: int, cells: Mapping[str, Any], thing: str) -> tuple[Physics, dict[str, RobotModel]]:
+        """Physics of a row before any effect; rows that assume the same share one."""
+        names = ("mass", "ixx", "iyy", "izz", *_triple("size_"), FRICTION, RESTITUTION)
+        own = {name: self._value(number, cells, name) for name in names if name in self._where}
+        for name, value in own.items():
+            low = 0.0 if name in (FRICTION, RESTITUTION) else np.finfo(float).tiny
+            if value < low or (name == RESTITUTION and value > 1.0):
+                expected = {FRICTION: ">= 0 [-]", RESTITUTION: "between 0 and 1 [-]"}
+                unit = self._unit[name]
+                raise self._wrong(
+                    number,
+                    f"column {self._where[name]!r}",
+                    value,
+                    f"expected a number {expected.get(name, f'> 0 [{unit}]')}",
+                )
+        motors = {
+            arm: tuple(self._values(number, cells, self._of_joints(arm, "B")))
+            for arm in self._arms
+            if self._of_joints(arm, "B")[0] in self._where
+        }
+        for arm, values in motors.items():
+            if min(values) < 0.0:
+                joint = int(np.argmin(values))
+                raise self._wrong(
+                    number,
+                    f"column '{self._of_joints(arm, 'B')[joint]}'",
+                    values[joint],
+                    "expected a number >= 0 [kg m^2]",
+                )
+        key = (thing, *own.items(), *motors.items())
+        if key not in self._physics:
+            physics = self._free(own) if self.scenario is None else self._of_scene(thing, own, motors)
+            self._physics[key] = physics, {name: physics.robot_model(name) for name in physics.arms}
+        return self._physics[key]
+
+    @staticmethod
+    def _free(own: Mapping[str, float]) -> Physics:
+        """A free body: an object without arms, on a support without an edge."""
+        size = np.array([own.get(name, 0.0) for name in _triple("size_")])
+        box = own["mass"] / 12.0 * (np.sum(np.square(size)) - np.square(size))
+        inertia = np.array([own[name] for name in ("ixx", "iyy", "izz")]) if "ixx" in own else box
+        return Physics(
+            arms={},
+            object=ObjectPhysics(own["mass"], size, inertia, np.zeros(3)),
+            support_height=None,
+            support_size=(np.inf, np.inf),
+            support_friction=own.get(FRICTION, ASSUMED_FRICTION),
+            pad_friction=0.0,
+            restitution=own.get(RESTITUTION, 0.0),
+        )
+
+    def _of_scene(self, thing: str, own: Mapping[str, float], motors: Mapping[str, tuple[float, ...]]) -> Physics:
+        """A scenario with what the table knows better."""
+        assert self.scenario is not None
+        physics = Physics.nominal(self.scenario, thing)
+        box = physics.object
+        mass = own.get("mass", box.mass)
+        size = np.array([own.get(name, value) for name, value in zip(_triple("size_"), box.size, strict=True)])
+        inertia = box.inertia * mass / box.mass
+        if "size_x" in own:
+            inertia = mass / 12.0 * (np.sum(np.square(size)) - np.square(size))
+        if "ixx" in own:
+            inertia = np.array([own[name] for name in ("ixx", "iyy", "izz")])
+        arms = {
+            name: replace(arm, motor_inertia_reduced=np.array(motors[name])) if name in motors else arm
+            for name, arm in physics.arms.items()
+        }
+        return replace(
+            physics,
+            arms=arms,
+            object=ObjectPhysics(mass, size, inertia, box.com_offset),
+            pad_friction=own.get(FRICTION, physics.pad_friction),
+            restitution=own.get(RESTITUTION, physics.restitution),
+        )
+
+    def _noise(self, rows: Sequence[ImpactRow]) -> Array | None:
+        """Standard deviations in the order of ``after``, ``(rows, nv)``; None where the table says nothing."""
+        wanted = {"v_noise": "m/s", "w_noise": "rad/s"} | ({"dq_noise": "rad/s"} if self._arms else {})
+        if not any(name in self._where for name in wanted):
+            return None
+        for name, unit in wanted.items():
+            if name not in self._where:
+                raise InputError(f"no column '{name} [{unit}]', though other noise is given", file=self.path)
+        found = []
+        for row, cells in zip(rows, self.cells, strict=True):
+            joints = row.after.size - 6
+            names = ["dq_noise"] * joints + ["v_noise"] * 3 + ["w_noise"] * 3
+            found.append(self._values(row.number, cells, names))
+        return np.array(found)
+
+    def _assumed(self) -> tuple[str, ...]:
+        """What is taken where the table says nothing."""
+        if self.scenario is not None:
+            return ()
+        taken = {FRICTION: ASSUMED_FRICTION, RESTITUTION: 0.0}
+        return tuple(
+            f"no column '{name} [-]': {value:g} is assumed, and estimates are relative to that"
+            for name, value in taken.items()
+            if name not in self._where
+        )

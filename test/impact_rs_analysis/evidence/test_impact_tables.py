@@ -1,0 +1,168 @@
+"""Tables of impacts as evidence: a planted truth is found, and nothing where nothing is hidden."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from impact_table_cases import CUBE_HEADER, NOISE, arm_table, cube, cube_rows, write_csv
+
+from impact_rs_analysis.diagnosis.compare import compare
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.document import CONFIRMED, NONE, NOTHING, DiagnosisDocument
+from impact_rs_analysis.evidence.impact_tables import BLOCKS, JOINTS, ImpactTableSource
+from impact_rs_sim.model import load_model
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.recordings.impact_table import read_impact_table
+
+NOMINAL = load_model(Path("nominal"))
+CONSIDERED = ["motor_inertia_scale", "object_mass", "restitution", "pad_friction", "support_friction"]
+
+
+def of_cubes(path: Path, truth: Physics, **columns: float) -> ImpactTableSource:
+    """Impacts of cubes that do what ``truth`` says; ``columns`` are further ones, the same in every row."""
+    names = [f"{name} [{'m/s' if name == 'v_noise' else 'rad/s'}]" for name in columns]
+    rows = [[*row, *columns.values()] for row in cube_rows(truth, 60)]
+    return ImpactTableSource(read_impact_table(write_csv(path, [*CUBE_HEADER, *names], rows)), NOMINAL)
+
+
+def of_pushes(path: Path, hidden: dict[str, list[float]], repeats: int, seed: int = 0) -> ImpactTableSource:
+    table = read_impact_table(write_csv(path, *arm_table(hidden, repeats, seed)), load_scenario("push"))
+    return ImpactTableSource(table, NOMINAL)
+
+
+def confirmed(document: DiagnosisDocument) -> set[str]:
+    return {effect.name for effect in document.effects if effect.verdict == CONFIRMED}
+
+
+def covers(document: DiagnosisDocument, effect: str, parameter: str, truth: float) -> bool:
+    low, high = document.effect(effect).parameters[parameter].interval
+    return low <= truth <= high
+
+
+@pytest.fixture(scope="module")
+def tossed(tmp_path_factory: pytest.TempPathFactory) -> tuple[ImpactTableSource, DiagnosisDocument]:
+    """Cubes with mu = 0.2 and e = 0.3 that are believed to have 0.5 and 0."""
+    source = of_cubes(tmp_path_factory.mktemp("cubes") / "cubes.csv", cube(0.2, 0.3))
+    return source, diagnose(source, NOMINAL)
+
+
+def test_friction_and_restitution_of_a_cube_are_found_and_nothing_else(
+    tossed: tuple[ImpactTableSource, DiagnosisDocument],
+) -> None:
+    source, document = tossed
+    assert confirmed(document) == set(document.named) == {"support_friction", "restitution"}
+    assert covers(document, "support_friction", "scale", 0.2 / 0.5)
+    assert covers(document, "restitution", "restitution", 0.3)
+    assert document.held_out_error_after < 0.05 * document.held_out_error_before
+    assert (document.source, document.error_unit, document.runs.trials) == ("impacts", "m/s", 60)
+    assert document.runs.digest == source.table.digest
+    assert not document.effect("object_mass").measured  # it cancels
+
+
+def test_the_score_is_the_energy_norm_of_what_is_left(tossed: tuple[ImpactTableSource, DiagnosisDocument]) -> None:
+    """With all moments alike, sum_i H_ii du_i^2 / m = |dv|^2 + I / m |domega|^2 in any axes."""
+    source, document = tossed
+    raw = np.array([row.after for row in source.table.rows]) - _in_world(source)
+    square = np.sum(raw[:, :3] ** 2, axis=1) + 0.01 / 6.0 * np.sum(raw[:, 3:] ** 2, axis=1)
+    found = compare(source)
+    assert found.score == pytest.approx(np.sqrt(square.mean()), rel=1e-6)
+    assert document.held_out_error_before == pytest.approx(found.score, rel=1e-6)
+    assert (found.score_unit, found.noise_floor) == ("m/s", None)
+
+
+def _in_world(source: ImpactTableSource) -> np.ndarray:
+    """Predicted velocities in axes of the world."""
+    turned = []
+    for velocity, axes in zip(source.predicted, source._axes, strict=True):
+        turned.append(np.concatenate((axes.T @ velocity[:3], axes.T @ velocity[3:])))
+    return np.array(turned)
+
+
+def test_blocks_hold_every_row_once_and_are_of_one_unit(tossed: tuple[ImpactTableSource, DiagnosisDocument]) -> None:
+    source, _ = tossed
+    rows = [row for group in source._groups for row in group.rows]
+    assert rows == list(range(60))
+    assert len(source.clusters) == BLOCKS
+    assert {item.unit for item in source.clusters} == {str(source.table.path)}  # so neighbours guard each other
+    assert {feature.index for item in source.clusters for feature in item.features} == {"normal", "sliding", "across"}
+
+
+def test_a_centre_of_mass_off_the_middle_is_found(tmp_path: Path) -> None:
+    document = diagnose(of_cubes(tmp_path / "cubes.csv", cube(com=(0.012, 0.0, 0.0))), NOMINAL)
+    assert document.verdict == "object_com_offset"
+    assert covers(document, "object_com_offset", "x", 0.012)
+    assert covers(document, "object_com_offset", "y", 0.0)
+
+
+@pytest.mark.parametrize("told", [{}, {"v_noise": NOISE[0], "w_noise": NOISE[1]}])
+def test_where_nothing_is_hidden_nothing_is_missing(tmp_path: Path, told: dict[str, float]) -> None:
+    source = of_cubes(tmp_path / "cubes.csv", cube(), **told)
+    document = diagnose(source, NOMINAL)
+    assert (document.verdict, document.named) == (NOTHING, ())
+    if told:
+        assert document.held_out_error_before == pytest.approx(document.noise_floor, rel=0.1)
+    else:
+        assert any("how large the noise is, nothing says" in remark for remark in document.remarks)
+
+
+def test_what_no_effect_explains_is_said_where_the_noise_is_known(tmp_path: Path) -> None:
+    """Velocities after the impact that have nothing to do with those before it."""
+    rows = np.array(cube_rows(cube(), 60, noise=False))
+    rows[:, 13:19] = rows[::-1, 13:19]
+    header = [*CUBE_HEADER, "v_noise [m/s]", "w_noise [rad/s]"]
+    table = read_impact_table(write_csv(tmp_path / "cubes.csv", header, np.hstack((rows, [[0.01, 0.1]] * 60))))
+    assert diagnose(ImpactTableSource(table, NOMINAL), NOMINAL).verdict.startswith((NONE, "PARTLY"))
+
+
+def test_a_limit_that_is_no_friction_at_all_is_found_at_its_bound(tmp_path: Path) -> None:
+    document = diagnose(of_cubes(tmp_path / "cubes.csv", cube(0.0)), NOMINAL)
+    assert document.named == ("support_friction",)
+    low, high = document.effect("support_friction").parameters["scale"].interval
+    assert low == 0.0
+    assert high < 0.05
+
+
+def test_rows_that_gain_energy_are_told(tmp_path: Path) -> None:
+    rows = cube_rows(cube(), 20, noise=False)
+    rows[3][13:16] = [5.0, 0.0, 0.0]
+    source = ImpactTableSource(read_impact_table(write_csv(tmp_path / "cubes.csv", CUBE_HEADER, rows)), NOMINAL)
+    assert any(
+        "1 of 20 rows leave with over 5 % more kinetic energy" in text and "rows 4" in text for text in source.remarks
+    )
+
+
+def test_motor_inertia_of_an_arm_is_found_from_its_jumps(tmp_path: Path) -> None:
+    source = of_pushes(tmp_path / "pushes.csv", {"motor_inertia_scale": [1.3]}, repeats=4)
+    document = diagnose(source, NOMINAL, CONSIDERED)
+    assert source.repeated
+    assert confirmed(document) == {"motor_inertia_scale"} == set(document.named)
+    assert covers(document, "motor_inertia_scale", "scale", 1.3)
+    assert {feature.signal for feature in source.signals} >= {JOINTS}
+
+
+def test_the_mass_of_an_object_is_found_by_what_hits_it(tmp_path: Path) -> None:
+    document = diagnose(
+        of_pushes(tmp_path / "pushes.csv", {"object_mass": [1.15]}, repeats=3, seed=1), NOMINAL, CONSIDERED
+    )
+    assert confirmed(document) == {"object_mass"} == set(document.named)
+    assert covers(document, "object_mass", "scale", 1.15)
+
+
+def test_pushes_without_anything_hidden_lack_nothing(tmp_path: Path) -> None:
+    source = of_pushes(tmp_path / "pushes.csv", {}, repeats=3)
+    assert diagnose(source, NOMINAL, CONSIDERED).verdict == NOTHING
+    assert compare(source).score < 2.0  # times repetition
+
+
+def test_a_condition_is_predicted_as_the_mean_of_its_repeats(tmp_path: Path) -> None:
+    source = of_pushes(tmp_path / "pushes.csv", {}, repeats=2)
+    (found,) = source.predict([(1, ())], "")
+    rows = source._groups[1].rows
+    assert found == pytest.approx(source.predicted[list(rows)].mean(axis=0))
+    (again,) = source.measure_again((), source.clusters[1:2])
+    assert again.residuals == pytest.approx(source.clusters[1].residuals)
+    item = source.clusters[1]
+    assert item.mean * item.sigma == pytest.approx((source.measured - source.predicted)[list(rows)].mean(axis=0))
