@@ -2,7 +2,19 @@
 
 from mutant import Mutant
 
-from areas import controller, detection, diagnosis, drive, effects, fit, impact_map, net_feedback, plant, references
+from areas import (
+    controller,
+    detection,
+    diagnosis,
+    drive,
+    effects,
+    fit,
+    impact_map,
+    net_feedback,
+    plant,
+    references,
+    replay,
+)
 
 AREAS: dict[str, list[Mutant]] = {
     "detection": detection.MUTANTS,
@@ -15,4 +27,5 @@ AREAS: dict[str, list[Mutant]] = {
     "net_feedback": net_feedback.MUTANTS,
     "fit": fit.MUTANTS,
     "diagnosis": diagnosis.MUTANTS,
+    "replay": replay.MUTANTS,
 }

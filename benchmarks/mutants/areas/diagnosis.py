@@ -87,15 +87,15 @@ MUTANTS = [
     Mutant(
         name="quantile_of_the_normal",
         file=REFERENCE,
-        original="return float(scipy.stats.t.ppf(0.975, max(self.freedom, 1)))",
-        mutated="return float(scipy.stats.norm.ppf(0.975))",
+        original="return float(scipy.stats.t.ppf(0.5 + confidence / 2.0, max(self.freedom, 1)))",
+        mutated="return float(scipy.stats.norm.ppf(0.5 + confidence / 2.0))",
         wrong="Intervals forget how few repeats there are.",
         tests=REFERENCES,
     ),
     Mutant(
         name="jackknife_quantile_of_the_noise",
         file=REFERENCE,
-        original="scipy.stats.t.ppf(0.975, max(clusters - 1, 1)) * jackknife",
+        original="scipy.stats.t.ppf(tail, max(clusters - 1, 1)) * jackknife",
         mutated="quantile * jackknife",
         wrong="The jackknife takes the degrees of freedom of the repeats.",
         tests=REFERENCES,
@@ -111,7 +111,7 @@ MUTANTS = [
     Mutant(
         name="interval_without_discrepancy",
         file=REFERENCE,
-        original="return np.asarray(np.hypot(own, scipy.stats.norm.ppf(0.975) * discrepancy))",
+        original="return np.asarray(np.hypot(own, scipy.stats.norm.ppf(tail) * discrepancy))",
         mutated="return np.asarray(own)",
         wrong="The twin is taken for exactly right in intervals.",
         tests=(*REFERENCES, *SEARCHES),
@@ -311,8 +311,8 @@ MUTANTS = [
     Mutant(
         name="discrepancy_of_the_wrong_trials",
         file=DISCREPANCY,
-        original="for e in self.entries if e.hit == hit",
-        mutated="for e in self.entries if e.hit != hit",
+        original="for e in self.entries if e.kind == kind",
+        mutated="for e in self.entries if e.kind != kind",
         wrong="Free motion gets the discrepancy of contact.",
         tests=DISCREPANCIES,
     ),

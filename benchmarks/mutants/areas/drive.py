@@ -75,8 +75,8 @@ MUTANTS = [
     Mutant(
         name="equilibrium_on_the_wrong_side",
         file=FILE,
-        original="self.position = link_position + load / self._stiffness",
-        mutated="self.position = link_position - load / self._stiffness",
+        original="self.position = link.position + drive.torque / self._stiffness",
+        mutated="self.position = link.position - drive.torque / self._stiffness",
         wrong="At the start the spring carries the load the wrong way.",
         tests=TESTS,
     ),

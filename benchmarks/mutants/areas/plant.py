@@ -10,6 +10,7 @@ SENSORS = "impact_rs_sim/sensors.py"
 SENSOR_TESTS = ("test/impact_rs_sim/test_sensors.py",)
 PHYSICS = "impact_rs_sim/physics.py"
 PHYSICS_TESTS = ("test/impact_rs_sim/test_physics.py",)
+MECHANICS = "impact_rs_sim/mechanics.py"
 MODEL = "impact_rs_sim/robot_model.py"
 MODEL_TESTS = ("test/impact_rs_sim/test_robot_model.py",)
 
@@ -40,17 +41,17 @@ MUTANTS = [
     ),
     Mutant(
         name="motor_load_forgotten",
-        file=FILE,
-        original="        self._drives[name].load(on_motors)\n",
+        file=MECHANICS,
+        original="        self.drives[name].load(on_motors)\n",
         mutated="",
         wrong="Loads on the motors are dropped.",
         tests=TESTS,
     ),
     Mutant(
         name="load_torque_sign_in_the_world",
-        file=FILE,
-        original="torque + loads[name] if name in loads",
-        mutated="torque - loads[name] if name in loads",
+        file=MECHANICS,
+        original="passed + loads[name] if name in loads",
+        mutated="passed - loads[name] if name in loads",
         wrong="All loads on the links act the other way.",
         tests=TESTS,
     ),
@@ -65,8 +66,8 @@ MUTANTS = [
     Mutant(
         name="starts_without_gravity_in_the_springs",
         file=FILE,
-        original="drives[name].reset(q, physics.robot_model(name).gravity_torque(q))",
-        mutated="drives[name].reset(q, 0.0 * q)",
+        original="carried = {name: physics.robot_model(name).gravity_torque(q) for name, q in initial.items()}",
+        mutated="carried = {name: 0.0 * q for name, q in initial.items()}",
         wrong="At the start the arm sags into its joints.",
         tests=TESTS,
     ),
@@ -136,7 +137,7 @@ MUTANTS = [
     ),
     Mutant(
         name="sleeps_on_a_slope",
-        file=FILE,
+        file=MECHANICS,
         original="return across < physics.support_friction * down",
         mutated="return True",
         wrong="An object on a slope steeper than its friction stays where it is.",
