@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations, product
 
 import numpy as np
@@ -234,6 +235,12 @@ class Search:
             chosen = best if thrifty else measure_again(best)
         return chosen
 
+    @cached_property
+    def _lacking(self) -> bool:
+        """Whether the model leaves more than noise and discrepancy; if not, what is too small to matter stays out."""
+        left = self.evidence.reference.lack_of_fit([item.mean for item in self.evidence.clusters])
+        return left is None or left < SIGNIFICANT
+
     def beside(self, chosen: Fit | None, name: str) -> Fit:
         """Linear fit of one more effect."""
         if chosen is None:
@@ -253,6 +260,8 @@ class Search:
         first = 0 if chosen is None else chosen.change.size
         sure = consistent if self.source.repeated else noticeable
         found = [proposal for proposal in found if sure(proposal, first)]
+        if self.source.repeated and chosen is None and not self._lacking:
+            found = [proposal for proposal in found if moves_enough(proposal)]
         if not found:
             return None
         best = min(found, key=lambda proposal: proposal.score)
@@ -406,6 +415,15 @@ def consistent(fitted: Fit, first: int = 0) -> bool:
     widths = fitted.problem.half_widths(fitted.change, fitted.evidence.reference, confidence)
     distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale
     return bool(np.any((distance > widths)[own]))
+
+
+def moves_enough(fitted: Fit) -> bool:
+    """Whether a fit moves some feature by more than anybody cares about."""
+    change = (fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale
+    return any(
+        bool(np.any(np.abs(jacobian @ change) * item.sigma > [feature.floor for feature in item.features]))
+        for item, jacobian in zip(fitted.evidence.clusters, fitted.candidate.jacobians, strict=True)
+    )
 
 
 def noticeable(fitted: Fit, first: int = 0) -> bool:

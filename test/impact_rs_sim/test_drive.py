@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from impact_rs_sim.bullet_world import BulletWorld
-from impact_rs_sim.drive import Drive
+from impact_rs_sim.drive import Drive, DriveStart
 from impact_rs_sim.physics import JointFriction, Physics
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import ArmState, Scene
@@ -249,3 +249,17 @@ def test_friction_acts_on_the_motor_that_is_scaled_by_the_loop(arm):
     shaping = arm.motor_inertia_rotor / arm.motor_inertia_reduced
     np.testing.assert_allclose(drive.friction_torque, -shaping * (0.5 + 0.3 * 0.8), rtol=1e-9)
     assert np.all(drive.velocity < 0.8)
+
+
+def test_a_drive_that_starts_in_motion_stretches_its_spring_at_the_rate_it_was_told() -> None:
+    """K (dtheta - dq) = dtau_J, and the link receives tau_J + D K^-1 dtau_J (paper eq. EOM_link)."""
+    arm = Physics.nominal(load_scenario("push"), "juice").arms["arm"]
+    drive, period = Drive(arm, 0.00025), 0.00025
+    torque, rate = np.linspace(-5.0, 8.0, 7), np.linspace(300.0, -200.0, 7)
+    link = ArmState(np.zeros(7), np.linspace(-1.0, 1.0, 7))
+    drive.start(link, DriveStart(torque, rate))
+    np.testing.assert_allclose(arm.stiffness * (drive.position - link.position), torque)
+    np.testing.assert_allclose(arm.stiffness * (drive.velocity - link.velocity), rate)
+    np.testing.assert_allclose(drive.passed(torque), torque + arm.damping / arm.stiffness * rate)
+    drive.sense(link.position + period * link.velocity - period * drive.velocity, link.velocity)
+    np.testing.assert_allclose(drive.elastic_torque, torque + period * rate)
