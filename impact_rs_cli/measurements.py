@@ -65,7 +65,7 @@ def add_source(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-discrepancy",
         action="store_true",
-        help="take the twin for exactly right: leave out how far equally valid simulators differ "
+        help="take the simulation for exactly right: leave out how far equally valid simulators differ "
         "(config/discrepancy.yaml)",
     )
 
@@ -79,7 +79,7 @@ class Measurements:
         trials: Trials; None: recordings.
         recordings: Recordings; empty: trials.
         mapping: How the recordings were read.
-        discrepancy: Of the twin; None: as measured.
+        discrepancy: Of the simulation; None: as measured.
         impacts: Table of impacts; None: trials or recordings.
     """
 

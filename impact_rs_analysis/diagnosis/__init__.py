@@ -1,1 +1,1 @@
-"""Which physical effect is missing: screening, fitting through the twin, and honest verdicts."""
+"""Which physical effect is missing: screening, fitting through the source, and honest verdicts."""

@@ -134,7 +134,9 @@ class ComparisonDocument(Schema):
     not_measured: tuple[str, ...] = Field((), description="what the measurements say nothing of")
     skipped: tuple[LeftOut, ...] = Field((), description="bags that were left out")
     recording: RecordingDocument | None = Field(None, description="what was read of recordings")
-    discrepancy: DiscrepancyDocument = Field(default_factory=DiscrepancyDocument, description="of the twin itself")
+    discrepancy: DiscrepancyDocument = Field(
+        default_factory=DiscrepancyDocument, description="of the simulation itself"
+    )
     remarks: tuple[str, ...] = Field((), description="what a reader should know")
 
 
@@ -204,7 +206,7 @@ def _of_runs(source: ReplaySource) -> ComparisonDocument:
 
 
 def discrepancy_of(source: Source) -> DiscrepancyDocument:
-    """What is allowed for the twin itself."""
+    """What is allowed for the simulation itself."""
     if not isinstance(source, ReplaySource):
         return DiscrepancyDocument()
     return DiscrepancyDocument(used=bool(source.discrepancy.entries), provenance=source.discrepancy.in_words)

@@ -226,7 +226,9 @@ class DiagnosisDocument(Schema):
     hold_out: HoldOutDocument = Field(default_factory=HoldOutDocument, description="how unseen data were predicted")
     lack_of_fit: LackOfFit = Field(default_factory=LackOfFit, description="p of the residuals being noise")
     design: DesignDocument = Field(default_factory=DesignDocument, description="what the measurements can decide")
-    discrepancy: DiscrepancyDocument = Field(default_factory=DiscrepancyDocument, description="of the twin itself")
+    discrepancy: DiscrepancyDocument = Field(
+        default_factory=DiscrepancyDocument, description="of the simulation itself"
+    )
     identifiability: Identifiability = Field(default_factory=Identifiability, description="how well it is determined")
     joints: tuple[JointError, ...] = Field((), description="held-out error by joint, of recordings")
     recording: RecordingDocument | None = Field(None, description="what was read of recordings")

@@ -38,7 +38,7 @@ class DiscrepancyEntry(Schema):
     signal: str = Field(description="what it is")
     index: str = Field(description="joint (joint1 ...) or axis (x, y, z)")
     unit: str = Field(description="unit of the signal")
-    value: float = Field(ge=0.0, description="rms of variant minus twin over conditions and time bins, in the unit")
+    value: float = Field(ge=0.0, description="rms of variant minus replay over conditions and time bins, in the unit")
     largest: str = Field("", description="variant that lies furthest off, of which value and by_bin are")
     by_bin: tuple[float, ...] = Field((), description="the same, bin by bin")
     by_variant: dict[str, float] = Field({}, description="rms of every variant")
@@ -117,7 +117,7 @@ class Discrepancy(Schema):
         if self.provenance is None:
             return "switched off"
         return (
-            f"{len(self.variants)} simulations of the same parameters against the twin in "
+            f"{len(self.variants)} simulations of the same parameters against the replay in "
             f"{len(self.provenance.conditions)} conditions, {self.provenance.date} ({', '.join(self.variants)})"
         )
 

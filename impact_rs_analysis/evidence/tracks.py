@@ -55,7 +55,7 @@ def tracks_of_runs(aligned: Sequence[AlignedRun]) -> tuple[TrackSet, ...]:
     """Tracks of runs against their replays, those with an impact first; a gap parts the windows."""
     return tuple(
         TrackSet(
-            label=item.run.condition.split("/", 1)[-1].replace("/", ", "),
+            label=item.run.condition.removeprefix(f"{item.run.place[0]}/").replace("/", ", "),
             impact=item.impact,
             time=_parted(item.time, item.starts),
             signals=tuple(

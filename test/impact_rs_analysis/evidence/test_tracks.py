@@ -27,7 +27,11 @@ def arm(level: float) -> ArmTrack:
 def aligned(*, hit: bool, arms: tuple[str, ...] = ("arm",), condition: str = "push/juice/case_2") -> AlignedRun:
     """A run that moves along y."""
     run = SimpleNamespace(
-        condition=condition if hit else "excite/none/slow", hit=hit, axis=1, impacts={"arm": 0.9} if hit else {}
+        condition=condition if hit else "excite/none/slow",
+        place=("push" if hit else "excite", "", ""),
+        hit=hit,
+        axis=1,
+        impacts={"arm": 0.9} if hit else {},
     )
     seen = 1.0 if hit else np.nan
     sides = [
@@ -44,6 +48,11 @@ def test_runs_with_an_impact_come_first_and_say_when() -> None:
     assert (second.label, second.impact) == ("none, slow", None)
     assert "object yaw" in [signal.name for signal in first.signals]
     assert "object yaw" not in [signal.name for signal in second.signals]
+
+
+def test_conditions_of_a_laboratory_have_no_scenario_in_front() -> None:
+    (found,) = tracks_of_runs([aligned(hit=True, condition="juice/pose_a/fast")])
+    assert found.label == "juice, pose_a, fast"
 
 
 def test_signals_have_their_column_their_unit_and_their_side() -> None:
