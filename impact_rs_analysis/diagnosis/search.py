@@ -417,11 +417,11 @@ def consistent(fitted: Fit, first: int = 0) -> bool:
     return bool(np.any((distance > widths)[own]))
 
 
-def moves_enough(fitted: Fit) -> bool:
-    """Whether a fit moves some feature by more than anybody cares about."""
-    change = (fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale
+def moves_enough(fitted: Fit, part: slice = slice(None)) -> bool:
+    """Whether some parameters of a fit move some feature by more than anybody cares about."""
+    change = ((fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale)[part]
     return any(
-        bool(np.any(np.abs(jacobian @ change) * item.sigma > [feature.floor for feature in item.features]))
+        bool(np.any(np.abs(jacobian[:, part] @ change) * item.sigma > [feature.floor for feature in item.features]))
         for item, jacobian in zip(fitted.evidence.clusters, fitted.candidate.jacobians, strict=True)
     )
 

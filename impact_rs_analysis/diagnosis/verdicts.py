@@ -28,7 +28,7 @@ from impact_rs_analysis.diagnosis.document import (
 )
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut
-from impact_rs_analysis.diagnosis.search import Rival, Search, noticeable, tied_errors
+from impact_rs_analysis.diagnosis.search import Rival, Search, moves_enough, noticeable, tied_errors
 from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_GAIN_OF_JOINT,
     LEAST_P,
@@ -148,7 +148,7 @@ def matters(fitted: Fit, name: str) -> bool:
     source = fitted.evidence.source
     if not source.repeated and source.least_change > 0.0:
         return noticeable(fitted)
-    return any(size.value > size.floor for size in sizes_of(fitted, name))
+    return moves_enough(fitted, fitted.candidate.part(name))
 
 
 def rests_of(evidence: Evidence, rest: Sequence[Array]) -> list[RestDocument]:

@@ -45,11 +45,17 @@ def obliqueness(run: MeasuredRun) -> float:
             continue
         state, model = states[meeting.partner], models[meeting.partner]
         velocity = model.jacobian(state.position)[:3] @ state.velocity
-        face = thing.rotation.T @ meeting.normal
-        face = thing.rotation[:, int(np.argmax(np.abs(face)))] * np.sign(face[int(np.argmax(np.abs(face)))])
+        face = _nearest_face(thing, meeting.normal)
         for direction in (placements[meeting.partner].rotation[:, 2], velocity / np.linalg.norm(velocity)):
             angles.append(float(np.arctan2(np.linalg.norm(np.cross(direction, face)), direction @ face)))
     return max(angles)
+
+
+def _nearest_face(thing: BodyState, direction: Array) -> Array:
+    """The axis of the object, of either sign, that points most along a direction, in A, ``(3,)``."""
+    along = thing.rotation.T @ direction
+    axis = int(np.argmax(np.abs(along)))
+    return np.asarray(thing.rotation[:, axis] * np.sign(along[axis]))
 
 
 def _extrapolated(time: Array, values: Array) -> Array:
@@ -96,10 +102,7 @@ def _face_on_face(state: ArmState, model: RobotModel, thing: BodyState) -> ArmSt
     q = state.position.copy()
     for _ in range(TURNS):
         normal = model.placement(q).rotation[:, 2]
-        along = thing.rotation.T @ normal
-        axis = int(np.argmax(np.abs(along)))
-        face = thing.rotation[:, axis] * np.sign(along[axis])
-        turn = np.cross(normal, face)
+        turn = np.cross(normal, _nearest_face(thing, normal))
         if np.linalg.norm(turn) > np.sin(NEARLY):
             return state
         q = q + np.linalg.pinv(model.jacobian(q)) @ np.concatenate((np.zeros(3), turn))

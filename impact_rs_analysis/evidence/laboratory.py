@@ -13,7 +13,7 @@ from impact_rs_analysis.evidence.measured import MeasuredRun
 from impact_rs_analysis.evidence.replay import FREE, free_starts
 from impact_rs_analysis.evidence.run import Run
 from impact_rs_analysis.evidence.runs import Runs
-from impact_rs_analysis.evidence.signals import ArmSignals, Signals
+from impact_rs_analysis.evidence.signals import ArmSignals, Signals, yaw_of_quaternions
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
@@ -89,15 +89,12 @@ def run_of(item: LaboratoryRun, scenario: Scenario) -> Run:
         object=place,
         drive_period=scenario.timing.drive_period,
         axis=scenario.axis_index,
-        signals=Signals(item.time, {name: arm}, item.object_time, item.object_position, _yaw(item.object_quaternion)),
+        signals=Signals(
+            item.time, {name: arm}, item.object_time, item.object_position, yaw_of_quaternions(item.object_quaternion)
+        ),
         command_time={name: item.command_time} if known else {},
         command={name: item.command} if known else {},
     )
-
-
-def _yaw(quaternion: Array) -> Array:
-    x, y, z, w = quaternion.T if quaternion.size else np.zeros((4, 0))
-    return np.unwrap(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
 
 
 def _shifted(run: Run, offset: float) -> Run:
@@ -157,14 +154,7 @@ def _window_terms(run: Run, name: str, arm: ArmSignals, start: float) -> Array:
     """By joint: balance, slope of the command, and what stands beside it in :func:`command_offset`, ``(n, 6)``."""
     time = run.signals.time
     rows = (time >= start - 1e-9) & (time <= start + FREE + 1e-9)
-    cut = replace(
-        arm,
-        position=arm.position[rows],
-        velocity=arm.velocity[rows],
-        torque=arm.torque[rows],
-        motor_position=arm.motor_position[rows] if arm.motor_position.size else arm.motor_position,
-        motor_velocity=arm.motor_velocity[rows] if arm.motor_velocity.size else arm.motor_velocity,
-    )
+    cut = arm.at(rows)
     physics = run.physics.arms[name]
     balances = Balances(time[rows], cut, None, physics, run.physics.robot_model(name), run.motor_measured, coarse=True)
     begin, end = balances.middle(float(time[rows][0]), float(time[rows][-1]))

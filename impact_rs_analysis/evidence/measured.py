@@ -25,7 +25,6 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.spec import TrialSpec
 
 KEPT = 64  # free motions in the memory of a process, about 0.2 MB each
-SAMPLED = ("position", "velocity", "torque", "motor_position", "motor_velocity", "command")
 
 
 @dataclass(frozen=True)
@@ -234,10 +233,7 @@ def _within(signals: Signals, window: Window) -> Signals:
     """What was measured in a window."""
     first = int(np.argmin(np.abs(signals.time - window.time[0])))
     rows = slice(first, first + window.time.size)
-    arms = {}
-    for name, arm in signals.arms.items():
-        values = {key: getattr(arm, key) for key in SAMPLED}
-        arms[name] = replace(arm, **{key: value[rows] if value.size else value for key, value in values.items()})
+    arms = {name: arm.at(rows) for name, arm in signals.arms.items()}
     seen = np.isin(signals.object_time, window.seen)
     return Signals(
         window.time, arms, signals.object_time[seen], signals.object_position[seen], signals.object_yaw[seen]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.robot import Array
@@ -32,6 +33,11 @@ class ArmSignals:
     motor_position: Array
     motor_velocity: Array
     command: Array
+
+    def at(self, rows: slice | NDArray[np.bool_]) -> ArmSignals:
+        """Some of the samples; what is not measured stays empty."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return ArmSignals(**{name: value[rows] if value.size else value for name, value in values.items()})
 
 
 @dataclass(frozen=True)
@@ -92,7 +98,7 @@ def signals_of_bag(bag: TrialBag) -> Signals:
     if time is None:
         raise BagError(bag.path, "names no robots")
     pose = bag.poses(topics.OBJECT_POSE)
-    return Signals(time, arms, pose.time, pose.position, _yaw_of_quaternions(pose.quaternion))
+    return Signals(time, arms, pose.time, pose.position, yaw_of_quaternions(pose.quaternion))
 
 
 def _check_times(bag: TrialBag, topic: str, time: Array) -> None:
@@ -105,7 +111,7 @@ def _check_times(bag: TrialBag, topic: str, time: Array) -> None:
         raise BagError(bag.path, f"{topic}: gap of {steps.max():.4f} s at t = {time[np.argmax(steps)]:.3f} s")
 
 
-def _yaw_of_quaternions(quaternion: Array) -> Array:
+def yaw_of_quaternions(quaternion: Array) -> Array:
     """Rotation about z, unwrapped, ``(m,)`` [rad]."""
     if quaternion.size == 0:
         return np.zeros(0)

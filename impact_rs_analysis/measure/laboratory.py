@@ -119,8 +119,9 @@ def jumps_of(runs: Runs) -> LaboratoryJumps:
 
 
 def _jump_of(condition: str, group: Sequence[MeasuredRun]) -> MeasuredJump:
-    before, after = np.array([_speeds(run) for run in group]).T
-    predicted = {name: np.array([_predicted(run, name) for run in group]) for name in MOTOR_INERTIA_MODELS}
+    hits = [(run, _ante_velocities(run)) for run in group]
+    before, after = np.array([_speeds(run, ante) for run, ante in hits]).T
+    predicted = {name: np.array([_predicted(run, ante, name) for run, ante in hits]) for name in MOTOR_INERTIA_MODELS}
     interval = None
     if len(group) > 1:
         half = float(scipy.stats.t.ppf(0.975, len(group) - 1) * after.std(ddof=1) / math.sqrt(len(group)))
@@ -136,7 +137,7 @@ def _jump_of(condition: str, group: Sequence[MeasuredRun]) -> MeasuredJump:
     )
 
 
-def _speeds(run: MeasuredRun) -> tuple[float, float]:
+def _speeds(run: MeasuredRun, ante: dict[str, Array]) -> tuple[float, float]:
     """Speed before and after the impact along the direction before it, mean over the arms [m/s]."""
     pairs = []
     values = {
@@ -144,24 +145,26 @@ def _speeds(run: MeasuredRun) -> tuple[float, float]:
         for f, value in zip(run.features, run.measured, strict=True)
         if f.phase == "impact"
     }
-    for name, direction in _directions(run).items():
+    for name, direction in _directions(ante).items():
         label = f"{name}." if len(run.setup.physics.arms) > 1 else ""
         # The feature is the change against the mean over the last milliseconds before the impact.
         change = np.array([values["end-effector velocity", f"{label}{axis}", SETTLED] for axis in AXES])
         baseline = _baseline(run, name)
-        pairs.append((float(_ante_velocity(run, name) @ direction), float((baseline + change) @ direction)))
+        pairs.append((float(ante[name] @ direction), float((baseline + change) @ direction)))
     before, after = np.mean(pairs, axis=0)
     return float(before), float(after)
 
 
-def _ante_velocity(run: MeasuredRun, name: str) -> Array:
-    state = ante_impact_state(run)[name]
-    return np.asarray((run.setup.physics.robot_model(name).jacobian(state.position) @ state.velocity)[:3])
+def _ante_velocities(run: MeasuredRun) -> dict[str, Array]:
+    """Velocity of every end effector at the begin of the impact, ``(3,)`` [m/s]."""
+    return {
+        name: (run.setup.physics.robot_model(name).jacobian(state.position) @ state.velocity)[:3]
+        for name, state in ante_impact_state(run).items()
+    }
 
 
-def _directions(run: MeasuredRun) -> dict[str, Array]:
-    found = {name: _ante_velocity(run, name) for name in run.setup.physics.arms}
-    return {name: velocity / np.linalg.norm(velocity) for name, velocity in found.items()}
+def _directions(ante: dict[str, Array]) -> dict[str, Array]:
+    return {name: velocity / np.linalg.norm(velocity) for name, velocity in ante.items()}
 
 
 def _baseline(run: MeasuredRun, name: str) -> Array:
@@ -173,14 +176,14 @@ def _baseline(run: MeasuredRun, name: str) -> Array:
     return np.asarray(np.mean(twists, axis=0))
 
 
-def _predicted(run: MeasuredRun, motor_inertia: str) -> float:
+def _predicted(run: MeasuredRun, ante: dict[str, Array], motor_inertia: str) -> float:
     """Speed 20 to 40 ms after the impact along the direction before it, mean over the arms [m/s]."""
     result = compute_impact_map(problem_of(run, run.setup.physics, motor_inertia), ENGINE)
     return float(
         np.mean(
             [
                 result.end_effector_twist[name][:3] @ way + _pushed_on(run, name, way, motor_inertia)
-                for name, way in _directions(run).items()
+                for name, way in _directions(ante).items()
             ]
         )
     )

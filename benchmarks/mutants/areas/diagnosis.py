@@ -279,7 +279,7 @@ MUTANTS = [
     Mutant(
         name="small_is_never_said",
         file=VERDICTS,
-        original="return any(size.value > size.floor for size in sizes_of(fitted, name))",
+        original="return moves_enough(fitted, fitted.candidate.part(name))",
         mutated="return True",
         wrong="PRESENT-BUT-SMALL is never said.",
         tests=SAID,
