@@ -321,8 +321,8 @@ class RotationReference(Reference):
         both = np.zeros((np.count_nonzero(members),) * 2)
         for item in items:
             patterns = item.moved_together[:, members]
-            own = np.maximum(1.0 - np.square(item.discrepancy[members]), LEAST_OWN)
-            both += (np.diag(own) + item.count * patterns.T @ patterns) / len(items)
+            alone = np.maximum(1.0 - np.square(item.discrepancy[members]), LEAST_OWN)
+            both += (np.diag(alone) + item.count * patterns.T @ patterns) / len(items)
         values, vectors = np.linalg.eigh(both)
         return np.asarray(vectors / np.sqrt(values))
 
