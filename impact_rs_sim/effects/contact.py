@@ -154,8 +154,8 @@ PAD_TILT = ArmEffect(
     acts_on="contact",
     sentence="The pad is mounted askew, so that it meets the object with an edge or a corner first.",
     parameters=(
-        Parameter("roll", "rad", 0.0, -0.1, 0.1, 0.005, "tilt of the pad about x of frame E"),
-        Parameter("pitch", "rad", 0.0, -0.1, 0.1, 0.005, "tilt of the pad about y of frame E"),
+        Parameter("roll", "rad", 0.0, -0.1, 0.1, 0.002, "tilt of the pad about x of frame E"),
+        Parameter("pitch", "rad", 0.0, -0.1, 0.1, 0.002, "tilt of the pad about y of frame E"),
     ),
     law=_pad_tilt,
     phases=("contact",),
@@ -165,7 +165,7 @@ SUPPORT_COMPLIANCE = SceneEffect(
     name="support_compliance",
     acts_on="contact",
     sentence="What the object stands on gives way when something presses it down or lifts it.",
-    parameters=(Parameter("compliance", "m/N", 0.0, 0.0, 2e-4, 1e-5, "yield of the support over the load on it"),),
+    parameters=(Parameter("compliance", "m/N", 0.0, 0.0, 1e-4, 5e-7, "yield of the support over the load on it"),),
     law=_support_compliance,
     phases=("contact",),
 )
@@ -174,7 +174,7 @@ ROLLING_RESISTANCE = SceneEffect(
     name="rolling_resistance",
     acts_on="contact",
     sentence="Edges of the object dig in: a moment resists its tipping and rolling on pad and support.",
-    parameters=(Parameter("arm", "m", 0.0, 0.0, 0.02, 1e-3, "resisting moment over the normal force"),),
+    parameters=(Parameter("arm", "m", 0.0, 0.0, 0.03, 2e-3, "resisting moment over the normal force"),),
     law=_rolling_resistance,
     phases=("contact",),
 )
