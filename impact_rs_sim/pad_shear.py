@@ -7,16 +7,16 @@ contact point i, with its share w_i = N_i / N of the normal load and its place r
     F_i  = -w_i (d_i + tau dd_i/dt) / C,    d_i = s + phi n x r_i       on the object, while |F_i| <= mu N_i
     dd_i/dt = v_i + c F_i / w_i                                         v_i: object against flange, along the face
 
-so that all points together give F = -s / C at rest and v = -c F as steady creep; beyond its cone a point slips, and s is
-what its friction can hold (return mapping, as in elastoplasticity; Simo and Hughes 1998, ch. 1). Shares of the load make
-all points reach their cones together when the face is sheared without a twist. C is the compliance [m/N], c the creep
-[m/(s N)] and tau the time constant of a damper that a mass of ``REDUCED_MASS`` on the spring meets with
+so that all points together give F = -s / C at rest and v = -c F as steady creep; beyond its cone a point slips, and s
+is what its friction can hold (return mapping, as in elastoplasticity: Simo and Hughes 1998, ch. 1). Shares of the load
+make all points reach their cones together when the face is sheared without a twist. C is the compliance [m/N], c the
+creep [m/(s N)] and tau the time constant of a damper that a mass of ``REDUCED_MASS`` on the spring meets with
 ``DAMPING_RATIO``.
 
 Bullet has one regularisation of friction (``frictionERP``, ``frictionCFM``) for all contacts of a world, the support's
-among them, so this is integrated here, with the normal forces of the step before, and Bullet's own friction on the pad is
-zero. The spring is explicit. With the mobility W of the contact, ``C >= theta dt W``, theta = tau + dt, keeps
-that stable whatever else holds the bodies; a stiffer spring, with none at all as the limit, is as stiff as that.
+among them. So this is integrated here, with the normal forces of the step before, and Bullet's own friction on the pad
+is zero. The spring is explicit. With the mobility W of the contact, ``C >= theta dt W``, theta = tau + dt, keeps that
+stable whatever else holds the bodies; a stiffer spring, with none at all as the limit, is as stiff as that.
 """
 
 from __future__ import annotations

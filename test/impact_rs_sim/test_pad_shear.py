@@ -16,7 +16,7 @@ COMPLIANCE, CREEP = 1.5e-5, 1e-3
 STILL = Side(np.zeros(3), np.zeros(6), np.zeros((6, 6)))
 
 
-def dragged(shear, pull, seconds, twist=0.0, step=STEP, start=0.0):
+def dragged(shear, pull, seconds, twist=0.0, step=STEP, start=0.0, loads=np.full(4, LOAD / 4.0)):
     """Way and speed of the box under a force along x [N] of time and a torque about the normal, ``(k, 4)``."""
     mobility = np.diag([1.0 / MASS] * 3 + [1.0 / MOMENT] * 3)
     state, rows = np.array([0.0, 0.0, start, 0.0]), []  # x, angle, their rates
@@ -24,7 +24,7 @@ def dragged(shear, pull, seconds, twist=0.0, step=STEP, start=0.0):
         velocity = np.array([state[2], 0.0, 0.0, 0.0, 0.0, state[3]])
         thing = Side(np.array([state[0], 0.0, 0.0]), velocity, mobility)
         points = CORNERS + thing.position
-        forces = shear.step(Touch(points, np.full(4, LOAD / 4.0), UP), thing, STILL, np.eye(3))
+        forces = shear.step(Touch(points, loads, UP), thing, STILL, np.eye(3))
         total, torque = forces.sum(axis=0), np.cross(points - thing.position, forces).sum(axis=0)[2]
         force = pull(number * step) if callable(pull) else pull
         state[2:] += step * np.array([(total[0] + force) / MASS, (torque + twist) / MOMENT])
@@ -72,6 +72,14 @@ def test_beyond_its_friction_the_box_slips_with_what_is_left(compliance, creep):
 def test_just_below_its_friction_the_box_stays():
     motion = dragged(PadShear(COMPLIANCE, 0.0, FRICTION, STEP), lambda t: min(t / 0.1, 0.95) * FRICTION * LOAD, 0.3)
     assert motion[-1, 0] == pytest.approx(0.95 * FRICTION * LOAD * COMPLIANCE, rel=0.01)
+
+
+def test_points_carry_friction_as_they_carry_load():
+    """With its force through the middle of the load, so that nothing turns, all points hold up to their cones."""
+    loads = LOAD * np.array([0.4, 0.1, 0.1, 0.4])
+    pull = 0.95 * FRICTION * LOAD
+    motion = dragged(PadShear(COMPLIANCE, 0.0, FRICTION, STEP), lambda t: min(t / 0.1, 1.0) * pull, 0.3, loads=loads)
+    assert motion[-1, 0] == pytest.approx(pull * COMPLIANCE, rel=0.01)
 
 
 def test_a_box_that_slid_keeps_no_more_shear_than_its_friction_holds():

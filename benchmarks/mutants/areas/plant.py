@@ -322,8 +322,8 @@ MUTANTS = [
     Mutant(
         name="pad_force_on_the_object",
         file=WORLD,
-        original="return np.asarray(sizes.ravel() @ directions.reshape(-1, 3))",
-        mutated="return -np.asarray(sizes.ravel() @ directions.reshape(-1, 3))",
+        original="force = np.asarray(sizes.ravel() @ directions.reshape(-1, 3))",
+        mutated="force = -np.asarray(sizes.ravel() @ directions.reshape(-1, 3))",
         wrong="The force on the pad is that of the pad on the object.",
         tests=WORLD_TESTS,
     ),

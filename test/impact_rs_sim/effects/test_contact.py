@@ -186,11 +186,7 @@ SCENE = Scene.resolve(load_scenario("push"), "juice", "case_2")
 def pushed(**tilt):
     """The push at its nominal impact, with a tilted pad."""
     physics = switched_on(SCENE.physics, "pad_tilt", **tilt)
-    model = SCENE.models["arm"]
-    speed = np.linalg.pinv(model.jacobian(SCENE.arms["arm"].position)) @ np.array([0.0, -0.3, 0.0, 0.0, 0.0, 0.0])
-    arms = {"arm": ArmState(SCENE.arms["arm"].position, speed)}
-    inertia = {"arm": physics.arms["arm"].motor_inertia_reduced}
-    return ImpactProblem(physics, arms, SCENE.object, inertia, 0.0)
+    return ImpactProblem.at_nominal_impact(replace(SCENE, physics=physics))
 
 
 def pad_points(problem):
@@ -212,11 +208,6 @@ def test_a_tilted_pad_touches_with_the_edge_that_the_tilt_brings_forward(angle, 
 @pytest.mark.parametrize("tilt", [{"roll": 0.03}, {"pitch": -0.03}, {"roll": 0.04, "pitch": 0.03}])
 def test_both_engines_see_the_tilted_pad_alike(tilt):
     problem = pushed(**tilt)
-    model = SCENE.models["arm"]
-    place = model.placement(problem.arms["arm"].position)
-    (pad, *_) = meetings(problem.physics, problem.object, {"arm": place})
-    touching = problem.object.position - pad.separation * pad.normal
-    problem = replace(problem, object=replace(problem.object, position=touching))
     answers = []
     for kind in (PinocchioEngine, BulletEngine):
         engine = kind(problem.physics)
