@@ -17,7 +17,7 @@ COMPLIANCE, CREEP = 1.5e-5, 1e-3
 STILL = Side(np.zeros(3), np.zeros(6), np.zeros((6, 6)))
 
 
-def dragged(shear, pull, seconds, twist=0.0, step=STEP, start=0.0, loads=EVEN):
+def dragged(shear, pull, seconds, twist=0.0, step=STEP, start=0.0, loads=EVEN, rotation=np.eye(3)):
     """Way and speed of the box under a force along x [N] of time and a torque about the normal, ``(k, 4)``."""
     mobility = np.diag([1.0 / MASS] * 3 + [1.0 / MOMENT] * 3)
     state, rows = np.array([0.0, 0.0, start, 0.0]), []  # x, angle, their rates
@@ -25,7 +25,7 @@ def dragged(shear, pull, seconds, twist=0.0, step=STEP, start=0.0, loads=EVEN):
         velocity = np.array([state[2], 0.0, 0.0, 0.0, 0.0, state[3]])
         thing = Side(np.array([state[0], 0.0, 0.0]), velocity, mobility)
         points = CORNERS + thing.position
-        forces = shear.step(Touch(points, loads, UP), thing, STILL, np.eye(3))
+        forces = shear.step(Touch(points, loads, UP), thing, STILL, rotation)
         total, torque = forces.sum(axis=0), np.cross(points - thing.position, forces).sum(axis=0)[2]
         force = pull(number * step) if callable(pull) else pull
         state[2:] += step * np.array([(total[0] + force) / MASS, (torque + twist) / MOMENT])
@@ -156,8 +156,9 @@ def test_points_without_load_carry_nothing():
 def test_shear_turns_with_the_pad():
     """Pad and box turn together by a right angle: the force that was along x is along y."""
     shear = PadShear(COMPLIANCE, 0.0, FRICTION, STEP)
-    dragged(shear, 4.0, 0.3)
-    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    askew = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    dragged(shear, 4.0, 0.3, rotation=askew)
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) @ askew
     rest = Side(np.array([0.0, 4.0 * COMPLIANCE, 0.0]), np.zeros(6), np.eye(6))
     forces = shear.step(Touch(CORNERS + rest.position, np.full(4, LOAD / 4.0), UP), rest, STILL, turned)
     np.testing.assert_allclose(forces.sum(axis=0), [0.0, -4.0, 0.0], atol=0.02)
