@@ -13,11 +13,12 @@ CORNERS = HALF * np.array([[1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, -1.0, 0.0],
 UP = np.array([0.0, 0.0, 1.0])
 STEP = 2.5e-4  # s
 EVEN = np.full(4, LOAD / 4.0)
+ALONG = np.eye(3)
 COMPLIANCE, CREEP = 1.5e-5, 1e-3
 STILL = Side(np.zeros(3), np.zeros(6), np.zeros((6, 6)))
 
 
-def dragged(shear, pull, seconds, twist=0.0, step=STEP, start=0.0, loads=EVEN, rotation=np.eye(3)):
+def dragged(shear, pull, seconds, twist=0.0, step=STEP, start=0.0, loads=EVEN, rotation=ALONG):
     """Way and speed of the box under a force along x [N] of time and a torque about the normal, ``(k, 4)``."""
     mobility = np.diag([1.0 / MASS] * 3 + [1.0 / MOMENT] * 3)
     state, rows = np.array([0.0, 0.0, start, 0.0]), []  # x, angle, their rates
