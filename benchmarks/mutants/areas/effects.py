@@ -319,6 +319,14 @@ MUTANTS = [
         tests=(f"{TESTS}/test_contact.py",),
     ),
     Mutant(
+        name="flange_instead_of_pad_face_on_face",
+        file="impact_rs_analysis/evidence/ante_impact.py",
+        original="normal = model.placement(q).rotation @ facing",
+        mutated="normal = model.placement(q).rotation[:, 2]",
+        wrong="The wrist is turned until the flange is parallel to the object, and not the tilted pad.",
+        tests=("test/impact_rs_analysis/evidence/test_laboratory_runs.py",),
+    ),
+    Mutant(
         name="object_mass_without_inertia",
         file=f"{FOLDER}/object.py",
         original="mass=thing.mass * scale, inertia=thing.inertia * scale",
