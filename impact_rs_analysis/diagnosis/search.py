@@ -100,9 +100,12 @@ class Search:
                 self.singles[effect.name] = candidate
                 self._starts[effect.name] = self._start(candidate)
 
-    def _linearised(self, effect: Effect, where: Where = concerns) -> Candidate | None:
-        candidate = Candidate.of((effect,), self.source)
-        return linearise(candidate, self.evidence.clusters, self.evidence.numbers, self.source, where=where)
+    def _linearised(
+        self, effect: Effect, where: Where = concerns, evidence: Evidence | None = None
+    ) -> Candidate | None:
+        evidence = evidence or self.evidence
+        candidate = Candidate.of((effect,), evidence.source)
+        return linearise(candidate, evidence.clusters, evidence.numbers, evidence.source, where=where)
 
     def _start(self, candidate: Candidate) -> Candidate:
         """Where to begin to fit: of the starting values of shape parameters those that fit best, if trying is cheap."""
@@ -129,29 +132,49 @@ class Search:
         """
         if self.source.cheap or not any(item.contact for item in self.evidence.clusters):
             return {}
-        free = [number for number, item in enumerate(self.evidence.clusters) if not item.contact]
-        evidence = self.evidence.only(free)
+        evidence = self._before_contact()
         if evidence.reference.freedom < LEAST_FREEDOM:
             return {}
         seen = [effect for effect in effects if any(in_free_motion(effect, item) for item in evidence.clusters)]
         dear = {effect.name for effect in seen if len(effect.scalars(self.source.joint_count)) > 1}
         if not dear:
             return {}
-        self._prefetch(seen, in_free_motion)
+        self._prefetch(seen, in_free_motion, evidence)
         alone: dict[str, Candidate] = {}
         for effect in seen:
-            candidate = self._linearised(effect, in_free_motion)
+            candidate = self._linearised(effect, in_free_motion, evidence)
             if candidate is not None:
                 alone[effect.name] = candidate
         absent = {
             name
             for name in dear & alone.keys()
-            if evidence.problem(alone[name].only(free)).p_value(evidence.reference, slice(None)) > NOTHING
+            if evidence.problem(alone[name]).p_value(evidence.reference, slice(None)) > NOTHING
         }
-        rest = {name: alone[name].only(free) for name in alone.keys() - absent}
+        rest = {name: alone[name] for name in alone.keys() - absent}
         if dear & rest.keys():
             absent |= dear & self._cannot_explain(rest, evidence)
-        return {name: alone[name] for name in absent}
+        return {name: self._as_seen_in(alone[name], evidence) for name in absent}
+
+    def _before_contact(self) -> Evidence:
+        """The evidence before anything was hit, in every cluster or in those in which nothing ever is."""
+        free = self.source.free_motion
+        if free is None:
+            return self.evidence.only([n for n, item in enumerate(self.evidence.clusters) if not item.contact])
+        return Evidence.of(free, self.evidence.numbers)
+
+    def _as_seen_in(self, candidate: Candidate, evidence: Evidence) -> Candidate:
+        """A candidate that was looked at in some clusters or features, beside all others: there it does nothing."""
+        known = dict(zip(evidence.numbers, zip(evidence.clusters, candidate.jacobians, strict=True), strict=True))
+        jacobians = []
+        for number, item in zip(self.evidence.numbers, self.evidence.clusters, strict=True):
+            jacobian = np.zeros((len(item.features), candidate.point.size))
+            if number in known:
+                part, own = known[number]
+                places = {feature: row for row, feature in enumerate(item.features)}
+                jacobian[[places[feature] for feature in part.features]] = own
+            jacobians.append(jacobian)
+        nothing = tuple(np.zeros(len(item.features)) for item in self.evidence.clusters)
+        return replace(candidate, offsets=nothing, jacobians=tuple(jacobians))
 
     @staticmethod
     def _cannot_explain(candidates: dict[str, Candidate], evidence: Evidence) -> set[str]:
@@ -166,14 +189,15 @@ class Search:
             return set()
         return {name for name, error in errors.items() if error > HOPELESS * max(best, enough)}
 
-    def _prefetch(self, effects: Sequence[Effect], where: Where) -> None:
+    def _prefetch(self, effects: Sequence[Effect], where: Where, evidence: Evidence | None = None) -> None:
         """Make the predictions of the screening in one parallel batch."""
+        evidence = evidence or self.evidence
         batch = [
             item
             for effect in effects
-            for item in wanted(Candidate.of((effect,), self.source), self.evidence.numbers, self.source, where)
+            for item in wanted(Candidate.of((effect,), evidence.source), evidence.numbers, evidence.source, where)
         ]
-        self.source.predict(batch, "sensitivities of all effects")
+        evidence.source.predict(batch, "sensitivities of all effects")
 
     def p_values(self, chosen: Fit | None) -> dict[str, float]:
         """p per effect beside those already chosen, adjusted for looking at all (Benjamini and Hochberg)."""

@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -105,6 +105,25 @@ class Cluster:
         if self.patterns is not None:
             return self.patterns
         return np.diag(self.discrepancy)[self.discrepancy > 0.0]
+
+    def only(self, kept: Sequence[bool], contact: bool) -> Cluster:
+        """The cluster with some of its features.
+
+        Args:
+            kept: Which of them, ``F``.
+            contact: Whether something is hit in what they tell.
+        """
+        rows = np.array(kept)
+        return replace(
+            self,
+            contact=contact,
+            features=tuple(feature for feature, keep in zip(self.features, kept, strict=True) if keep),
+            residuals=self.residuals[:, rows],
+            sigma=self.sigma[rows],
+            pure=self.pure[rows],
+            discrepancy=self.discrepancy[rows],
+            patterns=None if self.patterns is None else self.patterns[:, rows],
+        )
 
     @property
     def mean(self) -> Array:
@@ -194,6 +213,11 @@ class Source(ABC):
     def told_weight(self, item: Cluster) -> Array:
         """Where nothing is repeated, what scaled residuals are multiplied by to be told in ``told_unit``, ``(F,)``."""
         return item.sigma
+
+    @property
+    def free_motion(self) -> Source | None:
+        """The same clusters before anything was hit, where a look at them alone is cheaper; None: it is not."""
+        return None
 
     @abstractmethod
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:

@@ -195,6 +195,36 @@ class MeasuredRun:
             impacts=impacts,
         )
 
+    @property
+    def free_part(self) -> MeasuredRun | None:
+        """The run before anything was hit; None where no window of free motion is."""
+        windows = tuple(window for window in self.setup.windows if not window.contact)
+        if len(windows) == len(self.setup.windows):
+            return self
+        if not windows:
+            return None
+        physics, command = self.setup.physics, self.setup.drive == "command"
+        parts = layout(tuple(physics.arms), physics.joint_count, len(windows), None, command, self.setup.motor, False)
+        rows = [number for number, feature in enumerate(self.features) if feature.phase == "free"]
+        features = tuple(self.features[row] for row in rows)
+        setup = replace(
+            self.setup,
+            windows=windows,
+            tracked=False,
+            pushes=None,
+            kept=tuple(parts.index(feature) for feature in features),
+            levels={},
+        )
+        return replace(
+            self,
+            hit=False,
+            setup=setup,
+            features=features,
+            measured=self.measured[rows],
+            signals=self.signals[: len(windows)],
+            impacts={},
+        )
+
     def only(self, features: set[Feature]) -> MeasuredRun:
         """The same with some of its features."""
         rows = [number for number, feature in enumerate(self.features) if feature in features]

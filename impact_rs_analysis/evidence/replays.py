@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import islice
 
 import numpy as np
@@ -166,6 +167,18 @@ class ReplaySource(Source):
             residuals.append(run.measured - values)
         clusters, remarks = clusters_of(runs, residuals, discrepancy)
         return cls(runs, model, store, clusters, discrepancy, (*runs.remarks, *remarks))
+
+    @cached_property
+    def free_motion(self) -> ReplaySource | None:
+        """See :attr:`Source.free_motion`; windows of free motion cost a tenth of the one about an impact."""
+        parts = [run.free_part for run in self.runs.runs]
+        known = [part for part in parts if part is not None]
+        if len(known) < len(parts):
+            return None
+        clusters = tuple(item.only([f.phase == "free" for f in item.features], contact=False) for item in self.clusters)
+        return ReplaySource(
+            replace(self.runs, runs=tuple(known)), self.model, self.store, clusters, self.discrepancy, self.remarks
+        )
 
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         """See :meth:`Source.predict`; of every condition the first run is replayed."""
