@@ -139,15 +139,15 @@ def test_what_shows_in_one_signal_of_many_is_seen() -> None:
 
 
 def test_a_difference_across_what_simulators_differ_in_is_seen_and_one_along_it_is_not() -> None:
-    """A pattern ten times the noise, and a difference of a tenth of that: along it, or at right angles to it."""
+    """One pattern, twice the noise, and a difference as large: along it, or at right angles to it."""
     rng = np.random.default_rng(0)
-    pattern, across = np.linalg.qr(rng.standard_normal((40, 2)))[0].T * np.sqrt(40.0)
-    noise = rng.standard_normal((6, 3, 40))
+    pattern, across = 2.0 * np.linalg.qr(rng.standard_normal((400, 2)))[0].T * np.sqrt(400.0)
+    noise = rng.standard_normal((6, 3, 400))
     p = {}
     for name, shift in (("along", pattern), ("across", across)):
-        reference = RotationReference([of_signals(rows + shift, ["all"] * 40, 10.0 * pattern[None]) for rows in noise])
+        reference = RotationReference([of_signals(rows + shift, ["all"] * 400, pattern[None]) for rows in noise])
         p[name] = reference.lack_of_fit([item.mean for item in reference.clusters])
-    assert p["along"] > 0.05
+    assert p["along"] > 0.2
     assert p["across"] < 0.01
 
 
