@@ -168,9 +168,8 @@ def furthest(first: DiagnosisDocument, second: DiagnosisDocument) -> float:
         (first.held_out_error_after, second.held_out_error_after),
     ]
     for effect in first.effects:
-        other = second.effect(effect.name)
-        for name, value in effect.parameters.items() if other is not None else ():
-            pairs.append((value.estimate, other.parameters[name].estimate))
+        if (other := second.effect(effect.name)) is not None:
+            pairs += [(value.estimate, other.parameters[name].estimate) for name, value in effect.parameters.items()]
     return max(abs(a - b) / max(abs(a), abs(b), 1e-6) for a, b in pairs)
 
 

@@ -42,11 +42,7 @@ class Score:
 
 
 def score(directory: Path, document: DiagnosisDocument, source: Path) -> Score:
-    """Hold a diagnosis against the truth of a blind campaign.
-
-    Right is: ``single``, the hidden effect is named or inside the confusable set of a named one; ``pair``, both are;
-    ``null``, NOTHING-MISSING; ``outside``, NONE-EXPLAINS, or an effect was named and the diagnosis says itself that
-    something stays.
+    """Hold a diagnosis of the runs of a blind campaign against its truth (:func:`held_against_truth`).
 
     Args:
         directory: Blind campaign.
@@ -55,6 +51,26 @@ def score(directory: Path, document: DiagnosisDocument, source: Path) -> Score:
 
     Raises:
         InputError: No blind campaign, or a diagnosis of other runs.
+    """
+    found = held_against_truth(directory, document)
+    if document.runs.digest != runs_digest(directory / RUNS):
+        raise InputError(f"this is a diagnosis of other runs than those in {directory / RUNS}", file=source)
+    return found
+
+
+def held_against_truth(directory: Path, document: DiagnosisDocument) -> Score:
+    """Hold a diagnosis against the truth of a blind campaign, whatever was diagnosed.
+
+    Right is: ``single``, the hidden effect is named or inside the confusable set of a named one; ``pair``, both are;
+    ``null``, NOTHING-MISSING; ``outside``, NONE-EXPLAINS, or an effect was named and the diagnosis says itself that
+    something stays.
+
+    Args:
+        directory: Blind campaign.
+        document: Diagnosis of its runs, or of what was made of them.
+
+    Raises:
+        InputError: No blind campaign.
     """
     path = directory / TRUTH
     try:
@@ -65,8 +81,6 @@ def score(directory: Path, document: DiagnosisDocument, source: Path) -> Score:
         raise InputError(f"no blind campaign: there is no {TRUTH}", file=directory) from None
     except (json.JSONDecodeError, KeyError, TypeError) as error:
         raise InputError(f"not the truth of a blind campaign ({type(error).__name__}: {error})", file=path) from None
-    if document.runs.digest != runs_digest(directory / RUNS):
-        raise InputError(f"this is a diagnosis of other runs than those in {directory / RUNS}", file=source)
     named = document.named
     groups = [set(group) for group in document.confusable]
 
