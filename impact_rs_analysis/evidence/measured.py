@@ -15,7 +15,7 @@ import numpy as np
 from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_analysis.evidence.features import extract, layout, pushes_recorded
 from impact_rs_analysis.evidence.impacts import impacts_of
-from impact_rs_analysis.evidence.replay import Window, replay, windows_of
+from impact_rs_analysis.evidence.replay import Window, free_starts, replay, windows_of
 from impact_rs_analysis.evidence.run import DriveName, Run
 from impact_rs_analysis.evidence.signals import Signals
 from impact_rs_sim.errors import InputError
@@ -125,6 +125,7 @@ class MeasuredRun:
         measured: The measured ones, ``(F,)``.
         signals: What was measured in its windows.
         impacts: Begin of the impact by arm [s]; empty where nothing is hit.
+        free: Windows of free motion that there are without gaps.
     """
 
     path: Path
@@ -138,6 +139,7 @@ class MeasuredRun:
     measured: Array
     signals: tuple[Signals, ...]
     impacts: dict[str, float]
+    free: int
 
     @classmethod
     def of(cls, run: Run) -> MeasuredRun:
@@ -149,19 +151,24 @@ class MeasuredRun:
         found = impacts_of(run) if run.hit else {}
         impacts = {name: begin for name, (begin, _) in found.items()}
         windows = windows_of(run, impacts)
+        starts = free_starts(run, impacts)
         if not windows:
-            raise InputError("nothing moves for as long as a window of free motion")
+            what = "gaps leave no window" if starts else "nothing moves for as long as a window"
+            raise InputError(f"{what} of free motion")
         pushes = pushes_recorded(max(impacts.values()), float(windows[-1].time[-1])) if impacts else None
         tracked = bool(impacts) and run.signals.object_time.size > 1
+        numbers = [window.number for window in windows if not window.contact]
         features = layout(
             tuple(run.physics.arms),
             run.physics.joint_count,
-            sum(not window.contact for window in windows),
+            len(numbers),
             pushes,
             bool(run.command),
             run.motor_measured,
             tracked,
         )
+        if run.gaps:  # what lies at the same place of the motion has the same name in every repeat
+            features = tuple(replace(f, bin=numbers[f.bin]) if f.phase == "free" else f for f in features)
         setup = Setup(
             windows=tuple(windows),
             physics=run.physics,
@@ -191,7 +198,13 @@ class MeasuredRun:
             measured=measured,
             signals=signals,
             impacts=impacts,
+            free=len(starts),
         )
+
+    @property
+    def lost(self) -> tuple[int, ...]:
+        """Windows of free motion that gaps took, of this run or of a repeat."""
+        return tuple(sorted(set(range(self.free)) - {f.bin for f in self.features if f.phase == "free"}))
 
     def only(self, features: set[Feature]) -> MeasuredRun:
         """The same with some of its features."""

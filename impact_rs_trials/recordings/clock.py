@@ -121,8 +121,16 @@ def even_grid(time: Array) -> Array:
     return np.asarray(time[0] + length / count * np.arange(count + 1))
 
 
-def on_the_grid(time: Array, grid: Array) -> bool:
-    """Whether samples at ``time`` are those at ``grid``."""
-    if time.size != grid.size:
-        return False
-    return bool(np.max(np.abs(time - grid)) < ON_THE_GRID * (grid[1] - grid[0]))
+def grid_from(time: Array, main: Array) -> Array:
+    """The even grid of the stamps ``main``, carried on to the first and the last of ``time``, ``(k,)`` [s].
+
+    What matters most is then as on its own, wherever the samples beyond the gaps about it lie.
+    """
+    grid = even_grid(main)
+    period = grid[1] - grid[0]
+    before, after = (int(length / period + ON_THE_GRID) for length in (grid[0] - time[0], time[-1] - grid[-1]))
+    if before == after == 0:
+        return grid
+    return np.concatenate(
+        (grid[0] - period * np.arange(before, 0, -1), grid, grid[-1] + period * np.arange(1, after + 1))
+    )

@@ -11,9 +11,11 @@ import pytest
 from impact_rs_analysis.evidence.ante_impact import ante_impact_state, obliqueness, problem_of
 from impact_rs_analysis.evidence.laboratory import _shifted, command_offset
 from impact_rs_analysis.evidence.measured import MeasuredRun
+from impact_rs_analysis.evidence.replays import layout_of, pure_errors
 from impact_rs_analysis.evidence.run import Run
 from impact_rs_analysis.evidence.runs import Runs
 from impact_rs_analysis.measure.laboratory import jumps_of
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import compute_impact_map
 from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
 
@@ -43,6 +45,64 @@ def test_a_shift_brings_commands_to_where_they_act(free: Run) -> None:
     again = _shifted(late, command_offset([late]))
     name = next(iter(free.command_time))
     assert np.max(np.abs(again.command_time[name] - free.command_time[name])) < 2e-4
+
+
+def with_gap(run: Run, start: float, end: float) -> Run:
+    """The run as it is read with a gap: nothing between is known, and something else stands there."""
+    rows = (run.signals.time > start) & (run.signals.time < end)
+    arms = {}
+    for name, arm in run.signals.arms.items():
+        torque = arm.torque.copy()
+        torque[rows] += 30.0
+        arms[name] = replace(arm, torque=torque)
+    return replace(run, signals=replace(run.signals, arms=arms), gaps=((start, end),))
+
+
+def test_windows_that_no_gap_touches_are_as_without_it(free: Run) -> None:
+    whole = MeasuredRun.of(free)
+    start = [window.time[0] for window in whole.setup.windows][5]
+    torn = MeasuredRun.of(with_gap(free, start + 0.02, start + 0.06))
+    assert torn.lost == (5,)
+    assert whole.lost == ()
+    assert [window.number for window in torn.setup.windows] == [n for n in range(whole.free) if n != 5]
+    known = dict(zip(whole.features, whole.measured, strict=True))
+    assert torn.measured == pytest.approx([known[feature] for feature in torn.features], abs=1e-12)
+    # Of repeats what all of them have is used, and its pure error is that of all conditions.
+    runs = Runs.of(Path("here"), [whole, torn])
+    assert [run.features for run in runs.runs] == [torn.features, torn.features]
+    assert runs.runs[0].lost == (5,)
+    np.testing.assert_array_equal(runs.runs[0].measured, runs.runs[1].measured)
+
+
+def test_a_gap_that_ends_before_a_window_spoils_the_fit_of_its_start(free: Run) -> None:
+    starts = [window.time[0] for window in MeasuredRun.of(free).setup.windows]
+    assert MeasuredRun.of(with_gap(free, starts[3] - 0.03, starts[3] - 0.004)).lost in ((3,), (2, 3))
+
+
+def test_pure_error_is_pooled_over_conditions_with_and_without_gaps(free: Run) -> None:
+    whole = MeasuredRun.of(free)
+    start = [window.time[0] for window in whole.setup.windows][5]
+    torn = replace(MeasuredRun.of(with_gap(free, start, start + 0.05)), condition="other")
+    rng = np.random.default_rng(0)
+    scatter = rng.standard_normal((2, len(whole.features)))
+    left = [feature in torn.features for feature in whole.features]
+    found = pure_errors({whole.condition: whole, "other": torn}, {whole.condition: scatter, "other": scatter[:, left]})
+    expected = np.std(scatter, axis=0, ddof=1)
+    assert found[whole.condition] == pytest.approx(expected)
+    assert found["other"] == pytest.approx(expected[left])
+    assert layout_of(whole) != layout_of(torn)
+
+
+def test_a_gap_before_the_impact_takes_free_motion_and_one_about_it_the_run(hit: Run) -> None:
+    whole = MeasuredRun.of(hit)
+    start = whole.setup.windows[0].time[0]
+    torn = MeasuredRun.of(with_gap(hit, start + 0.02, start + 0.06))
+    assert 0 in torn.lost
+    known = dict(zip(whole.features, whole.measured, strict=True))
+    assert torn.measured == pytest.approx([known[feature] for feature in torn.features], abs=1e-9)
+    impact = whole.impacts["arm"]
+    with pytest.raises(InputError, match="a gap lies in the window about the impact"):
+        MeasuredRun.of(with_gap(hit, impact - 0.06, impact - 0.025))
 
 
 def test_the_state_before_the_impact_is_that_at_the_impact_and_not_milliseconds_before(hit: Run) -> None:
