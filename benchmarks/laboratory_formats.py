@@ -162,15 +162,16 @@ def rows_of(document: DiagnosisDocument) -> dict[str, str]:
 
 
 def furthest(first: DiagnosisDocument, second: DiagnosisDocument) -> float:
-    """Largest relative difference of any estimate or held-out error of two diagnoses [-]."""
-    pairs = [
-        (first.held_out_error_before, second.held_out_error_before),
-        (first.held_out_error_after, second.held_out_error_after),
-    ]
+    """Largest difference of an estimate of two diagnoses, in half widths of its interval [-]."""
+    apart = [0.0]
     for effect in first.effects:
-        if (other := second.effect(effect.name)) is not None:
-            pairs += [(value.estimate, other.parameters[name].estimate) for name, value in effect.parameters.items()]
-    return max(abs(a - b) / max(abs(a), abs(b), 1e-6) for a, b in pairs)
+        if (other := second.effect(effect.name)) is None:
+            continue
+        for name, value in effect.parameters.items():
+            low, high = value.interval
+            if np.isfinite(high - low) and high > low:
+                apart.append(2.0 * abs(value.estimate - other.parameters[name].estimate) / (high - low))
+    return max(apart)
 
 
 def main() -> None:
@@ -194,7 +195,9 @@ def main() -> None:
     for label in dict.fromkeys(label for own in rows.values() for label in own):
         table.add_row(label, *(own.get(label, "-") for own in rows.values()))
     first = next(iter(found.values()))
-    table.add_row("furthest apart [-]", *(f"{furthest(first, document):.1e}" for document in found.values()))
+    table.add_row(
+        "estimates apart [half intervals]", *(f"{furthest(first, document):.1e}" for document in found.values())
+    )
     console.print(table)
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
@@ -95,6 +97,22 @@ def check_jumps(path: Path, what: str, time: Array, log: Array | None, largest: 
         "recording there into two runs, or leave it out",
         file=path,
     )
+
+
+def seconds_of(stamps: NDArray[Any], unit: float) -> Array:
+    """Stamps in seconds, ``(k,)``.
+
+    Nanoseconds of a wall clock have more digits than a floating-point number: of whole numbers, seconds and rest are
+    taken apart first, so that no more is lost than in a message that has both.
+
+    Args:
+        stamps: As the file has them, ``(k,)``.
+        unit: Their unit [s].
+    """
+    if not np.issubdtype(stamps.dtype, np.integer):
+        return np.asarray(stamps * unit)
+    each = round(1.0 / unit)
+    return np.asarray(stamps // each + (stamps % each) * unit)
 
 
 def gaps(time: Array, longest: float) -> list[Gap]:

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from impact_rs_sim.errors import InputError
-from impact_rs_trials.recordings.clock import check_jumps, check_stamps, even_grid, gaps, grid_from, tell_gaps
+from impact_rs_trials.recordings.clock import (
+    check_jumps,
+    check_stamps,
+    even_grid,
+    gaps,
+    grid_from,
+    seconds_of,
+    tell_gaps,
+)
 
 BAG = Path("bag")
 
@@ -37,6 +45,14 @@ def test_a_grid_is_that_of_the_piece_that_matters_carried_on() -> None:
     np.testing.assert_allclose(grid_from(stamps, last)[-500:], last, atol=1e-9)
     assert grid_from(stamps, last)[0] == pytest.approx(0.0004)
     assert np.array_equal(grid_from(first, first), even_grid(first))
+
+
+def test_nanoseconds_of_a_wall_clock_are_read_as_well_as_a_header() -> None:
+    nanoseconds = 1_763_500_000 * 10**9 + np.arange(0, 50_000_000, 1_234_567)
+    header = nanoseconds // 10**9 + 1e-9 * (nanoseconds % 10**9)
+    assert np.array_equal(seconds_of(nanoseconds, 1e-9), header)
+    assert not np.array_equal(1e-9 * nanoseconds, header)
+    assert np.array_equal(seconds_of(np.array([1.5, 2.0]), 1e-3), [0.0015, 0.002])
 
 
 def test_many_gaps_are_counted() -> None:
