@@ -196,7 +196,7 @@ def main() -> None:
         table.add_row(label, *(own.get(label, "-") for own in rows.values()))
     first = next(iter(found.values()))
     table.add_row(
-        "estimates apart [half intervals]", *(f"{furthest(first, document):.1e}" for document in found.values())
+        "estimates apart, in half intervals", *(f"{furthest(first, document):.1e}" for document in found.values())
     )
     console.print(table)
 

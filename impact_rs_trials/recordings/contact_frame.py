@@ -11,9 +11,8 @@ for every hit, and the support, on which the object stands at first,
 
     t_z = height of the support + half the object's height - p_z.
 
-Least squares for t_x, t_y and psi, by Gauss-Newton steps without the directions that hits say nothing of: where all of
-them go one way, t may be anything across it. The first psi is that which turns the way of the objects into that of the
-pad.
+Least squares for t_x, t_y and psi, by Gauss-Newton steps; where all hits go one way, t may be anything across it, and
+stays there as given.
 """
 
 from __future__ import annotations
@@ -29,10 +28,10 @@ from impact_rs_sim.robot import Array
 
 DISTANCE = 0.001  # m, how well pad and face are known to touch
 FLUSH = 0.02  # rad, how well they are known to be parallel
-KNOWN = np.array([0.01, 0.01, 0.05])  # m, m, rad: what is less sure than this is not determined by the hits
+KNOWN = 0.005  # m; a position that is less sure in some direction is not told by the hits
 PUSHED = 0.005  # m; objects that all of them together move by less do not tell the first psi
 STEPS = 20
-CLOSE = 1e-10  # of KNOWN, a step after which no other is made
+CLOSE = 1e-9  # m or rad, a step after which no other is made
 
 
 @dataclass(frozen=True)
@@ -116,41 +115,64 @@ def contact_frame(touches: Sequence[Touch], given: Array, given_yaw: float) -> C
     if not touches:
         raise InputError("motion_capture.estimate: no hit has both joint positions and a pose of the object")
     height = float(np.mean([touch.standing - touch.standing_height for touch in touches]))
-    found = np.array([given[0], given[1], _first_yaw(touches, given_yaw)])
+    found = _first(touches, given_yaw)
     weights = np.tile([1.0 / DISTANCE, 1.0 / FLUSH], len(touches))
     for _ in range(STEPS):
+        before = found.copy()
+        kept = _untold(weights[:, None] * _residuals(touches, found)[1])
+        free = np.eye(3) if kept is None else np.array([[-kept[1], kept[0], 0.0], [0.0, 0.0, 1.0]]).T
+        if kept is not None:
+            found[:2] += kept * (kept @ (given[:2] - found[:2]))
         values, slopes = _residuals(touches, found)
-        left, sizes, right = np.linalg.svd(weights[:, None] * slopes * KNOWN, full_matrices=False)
-        told = sizes > 1.0  # standard error below KNOWN
-        step = KNOWN * (right[told].T @ (left.T[told] @ (-weights * values) / sizes[told]))
-        found = found + step
-        if np.max(np.abs(step / KNOWN)) < CLOSE:
+        design = weights[:, None] * slopes @ free
+        found = found + free @ np.linalg.lstsq(design, -weights * values, rcond=None)[0]
+        if np.max(np.abs(found - before)) < CLOSE:
             break
-    values, _ = _residuals(touches, found)
-    distance, angle = values[0::2], values[1::2]
+    values, slopes = _residuals(touches, found)
     # Two numbers of every hit, less what was found; what is given beforehand is the least that errors can be.
-    freedom = max(1, values.size - int(np.sum(told)))
+    freedom = max(1, values.size - free.shape[1])
     spread = max(1.0, float(np.sum(np.square(weights * values))) / freedom)
-    covariance = (right[told].T / np.square(sizes[told])) @ right[told] * spread
-    across = right[~told, :2] if not np.all(told) else np.zeros((0, 2))
+    design = weights[:, None] * slopes @ free
+    covariance = free @ np.linalg.inv(design.T @ design) @ free.T * spread
     return ContactFrame(
         position=np.array([found[0], found[1], height]),
         yaw=float(np.arctan2(np.sin(found[2]), np.cos(found[2]))),
-        error=KNOWN * np.sqrt(np.diag(covariance)),
-        scatter=float(np.sqrt(np.mean(np.square(distance)))),
-        tilt=float(np.sqrt(np.mean(np.square(angle)))),
+        error=np.sqrt(np.diag(covariance)),
+        scatter=float(np.sqrt(np.mean(np.square(values[0::2])))),
+        tilt=float(np.sqrt(np.mean(np.square(values[1::2])))),
         hits=len(touches),
-        kept=across[0] / np.linalg.norm(across[0]) if across.size else None,
+        kept=kept,
     )
 
 
-def _first_yaw(touches: Sequence[Touch], given: float) -> float:
-    """Turns the ways of the objects into those of the pads, all together [rad]."""
-    if sum(float(np.linalg.norm(touch.object_way)) for touch in touches) < PUSHED:
-        return given
-    cosine = sum(float(touch.object_way @ touch.pad_way) for touch in touches)
-    sine = sum(float(np.cross(np.append(touch.object_way, 0.0), np.append(touch.pad_way, 0.0))[2]) for touch in touches)
-    return float(np.arctan2(sine, cosine))
+def _untold(slopes: Array) -> Array | None:
+    """Direction across all hits, ``(2,)``, where they do not tell the position, whatever the yaw; None where they do.
+
+    Args:
+        slopes: Of weighted residuals in x, y and yaw, ``(2 h, 3)``; in x and y those are normals of faces.
+    """
+    told, directions = np.linalg.eigh(slopes[:, :2].T @ slopes[:, :2])
+    if told[0] * KNOWN**2 > 1.0:
+        return None
+    direction = directions[:, 0]
+    return np.asarray(direction * np.sign(direction[int(np.argmax(np.abs(direction)))]))
+
+
+def _first(touches: Sequence[Touch], given_yaw: float) -> Array:
+    """x, y and yaw to start from: the ways of the objects are those of the pads, and every pad is amid its face."""
+    yaw = given_yaw
+    if sum(float(np.linalg.norm(touch.object_way)) for touch in touches) > PUSHED:
+        cosine = sum(float(touch.object_way @ touch.pad_way) for touch in touches)
+        sine = sum(
+            float(touch.object_way[0] * touch.pad_way[1] - touch.object_way[1] * touch.pad_way[0]) for touch in touches
+        )
+        yaw = float(np.arctan2(sine, cosine))
+    turn = pin.rpy.rpyToMatrix(0.0, 0.0, yaw)
+    places = []
+    for touch in touches:
+        normal, half = _face(touch, turn)
+        places.append(np.mean(touch.pad - half * normal - touch.position @ turn.T, axis=0))
+    return np.append(np.mean(places, axis=0)[:2], yaw)
 
 
 def _residuals(touches: Sequence[Touch], found: Array) -> tuple[Array, Array]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,13 +33,23 @@ from impact_rs_trials.recordings.clock import (
     grid_from,
     tell_gaps,
 )
+from impact_rs_trials.recordings.contact_frame import ContactFrame, Touch, contact_frame
 from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, RunRow, read_runs
 from impact_rs_trials.recordings.mapping import REQUIRED, Mapping, SignalName
-from impact_rs_trials.recordings.plausibility import check_object, check_touch, check_weight, gravity_torques
+from impact_rs_trials.recordings.plausibility import (
+    REST,
+    check_object,
+    check_touch,
+    check_weight,
+    gravity_torques,
+    height_on_support,
+)
 from impact_rs_trials.recordings.recording import Recording, check_recording
 from impact_rs_trials.recordings.series import Names, Series
 from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.workers import Map
+
+logger = logging.getLogger(__name__)
 
 ARM_SIGNALS: tuple[SignalName, ...] = (*REQUIRED, "motor_position", "motor_velocity")
 OBJECT_SIGNALS: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
@@ -51,6 +62,8 @@ GAP_CUT = 0.010  # s, what is longer is not bridged
 JUMP = 0.1  # s, a longer step is a jump of the clock
 JITTER = 0.2  # periods that stamps may lie beside the even grid before it is told
 IMPACT_WINDOW = 0.008  # s, over which the change of joint velocity is largest at the impact
+TOUCHING = (0.02, 0.1)  # s from the impact on, in which the pad lies flat on the face and pushes it
+FOLLOWED = 0.3  # s from the impact on, in which the object goes where the pad goes
 SLOW_JOINTS = 200.0  # Hz
 SLOW_POSE = 60.0  # Hz
 IMPACT_SHARE = 0.02  # of the samples, in which an impact may take a velocity or torque beyond the data sheet
@@ -120,12 +133,14 @@ class Laboratory:
         arm: Name of the arm.
         mapping: Where the signals are.
         motion_capture: Where its world is.
+        placed: How that was found; None: it was given.
     """
 
     scenario: Scenario
     arm: str
     mapping: Mapping
     motion_capture: MotionCapture
+    placed: ContactFrame | None = None
 
     @classmethod
     def of(cls, experiment: Experiment) -> Laboratory:
@@ -167,6 +182,18 @@ class Laboratory:
         """Nominal rigid-body model of the arm."""
         return Physics.nominal(self.scenario, next(iter(self.scenario.objects))).robot_model(self.arm)
 
+    def placed_by(self, touches: Sequence[Touch]) -> Laboratory:
+        """With the world of the motion capture where hits say it is.
+
+        Raises:
+            InputError: There is no hit.
+        """
+        given = self.motion_capture
+        found = contact_frame(touches, np.array(given.position), given.rpy[2])
+        x, y, z = (float(number) for number in found.position)
+        update = {"position": (x, y, z), "rpy": (*given.rpy[:2], found.yaw)}
+        return replace(self, motion_capture=given.model_copy(update=update), placed=found)
+
 
 def read_laboratory(
     directory: Path, experiment: Experiment, map_tasks: Map
@@ -188,6 +215,9 @@ def read_laboratory(
     table = read_runs(directory, experiment, laboratory.scenario)
     read: list[LaboratoryRun] = []
     skipped: list[tuple[str, str]] = []
+    if laboratory.motion_capture.estimate:
+        hits = [(laboratory, run) for run in table if run.hit]
+        laboratory = laboratory.placed_by([touch for touch in map_tasks(touch_of, hits) if touch is not None])
     tasks = [(laboratory, run) for run in table]
     for run, result in zip(table, map_tasks(_try_to_read, tasks), strict=True):
         if isinstance(result, LaboratoryRun):
@@ -253,6 +283,8 @@ def read_run(laboratory: Laboratory, run: RunRow) -> LaboratoryRun:
         )
     object_time, pose = _part(series.get("object_pose"), grid, np.zeros((0, 7)))
     if object_time.size:
+        if laboratory.placed is not None:
+            remarks.append(str(laboratory.placed))
         pose = _in_inertial_frame(laboratory.motion_capture, run, pose)
         remarks += _check_object(laboratory, run, time, arm["position"], object_time, pose)
     elif run.hit:
@@ -479,6 +511,52 @@ def _with_weight(
 
 
 # ---- object ---------------------------------------------------------------------------------------------------------
+
+
+def touch_of(task: tuple[Laboratory, RunRow]) -> Touch | None:
+    """What a hit says of the world of the motion capture; None where it cannot be read, which is told when it is."""
+    laboratory, run = task
+    try:
+        return _touch(laboratory, run)
+    except InputError as error:
+        logger.debug("%s: tells nothing of the motion capture: %s", run.name, error)
+        return None
+
+
+def _touch(laboratory: Laboratory, run: RunRow) -> Touch:
+    assert run.object is not None
+    wanted: tuple[SignalName, ...] = ("position", "velocity", *OBJECT_SIGNALS)
+    names = Names(object=run.object, arm=laboratory.arm, run=run.name)
+    series = _with_object(run.path, read_series(run.path, laboratory.mapping, wanted, wanted[:2], names), [])
+    joints, seen = series["position"], series.get("object_pose")
+    if seen is None or seen.time.size < 2:
+        raise InputError("the object was not tracked", file=run.path)
+    given = laboratory.motion_capture
+    tilted = given.model_copy(update={"position": (0.0, 0.0, 0.0), "rpy": (*given.rpy[:2], 0.0)})
+    pose = _in_inertial_frame(tilted, run, seen.values)  # as far as hits tell nothing of it
+    impact = _impact(series["velocity"])
+    first, last = (impact + moment for moment in TOUCHING)
+    times = seen.time[(seen.time >= first) & (seen.time <= last)]
+    times = times if times.size else np.array([0.5 * (first + last)])
+    pads = [laboratory.model.placement(q) for q in joints.at(times)]
+    placed = replace(seen, values=pose)
+    objects = [pin.XYZQUATToSE3(row) for row in placed.at(times)]
+    still = np.median(pose[seen.time <= seen.time[0] + REST], axis=0)
+    size = np.array(laboratory.scenario.object(run.object).size)
+    ends = np.array([impact, min(impact + FOLLOWED, float(joints.time[-1]), float(seen.time[-1]))])
+    way = np.diff([laboratory.model.placement(q).translation[:2] for q in joints.at(ends)], axis=0)[0]
+    return Touch(
+        run=run.name,
+        pad=np.array([pad.translation for pad in pads]),
+        pad_normal=np.array([pad.rotation[:, 2] for pad in pads]),
+        position=np.array([thing.translation for thing in objects]),
+        rotation=np.array([thing.rotation for thing in objects]),
+        size=size,
+        standing=height_on_support(laboratory.scenario, run.object, pin.XYZQUATToSE3(pose[0]).rotation),
+        standing_height=float(still[2]),
+        pad_way=way,
+        object_way=np.diff(placed.at(ends)[:, :2], axis=0)[0],
+    )
 
 
 def _in_inertial_frame(motion_capture: MotionCapture, run: RunRow, pose: Array) -> Array:
