@@ -11,7 +11,7 @@ import pytest
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.contact_frame import Touch, contact_frame
 
-from .conftest import ARM, IMPACT, LaboratoryFolder
+from .conftest import ARM, LaboratoryFolder
 
 SIZE = np.array([0.25, 0.18, 0.16])
 WORLD = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, 2.4), np.array([1.3, -0.7, 0.25]))  # of the motion capture, in A
@@ -94,11 +94,11 @@ def test_without_a_hit_there_is_nothing_to_tell() -> None:
 
 
 def pushed(laboratory: LaboratoryFolder) -> np.ndarray:
-    """The box lies on the pad from the impact on, and is seen in the planted world; its centre in A, ``(p, 3)``."""
+    """The box goes with the pad all the time, and is seen in the planted world; its centre in A, ``(p, 3)``."""
     signals = laboratory.signals
     poses, centres = [], []
     for moment in 1e-9 * signals.object_time:
-        row = int(round(1e3 * max(moment, IMPACT)))
+        row = round(1e3 * moment)
         pad = ARM.placement(signals.position[min(row, len(signals.position) - 1)])
         normal = pad.rotation[:, 2]
         yaw = np.arctan2(normal[1], normal[0]) + np.pi / 2.0
@@ -116,7 +116,7 @@ def test_an_experiment_that_asks_for_it_finds_the_world_of_its_motion_capture(la
     laboratory.bag()
     with pytest.raises(InputError, match="pose in another frame"):
         laboratory.read()
-    normal = ARM.placement(laboratory.signals.position[0]).rotation[:2, 2]
+    normal = ARM.placement(laboratory.signals.position[460]).rotation[:2, 2]
     off = WORLD.translation[:2] + 0.2 * normal / np.linalg.norm(normal)  # one hit tells how far along its way it is
     laboratory.experiment["motion_capture"] = {"estimate": True, "position": [*map(float, off), 0.0]}
     (run,) = laboratory.read()
