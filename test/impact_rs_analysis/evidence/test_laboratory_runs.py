@@ -14,10 +14,13 @@ from impact_rs_analysis.evidence.measured import MeasuredRun
 from impact_rs_analysis.evidence.replays import layout_of, pure_errors
 from impact_rs_analysis.evidence.run import Run
 from impact_rs_analysis.evidence.runs import Runs
+from impact_rs_analysis.evidence.twin import simulated
 from impact_rs_analysis.measure.laboratory import jumps_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import compute_impact_map
 from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.spec import TrialSpec
 
 from .conftest import COULOMB
 
@@ -145,3 +148,18 @@ def test_without_anything_hidden_the_reduced_inertia_predicts_the_speed_after_th
     assert jump.before == pytest.approx(0.7, abs=0.01)
     assert 0.4 < jump.after < 0.6
     assert jump.interval == pytest.approx((jump.after, jump.after))
+
+
+def test_a_pad_that_comes_at_an_angle_takes_the_object_along_sideways() -> None:
+    """15 degrees beside the normal, inside the cone of friction: bound along the way alone, the prediction lags."""
+    scenario = load_scenario("push")
+    case = scenario.cases["case_1"]
+    (arm,) = case.robots
+    beside = case.robots[arm].model_copy(update={"ante_velocity": (-0.12, -0.48, 0.05)})
+    oblique = scenario.model_copy(update={"cases": {"case_1": case.model_copy(update={"robots": {arm: beside}})}})
+    trial = TrialSpec.of(oblique, "juice", "case_1")
+    measured = MeasuredRun.of(replace(simulated(trial, trial.scene.physics), spec=None))
+    assert 0.2 < obliqueness(measured) < 0.3
+    found = jumps_of(Runs.of(Path("here"), [measured]))
+    assert abs(found.errors["reduced"]) < 0.8
+    assert found.errors["reduced"] < found.errors["rotor"]
