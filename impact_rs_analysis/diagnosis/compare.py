@@ -24,9 +24,9 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from impact_rs_analysis.diagnosis.document import TIMES, DiscrepancyDocument, ModelIdentity, RecordingDocument
+from impact_rs_analysis.diagnosis.document import DiscrepancyDocument, ModelIdentity, RecordingDocument
 from impact_rs_analysis.diagnosis.jump import JOINTS, JumpEntry, jump_entries
-from impact_rs_analysis.evidence.cluster import Cluster, Source, size_of
+from impact_rs_analysis.evidence.cluster import TIMES, Cluster, Source, size_of
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.replays import ReplaySource, clusters_of
@@ -166,17 +166,12 @@ def score_of(clusters: Sequence[Cluster]) -> float:
     return size_of([item.error for item in clusters], [item.expected for item in clusters])
 
 
-def noise_floor_of(clusters: Sequence[Cluster]) -> float | None:
-    """What :func:`score_of` is if only repetition is left [-]; None if nothing was repeated."""
-    return 1.0 if any(np.any(item.pure > 0.0) for item in clusters) else None
-
-
 def _of_runs(source: ReplaySource) -> ComparisonDocument:
     clusters, runs = source.clusters, source.runs
     # The map knows no run's own start: repetition is what the measured numbers themselves scatter, for every model.
     measured, _ = clusters_of(runs, [run.measured for run in runs.runs], source.discrepancy)
     entries, remarks = jump_entries(runs, measured, source.model)
-    repeated = noise_floor_of(clusters) is not None
+    repeated = source.noise_size() is not None
     score_is = (
         "size of the difference between measurement and replay over all features and conditions, 1 being what "
         "repetition alone gives"
@@ -193,10 +188,10 @@ def _of_runs(source: ReplaySource) -> ComparisonDocument:
         conditions=tuple(
             ConditionScore(name=item.name, repeats=item.count, score=rounded(score_of([item]))) for item in clusters
         ),
-        score=rounded(score_of(clusters)),
+        score=rounded(source.size()),
         score_is=score_is,
         score_unit=TIMES if repeated else "-",
-        noise_floor=noise_floor_of(clusters),
+        noise_floor=source.noise_size(),
         levels=levels,
         where=tuple(_where(clusters)),
         skipped=tuple(LeftOut(name=path.removeprefix(f"{runs.directory}/"), reason=why) for path, why in runs.skipped),
@@ -373,14 +368,13 @@ def _of_recordings(source: RecordingSource) -> ComparisonDocument:
 
 
 def _of_impacts(source: ImpactTableSource) -> ComparisonDocument:
-    clusters, rows = source.clusters, source.table.rows
+    clusters = source.clusters
+    score, floor = source.size(), source.noise_size()
     if source.repeated:
-        score, floor, unit = score_of(clusters), noise_floor_of(clusters), TIMES
         score_is = "size of the difference between measured and predicted velocities over all conditions, 1 being what "
         score_is += "repetition alone gives"
         conditions = [ConditionScore(name=c.name, repeats=c.count, score=rounded(score_of([c]))) for c in clusters]
     else:
-        score, floor, unit = source.size(), source.noise_size(), source.told_unit
         score_is = (
             "root mean square over the impacts of measured minus predicted velocity, turning and joints counted by "
         )
@@ -390,11 +384,11 @@ def _of_impacts(source: ImpactTableSource) -> ComparisonDocument:
     return ComparisonDocument(
         source="impacts",
         model=ModelIdentity(name=source.model.name, digest=source.model.digest),
-        trials=len(rows),
+        trials=source.identity.count,
         conditions=tuple(conditions),
         score=rounded(score),
         score_is=score_is,
-        score_unit=unit,
+        score_unit=source.size_unit,
         noise_floor=None if floor is None else rounded(floor),
         levels={"impacts": _level("impacts", clusters, phases)},
         where=tuple(_where(clusters) if source.repeated else _where_of_blocks(clusters)),

@@ -41,9 +41,7 @@ from impact_rs_analysis.diagnosis.verdicts import (
 )
 from impact_rs_analysis.diagnosis.words import summary_of
 from impact_rs_analysis.evidence.cluster import Source
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.recordings import RecordingSource
-from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
@@ -147,18 +145,8 @@ def _lack_of_fit(verdict: Headline) -> LackOfFit:
 
 
 def _runs(source: Source) -> RunsIdentity:
-    if isinstance(source, ReplaySource):
-        return RunsIdentity(
-            digest=source.runs.digest,
-            trials=len(source.runs.runs),
-            conditions=tuple(source.runs.conditions),
-        )
-    if isinstance(source, ImpactTableSource):
-        return RunsIdentity(
-            digest=source.table.digest, trials=len(source.table.rows), conditions=tuple(source.conditions)
-        )
-    units = tuple(dict.fromkeys(item.unit for item in source.clusters))
-    return RunsIdentity(digest="", trials=len(units), conditions=units)
+    found = source.identity
+    return RunsIdentity(digest=found.digest, trials=found.count, conditions=found.conditions)
 
 
 def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
@@ -172,9 +160,8 @@ def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
     ):
         what = f"whole recordings, in {count} folds"
     else:
-        blocks = "blocks of rows" if isinstance(source, ImpactTableSource) else "stretches of time"
         what = (
-            f"{len(source.clusters)} {blocks} in {count} folds of neighbours; every fold is predicted from "
+            f"{len(source.clusters)} {source.pieces} in {count} folds of neighbours; every fold is predicted from "
             "the others without those that touch it"
         )
     return HoldOutDocument(what=f"{what}; the whole search is run again without what it shall predict", folds=count)
@@ -209,8 +196,7 @@ def _remarks(found: Findings, source: Source) -> list[str]:
     reference = found.evidence.reference
     if reference.shortage is not None:
         remarks.append(f"too few repeats to decide anything: {reference.shortage}")
-    closed_loop = source.repeated and not isinstance(source, ImpactTableSource)
-    if closed_loop and all(item.contact for item in source.clusters):
+    if source.repeated and source.of_motion and all(item.contact for item in source.clusters):
         remarks.append(
             "no free motion there and back was measured: friction, torque offset and torque gain look alike in a push"
         )

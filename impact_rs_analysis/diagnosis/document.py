@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.schema import Schema, validate
@@ -28,8 +29,6 @@ CONFUSABLE = "CONFUSABLE-WITH"
 UNIDENTIFIABLE = "NOT-IDENTIFIABLE"
 NO_IMPROVEMENT = "NO-IMPROVEMENT"
 AT_BOUND = "AT-BOUND"
-
-TIMES = "times what repetition alone gives"
 
 
 class EstimateDocument(Schema):

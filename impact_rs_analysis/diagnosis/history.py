@@ -10,12 +10,9 @@ from typing import Any
 import numpy as np
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
-from impact_rs_analysis.diagnosis.compare import noise_floor_of, score_of
-from impact_rs_analysis.diagnosis.document import TIMES
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.verdicts import told
-from impact_rs_analysis.evidence.cluster import Cluster, Source
-from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_analysis.evidence.cluster import TIMES, Cluster, Source
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model
 
@@ -115,15 +112,11 @@ def history(path: Path, source_of: Callable[[Model], Source]) -> list[VersionErr
     for version in versions(path):
         source = source_of(version.model)
         clusters = source.clusters
-        unrepeated = isinstance(source, ImpactTableSource) and not source.repeated
-        error = source.size() if isinstance(source, ImpactTableSource) and unrepeated else score_of(clusters)
-        floor = (
-            source.noise_size() if isinstance(source, ImpactTableSource) and unrepeated else noise_floor_of(clusters)
-        )
+        error, floor = source.size(), source.noise_size()
         held_out: float | None = error
         if version.effect_added is not None:
             held_out = _held_out(version, clusters, source_of)
-        found.append(VersionError(version, error, held_out, floor, source.told_unit if unrepeated else TIMES))
+        found.append(VersionError(version, error, held_out, floor, source.size_unit))
     return found
 
 
@@ -152,6 +145,6 @@ def _held_out(version: Version, clusters: tuple[Cluster, ...], source_of: Callab
     if candidate is None:
         return None
     evidence = Evidence(bare, tuple(range(len(clusters))), clusters)
-    if isinstance(bare, ImpactTableSource):
+    if bare.size_unit != TIMES:
         return told(evidence, evidence.problem(candidate).left_out_rest)
     return evidence.size(evidence.problem(candidate).held_out)

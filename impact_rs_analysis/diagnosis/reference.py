@@ -36,10 +36,13 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.thresholds import DRAWS, LEAST_FREEDOM
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
+
+LEAST_OWN = 0.01  # of a feature's squared scale that is not discrepancy, lest a direction without noise weighs all
 
 
 class Reference(ABC):
@@ -117,6 +120,26 @@ def alike(item: Cluster) -> str:
 def rarity(observed: float, null: Array) -> float:
     """Share of a null distribution, the observation counted in, that is at least as large."""
     return float((1.0 + np.count_nonzero(null >= observed * (1.0 - 1e-12))) / (1.0 + null.size))
+
+
+def smallest(observed: Array, null: Array) -> float:
+    """p of the most unlikely of several statistics, looked at together.
+
+    Args:
+        observed: Statistics, ``(G,)``.
+        null: The same in draws of the null distribution, ``(B, G)``; one that is never larger than zero says nothing.
+    """
+    everything = np.vstack((observed, null))
+    below = scipy.stats.rankdata(-everything, method="max", axis=0)  # how many are at least as large
+    below[:, ~np.any(everything > 0.0, axis=0)] = len(everything)
+    least = below.min(axis=1)
+    return float(np.count_nonzero(least <= least[0]) / least.size)
+
+
+def _members(item: Cluster, groups: Sequence[tuple[str, str]]) -> NDArray[np.bool_]:
+    """Which features belong to which group, the last of which is all, ``(G + 1, F)``."""
+    own = [[feature.group[:2] == group for feature in item.features] for group in groups]
+    return np.array([*own, [True] * len(item.features)])
 
 
 @lru_cache(maxsize=32)
@@ -232,48 +255,76 @@ class RotationReference(Reference):
         return np.asarray(weights / np.sqrt(rng.chisquare(layout.freedom, DRAWS))[:, None, None])
 
     def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
-        """See :meth:`Reference.lack_of_fit`; as :meth:`p_value`, with every feature a parameter of its own."""
+        """See :meth:`Reference.lack_of_fit`; as :meth:`p_value`, with every feature a parameter of its own.
+
+        All features at once hardly see what shows in one signal of a dozen. So every signal is judged by itself beside
+        the whole, and the smallest of these p against the smallest in every draw of the same noise (Westfall and Young
+        1993, *Resampling-based multiple testing*): however many are looked at, and however correlated they are, one
+        null in a hundred has a p below 0.01.
+        """
         if self.shortage is not None:
             return None
         rng = np.random.default_rng(2)
-        observed = noise = 0.0
-        null, noise_null, absolute = np.zeros(DRAWS), np.zeros(DRAWS), np.zeros(DRAWS)
+        groups = list(dict.fromkeys(feature.group[:2] for item in self.clusters for feature in item.features))
+        observed, noise = np.zeros((2, len(groups) + 1))
+        null, noise_null, absolute = np.zeros((3, DRAWS, len(groups) + 1))
         for number, layout in enumerate(self._layouts):
             means = np.array([np.sqrt(self.clusters[c].count) * rest[c] for c in layout.numbers])
             rows = np.vstack((means, layout.rows[layout.means :]))
-            gram = rows @ rows.T
             frames = _frames(len(rows), layout.means, number)
-            inside = np.einsum("bcn,nm,bcm->b", frames, gram, frames, optimize=True)
-            observed += float(np.trace(gram[: layout.means, : layout.means]))
-            noise += float(np.trace(gram[layout.means :, layout.means :]))
-            null += inside
-            noise_null += np.trace(gram) - inside
+            members = _members(self.clusters[layout.numbers[0]], groups)
+            scales = [self._even(layout, own) for own in members]
+            for place, (own, scale) in enumerate(zip(members, scales, strict=True)):
+                if not scale.size:
+                    continue
+                scaled = rows[:, own] @ scale
+                gram = scaled @ scaled.T
+                inside = np.einsum("bcn,bcn->b", frames @ gram, frames)
+                observed[place] += float(np.trace(gram[: layout.means, : layout.means]))
+                noise[place] += float(np.trace(gram[layout.means :, layout.means :]))
+                null[:, place] += inside
+                noise_null[:, place] += np.trace(gram) - inside
             if self.discrepant:
-                absolute += self._rest_by_chance(rng, layout)
-        p = rarity(observed / max(noise, 1e-300), null / np.maximum(noise_null, 1e-300))
-        return max(p, rarity(observed, absolute)) if self.discrepant else p
+                absolute += self._rest_by_chance(rng, layout, members, scales)
+        p = smallest(observed / np.maximum(noise, 1e-300), null / np.maximum(noise_null, 1e-300))
+        return max(p, smallest(observed, absolute)) if self.discrepant else p
 
-    def _rest_by_chance(self, rng: np.random.Generator, layout: _Rows) -> Array:
-        """Squares of mean rows from noise and discrepancy together, ``(B,)``."""
+    def _rest_by_chance(
+        self, rng: np.random.Generator, layout: _Rows, members: NDArray[np.bool_], scales: Sequence[Array]
+    ) -> Array:
+        """Squares of scaled mean rows from noise and discrepancy together by group of features, ``(B, G)``."""
         contrasts = layout.rows[layout.means :]
-        groups: dict[str, list[int]] = {}
-        for place, number in enumerate(layout.numbers):
-            groups.setdefault(alike(self.clusters[number]), []).append(place)
-        weights = np.sqrt(layout.counts)
-        squares = np.zeros(DRAWS)
+        squares = np.zeros((DRAWS, len(members)))
         noise = self._noise(rng, layout) if layout.freedom else np.zeros((DRAWS, layout.means, 0))
-        for start in range(0, DRAWS, 500):
-            rows = slice(start, start + 500)
-            drawn = noise[rows] @ contrasts
-            for places in groups.values():
-                amplitudes: Array | None = None
-                for place in places:
-                    patterns = self.clusters[layout.numbers[place]].moved_together
-                    if amplitudes is None:
-                        amplitudes = rng.standard_normal((drawn.shape[0], patterns.shape[0]))
-                    drawn[:, place] += weights[place] * (amplitudes @ patterns)
-            squares[rows] = np.einsum("bcf,bcf->b", drawn, drawn)
+        amplitudes: dict[str, Array] = {}
+        seen: list[tuple[Array, Array]] = []  # by cluster: what is drawn, and what each of it does to the features
+        for place, number in enumerate(layout.numbers):
+            item = self.clusters[number]
+            patterns = np.sqrt(layout.counts[place]) * item.moved_together
+            name = alike(item)
+            if name not in amplitudes:
+                amplitudes[name] = rng.standard_normal((DRAWS, len(patterns)))
+            seen.append((np.hstack((noise[:, place], amplitudes[name])), np.vstack((contrasts, patterns))))
+        for number, (own, scale) in enumerate(zip(members, scales, strict=True)):
+            for drawn, basis in seen if scale.size else ():
+                scaled = basis[:, own] @ scale
+                squares[:, number] += np.einsum("bk,bk->b", drawn @ (scaled @ scaled.T), drawn)
         return squares
+
+    def _even(self, layout: _Rows, members: NDArray[np.bool_]) -> Array:
+        """Scaling of some features in which noise and discrepancy together are alike in every direction, ``(F, F)``.
+
+        Discrepancy moves many features at a time; where it is as large as the noise, a sum of squares would see little
+        but it.
+        """
+        items = [self.clusters[number] for number in layout.numbers]
+        both = np.zeros((np.count_nonzero(members),) * 2)
+        for item in items:
+            patterns = item.moved_together[:, members]
+            alone = np.maximum(1.0 - np.square(item.discrepancy[members]), LEAST_OWN)
+            both += (np.diag(alone) + item.count * patterns.T @ patterns) / len(items)
+        values, vectors = np.linalg.eigh(both)
+        return np.asarray(vectors / np.sqrt(values))
 
     def covariance(self, jacobians: Sequence[Array], change: Array, inverse: Array) -> Array:
         """See :meth:`Reference.covariance`; trials are independent of each other, their features are not."""

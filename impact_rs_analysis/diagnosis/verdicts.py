@@ -18,7 +18,6 @@ from impact_rs_analysis.diagnosis.document import (
     NOTHING,
     PARTLY,
     SMALL,
-    TIMES,
     TOO_FEW,
     UNIDENTIFIABLE,
     EffectDocument,
@@ -37,6 +36,7 @@ from impact_rs_analysis.diagnosis.thresholds import (
     SIGNIFICANT,
     UNSEEN,
 )
+from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TIMES, TOO_FEW, DiagnosisDocument
+from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TOO_FEW, DiagnosisDocument
+from impact_rs_analysis.evidence.cluster import TIMES
 
 
 def summary_of(document: DiagnosisDocument) -> str:

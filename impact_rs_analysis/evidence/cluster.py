@@ -122,6 +122,25 @@ class Cluster:
         return float(np.mean(np.square(self.pure) / self.count + np.square(self.discrepancy)))
 
 
+TIMES = "times what repetition alone gives"
+"""Unit of sizes in multiples of repetition."""
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What was measured.
+
+    Attributes:
+        digest: Of all of it; empty: not known.
+        count: Runs, rows or recordings.
+        conditions: Their names.
+    """
+
+    digest: str
+    count: int
+    conditions: tuple[str, ...]
+
+
 class Source(ABC):
     """Where residuals and sensitivities come from: measurements, and a model that predicts them.
 
@@ -133,6 +152,9 @@ class Source(ABC):
         cheap: Whether predictions cost so little that several starting points can be tried.
         remarks: What a reader should know of the measurements.
         told_unit: Where nothing is repeated, unit in which the size of residuals is told.
+        size_unit: Unit of :meth:`size`.
+        pieces: What clusters are where nothing is repeated.
+        of_motion: Whether motion before and after an impact was measured, or the impact alone.
         least_change: Where nothing is repeated, parameter scales beyond which the whole interval of an accepted effect
             lies; 0: its features have floors, by which it is judged.
     """
@@ -144,6 +166,9 @@ class Source(ABC):
     cheap: bool
     remarks: Sequence[str] = ()
     told_unit: str = "N m"
+    size_unit: str = TIMES
+    pieces: str = "stretches of time"
+    of_motion: bool = True
     least_change: float = 1.0
 
     @property
@@ -151,6 +176,20 @@ class Source(ABC):
         """Number of joints of an arm; 0 where there is none."""
         arm = next(iter(self.physics.arms.values()), None)
         return 0 if arm is None else arm.facts.joint_count
+
+    @property
+    def identity(self) -> Identity:
+        """What was measured; where runs or rows are known, a subclass says which."""
+        units = tuple(dict.fromkeys(item.unit for item in self.clusters))
+        return Identity("", len(units), units)
+
+    def size(self) -> float:
+        """Size of what the model leaves, in multiples of repetition (module text) [-]."""
+        return size_of([item.error for item in self.clusters], [item.expected for item in self.clusters])
+
+    def noise_size(self) -> float | None:
+        """What :meth:`size` is if only repetition is left; None where nothing was repeated."""
+        return 1.0 if any(np.any(item.pure > 0.0) for item in self.clusters) else None
 
     def told_weight(self, item: Cluster) -> Array:
         """Where nothing is repeated, what scaled residuals are multiplied by to be told in ``told_unit``, ``(F,)``."""

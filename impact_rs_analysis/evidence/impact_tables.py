@@ -34,7 +34,7 @@ from functools import cached_property
 
 import numpy as np
 
-from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature, Source, pooled_error
+from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, Identity, Source, pooled_error
 from impact_rs_analysis.evidence.tracks import TrackSet, TrackSignal
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.impact_map.contacts import contact_frame
@@ -98,6 +98,8 @@ class ImpactTableSource(Source):
 
     cheap = True
     told_unit = "m/s"
+    pieces = "blocks of rows"
+    of_motion = False
     least_change = 0.0  # what matters is told by floors; rows are independent, as samples of a torque are not
 
     def __init__(self, table: ImpactTable, model: Model) -> None:
@@ -116,13 +118,15 @@ class ImpactTableSource(Source):
         groups = _conditions(table)
         self.repeated = groups is not None
         self._groups = tuple(_blocks(table) if groups is None else groups)
+        self.size_unit = TIMES if self.repeated else self.told_unit
         self.clusters = self._clusters()
         self.remarks = tuple(self._remarks())
 
     @property
-    def conditions(self) -> tuple[str, ...]:
-        """Names of conditions; where nothing was repeated, the name of the table."""
-        return tuple(item.name for item in self.clusters) if self.repeated else (self.table.path.name,)
+    def identity(self) -> Identity:
+        """See :attr:`Source.identity`; where nothing was repeated, the table stands for its conditions."""
+        names = tuple(item.name for item in self.clusters) if self.repeated else (self.table.path.name,)
+        return Identity(self.table.digest, len(self.table.rows), names)
 
     @cached_property
     def signals(self) -> tuple[Feature, ...]:
@@ -189,11 +193,15 @@ class ImpactTableSource(Source):
         return self._predict_all(added)
 
     def size(self) -> float:
-        """Root mean square over the rows of what the model leaves of them, d of the module [m/s]."""
+        """See :meth:`Source.size`; without repeats, root mean square over the rows of d of the module [m/s]."""
+        if self.repeated:
+            return super().size()
         return float(np.sqrt(np.mean(np.sum(np.square((self.measured - self.predicted) * self.worth), axis=1))))
 
     def noise_size(self) -> float | None:
-        """What :meth:`size` is if only noise is left [m/s]; None where nothing is known of it."""
+        """What :meth:`size` is if only noise is left; None where nothing is known of it."""
+        if self.repeated:
+            return super().noise_size()
         if self.table.noise is None:
             return None
         return float(np.sqrt(np.mean(np.sum(np.square(self.table.noise * self.worth), axis=1))))

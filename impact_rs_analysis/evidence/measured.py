@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+import sys
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -24,7 +26,8 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.spec import TrialSpec
 
-KEPT = 64  # free motions in the memory of a process, about 0.2 MB each
+Made = TypeVar("Made")
+KEPT = 64  # free motions, or models, in the memory of a process, at most about 0.2 MB each
 
 
 @dataclass(frozen=True)
@@ -56,8 +59,9 @@ class Setup:
     @cached_property
     def digest(self) -> str:
         """Identity of all of it."""
-        text = [repr((self.physics, self.drive_period, self.drive, self.motor, self.tracked, self.pushes, self.kept))]
-        text.append(repr(self.levels))
+        facts = self.physics, self.drive_period, self.drive, self.motor, self.tracked, self.pushes, self.kept
+        with np.printoptions(floatmode="unique", threshold=sys.maxsize):  # to the last bit
+            text = [repr((facts, self.levels))]
         for window in self.windows:
             text.append(repr(window.contact))
             arrays = [window.time, window.seen, window.object.position, window.object.rotation, window.object.twist]
@@ -71,6 +75,10 @@ class Setup:
 
     def features_of(self, signals: Sequence[Signals]) -> Array | None:
         """Features of its windows, measured or replayed, ``(F,)``; None where nothing is hit."""
+        arms = {
+            name: (arm, _models.of((self.digest, name), partial(self.physics.robot_model, name)))
+            for name, arm in self.physics.arms.items()
+        }
         found = extract(
             signals,
             [
@@ -78,7 +86,7 @@ class Setup:
                 for window in self.windows
             ],
             [window.contact for window in self.windows],
-            {name: (arm, _model(self.digest, self.physics, name)) for name, arm in self.physics.arms.items()},
+            arms,
             self.motor,
             self.tracked,
             self.pushes,
@@ -97,16 +105,10 @@ class Setup:
         free = [window for window in self.windows if not window.contact]
         if not free or len(free) == len(self.windows):
             return replay(self.windows, physics, self.drive_period, self.drive)
-        key = self.digest, _free_physics(physics)
-        if key in _free_motions:
-            _free_motions.move_to_end(key)
-            contact = self.windows[len(free) :]
-            return [*_free_motions[key], *replay(contact, physics, self.drive_period, self.drive)]
-        found = replay(self.windows, physics, self.drive_period, self.drive)
-        _free_motions[key] = found[: len(free)]
-        while len(_free_motions) > KEPT:
-            _free_motions.popitem(last=False)
-        return found
+        before = _free_motions.of(
+            (self.digest, _free_physics(physics)), lambda: replay(free, physics, self.drive_period, self.drive)
+        )
+        return [*before, *replay(self.windows[len(free) :], physics, self.drive_period, self.drive)]
 
 
 @dataclass(frozen=True)
@@ -220,20 +222,24 @@ class MeasuredRun:
         )
 
 
-_models: OrderedDict[tuple[str, str], RobotModel] = OrderedDict()
+class _Recent(Generic[Made]):
+    """What a process made last."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[Hashable, Made] = OrderedDict()
+
+    def of(self, key: Hashable, make: Callable[[], Made]) -> Made:
+        """What was made for a key, made now if it is not there."""
+        if key not in self._kept:
+            self._kept[key] = make()
+            if len(self._kept) > KEPT:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        return self._kept[key]
 
 
-def _model(digest: str, physics: Physics, arm: str) -> RobotModel:
-    """Nominal rigid-body model of a run's arm; a process makes it once."""
-    key = digest, arm
-    if key not in _models:
-        _models[key] = physics.robot_model(arm)
-        while len(_models) > KEPT:
-            _models.popitem(last=False)
-    return _models[key]
-
-
-_free_motions: OrderedDict[tuple[str, bytes], list[Signals]] = OrderedDict()
+_models = _Recent[RobotModel]()
+_free_motions = _Recent[list[Signals]]()
 
 
 def _free_physics(physics: Physics) -> bytes:

@@ -9,7 +9,7 @@ from itertools import islice
 import numpy as np
 
 from impact_rs_analysis.evidence.ante_impact import obliqueness
-from impact_rs_analysis.evidence.cluster import Added, Cluster, Source, difference, pooled_error
+from impact_rs_analysis.evidence.cluster import Added, Cluster, Identity, Source, difference, pooled_error
 from impact_rs_analysis.evidence.discrepancy import Discrepancy, Kind, measured_discrepancy
 from impact_rs_analysis.evidence.measured import MeasuredRun
 from impact_rs_analysis.evidence.runs import Runs
@@ -166,6 +166,11 @@ class ReplaySource(Source):
         self.conditions = list(runs.conditions.values())
         self.physics = model.apply(self.conditions[0][0].setup.physics)
         self._numbers = {item.name: number for number, item in enumerate(clusters)}
+
+    @property
+    def identity(self) -> Identity:
+        """See :attr:`Source.identity`."""
+        return Identity(self.runs.digest, len(self.runs.runs), tuple(self.runs.conditions))
 
     @classmethod
     def of(cls, runs: Runs, model: Model, store: ReplayStore, discrepancy: Discrepancy | None = None) -> ReplaySource:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from impact_rs_analysis.diagnosis.compare import Cell, ComparisonDocument, JumpLevel, SignalLevel
-from impact_rs_analysis.diagnosis.document import TIMES
 from impact_rs_analysis.diagnosis.history import VersionError
+from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.tracks import TrackSet
 from impact_rs_analysis.report.history import HistoryPart, history_part
 from impact_rs_analysis.report.labels import CARED_ABOUT, LEVELS, NOISE, REPETITION, SPREAD, phase_text, place_text

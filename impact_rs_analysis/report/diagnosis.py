@@ -9,13 +9,13 @@ from pathlib import Path
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, SignalLevel
 from impact_rs_analysis.diagnosis.document import (
-    TIMES,
     DiagnosisDocument,
     EffectDocument,
     EstimateDocument,
 )
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.tracks import TrackSet
 from impact_rs_analysis.report.comparison import TracksPart, WherePart, tracks_part, where_part, yardstick_of
 from impact_rs_analysis.report.history import HistoryPart, history_part

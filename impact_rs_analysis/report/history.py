@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from impact_rs_analysis.diagnosis.document import TIMES
 from impact_rs_analysis.diagnosis.history import VersionError
+from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.report.labels import CARED_ABOUT, REPETITION
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import history_plot

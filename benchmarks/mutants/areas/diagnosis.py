@@ -109,6 +109,22 @@ MUTANTS = [
         tests=REFERENCES,
     ),
     Mutant(
+        name="all_signals_at_once",
+        file=REFERENCE,
+        original="least = below.min(axis=1)",
+        mutated="least = below[:, -1]",
+        wrong="Lack of fit in one signal drowns in the sum over all.",
+        tests=REFERENCES,
+    ),
+    Mutant(
+        name="discrepancy_counts_in_every_direction",
+        file=REFERENCE,
+        original="return np.asarray(vectors / np.sqrt(values))",
+        mutated="return np.eye(values.size)",
+        wrong="The directions in which simulators differ hide what lies across them.",
+        tests=REFERENCES,
+    ),
+    Mutant(
         name="interval_without_discrepancy",
         file=REFERENCE,
         original="return np.asarray(np.hypot(own, scipy.stats.norm.ppf(tail) * discrepancy))",

@@ -16,11 +16,13 @@ from impact_rs_analysis.diagnosis.reference import (
     _contrasts,
     combined_half_width,
     rarity,
+    smallest,
 )
 from impact_rs_analysis.diagnosis.thresholds import LEAST_FREEDOM
 
 pytestmark = pytest.mark.usefixtures("few_draws")
 DRAWS = 999
+WHITE = AnalyticSource(0).clusters[0]
 
 
 def sensitivity(seed: int, clusters: int, parameters: int, alike: bool = False) -> list[np.ndarray]:
@@ -104,6 +106,61 @@ def test_a_simulator_that_is_off_by_what_is_known_of_it_raises_no_alarm_and_one_
         assert known.lack_of_fit([item.mean for item in source.clusters]) > 0.001
     assert aware <= binom.ppf(0.9999, draws, 0.05)
     assert blind == draws
+
+
+def of_signals(rows, names, patterns=None):
+    """A cluster with noise of one whose features belong to the named signals, one feature each."""
+    count = len(names)
+    patterns = np.zeros((0, count)) if patterns is None else patterns
+    sigma = np.sqrt(1.0 + np.sum(np.square(patterns), axis=0))
+    return replace(
+        WHITE,
+        features=tuple(replace(WHITE.features[0], signal=name, bin=number) for number, name in enumerate(names)),
+        residuals=rows / sigma,
+        sigma=sigma,
+        pure=1.0 / sigma,
+        discrepancy=np.sqrt(1.0 - 1.0 / sigma**2),
+        patterns=patterns / sigma,
+    )
+
+
+def test_what_shows_in_one_signal_of_many_is_seen() -> None:
+    """One of ten signals is off by half a standard deviation: all squares together hide it, its own do not."""
+    shift = np.where(np.arange(240) < 24, 0.5, 0.0)
+    signals = [f"signal {number // 24}" for number in range(240)]
+    found: dict[str, list[float | None]] = {"by signal": [], "all at once": []}
+    for seed in range(10):
+        noise = np.random.default_rng(seed).standard_normal((6, 3, 240))
+        for way, names in (("by signal", signals), ("all at once", [""] * 240)):
+            reference = RotationReference([of_signals(rows + shift, names) for rows in noise])
+            found[way].append(reference.lack_of_fit([item.mean for item in reference.clusters]))
+    assert np.median(found["by signal"]) < 0.03
+    assert np.median(found["all at once"]) > 0.05
+
+
+def test_a_difference_across_what_simulators_differ_in_is_seen_and_one_along_it_is_not() -> None:
+    """A pattern ten times the noise, and a difference of a tenth of that: along it, or at right angles to it."""
+    rng = np.random.default_rng(0)
+    pattern, across = np.linalg.qr(rng.standard_normal((40, 2)))[0].T * np.sqrt(40.0)
+    noise = rng.standard_normal((6, 3, 40))
+    p = {}
+    for name, shift in (("along", pattern), ("across", across)):
+        reference = RotationReference([of_signals(rows + shift, ["all"] * 40, 10.0 * pattern[None]) for rows in noise])
+        p[name] = reference.lack_of_fit([item.mean for item in reference.clusters])
+    assert p["along"] > 0.05
+    assert p["across"] < 0.01
+
+
+def test_the_smallest_of_several_p_counts_all_that_were_looked_at() -> None:
+    """Of one statistic it is its own p; of k independent ones about k times the smallest; copies cost nothing."""
+    null = np.random.default_rng(0).standard_normal((4000, 5)) ** 2
+    own = rarity(8.0, null[:, 0])
+    assert smallest(np.array([8.0]), null[:, :1]) == pytest.approx(own)
+    assert smallest(np.full(3, 8.0), null[:, [0, 0, 0]]) == pytest.approx(own)
+    together = smallest(np.array([8.0, 0.1, 0.1, 0.1, 0.1]), null)
+    assert together == pytest.approx(1.0 - (1.0 - own) ** 5, rel=0.2)
+    silent = smallest(np.array([8.0, 0.0]), np.column_stack((null[:, 0], np.zeros(4000))))
+    assert silent == pytest.approx(own)
 
 
 def test_blocks_flip_their_signs_and_the_null_is_uniform() -> None:
