@@ -56,7 +56,7 @@ def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map
     names = {str(item.path): item.name for item in recorded_runs}
     remarks += [
         f"{names[str(run.path)]}: {len(run.lost)} of {run.free} windows of free motion are left out, for a gap "
-        "falls into them; of repeats what all of them have is used"
+        "falls into them, and of all runs like it the same ones"
         for run in measured
         if isinstance(run, MeasuredRun) and run.lost
     ]

@@ -208,6 +208,12 @@ class MeasuredRun:
         """Windows of free motion that gaps took, of this run or of a repeat."""
         return tuple(sorted(set(range(self.free)) - {f.bin for f in self.features if f.phase == "free"}))
 
+    @property
+    def family(self) -> tuple[object, ...]:
+        """What it has in common with runs that have the same features but for gaps."""
+        further = tuple(feature for feature in self.features if feature.phase != "free")
+        return (self.hit, *self.setup.physics.arms, self.free, further)
+
     def only(self, features: set[Feature]) -> MeasuredRun:
         """The same with some of its features."""
         rows = [number for number, feature in enumerate(self.features) if feature in features]

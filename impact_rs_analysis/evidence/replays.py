@@ -94,8 +94,7 @@ def pure_errors(firsts: dict[str, MeasuredRun], rows: dict[str, Array]) -> dict[
     """
     families: dict[tuple[object, ...], list[str]] = {}
     for condition, run in firsts.items():
-        further = tuple(feature for feature in run.features if feature.phase != "free")
-        families.setdefault((run.hit, *run.setup.physics.arms, run.free, further), []).append(condition)
+        families.setdefault(run.family, []).append(condition)
     found: dict[str, Array | None] = {}
     for members in families.values():
         whole = pooled_error([rows[condition] for condition in members if not firsts[condition].lost])

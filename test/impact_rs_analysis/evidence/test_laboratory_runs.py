@@ -77,6 +77,26 @@ def test_windows_that_no_gap_touches_are_as_without_it(free: Run) -> None:
     np.testing.assert_array_equal(runs.runs[0].measured, runs.runs[1].measured)
 
 
+def test_a_window_that_one_run_lost_is_given_up_by_all_that_are_alike(free: Run) -> None:
+    whole = MeasuredRun.of(free)
+    starts = [window.time[0] for window in whole.setup.windows]
+    torn = replace(MeasuredRun.of(with_gap(free, starts[5], starts[5] + 0.05)), condition="other")
+    runs = Runs.of(Path("here"), [whole, torn]).runs
+    assert [run.lost for run in runs] == [(5,), (5,)]
+    assert layout_of(runs[0]) == layout_of(runs[1])
+    # More than half of the windows are not given up for others.
+    gone = replace(MeasuredRun.of(with_gap(free, starts[1], starts[-2])), condition="other")
+    assert len(gone.lost) > whole.free / 2
+    assert [run.lost for run in Runs.of(Path("here"), [whole, gone]).runs] == [(), gone.lost]
+
+
+def test_a_repeat_that_moves_for_less_time_has_lost_nothing(free: Run) -> None:
+    whole = MeasuredRun.of(free)
+    first = {feature for feature in whole.features if feature.bin < whole.free - 1}
+    shorter = replace(whole.only(first), free=whole.free - 1)
+    assert [run.lost for run in Runs.of(Path("here"), [whole, shorter]).runs] == [(), ()]
+
+
 def test_a_gap_that_ends_before_a_window_spoils_the_fit_of_its_start(free: Run) -> None:
     starts = [window.time[0] for window in MeasuredRun.of(free).setup.windows]
     assert MeasuredRun.of(with_gap(free, starts[3] - 0.03, starts[3] - 0.004)).lost in ((3,), (2, 3))
