@@ -1,7 +1,9 @@
 """One Bullet world: arms, object and support, with every setting that bites set on purpose.
 
 Shared by the plant (many small steps with compliant pads) and the ``bullet`` impact map (single rigid steps). Bullet
-multiplies the friction coefficients of two bodies, so the object carries 1 and its partners the pair's value.
+multiplies the friction coefficients of two bodies, so the object carries 1 and its partners the pair's value. Of two
+rolling frictions it takes the sum, each times the other body's friction coefficient: a lever that a partner alone
+carries is that of the pair. Of two compliances it takes the sum.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import NotABody
+from impact_rs_sim.pad_shear import PadShear, Side, Touch
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, EndEffector
 from impact_rs_sim.scene import ArmState, BodyState
@@ -46,7 +49,8 @@ with _quiet():
     import pybullet
     from pybullet_utils.bullet_client import BulletClient
 
-PAD_CONTACT_POINTS = 4  # Bullet keeps four points of a face contact; each gets a quarter of the face's stiffness
+FACE_CONTACT_POINTS = 4  # Bullet keeps four points of a face contact; each gets a quarter of the face's stiffness
+SUPPORT_DAMPING_RATIO = 0.5  # of the object on a compliant support
 
 
 class BulletWorld:
@@ -58,10 +62,17 @@ class BulletWorld:
         arms: Body of every arm in Bullet, by name.
         thing: Body of the object.
         support: Body of the support; None: there is none.
+        shears: Shear of the pads that have any, by arm.
     """
 
     def __init__(
-        self, physics: Physics, client: BulletClient, arms: dict[str, int], thing: int, support: int | None
+        self,
+        physics: Physics,
+        client: BulletClient,
+        arms: dict[str, int],
+        thing: int,
+        support: int | None,
+        shears: dict[str, PadShear],
     ) -> None:
         self.physics = physics
         self.client = client
@@ -72,6 +83,8 @@ class BulletWorld:
         self.end_effector_link = counts
         self.object = thing
         self.support = support
+        self._shears = shears
+        self._models = {name: physics.robot_model(name) for name in shears}
         self._com_is_offset = bool(np.any(physics.object.com_offset))
         # Bound once: the wrapper's attribute look-up would cost more than some of the calls in the inner loop.
         self._step = client.stepSimulation
@@ -99,7 +112,8 @@ class BulletWorld:
             physics: Parameters of the scene.
             time_step: Step [s].
             gravity: Whether gravity acts.
-            compliant_pads: Whether pads have their stiffness and damping; otherwise they are rigid.
+            compliant_pads: Whether contacts have what a rigid one lacks: stiffness and damping of pads and support,
+                shear of pads, resistance to rolling.
             iterations: Largest number of solver iterations in a step.
             residual_threshold: The solver stops when the largest squared change of a row is below this.
             contact_erp: Share of a penetration that a rigid contact removes in one step.
@@ -129,7 +143,12 @@ class BulletWorld:
         )
         client.setGravity(*(physics.gravity if gravity else np.zeros(3)))
         arms = {name: _load_arm(client, physics, name, compliant_pads) for name in physics.arms}
-        return cls(physics, client, arms, _make_object(client, physics.object), _make_support(client, physics, arms))
+        thing = _make_object(client, physics.object)
+        support = _make_support(client, physics, arms, compliant_pads)
+        shears = _shears(physics, time_step) if compliant_pads else {}
+        for name in shears:
+            client.changeDynamics(arms[name], physics.arms[name].facts.joint_count, lateralFriction=0.0)
+        return cls(physics, client, arms, thing, support, shears)
 
     def close(self) -> None:
         """Give the connection back."""
@@ -152,6 +171,8 @@ class BulletWorld:
             self.object, (state.position + offset).tolist(), _quaternion(state.rotation)
         )
         client.resetBaseVelocity(self.object, velocity.tolist(), state.twist[3:].tolist())
+        for shear in self._shears.values():
+            shear.release()
 
     def rest_object(self) -> None:
         """Let the object sleep until something comes near it; a body at rest costs as much as a whole arm.
@@ -184,7 +205,39 @@ class BulletWorld:
 
     def step(self) -> None:
         """Advance by one step."""
+        for name, shear in self._shears.items():
+            self._shear(name, shear)
         self._step()
+
+    def _shear(self, name: str, shear: PadShear) -> None:
+        """Friction of a pad that yields along its face, over the next step."""
+        points = self._get_contacts(self.arms[name], self.object)
+        touch = Touch(
+            points=np.array([point[6] for point in points]).reshape(-1, 3),
+            loads=np.array([max(point[9], 0.0) for point in points]),
+            normal=np.array(points[0][7] if points else np.zeros(3)),
+        )
+        if not np.any(touch.loads):
+            shear.release()
+            return
+        state, model = self.arm_state(name), self._models[name]
+        placement, jacobian = model.placement(state.position), model.jacobian(state.position)
+        response = np.linalg.solve(model.mass_matrix(state.position), jacobian.T)
+        pad = Side(placement.translation, jacobian @ state.velocity, jacobian @ response)
+        forces = shear.step(touch, self._object_side(), pad, placement.rotation)
+        for point, force in zip(touch.points.tolist(), forces, strict=True):
+            for body, link, sign in ((self.object, -1, 1.0), (self.arms[name], self.end_effector_link[name], -1.0)):
+                self.client.applyExternalForce(body, link, (sign * force).tolist(), point, pybullet.WORLD_FRAME)
+
+    def _object_side(self) -> Side:
+        """The object at its centre of mass."""
+        position, quaternion = self._get_pose(self.object)
+        linear, angular = self._get_velocity(self.object)
+        rotation = pin.Quaternion(np.array(quaternion)).matrix()
+        thing, mobility = self.physics.object, np.zeros((6, 6))
+        mobility[:3, :3] = np.eye(3) / thing.mass
+        mobility[3:, 3:] = rotation / thing.inertia @ rotation.T
+        return Side(np.array(position), np.array(linear + angular), mobility)
 
     def pad_force(self, name: str) -> Array:
         """Force of the object on an arm's pad in the last step, in A, ``(3,)`` [N]."""
@@ -193,7 +246,8 @@ class BulletWorld:
             return np.zeros(3)
         sizes = np.array([(point[9], point[10], point[12]) for point in points])  # normal and both tangents
         directions = np.array([(point[7], point[11], point[13]) for point in points])
-        return np.asarray(sizes.ravel() @ directions.reshape(-1, 3))
+        force = np.asarray(sizes.ravel() @ directions.reshape(-1, 3))
+        return force - self._shears[name].force if name in self._shears else force
 
 
 _idle: list[BulletClient] = []
@@ -249,12 +303,14 @@ def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool) 
         )
         # A call of its own: beside maxJointVelocity or activationState Bullet drops it without a word.
         client.changeDynamics(body, link, lateralFriction=scene.pad_friction)
+    if compliant and scene.rolling_arm:
+        client.changeDynamics(body, len(joints), rollingFriction=scene.rolling_arm)
     if compliant and physics.pad_stiffness is not None:
         client.changeDynamics(
             body,
             len(joints),
-            contactStiffness=physics.pad_stiffness / PAD_CONTACT_POINTS,
-            contactDamping=physics.pad_damping / PAD_CONTACT_POINTS,
+            contactStiffness=physics.pad_stiffness / FACE_CONTACT_POINTS,
+            contactDamping=physics.pad_damping / FACE_CONTACT_POINTS,
         )
     return int(body)
 
@@ -281,25 +337,46 @@ def _make_object(client: BulletClient, thing: ObjectPhysics) -> int:
     return int(body)
 
 
-def _make_support(client: BulletClient, physics: Physics, arms: dict[str, int]) -> int | None:
+def _shears(physics: Physics, period: float) -> dict[str, PadShear]:
+    """Shear of every pad that yields along its face."""
+    yielding = {name: arm for name, arm in physics.arms.items() if arm.pad_shear_compliance or arm.pad_creep}
+    return {
+        name: PadShear(arm.pad_shear_compliance, arm.pad_creep, physics.pad_friction, period, pads=len(yielding))
+        for name, arm in yielding.items()
+    }
+
+
+def _make_support(client: BulletClient, physics: Physics, arms: dict[str, int], compliant: bool) -> int | None:
     if physics.support_height is None:
         return None
-    thickness = 0.1
+    thickness, height = 0.1, physics.support_height
+    yields = compliant and physics.support_compliance > 0.0
+    if yields:  # unloaded it is higher by what the object's weight presses it down
+        height -= float(physics.gravity[2]) * physics.object.mass * physics.support_compliance
     half = (physics.support_size[0] / 2.0, physics.support_size[1] / 2.0, thickness / 2.0)
     shape = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half)
     body = client.createMultiBody(
         baseMass=0.0,
         baseCollisionShapeIndex=shape,
-        basePosition=[0.0, 0.0, physics.support_height - thickness / 2.0],
+        basePosition=[0.0, 0.0, height - thickness / 2.0],
     )
     client.changeDynamics(
         body,
         -1,
         lateralFriction=physics.support_friction,
         spinningFriction=0.0,
-        rollingFriction=0.0,
+        rollingFriction=physics.rolling_arm if compliant else 0.0,
         restitution=0.0,
     )
+    if yields:
+        stiffness = 1.0 / physics.support_compliance
+        damping = 2.0 * SUPPORT_DAMPING_RATIO * float(np.sqrt(stiffness * physics.object.mass))
+        client.changeDynamics(
+            body,
+            -1,
+            contactStiffness=stiffness / FACE_CONTACT_POINTS,
+            contactDamping=damping / FACE_CONTACT_POINTS,
+        )
     for arm in arms.values():
         for link in range(-1, client.getNumJoints(arm)):
             client.setCollisionFilterPair(arm, body, link, -1, 0)

@@ -123,6 +123,8 @@ class ArmPhysics:
         pad_damping: Damping of the whole pad face [N s/m].
         impact_position: Where frame E is at the nominal impact, ``(3,)`` [m].
         loads: What else acts on links and motors.
+        pad_shear_compliance: Yield of the pad along its face per friction force, back when it ends [m/N].
+        pad_creep: Speed at which a pad that sticks is dragged along its face, per friction force [m/(s N)].
     """
 
     facts: RobotFacts
@@ -140,6 +142,8 @@ class ArmPhysics:
     pad_damping: float
     impact_position: Array
     loads: tuple[Load, ...] = ()
+    pad_shear_compliance: float = 0.0
+    pad_creep: float = 0.0
 
     def motor_inertia(self, model: str) -> Array:
         """Diagonal of B for ``reduced``, ``rotor`` or ``zero``, ``(n,)`` [kg m^2]."""
@@ -183,6 +187,9 @@ class Physics:
             series of bounces where one inelastic impact ends, so the map of a whole push knows ``restitution`` alone;
             that of one measured impact (:mod:`impact_rs_sim.impact_map.measured`) knows the sum.
         gravity: Acceleration of gravity in A, ``(3,)`` [m/s^2].
+        support_compliance: Yield of the support per load on it, from where the object stands by its own weight [m/N];
+            0: rigid. ``support_height`` is the surface below the object that stands on it.
+        rolling_arm: Lever of the moment that resists rolling, over the normal force: |M| <= rolling_arm N [m].
     """
 
     arms: dict[str, ArmPhysics]
@@ -194,6 +201,8 @@ class Physics:
     restitution: float
     gravity: Array = field(default_factory=lambda: np.array(STANDARD_GRAVITY))
     bounce: float = 0.0
+    support_compliance: float = 0.0
+    rolling_arm: float = 0.0
 
     @staticmethod
     def nominal(scenario: Scenario, object_name: str) -> Physics:

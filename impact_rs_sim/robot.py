@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Self
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
@@ -126,6 +127,8 @@ class EndEffector:
         length: Distance from the flange to the pad's outer face [m].
         mount_yaw: Rotation of E about the flange axis [rad].
         pad_size: Width (x), height (y) and thickness (z) of the pad [m].
+        pad_tilt: Roll and pitch of the pad in E, about the centre of its outer face: about x, then about the y of E
+            [rad]. E stays where it is: a tilt is what nobody knows of.
     """
 
     mass: float
@@ -134,3 +137,10 @@ class EndEffector:
     length: float
     mount_yaw: float
     pad_size: tuple[float, float, float]
+    pad_tilt: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def pad_placement(self) -> pin.SE3:
+        """Middle and axes of the pad in E."""
+        rotation = pin.rpy.rpyToMatrix(*self.pad_tilt, 0.0)
+        return pin.SE3(rotation, -self.pad_size[2] / 2.0 * rotation[:, 2])

@@ -105,7 +105,8 @@ def write_urdf(facts: RobotFacts, end_effector: EndEffector, name: str = "arm", 
     )
     for kind in ("visual", "collision"):
         shape = Xml.SubElement(link, kind)
-        Xml.SubElement(shape, "origin", xyz=_text((0.0, 0.0, -thickness / 2.0)), rpy="0 0 0")
+        place = _text(end_effector.pad_placement.translation)
+        Xml.SubElement(shape, "origin", xyz=place, rpy=_text((*end_effector.pad_tilt, 0.0)))
         Xml.SubElement(Xml.SubElement(shape, "geometry"), "box", size=_text(end_effector.pad_size))
         if kind == "visual":
             material = Xml.SubElement(shape, "material", name="pad")

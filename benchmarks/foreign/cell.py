@@ -7,7 +7,8 @@ What a laboratory would build from the same numbers, link parameters included, a
   K and damping D couples it to its link. The spring acts in every step and is damped implicitly.
 * The torque law of the paper (eq. torque_control_law) runs with the loop's period, beside steps of 1/8000 s.
 * The pad is no shape but four points with a quarter of its stiffness and damping each, in its corners or where they
-  stand for a homogeneous layer. The object rests on a support of finite stiffness.
+  stand for a homogeneous layer. They do not yield along its face: MuJoCo's friction knows no displacement, and a plate
+  on springs between would need a mass of its own. The object rests on a support of finite stiffness.
 * Friction follows MuJoCo's elliptic cones, which its solver relaxes in its own way.
 
 Friction laws, delay and scatter are written here once more, from their definition.
@@ -32,6 +33,7 @@ from impact_rs_sim.scene import BodyState
 from impact_rs_sim.sensors import ArmMeasurement, ArmSensors, ObjectTracker
 
 STEP = 1.0 / 8000.0  # s
+UNKNOWN_HERE = ("pad_shear", "pad_creep")  # effects of the library that this cell cannot hide
 LAYER, CORNERS = float(1.0 / np.sqrt(3.0)), 1.0
 ELEMENT_RADIUS = 0.005  # m, of the balls that the pad touches with
 SUPPORT_THICKNESS = 0.1  # m
@@ -355,8 +357,11 @@ def compile_scene(
         modify: Changes the description before it is compiled.
 
     Raises:
-        InputError: Masses and inertias that are those of no body.
+        InputError: Masses and inertias that are those of no body, or a pad that yields along its face.
     """
+    for name, arm in physics.arms.items():
+        if arm.pad_shear_compliance or arm.pad_creep:
+            raise InputError(f"the pad of arm {name!r} yields along its face; those of this cell do not")
     spec = _describe(physics, step, contacts)
     if modify is not None:
         modify(spec)
@@ -366,9 +371,12 @@ def compile_scene(
         raise InputError(f"MuJoCo refuses these physics: {error}") from None
     mass = physics.object.mass
     if physics.support_height is not None:
-        damping = 2.0 * contacts.support_damping_ratio * np.sqrt(contacts.support_stiffness * mass / 4.0)
+        stiffness = contacts.support_stiffness
+        if physics.support_compliance:
+            stiffness = 1.0 / (1.0 / stiffness + 4.0 * physics.support_compliance)
+        damping = 2.0 * contacts.support_damping_ratio * np.sqrt(stiffness * mass / 4.0)
         virtual = contacts.support_virtual_mass * mass
-        _set_contact(model, "support", contacts.support_stiffness, damping, virtual, contacts.support_friction_rate)
+        _set_contact(model, "support", stiffness, damping, virtual, contacts.support_friction_rate)
     for name, arm in physics.arms.items():
         stiffness, damping = RIGID_PAD if arm.pad_stiffness is None else (arm.pad_stiffness, arm.pad_damping)
         for element in _pad_elements(name):
@@ -397,13 +405,15 @@ def _describe(physics: Physics, step: float, contacts: ContactSettings) -> mujoc
     _add_box(body, "object", thing.size / 2.0, np.zeros(3))
     if physics.support_height is not None:
         half = np.array([*physics.support_size, SUPPORT_THICKNESS]) / 2.0
-        _add_box(spec.worldbody, "support", half, np.array([0.0, 0.0, physics.support_height - half[2]]))
-        _add_contact(spec, "support", physics.support_friction)
+        pressed = -physics.gravity[2] * thing.mass * physics.support_compliance
+        place = np.array([0.0, 0.0, physics.support_height + pressed - half[2]])
+        _add_box(spec.worldbody, "support", half, place)
+        _add_contact(spec, "support", physics.support_friction, physics.rolling_arm)
     for name, arm in physics.arms.items():
         end_effector = _add_links(spec, name, arm)
         _add_drives(spec, name, arm)
         for element in _add_pad(end_effector, name, arm, contacts.pad_spread):
-            _add_contact(spec, element, physics.pad_friction)
+            _add_contact(spec, element, physics.pad_friction, physics.rolling_arm)
     return spec
 
 
@@ -473,13 +483,15 @@ def _pad_elements(name: str) -> list[str]:
 def _add_pad(end_effector: mujoco.MjsBody, name: str, arm: ArmPhysics, spread: float) -> list[str]:
     """Four points in the end effector's face; returns their names."""
     x, y = spread * np.array(arm.end_effector.pad_size[:2]) / 2.0
+    roll, pitch = arm.end_effector.pad_tilt
+    turn = pin.rpy.rpyToMatrix(roll, pitch, 0.0)
     names = _pad_elements(name)
     for element, corner in zip(names, ((-x, -y), (-x, y), (x, -y), (x, y)), strict=True):
         end_effector.add_geom(
             name=element,
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[ELEMENT_RADIUS, 0.0, 0.0],
-            pos=[*corner, -ELEMENT_RADIUS],
+            pos=turn @ [*corner, -ELEMENT_RADIUS],
             mass=0.0,
             contype=0,
             conaffinity=0,
@@ -491,14 +503,14 @@ def _add_box(body: mujoco.MjsBody, name: str, half: Array, place: Array) -> None
     body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=place, mass=0.0, contype=0, conaffinity=0)
 
 
-def _add_contact(spec: mujoco.MjSpec, partner: str, friction: float) -> None:
+def _add_contact(spec: mujoco.MjSpec, partner: str, friction: float, rolling_arm: float) -> None:
     """Contact between the object and a partner; all others pass through each other."""
     spec.add_pair(
         name=f"object-{partner}",
         geomname1=partner,
         geomname2="object",
-        condim=3,
-        friction=[friction, friction, 0.0, 0.0, 0.0],
+        condim=6 if rolling_arm else 3,
+        friction=[friction, friction, 0.0, rolling_arm, rolling_arm],
     )
 
 

@@ -99,9 +99,9 @@ def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced
 
 def _face_on_face(state: ArmState, model: RobotModel, thing: BodyState) -> ArmState:
     """The arm with its pad parallel to the nearest face of the object, where it was nearly so."""
-    q = state.position.copy()
+    q, facing = state.position.copy(), model.end_effector.pad_placement.rotation[:, 2]
     for _ in range(TURNS):
-        normal = model.placement(q).rotation[:, 2]
+        normal = model.placement(q).rotation @ facing
         turn = np.cross(normal, _nearest_face(thing, normal))
         if np.linalg.norm(turn) > np.sin(NEARLY):
             return state

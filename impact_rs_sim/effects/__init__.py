@@ -12,7 +12,17 @@ from importlib.metadata import entry_points
 
 from impact_rs_sim.effects.actuation import ACTUATION_DELAY, TORQUE_GAIN, TORQUE_OFFSET
 from impact_rs_sim.effects.base import ArmEffect, Effect, Parameter, ScalarParameter, SceneEffect
-from impact_rs_sim.effects.contact import PAD_COMPLIANCE, PAD_FRICTION, RESTITUTION, SUPPORT_FRICTION
+from impact_rs_sim.effects.contact import (
+    PAD_COMPLIANCE,
+    PAD_CREEP,
+    PAD_FRICTION,
+    PAD_SHEAR,
+    PAD_TILT,
+    RESTITUTION,
+    ROLLING_RESISTANCE,
+    SUPPORT_COMPLIANCE,
+    SUPPORT_FRICTION,
+)
 from impact_rs_sim.effects.joint import JOINT_STIFFNESS
 from impact_rs_sim.effects.link import END_EFFECTOR_PAYLOAD
 from impact_rs_sim.effects.motor import COULOMB_FRICTION, MOTOR_INERTIA_SCALE, STRIBECK_FRICTION, VISCOUS_FRICTION
@@ -41,6 +51,11 @@ BUILT_IN: tuple[Effect, ...] = (
     OBJECT_COM_OFFSET,
     BASE_TILT,
     EXTERNAL_SPRING,
+    PAD_SHEAR,
+    PAD_CREEP,
+    PAD_TILT,
+    SUPPORT_COMPLIANCE,
+    ROLLING_RESISTANCE,
 )
 
 

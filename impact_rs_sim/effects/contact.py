@@ -1,4 +1,4 @@
-"""Effects at the contacts: how the pad bounces, yields and grips, and how the object slides on its support."""
+"""Effects at the contacts: how the pad bounces, yields, grips and sits, and what the object slides and stands on."""
 
 from __future__ import annotations
 
@@ -66,6 +66,28 @@ def _pad_friction(physics: Physics, values: Values) -> Physics:
     return replace(physics, pad_friction=physics.pad_friction * number(values, "scale"))
 
 
+def _pad_shear(arm: ArmPhysics, values: Values) -> ArmPhysics:
+    return replace(arm, pad_shear_compliance=arm.pad_shear_compliance + number(values, "compliance"))
+
+
+def _pad_creep(arm: ArmPhysics, values: Values) -> ArmPhysics:
+    return replace(arm, pad_creep=arm.pad_creep + number(values, "creep"))
+
+
+def _pad_tilt(arm: ArmPhysics, values: Values) -> ArmPhysics:
+    before = arm.end_effector
+    tilt = (before.pad_tilt[0] + number(values, "roll"), before.pad_tilt[1] + number(values, "pitch"))
+    return replace(arm, end_effector=replace(before, pad_tilt=tilt))
+
+
+def _support_compliance(physics: Physics, values: Values) -> Physics:
+    return replace(physics, support_compliance=physics.support_compliance + number(values, "compliance"))
+
+
+def _rolling_resistance(physics: Physics, values: Values) -> Physics:
+    return replace(physics, rolling_arm=physics.rolling_arm + number(values, "arm"))
+
+
 def _support_friction(physics: Physics, values: Values) -> Physics:
     return replace(physics, support_friction=physics.support_friction * number(values, "scale"))
 
@@ -104,5 +126,55 @@ SUPPORT_FRICTION = SceneEffect(
     sentence="The object slides on its support with more or less friction than assumed.",
     parameters=(Parameter("scale", "-", 1.0, 0.0, 4.0, 0.1, "friction coefficient over its assumed value"),),
     law=_support_friction,
+    phases=("contact",),
+)
+
+# Two effects and not one of two parameters: shear comes back when the load ends and creep does not, so that each can be
+# seen by itself, and one alone is a whole law. Together they are a Maxwell element.
+PAD_SHEAR = ArmEffect(
+    name="pad_shear",
+    acts_on="contact",
+    sentence="The silicone cover of the pad yields sideways under friction, and springs back.",
+    parameters=(Parameter("compliance", "m/N", 0.0, 0.0, 3e-4, 1.5e-5, "shear of the pad over the friction force"),),
+    law=_pad_shear,
+    phases=("contact",),
+)
+
+PAD_CREEP = ArmEffect(
+    name="pad_creep",
+    acts_on="contact",
+    sentence="What sticks to the pad creeps along it under load, and does not come back.",
+    parameters=(Parameter("creep", "m/(s N)", 0.0, 0.0, 0.02, 1e-3, "speed of creep over the friction force"),),
+    law=_pad_creep,
+    phases=("contact",),
+)
+
+PAD_TILT = ArmEffect(
+    name="pad_tilt",
+    acts_on="contact",
+    sentence="The pad is mounted askew, so that it meets the object with an edge or a corner first.",
+    parameters=(
+        Parameter("roll", "rad", 0.0, -0.1, 0.1, 0.002, "tilt of the pad about x of frame E"),
+        Parameter("pitch", "rad", 0.0, -0.1, 0.1, 0.002, "tilt of the pad about y of frame E"),
+    ),
+    law=_pad_tilt,
+    phases=("contact",),
+)
+
+SUPPORT_COMPLIANCE = SceneEffect(
+    name="support_compliance",
+    acts_on="contact",
+    sentence="What the object stands on gives way when something presses it down or lifts it.",
+    parameters=(Parameter("compliance", "m/N", 0.0, 0.0, 1e-4, 5e-7, "yield of the support over the load on it"),),
+    law=_support_compliance,
+    phases=("contact",),
+)
+
+ROLLING_RESISTANCE = SceneEffect(
+    name="rolling_resistance",
+    acts_on="contact",
+    sentence="Edges of the object dig in: a moment resists its tipping and rolling on pad and support.",
+    parameters=(Parameter("arm", "m", 0.0, 0.0, 0.03, 2e-3, "resisting moment over the normal force"),),
+    law=_rolling_resistance,
     phases=("contact",),
 )

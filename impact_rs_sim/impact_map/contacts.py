@@ -97,9 +97,9 @@ def _boxes(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]
     thing = Box(state.position, state.rotation, physics.object.size / 2.0)
     partners = {}
     for name, placement in placements.items():
-        size = np.array(physics.arms[name].end_effector.pad_size)
-        centre = placement.translation - placement.rotation[:, 2] * size[2] / 2.0
-        partners[name] = Box(centre, placement.rotation, size / 2.0)
+        end_effector = physics.arms[name].end_effector
+        pad = placement * end_effector.pad_placement
+        partners[name] = Box(pad.translation, pad.rotation, np.array(end_effector.pad_size) / 2.0)
     if physics.support_height is not None:
         half = np.array([physics.support_size[0], physics.support_size[1], SUPPORT_THICKNESS]) / 2.0
         partners[SUPPORT] = Box(np.array([0.0, 0.0, physics.support_height - half[2]]), np.eye(3), half)

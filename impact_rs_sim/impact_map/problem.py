@@ -15,12 +15,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from impact_rs_sim.errors import Infeasible, InputError
-from impact_rs_sim.impact_map.contacts import Meeting, meetings
+from impact_rs_sim.impact_map.contacts import SUPPORT, Meeting, meetings
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -51,6 +51,8 @@ class ImpactProblem:
     def at_nominal_impact(scene: Scene, motor_inertia: str = "reduced") -> ImpactProblem:
         """The question of the reference generator: the scene at its nominal impact.
 
+        A tilted pad gets there with an edge first; the object is where that edge touches it.
+
         Raises:
             InputError: ``motor_inertia`` is none of ``reduced``, ``rotor`` and ``zero``.
         """
@@ -59,10 +61,24 @@ class ImpactProblem:
         return ImpactProblem(
             physics=scene.physics,
             arms=scene.arms,
-            object=scene.object,
+            object=_touched(scene),
             motor_inertia={name: arm.motor_inertia(motor_inertia) for name, arm in scene.physics.arms.items()},
             restitution=scene.physics.restitution,
         )
+
+
+def _touched(scene: Scene) -> BodyState:
+    """The object, out of the way of what a tilt brings forward of the pads."""
+    physics, thing = scene.physics, scene.object
+    if not any(any(arm.end_effector.pad_tilt) for arm in physics.arms.values()):
+        return thing
+    placements = {name: physics.robot_model(name).placement(state.position) for name, state in scene.arms.items()}
+    depths = [
+        max(-meeting.separation, 0.0) * meeting.normal
+        for meeting in meetings(physics, thing, placements)
+        if meeting.partner != SUPPORT
+    ]
+    return replace(thing, position=thing.position + np.mean(depths, axis=0))
 
 
 @dataclass(frozen=True)

@@ -115,6 +115,16 @@ def test_the_pad_yields_by_the_force_over_its_stiffness(stiffness: float) -> Non
     np.testing.assert_allclose(forces[-1], -THING.mass * push * NORMAL, rtol=1e-2, atol=0.5)
 
 
+@pytest.mark.parametrize(("name", "value"), [("pad_shear_compliance", 1.5e-5), ("pad_creep", 1e-4)])
+def test_friction_of_a_pad_that_yields_is_part_of_the_force_on_it(name: str, value: float) -> None:
+    push, along = 200.0, 40.0
+    physics = padded(2.0e5, 400.0, 0.5)
+    physics = replace(physics, arms={"arm": replace(physics.arms["arm"], **{name: value})})
+    _, _, forces = pressed(physics, push, along)
+    expected = THING.mass * (np.array([along, 0.0, 0.0]) - push * NORMAL)
+    np.testing.assert_allclose(forces[-1], expected, rtol=0.02, atol=0.02 * THING.mass * along)
+
+
 @pytest.mark.parametrize("ratio", [0.1, 0.3, 0.6])
 def test_an_object_on_the_pad_swings_like_a_mass_on_a_damped_spring(ratio: float) -> None:
     """A load that comes on at once: overshoot exp(-pi z / sqrt(1 - z^2)) after half a period pi / w_d."""

@@ -362,8 +362,8 @@ MUTANTS = [
     Mutant(
         name="pad_in_front_of_its_face",
         file=CONTACTS,
-        original="placement.translation - placement.rotation[:, 2] * size[2] / 2.0",
-        mutated="placement.translation + placement.rotation[:, 2] * size[2] / 2.0",
+        original="pad = placement * end_effector.pad_placement",
+        mutated="pad = placement * end_effector.pad_placement.inverse()",
         wrong="The pad lies in front of its own face.",
         tests=CONTACT_TESTS,
     ),

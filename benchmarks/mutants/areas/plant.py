@@ -202,7 +202,7 @@ MUTANTS = [
     Mutant(
         name="pad_stiffness_times_four",
         file=WORLD,
-        original="contactStiffness=physics.pad_stiffness / PAD_CONTACT_POINTS,",
+        original="contactStiffness=physics.pad_stiffness / FACE_CONTACT_POINTS,",
         mutated="contactStiffness=physics.pad_stiffness,",
         wrong="The pad is four times too stiff: every contact point has the stiffness of the whole face.",
         tests=WORLD_TESTS,
@@ -210,7 +210,7 @@ MUTANTS = [
     Mutant(
         name="pad_damping_times_four",
         file=WORLD,
-        original="contactDamping=physics.pad_damping / PAD_CONTACT_POINTS,",
+        original="contactDamping=physics.pad_damping / FACE_CONTACT_POINTS,",
         mutated="contactDamping=physics.pad_damping,",
         wrong="The pad has four times its damping.",
         tests=WORLD_TESTS,
@@ -218,7 +218,7 @@ MUTANTS = [
     Mutant(
         name="pad_damping_left_out",
         file=WORLD,
-        original="contactDamping=physics.pad_damping / PAD_CONTACT_POINTS,",
+        original="contactDamping=physics.pad_damping / FACE_CONTACT_POINTS,",
         mutated="contactDamping=0.0,",
         wrong="The pad has no damping.",
         tests=WORLD_TESTS,
@@ -322,8 +322,8 @@ MUTANTS = [
     Mutant(
         name="pad_force_on_the_object",
         file=WORLD,
-        original="return np.asarray(sizes.ravel() @ directions.reshape(-1, 3))",
-        mutated="return -np.asarray(sizes.ravel() @ directions.reshape(-1, 3))",
+        original="force = np.asarray(sizes.ravel() @ directions.reshape(-1, 3))",
+        mutated="force = -np.asarray(sizes.ravel() @ directions.reshape(-1, 3))",
         wrong="The force on the pad is that of the pad on the object.",
         tests=WORLD_TESTS,
     ),

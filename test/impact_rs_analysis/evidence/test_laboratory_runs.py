@@ -16,6 +16,7 @@ from impact_rs_analysis.evidence.run import Run
 from impact_rs_analysis.evidence.runs import Runs
 from impact_rs_analysis.evidence.twin import simulated
 from impact_rs_analysis.measure.laboratory import jumps_of
+from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import compute_impact_map
 from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
@@ -156,6 +157,20 @@ def test_pad_and_object_touch_in_what_the_map_is_asked(hit: Run) -> None:
         assert gaps == pytest.approx([0.0], abs=1e-9)
     result = compute_impact_map(problem_of(measured, physics), "pinocchio")
     assert -0.6 < result.end_effector_twist["arm"][1] < -0.4
+
+
+def test_what_the_map_is_asked_about_a_tilted_pad_is_the_pad_face_on_face(hit: Run) -> None:
+    """It turns the wrist until the pad is parallel, and not the flange, which is askew then."""
+    physics = library()["pad_tilt"].apply_vector(hit.physics, np.array([0.03, -0.02]))
+    problem = problem_of(MeasuredRun.of(hit), physics)
+    hand = physics.robot_model("arm").placement(problem.arms["arm"].position)
+    np.testing.assert_allclose(
+        (hand * physics.arms["arm"].end_effector.pad_placement).rotation[:, 2], [0, -1, 0], atol=1e-6
+    )
+    straight = problem_of(MeasuredRun.of(hit), hit.physics)
+    results = [compute_impact_map(one, "pinocchio") for one in (problem, straight)]
+    speeds = [result.end_effector_twist["arm"][1] for result in results]
+    assert speeds[0] == pytest.approx(speeds[1], rel=0.05)
 
 
 def test_without_anything_hidden_the_reduced_inertia_predicts_the_speed_after_the_impact(hit: Run) -> None:

@@ -76,6 +76,11 @@ def test_effects_of_the_contact_are_not_seen_in_free_motion():
         "support_friction",
         "object_mass",
         "object_com_offset",
+        "pad_shear",
+        "pad_creep",
+        "pad_tilt",
+        "support_compliance",
+        "rolling_resistance",
     ]
     assert all(effect.seen_in(contact=True) for effect in library().values())
 

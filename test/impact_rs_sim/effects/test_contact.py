@@ -3,8 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from bench import BOX, GRAVITY, REACH, bench, run, slope, switched_on, with_support
+
+from impact_rs_sim.bullet_world import BulletWorld
+from impact_rs_sim.impact_map import BulletEngine, ImpactProblem, PinocchioEngine
+from impact_rs_sim.impact_map.contacts import find_contacts, meetings
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import ArmState, BodyState, Scene
 
 ON_PAD = (REACH, 0.0, BOX / 2.0)
 DEAD = 1.8 * np.sqrt(2.0e4)  # N s/m, 0.9 of the critical damping of 1 kg on the pad: restitution 0.0015
@@ -64,3 +71,198 @@ def test_more_restitution_is_less_damping_and_none_is_the_pad_as_it_was():
         switched_on(physics, "restitution", restitution=value).arms["arm"].pad_damping for value in (0.2, 0.4, 0.6)
     ]
     assert np.all(np.diff([physics.arms["arm"].pad_damping, *dampings]) < 0.0)
+
+
+def leaning(physics, push):
+    """The same where gravity also pulls along +x, the way the arm of the bench cannot move [m/s^2]."""
+    return replace(physics, gravity=np.array([push, 0.0, -GRAVITY]))
+
+
+SETTLED = (REACH, 0.0, BOX / 2.0 - GRAVITY / 2.0e4)
+
+
+@pytest.mark.parametrize("push", [2.0, -3.0])
+@pytest.mark.parametrize("compliance", [1.5e-5, 1e-4])
+def test_a_pad_that_yields_along_its_face_does_so_by_force_times_compliance(push, compliance):
+    """The weight also leans the box over, for the pad yields to the moment with K a^2 / 4."""
+    physics = switched_on(leaning(bench(), push), "pad_shear", compliance=compliance)
+    motion = run(physics, seconds=0.4, box=SETTLED)
+    leans = (BOX / 2.0) ** 2 / (2.0e4 * BOX**2 / 4.0)
+    assert motion.box[-1, 0] - REACH == pytest.approx(push * (compliance + leans), rel=0.02)
+
+
+@pytest.mark.parametrize("push", [2.0, -3.0])
+def test_what_sticks_to_a_pad_creeps_at_force_times_creep(push):
+    physics = switched_on(leaning(bench(), push), "pad_creep", creep=1e-3)
+    motion = run(physics, seconds=0.3, box=SETTLED)
+    assert motion.box_velocity[-1, 0] == pytest.approx(1e-3 * push, rel=0.02)
+
+
+@pytest.mark.parametrize(("name", "values"), [("pad_shear", {"compliance": 1.5e-5}), ("pad_creep", {"creep": 1e-3})])
+def test_a_pad_that_yields_slips_at_the_same_friction(name, values):
+    motion = run(switched_on(leaning(bench(), 8.0), name, **values), seconds=0.2, box=SETTLED)
+    assert slope(motion.time, motion.box_velocity[:, 0], 0.1, 0.18) == pytest.approx(8.0 - 0.5 * GRAVITY, rel=0.02)
+
+
+def test_what_the_sheared_pad_does_to_the_box_the_box_does_to_the_arm():
+    """Nothing else turns the turntable: its momentum about the axis and that of the box keep their sum."""
+    physics = switched_on(bench(), "pad_shear", compliance=1e-4)
+    motion = run(physics, seconds=0.06, box=SETTLED, box_twist=(0.0, 0.1, 0.0, 0.0, 0.0, 0.0))
+    of_box = motion.box[:, 0] * motion.box_velocity[:, 1] - motion.box[:, 1] * motion.box_velocity[:, 0]
+    passed = of_box[0] - of_box[-1]
+    assert passed > 0.01
+    # The box turns with the pad at most: its moment is small beside what it passes on.
+    assert motion.momentum[-1] == pytest.approx(passed, abs=1.2 * BOX**2 / 6.0 * abs(motion.velocity[-1]) + 1e-4)
+
+
+def test_a_pad_that_hardly_yields_is_the_pad_that_does_not():
+    twist = (0.05, 0.1, 0.0, 0.0, 0.0, 0.5)
+    rigid = run(bench(), seconds=0.1, box=SETTLED, box_twist=twist)
+    for name, values in (("pad_shear", {"compliance": 1e-8}), ("pad_creep", {"creep": 1e-8})):
+        stiff = run(switched_on(bench(), name, **values), seconds=0.1, box=SETTLED, box_twist=twist)
+        assert np.abs(stiff.box - rigid.box).max() < 1e-4
+        assert stiff.box_velocity[-1] == pytest.approx(rigid.box_velocity[-1], abs=1e-3)
+
+
+AWAKE = (0.0, 0.0, 0.0, 0.0, 0.0, 1e-9)  # rad/s; a box at rest would sleep until it is touched
+
+
+@pytest.mark.parametrize("compliance", [2e-5, 1e-4])
+def test_a_box_sinks_into_its_support_by_its_weight_times_the_compliance(compliance):
+    """From the surface without a load to where the scenario says that it stands, with the damping of ratio 0.5."""
+    physics = switched_on(with_support(bench(), -1.0), "support_compliance", compliance=compliance)
+    stands, sinks = -1.0 + BOX / 2.0, GRAVITY * compliance
+    motion = run(physics, seconds=0.3, box=(1.0, 0.0, stands + sinks), box_twist=AWAKE)
+    assert motion.box[-1, 2] == pytest.approx(stands, abs=0.02 * sinks)
+    deepest = 1.0 + np.exp(-np.pi * 0.5 / np.sqrt(0.75))
+    assert (stands + sinks - motion.box[:, 2].min()) / sinks == pytest.approx(deepest, rel=0.04)
+
+
+def test_a_box_stands_on_a_support_that_yields_where_it_stood_before():
+    physics = switched_on(with_support(bench(), -1.0), "support_compliance", compliance=1e-4)
+    motion = run(physics, seconds=0.1, box=(1.0, 0.0, -1.0 + BOX / 2.0), box_twist=AWAKE)
+    assert np.abs(motion.box[:, 2] - (-1.0 + BOX / 2.0)).max() < 2e-5  # beside 1 mm that its weight presses
+
+
+@pytest.mark.parametrize("pitch", [0.02, -0.03])
+def test_a_box_on_a_tilted_pad_slides_down_the_slope(pitch):
+    """z(x) = -x tan(pitch): without friction it accelerates with g sin(pitch) cos(pitch) along +x."""
+    physics = replace(switched_on(bench(), "pad_tilt", pitch=pitch), pad_friction=0.0)
+    motion = run(physics, seconds=0.3, box=(REACH, 0.0, BOX / 2.0 + abs(pitch) * BOX / 2.0))
+    assert slope(motion.time, motion.box_velocity[:, 0], 0.1, 0.28) == pytest.approx(
+        GRAVITY * np.sin(pitch) * np.cos(pitch), rel=0.05
+    )
+    assert np.abs(motion.box[:, 1]).max() < 1e-4
+
+
+@pytest.mark.parametrize("angle", ["roll", "pitch"])
+def test_a_tilted_pad_meets_the_box_with_an_edge_and_earlier(angle):
+    """By half the edge of the box times the tilt."""
+    speed, gap, tilt = 0.1, 3e-3, 0.04
+
+    def onset(physics):
+        motion = run(
+            physics,
+            seconds=0.05,
+            box=(REACH, 0.0, BOX / 2.0 + gap),
+            box_twist=(0.0, 0.0, -speed, 0.0, 0.0, 0.0),
+        )
+        falling = -speed - GRAVITY * motion.time
+        return motion.time[np.argmax(motion.box_velocity[:, 2] - falling > 5e-3)]
+
+    def falls(way):
+        return (np.sqrt(speed**2 + 2.0 * GRAVITY * way) - speed) / GRAVITY
+
+    flat = onset(bench())
+    assert flat == pytest.approx(falls(gap), abs=2e-3)
+    for sign in (1.0, -1.0):
+        tilted = onset(switched_on(bench(), "pad_tilt", **{angle: sign * tilt}))
+        assert flat - tilted == pytest.approx(falls(gap) - falls(gap - tilt * BOX / 2.0), abs=1.5e-3)
+
+
+SCENE = Scene.resolve(load_scenario("push"), "juice", "case_2")
+
+
+def pushed(**tilt):
+    """The push at its nominal impact, with a tilted pad."""
+    physics = switched_on(SCENE.physics, "pad_tilt", **tilt)
+    return ImpactProblem.at_nominal_impact(replace(SCENE, physics=physics))
+
+
+def pad_points(problem):
+    """Where the pad touches, in axes of E from its origin, ``(m, 3)`` [m]."""
+    place = problem.physics.robot_model("arm").placement(problem.arms["arm"].position)
+    found = find_contacts(problem.physics, meetings(problem.physics, problem.object, {"arm": place}))
+    return np.array([place.rotation.T @ (p.position - place.translation) for p in found if p.partner == "arm"])
+
+
+@pytest.mark.parametrize(("angle", "axis", "sign"), [("roll", 1, 1.0), ("pitch", 0, -1.0)])
+def test_a_tilted_pad_touches_with_the_edge_that_the_tilt_brings_forward(angle, axis, sign):
+    """Roll about x brings +y forward (out of the pad), pitch about y brings -x forward; the other way mirrored."""
+    assert len(pad_points(pushed())) == 4
+    there, back = (pad_points(pushed(**{angle: side * 0.05})) for side in (1.0, -1.0))
+    assert len(there) == len(back) == 2
+    assert np.all(sign * there[:, axis] > 0.01) and np.all(sign * back[:, axis] < -0.01)
+
+
+@pytest.mark.parametrize("tilt", [{"roll": 0.03}, {"pitch": -0.03}, {"roll": 0.04, "pitch": 0.03}])
+def test_both_engines_see_the_tilted_pad_alike(tilt):
+    problem = pushed(**tilt)
+    answers = []
+    for kind in (PinocchioEngine, BulletEngine):
+        engine = kind(problem.physics)
+        answers.append(engine.solve(problem))
+        engine.close()
+    first, second = answers
+    assert len(first.contacts) == len(second.contacts) < 8
+    assert first.object_twist[1] < -0.05
+    np.testing.assert_allclose(first.object_twist, second.object_twist, atol=5e-3)
+
+
+def tipping(physics, place, seconds=0.01):
+    """A box that stands on an edge along y and falls over: angular acceleration, and normal force from its motion."""
+    lean = 0.5  # rad, short of pi / 4, where it would stand
+    rotation = pin.rpy.rpyToMatrix(0.0, lean, 0.0)
+    low = BOX / 2.0 * (np.cos(lean) + np.sin(lean))
+    step = 1e-4
+    world = BulletWorld.load(
+        physics, time_step=step, gravity=True, compliant_pads=True, iterations=200, residual_threshold=1e-16
+    )
+    world.set_arm("arm", ArmState(np.zeros(1), np.zeros(1)))
+    world.set_object(BodyState(np.array(place) + [0.0, 0.0, low], rotation, np.zeros(6)))
+    twists = []
+    for _ in range(round(seconds / step)):
+        world.apply_torque("arm", np.zeros(1))
+        world.step()
+        twists.append(world.object_state().twist)
+    world.close()
+    late = len(twists) // 2
+    change = (twists[-1] - twists[late]) / (step * (len(twists) - 1 - late))
+    return change[4], physics.object.mass * (GRAVITY + change[2])
+
+
+@pytest.mark.parametrize("partner", ["support", "pad"])
+@pytest.mark.parametrize("arm", [1e-3, 4e-3])
+def test_a_moment_of_the_normal_force_times_the_arm_resists_tipping(partner, arm):
+    """About the edge: (m a^2 / 6 + m a^2 / 2) dw = m g lever - arm N, slower by arm N over the inertia."""
+    physics = replace(bench(), pad_friction=1.0, support_friction=1.0)
+    place = (1.0, 0.0, -1.0)
+    if partner == "support":
+        physics = with_support(physics, -1.0)
+    else:  # a tray that cannot bounce
+        rigid = replace(physics.arms["arm"], pad_stiffness=None)
+        physics, place = replace(physics, arms={"arm": rigid}), (REACH, 0.0, 0.0)
+    free, _ = tipping(physics, place)
+    found, load = tipping(switched_on(physics, "rolling_resistance", arm=arm), place)
+    inertia = BOX**2 / 6.0 + BOX**2 / 2.0
+    assert free == pytest.approx(-GRAVITY * BOX / np.sqrt(2.0) * np.sin(np.pi / 4.0 - 0.5) / inertia, rel=0.02)
+    assert found - free == pytest.approx(arm * load / inertia, rel=0.05)
+
+
+def test_the_moment_does_nothing_to_a_box_that_slides_on_its_face():
+    physics = with_support(bench(), -1.0)
+    found = [
+        run(one, seconds=0.1, box=(1.0, 0.0, -1.0 + BOX / 2.0), box_twist=(0.6, 0.0, 0.0, 0.0, 0.0, 0.0))
+        for one in (physics, switched_on(physics, "rolling_resistance", arm=4e-3))
+    ]
+    np.testing.assert_allclose(found[1].box, found[0].box, atol=2e-5)

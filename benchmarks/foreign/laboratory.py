@@ -1,0 +1,267 @@
+"""Scoreboard on a laboratory that is not ours: ``./run python -m benchmarks.foreign.laboratory -o DIR``.
+
+What a researcher elsewhere would bring: the MuJoCo cell under a Cartesian impedance controller that knows nothing of
+impacts, two boxes pushed from two poses, one of them askew, and free motion, recorded with the names, topics and clocks
+of :mod:`examples.laboratory`. Every effect of the library is hidden once, some campaigns hide nothing, three effects
+are outside the library. Each campaign is diagnosed from its ``experiment.yaml`` and held against the truth that lies
+beside it. It resumes where it stopped; ``--only NAME`` runs those whose name starts so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from benchmarks.foreign.board import UNKNOWN_HERE, Entry, intervals, scoreboard
+from benchmarks.foreign.campaign import OUTSIDE
+from benchmarks.foreign.cell import MujocoCell
+from benchmarks.foreign.discrepancy import oblique
+from examples.laboratory import EXPERIMENT, START, STORE, messages
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.document import read_document, write_document
+from impact_rs_analysis.diagnosis.scoring import held_against_truth
+from impact_rs_analysis.evidence.laboratory import read_laboratory_runs
+from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.evidence.store import ReplayStore
+from impact_rs_sim.effects import library
+from impact_rs_sim.model import load_model
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.scene import BodyState, Scene
+from impact_rs_trials.blind import RUNS, TRUTH, draw_truth, hide
+from impact_rs_trials.recordings.experiment import load_experiment
+from impact_rs_trials.workers import Map, Workforce, workers
+
+MAGNITUDE, OUTSIDE_MAGNITUDE, NULLS, FIRST_SEED = 3.0, 4.0, 5, 3000
+CONDITIONS = {"pose_a_fast": ("case_1", 1.0), "pose_a_slow": ("case_1", 0.6), "pose_b_fast": ("case_2", 1.0)}
+ASKEW = {"case_1": ((0.0, 0.0), (0.0, 0.0)), "case_2": ((0.02, -0.03), (0.1, 0.05))}  # rad; share of the speed
+RUN_UP, RAMP, AFTER = 0.2, 0.5, 0.5  # m, s, s
+STIFFNESS = np.array([400.0] * 3 + [25.0] * 3)  # N/m, N m/rad
+DAMPING = np.array([50.0] * 3 + [2.5] * 3)  # N s/m, N m s/rad
+FREE = {"slow": 0.12, "fast": 0.3}  # Hz
+AMPLITUDE, FREE_TIME = 0.3, 4.0  # rad, s
+JOINT_STIFFNESS, JOINT_DAMPING = 60.0, 6.0  # N m/rad, N m s/rad
+
+Controller = Callable[[float, Array, Array], Array]
+
+
+@dataclass(frozen=True)
+class Hit:
+    """Scene of a push at the moment of impact, and how fast it is meant to be [-]."""
+
+    scene: Scene
+    speed: float
+
+
+def hits(name: str) -> dict[str, Hit]:
+    """The pushes of an object by condition."""
+    push = load_scenario("push")
+    return {
+        condition: Hit(Scene.resolve(oblique(push, case, *ASKEW[case]), name, case), speed)
+        for condition, (case, speed) in CONDITIONS.items()
+    }
+
+
+def impedance(hit: Hit) -> tuple[Controller, Array, float]:
+    """A spring towards a point that passes the box; joint position at its start, ``(n,)`` [rad], and duration [s]."""
+    ((name, model),) = hit.scene.models.items()
+    at_impact = hit.scene.arms[name]
+    goal = model.placement(at_impact.position)
+    velocity = hit.speed * (model.jacobian(at_impact.position) @ at_impact.velocity)[:3]
+    direction = velocity / np.linalg.norm(velocity)
+    first = pin.SE3(goal.rotation, goal.translation - RUN_UP * direction)
+    start = model.inverse_kinematics(first, float(at_impact.position[0]), at_impact.position)
+    speed = float(np.linalg.norm(velocity))
+
+    def wanted(now: float) -> tuple[Array, Array]:
+        share = min(now / RAMP, 1.0)
+        way = speed * (RAMP * (share**3 - share**4 / 2.0) + max(now - RAMP, 0.0))
+        return first.translation + way * direction, speed * (3.0 * share**2 - 2.0 * share**3) * direction
+
+    def torque(now: float, q: Array, dq: Array) -> Array:
+        place, rate = wanted(now)
+        jacobian, here = model.jacobian(q), model.placement(q)
+        off = np.concatenate((place - here.translation, here.rotation @ pin.log3(here.rotation.T @ goal.rotation)))
+        force = STIFFNESS * off + DAMPING * (np.concatenate((rate, np.zeros(3))) - jacobian @ dq)
+        free = np.eye(q.size) - np.linalg.pinv(jacobian) @ jacobian
+        return np.asarray(jacobian.T @ force + model.terms(q, dq).bias + free @ (10.0 * (start - q) - 2.0 * dq))
+
+    return torque, start, RAMP / 2.0 + RUN_UP / speed + AFTER
+
+
+def excursion(model: RobotModel, middle: Array, rate: float) -> Controller:
+    """Joints that swing about a posture, each at a rate of its own."""
+    rates = 2.0 * np.pi * rate * (1.0 + 0.15 * np.arange(middle.size))
+
+    def torque(now: float, q: Array, dq: Array) -> Array:
+        ramp = min(now / 0.5, 1.0)
+        place = middle + ramp * AMPLITUDE * np.sin(rates * now)
+        speed = ramp * AMPLITUDE * rates * np.cos(rates * now)
+        return np.asarray(JOINT_STIFFNESS * (place - q) + JOINT_DAMPING * (speed - dq) + model.terms(q, dq).bias)
+
+    return torque
+
+
+def lasting(scenario: Scenario, duration: float) -> Scenario:
+    """A scenario whose trials last so long [s]."""
+    timing = scenario.timing.model_copy(update={"duration": duration})
+    return scenario.model_copy(update={"timing": timing})
+
+
+@dataclass(frozen=True)
+class RunTask:
+    """One run of a campaign; everything a worker needs."""
+
+    path: str
+    object: str
+    condition: str
+    seed: int
+    entry: Entry
+
+
+def physics_of(entry: Entry, physics: Physics) -> Physics:
+    """Physics with what the entry hides."""
+    return hide(physics, draw_truth(entry.seed, entry.kind, entry.effect, entry.magnitude))
+
+
+def record(task: RunTask) -> None:
+    """Run the cell under the laboratory's controller, and write its bag; a finished one stands."""
+    path = Path(task.path)
+    if (path / "metadata.yaml").exists():
+        return
+    thing = "juice" if task.object == "none" else task.object
+    if task.object == "none":
+        scene = Scene.resolve(load_scenario("push"), thing, "case_1")
+        ((name, model),) = scene.models.items()
+        start = scene.arms[name].position
+        torque, duration = excursion(model, start, FREE[task.condition]), FREE_TIME
+        far = BodyState(scene.object.position + [5.0, 5.0, 0.0], np.eye(3), np.zeros(6))
+    else:
+        hit = hits(thing)[task.condition]
+        scene, far = hit.scene, hit.scene.object
+        (name,) = scene.models
+        torque, start, duration = impedance(hit)
+    physics = physics_of(task.entry, scene.physics)
+    outside = task.entry.kind == "outside"
+    modify = OUTSIDE[str(task.entry.effect)](physics, task.entry.magnitude or 0.0) if outside else None
+    cell = MujocoCell(lasting(scene.scenario, duration), physics, {name: start}, far, task.seed, modify=modify)
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        topics: dict[str, Any] = {}
+        for number in range(round(duration / 0.001)):
+            measured = cell.measure()
+            arm = measured.arms[name]
+            command = torque(measured.time, arm.position, arm.velocity)
+            shown = measured if task.object != "none" else SimpleNamespace(arms=measured.arms, object=None)
+            tick = SimpleNamespace(number=number, measurement=shown, commands={"arm": SimpleNamespace(torque=command)})
+            for topic, late, message in messages(tick):  # type: ignore[arg-type]
+                if topic not in topics:
+                    topics[topic] = bag.add_connection(topic, message.__msgtype__, typestore=STORE)  # type: ignore[attr-defined]
+                log = START * 10**9 + number * 1_000_000 + late
+                bag.write(topics[topic], log, STORE.serialize_cdr(message, message.__msgtype__))  # type: ignore[attr-defined]
+            cell.step({name: command})
+
+
+def rows(entry: Entry, folder: Path, repeats: int = 2) -> Iterator[tuple[RunTask, str]]:
+    """Every run, with its row in the table."""
+    kinds = [(thing, condition) for thing in ("parcel", "juice") for condition in CONDITIONS]
+    kinds += [("none", condition) for condition in FREE]
+    for number, (thing, condition) in enumerate([kind for kind in kinds for _ in range(repeats)], start=1):
+        name = f"run_{number:02d}"
+        kind = "free motion" if thing == "none" else "hit"
+        yield (
+            RunTask(str(folder / name), thing, condition, 100 * entry.seed + number, entry),
+            f"{name},{thing},{kind},{condition}",
+        )
+
+
+def make(entry: Entry, directory: Path, map_tasks: Map) -> None:
+    """Record a campaign, or what is missing of it, with its truth beside it."""
+    folder = directory / RUNS
+    folder.mkdir(parents=True, exist_ok=True)
+    planned = list(rows(entry, folder))
+    for _ in map_tasks(record, [task for task, _ in planned]):
+        pass
+    (folder / "runs.csv").write_text("\n".join(["bag,object,kind,condition", *(row for _, row in planned)]) + "\n")
+    (folder / "experiment.yaml").write_text(EXPERIMENT)
+    joints = Physics.nominal(load_scenario("push"), "juice").joint_count
+    effects = [
+        {
+            "name": item.name,
+            "parameters": {
+                scalar.name: {"value": value, "unit": scalar.unit}
+                for scalar, value in zip(library()[item.name].scalars(joints), item.values, strict=True)
+            },
+        }
+        for item in draw_truth(entry.seed, entry.kind, entry.effect, entry.magnitude)
+    ]
+    outside = entry.effect if entry.kind == "outside" else None
+    (directory / TRUTH).write_text(json.dumps({"kind": entry.kind, "outside": outside, "effects": effects}) + "\n")
+
+
+def run(entry: Entry, directory: Path, map_tasks: Map) -> dict[str, Any]:
+    """Make, diagnose and score one campaign; what exists is kept."""
+    result, document = directory / "score.json", directory / "diagnosis.json"
+    if result.exists():
+        return dict(json.loads(result.read_text()))
+    make(entry, directory, map_tasks)
+    started = time.perf_counter()
+    if not document.exists():
+        folder = directory / RUNS
+        runs = read_laboratory_runs(folder, load_experiment(folder / "experiment.yaml"), map_tasks)
+        source = ReplaySource.of(runs, load_model("nominal"), ReplayStore(map_tasks))
+        write_document(diagnose(source, source.model), document)
+    read = read_document(document)
+    content = asdict(held_against_truth(directory, read)) | {
+        "name": entry.name,
+        "magnitude": entry.magnitude,
+        "verdict": read.verdict,
+        "seconds": time.perf_counter() - started,
+        "intervals": intervals(json.loads(document.read_text()), json.loads((directory / TRUTH).read_text())),
+    }
+    result.write_text(json.dumps(content) + "\n")
+    return content
+
+
+def matrix() -> list[Entry]:
+    """Every campaign, what says most first."""
+    known = [name for name in library() if name not in UNKNOWN_HERE]
+    wanted: list[tuple[str, str | None, float | None]] = [("single", name, MAGNITUDE) for name in known]
+    wanted += [("null", None, None)] * NULLS
+    wanted += [("outside", name, OUTSIDE_MAGNITUDE) for name in OUTSIDE]
+    return [Entry(*entry, FIRST_SEED + seed) for seed, entry in enumerate(wanted)]
+
+
+def main() -> None:
+    """Run what is missing, then print the scoreboard."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the campaigns")
+    parser.add_argument("--jobs", type=int, default=2, help="worker processes")
+    parser.add_argument("--only", default="", help="run entries whose name starts with this (':' for '__')")
+    arguments = parser.parse_args()
+    wanted = [entry for entry in matrix() if entry.name.startswith(arguments.only.replace(":", "__"))]
+    done = []
+    with workers(Workforce(arguments.jobs)) as map_tasks:
+        for number, entry in enumerate(wanted, start=1):
+            row = run(entry, arguments.output / entry.name, map_tasks)
+            done.append(row)
+            print(
+                f"[{number}/{len(wanted)}] {entry.name}: {'right' if row['correct'] else 'WRONG'}, {row['verdict']}",
+                flush=True,
+            )
+    print(f"\n{len(done)} of {len(wanted)} campaigns\n{scoreboard(done)}")
+
+
+if __name__ == "__main__":
+    main()
