@@ -18,6 +18,7 @@ OBSERVER_GAIN = 500.0  # 1/s
 TIMES_NOISE = 8.0  # the threshold over the noise of the observed force
 SHARE_OF_PEAK = 0.15  # the threshold over the largest force: what begins there leads up to it
 FAST = 0.25  # share of the largest speed; nothing is hit on purpose below it
+SETTLES = 0.01  # s, five time constants of the observer
 QUIET = 0.02  # s before the largest force that may belong to the impact
 
 
@@ -32,6 +33,8 @@ def impacts_of(run: Run) -> dict[str, tuple[float, float]]:
         model = run.physics.robot_model(name)
         time = run.signals.time
         velocity, force = observed_force(time, arm, model)
+        for start, end in run.gaps:  # what was interpolated ends with a start, which is no impact
+            force[(time > start) & (time < end + SETTLES)] = 0.0
         row = first_rise(force, np.linalg.norm(velocity, axis=1), run.period)
         begin, level = None, None
         if row is not None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from impact_rs_analysis.evidence.features import Balances
 from impact_rs_analysis.evidence.measured import MeasuredRun
-from impact_rs_analysis.evidence.replay import FREE, free_starts
+from impact_rs_analysis.evidence.replay import FREE, free_starts, recorded
 from impact_rs_analysis.evidence.run import Run
 from impact_rs_analysis.evidence.runs import Runs
 from impact_rs_analysis.evidence.signals import ArmSignals, Signals, yaw_of_quaternions
@@ -40,10 +40,10 @@ def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map
     Raises:
         InputError: Something cannot be used; says what and where.
     """
-    recorded, skipped = read_laboratory(directory, experiment, map_tasks)
+    recorded_runs, skipped = read_laboratory(directory, experiment, map_tasks)
     scenario = experiment.load_scenario()
-    runs = [run_of(item, scenario) for item in recorded]
-    remarks = [f"{item.name}: {remark}" for item in recorded for remark in item.remarks]
+    runs = [run_of(item, scenario) for item in recorded_runs]
+    remarks = [f"{item.name}: {remark}" for item in recorded_runs for remark in item.remarks]
     offset = command_offset(runs)
     if offset != 0.0:
         runs = [_shifted(run, offset) for run in runs]
@@ -52,7 +52,15 @@ def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map
             "torque balance of free motion: shifted by that, as it is less than half a sampling period and says "
             "nothing of the robot"
         )
-    found = Runs.of(directory, [*map_tasks(measured_or_why_not, runs), *skipped])
+    measured = list(map_tasks(measured_or_why_not, runs))
+    names = {str(item.path): item.name for item in recorded_runs}
+    remarks += [
+        f"{names[str(run.path)]}: {len(run.lost)} of {run.free} windows of free motion are left out, for a gap "
+        "falls into them, and of all runs like it the same ones"
+        for run in measured
+        if isinstance(run, MeasuredRun) and run.lost
+    ]
+    found = Runs.of(directory, [*measured, *skipped])
     return replace(found, remarks=tuple(_merged(remarks)))
 
 
@@ -94,6 +102,7 @@ def run_of(item: LaboratoryRun, scenario: Scenario) -> Run:
         ),
         command_time={name: item.command_time} if known else {},
         command={name: item.command} if known else {},
+        gaps=tuple((gap.start, gap.end) for gap in item.gaps),
     )
 
 
@@ -119,7 +128,8 @@ def command_offset(runs: Sequence[Run]) -> float:
     rows: dict[int, list[Array]] = {}
     for run in chosen:
         for name, arm in run.signals.arms.items():
-            for start in free_starts(run, {}) if not run.hit else free_starts(run, _rough_impact(run)):
+            starts = free_starts(run, {}) if not run.hit else free_starts(run, _rough_impact(run))
+            for start in (start for start in starts if recorded(run, start)):
                 for joint, row in enumerate(_window_terms(run, name, arm, start)):
                     rows.setdefault(joint, []).append(row)
     if not rows or min(len(own) for own in rows.values()) < 8:

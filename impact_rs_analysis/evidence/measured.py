@@ -17,7 +17,7 @@ import numpy as np
 from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_analysis.evidence.features import extract, layout, pushes_recorded
 from impact_rs_analysis.evidence.impacts import impacts_of
-from impact_rs_analysis.evidence.replay import Window, replay, windows_of
+from impact_rs_analysis.evidence.replay import Window, free_starts, replay, windows_of
 from impact_rs_analysis.evidence.run import DriveName, Run
 from impact_rs_analysis.evidence.signals import Signals
 from impact_rs_sim.errors import InputError
@@ -127,6 +127,7 @@ class MeasuredRun:
         measured: The measured ones, ``(F,)``.
         signals: What was measured in its windows.
         impacts: Begin of the impact by arm [s]; empty where nothing is hit.
+        free: Windows of free motion that there are without gaps.
     """
 
     path: Path
@@ -140,6 +141,7 @@ class MeasuredRun:
     measured: Array
     signals: tuple[Signals, ...]
     impacts: dict[str, float]
+    free: int
 
     @classmethod
     def of(cls, run: Run) -> MeasuredRun:
@@ -151,19 +153,24 @@ class MeasuredRun:
         found = impacts_of(run) if run.hit else {}
         impacts = {name: begin for name, (begin, _) in found.items()}
         windows = windows_of(run, impacts)
+        starts = free_starts(run, impacts)
         if not windows:
-            raise InputError("nothing moves for as long as a window of free motion")
+            what = "gaps leave no window" if starts else "nothing moves for as long as a window"
+            raise InputError(f"{what} of free motion")
         pushes = pushes_recorded(max(impacts.values()), float(windows[-1].time[-1])) if impacts else None
         tracked = bool(impacts) and run.signals.object_time.size > 1
+        numbers = [window.number for window in windows if not window.contact]
         features = layout(
             tuple(run.physics.arms),
             run.physics.joint_count,
-            sum(not window.contact for window in windows),
+            len(numbers),
             pushes,
             bool(run.command),
             run.motor_measured,
             tracked,
         )
+        if run.gaps:  # what lies at the same place of the motion has the same name in every repeat
+            features = tuple(replace(f, bin=numbers[f.bin]) if f.phase == "free" else f for f in features)
         setup = Setup(
             windows=tuple(windows),
             physics=run.physics,
@@ -193,6 +200,7 @@ class MeasuredRun:
             measured=measured,
             signals=signals,
             impacts=impacts,
+            free=len(starts),
         )
 
     @property
@@ -205,6 +213,7 @@ class MeasuredRun:
             return None
         physics, command = self.setup.physics, self.setup.drive == "command"
         parts = layout(tuple(physics.arms), physics.joint_count, len(windows), None, command, self.setup.motor, False)
+        numbers = [window.number for window in windows]
         rows = [number for number, feature in enumerate(self.features) if feature.phase == "free"]
         features = tuple(self.features[row] for row in rows)
         setup = replace(
@@ -212,7 +221,7 @@ class MeasuredRun:
             windows=windows,
             tracked=False,
             pushes=None,
-            kept=tuple(parts.index(feature) for feature in features),
+            kept=tuple(parts.index(replace(feature, bin=numbers.index(feature.bin))) for feature in features),
             levels={},
         )
         return replace(
@@ -224,6 +233,17 @@ class MeasuredRun:
             signals=self.signals[: len(windows)],
             impacts={},
         )
+
+    @property
+    def lost(self) -> tuple[int, ...]:
+        """Windows of free motion that gaps took, of this run or of a repeat."""
+        return tuple(sorted(set(range(self.free)) - {f.bin for f in self.features if f.phase == "free"}))
+
+    @property
+    def family(self) -> tuple[object, ...]:
+        """What it has in common with runs that have the same features but for gaps."""
+        further = tuple(feature for feature in self.features if feature.phase != "free")
+        return (self.hit, *self.setup.physics.arms, self.free, further)
 
     def only(self, features: set[Feature]) -> MeasuredRun:
         """The same with some of its features."""

@@ -27,6 +27,7 @@ from impact_rs_analysis.evidence.run import DriveName, Run
 from impact_rs_analysis.evidence.signals import ArmSignals, Signals
 from impact_rs_sim.bullet_world import check_body
 from impact_rs_sim.drive import Drive, DriveStart, LinkTorque
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.free_motion import FreeStretch, run_free
 from impact_rs_sim.mechanics import Mechanics
 from impact_rs_sim.physics import Physics
@@ -49,6 +50,7 @@ class Window:
 
     Attributes:
         contact: Whether it holds the impact.
+        number: Place among the windows of free motion that there are without gaps; 0 of the one about the impact.
         time: Ticks, ``(k,)`` [s].
         arms: Joint states at its start.
         drives: State of the drives at its start.
@@ -59,6 +61,7 @@ class Window:
     """
 
     contact: bool
+    number: int
     time: Array
     arms: dict[str, ArmState]
     drives: dict[str, DriveStart]
@@ -107,23 +110,39 @@ def windows_of(run: Run, impacts: dict[str, float]) -> list[Window]:
     Args:
         run: The run.
         impacts: Begin of the impact by arm [s]; empty where nothing is hit.
+
+    Raises:
+        InputError: A gap lies in the window about the impact.
     """
     time = run.signals.time
     thing = run.object
     found = []
     if impacts:
         thing = _resting(run.signals, run.object, min(impacts.values()) - BEFORE_IMPACT)
-    for start in free_starts(run, impacts):
-        found.append(_window(run, start, start + FREE, thing, contact=False))
+    for number, start in enumerate(free_starts(run, impacts)):
+        if recorded(run, start):
+            found.append(_window(run, start, start + FREE, thing, number))
     if impacts:
         first = min(impacts.values())
         end = min(first + AFTER_IMPACT, float(time[-1]))
-        found.append(_window(run, first - BEFORE_IMPACT, end, thing, contact=True))
+        if run.within_gap(first - BEFORE_IMPACT - FIT, end):
+            raise InputError(
+                f"a gap lies in the window about the impact, which begins {BEFORE_IMPACT + FIT:g} s before it"
+            )
+        found.append(_window(run, first - BEFORE_IMPACT, end, thing, None))
     return found
 
 
+def recorded(run: Run, start: float) -> bool:
+    """Whether no gap lies in the window of free motion that begins at ``start`` [s], nor in what it is fitted to."""
+    return not run.within_gap(start - FIT, start + FREE + FIT)
+
+
 def free_starts(run: Run, impacts: dict[str, float]) -> list[float]:
-    """Where windows of free motion begin [s], spread evenly over what moves before an impact."""
+    """Where windows of free motion begin [s], spread evenly over what moves before an impact.
+
+    Gaps do not shift them, so that those of repeats lie at the same place of the motion.
+    """
     time = run.signals.time
     speed = np.max([np.abs(arm.velocity).max(axis=1) for arm in run.signals.arms.values()], axis=0)
     last = float(time[-1]) - FIT
@@ -141,7 +160,9 @@ def free_starts(run: Run, impacts: dict[str, float]) -> list[float]:
     return [begin + (number + 0.5) * slack + number * FREE for number in range(count)]
 
 
-def _window(run: Run, start: float, end: float, thing: BodyState, contact: bool) -> Window:
+def _window(run: Run, start: float, end: float, thing: BodyState, number: int | None) -> Window:
+    """A window of free motion, or without a number the one about the impact."""
+    contact = number is None
     time = run.signals.time
     first, last = (int(np.argmin(np.abs(time - moment))) for moment in (start, end))
     ticks = time[first : last + 1]
@@ -168,7 +189,7 @@ def _window(run: Run, start: float, end: float, thing: BodyState, contact: bool)
         drives[name] = DriveStart(torque, rate, earlier)
     tracked = run.signals.object_time
     seen = tracked[contact & (tracked >= ticks[0] - 1e-9) & (tracked <= ticks[-1] + 1e-9)]
-    return Window(contact, ticks, arms, drives, thing, torques, acting, seen)
+    return Window(contact, number or 0, ticks, arms, drives, thing, torques, acting, seen)
 
 
 def _near(time: Array, moment: float) -> slice:

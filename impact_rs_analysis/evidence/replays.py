@@ -46,14 +46,11 @@ def clusters_of(
         grouped.setdefault(run.condition, []).append(residual)
     rows = {condition: np.array(values) for condition, values in grouped.items()}
     layouts = {condition: layout_of(first) for condition, first in firsts.items()}
-    pure = {
-        layout: pooled_error([values for condition, values in rows.items() if layouts[condition] == layout])
-        for layout in set(layouts.values())
-    }
+    pure = pure_errors(firsts, rows)
     clusters = []
     for condition, values in rows.items():
         first, layout = firsts[condition], layouts[condition]
-        spread = pure[layout]
+        spread = pure[condition]
         floor = np.array([feature.floor for feature in first.features]) / 2.0
         kind = kind_of(first)
         systematic, patterns = discrepancy.of(first.features, kind), discrepancy.patterns_of(first.features, kind)
@@ -76,7 +73,7 @@ def clusters_of(
                 alike=condition if kind == "oblique" else f"{layout}, {kind}",
             )
         )
-    alone = [item.name for item in clusters if pure[item.layout] is None]
+    alone = [item.name for item in clusters if pure[item.name] is None]
     remarks = []
     if alone:
         remarks.append(
@@ -84,6 +81,36 @@ def clusters_of(
             f"{', '.join(alone)}; two trials of one condition are enough to compare with repetition"
         )
     return tuple(clusters), remarks
+
+
+def pure_errors(firsts: dict[str, MeasuredRun], rows: dict[str, Array]) -> dict[str, Array | None]:
+    """Pure error by condition, ``(F,)`` in the features' units; None where nothing like it was repeated.
+
+    A feature has that of all conditions which have it and would be alike without gaps: a gap takes windows away, and
+    leaves the others what they are.
+
+    Args:
+        firsts: A run of every condition.
+        rows: Residuals of its repeats, ``(n, F)``.
+    """
+    families: dict[tuple[object, ...], list[str]] = {}
+    for condition, run in firsts.items():
+        families.setdefault(run.family, []).append(condition)
+    found: dict[str, Array | None] = {}
+    for members in families.values():
+        whole = pooled_error([rows[condition] for condition in members if not firsts[condition].lost])
+        places = {c: {feature: column for column, feature in enumerate(firsts[c].features)} for c in members}
+        for condition in members:
+            if not any(firsts[other].lost for other in members):
+                found[condition] = whole
+                continue
+            columns = [
+                pooled_error([rows[other][:, [own[feature]]] for other, own in places.items() if feature in own])
+                for feature in firsts[condition].features
+            ]
+            known = [column for column in columns if column is not None]
+            found[condition] = np.concatenate(known) if len(known) == len(columns) else None
+    return found
 
 
 def kind_of(run: MeasuredRun) -> Kind:
@@ -97,7 +124,9 @@ def layout_of(run: MeasuredRun) -> str:
     """Name of what a run's feature vector is made of."""
     counted = dict.fromkeys(feature.group[:2] for feature in run.features)
     bins = ", ".join(f"{phase} {signal} {max_bin(run, phase, signal)}" for phase, signal in counted)
-    return f"{'hit' if run.hit else 'free'}: {', '.join(run.setup.physics.arms)}, {len(run.features)} features: {bins}"
+    lost = f", without {', '.join(map(str, run.lost))}" if run.lost else ""
+    arms = ", ".join(run.setup.physics.arms)
+    return f"{'hit' if run.hit else 'free'}: {arms}, {len(run.features)} features: {bins}{lost}"
 
 
 def max_bin(run: MeasuredRun, phase: str, signal: str) -> int:

@@ -33,6 +33,7 @@ class Run:
         command_time: When desired torques were sent, by arm, ``(m,)`` [s]; empty where they are not known.
         command: The desired torques, by arm, ``(m, n)`` [N m].
         spec: What was planned, of a trial of our own; None: somebody else's run.
+        gaps: Begin and end of stretches in which nothing was recorded [s]; signals there are interpolated.
     """
 
     path: Path
@@ -47,6 +48,11 @@ class Run:
     command_time: dict[str, Array]
     command: dict[str, Array]
     spec: TrialSpec | None = None
+    gaps: tuple[tuple[float, float], ...] = ()
+
+    def within_gap(self, start: float, end: float) -> bool:
+        """Whether nothing was recorded in some of the time from ``start`` to ``end`` [s]."""
+        return any(start < last and first < end for first, last in self.gaps)
 
     @property
     def drive(self) -> DriveName:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_analysis.evidence.measured import MeasuredRun
 from impact_rs_analysis.evidence.run import run_of_trial
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.workers import Map
+
+LARGEST_LOSS = 0.5  # share of the windows of free motion that all runs give up for gaps in some of them
 
 
 @dataclass(frozen=True)
@@ -60,9 +63,25 @@ class Runs:
             reason = f"; {len(skipped)} bag(s) cannot be used, the first because: {skipped[0][1]}" if skipped else ""
             raise InputError(f"no usable trials here{reason}", file=directory)
         common: dict[str, set] = {}
+        free: dict[str, int] = {}  # a repeat that moves for less time has fewer windows, without any gap
         for run in runs:
             common.setdefault(run.condition, set(run.features)).intersection_update(run.features)
-        return Runs(directory, tuple(run.only(common[run.condition]) for run in runs), skipped)
+            free[run.condition] = min(run.free, free.get(run.condition, run.free))
+        shared = [replace(run.only(common[run.condition]), free=free[run.condition]) for run in runs]
+        return Runs(directory, _alike(shared), skipped)
+
+
+def _alike(runs: list[MeasuredRun]) -> tuple[MeasuredRun, ...]:
+    """Without the windows that gaps took in any run of a family, so that its conditions share their pure error.
+
+    Where that would be too many, conditions stay as they are.
+    """
+    left: dict[tuple[object, ...], set[Feature]] = {}
+    for run in runs:
+        left.setdefault(run.family, set(run.features)).intersection_update(run.features)
+    alike = [run.only(left[run.family]) for run in runs]
+    torn = {run.family for run in alike if len(run.lost) > LARGEST_LOSS * run.free}
+    return tuple(old if old.family in torn else new for old, new in zip(runs, alike, strict=True))
 
 
 def find_bags(directory: Path) -> list[Path]:

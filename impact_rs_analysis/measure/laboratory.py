@@ -4,10 +4,11 @@ Without reference spreading there is no net feedback to cross zero. What there i
 to 40 ms after the impact, and the impact map asked in the ante-impact state of every run. Until then the controller has
 already pushed on, which says nothing of the impact; its recorded torque does so in the prediction as well,
 
-    (M + B + J_n^T m J_n) ddq = tau_d - h - J_n^T mu m g        (paper eq. eom; the object moves along with the pad)
+    (M + B + J_p^T m J_p) ddq = tau_d - h - J_p^T mu m g v / |v|      (paper eq. eom; the object goes with the pad)
 
-integrated from the impact on. Errors are taken run by run, prediction minus measurement over measurement; repeats make
-the interval (Student's t).
+J_p has the horizontal rows of J and v is the pad's horizontal velocity: a pad that comes at an angle inside the cone of
+friction takes the object along sideways as well, and slides up or down its face. That is integrated from the impact on.
+Errors are taken run by run, prediction minus measurement over measurement; repeats make the interval (Student's t).
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import STANDARD_GRAVITY
 
 ENGINE = "pinocchio"
+SLOWEST = 1e-3  # m/s, below which the support's friction has no direction
 GRAVITY = -STANDARD_GRAVITY[2]
 
 
@@ -192,7 +194,8 @@ def _predicted(run: MeasuredRun, ante: dict[str, Array], motor_inertia: str) -> 
 def _pushed_on(run: MeasuredRun, name: str, way: Array, motor_inertia: str) -> float:
     """What the recorded torque adds to the speed along ``way`` until 20 to 40 ms after the impact [m/s].
 
-    The object counts in full for every arm that pushes it; where only the joint torque was recorded that drives.
+    The object goes with the pad in the plane of the support, and counts in full for every arm that pushes it; where
+    only the joint torque was recorded that drives.
     """
     setup = run.setup
     physics, window, signals = setup.physics.arms[name], setup.windows[-1], run.signals[-1]
@@ -211,10 +214,12 @@ def _pushed_on(run: MeasuredRun, name: str, way: Array, motor_inertia: str) -> f
             continue
         q, dq = arm.position[row - 1], arm.velocity[row - 1]
         terms = model.terms(q, dq)
-        along = way @ terms.jacobian[:3]
-        moved = terms.mass_matrix + np.diag(inertia) + thing.mass * np.outer(along, along)
-        acceleration = np.linalg.solve(moved, driving[row - 1] - terms.bias - along * drag)
-        speed += step * float(along @ acceleration)
+        plane = terms.jacobian[:2]
+        moved = terms.mass_matrix + np.diag(inertia) + thing.mass * plane.T @ plane
+        velocity = plane @ dq
+        opposed = plane.T @ velocity * drag / max(float(np.linalg.norm(velocity)), SLOWEST)
+        acceleration = np.linalg.solve(moved, driving[row - 1] - terms.bias - opposed)
+        speed += step * float(way @ terms.jacobian[:3] @ acceleration)
         if since >= first:
             mean, ticks = mean + speed, ticks + 1
     return mean / max(ticks, 1)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.robot import Array
+from impact_rs_trials.recordings.clock import seconds_of
 from impact_rs_trials.recordings.mapping import UNITS, WIDTH, Mapping, SignalName, SignalSource
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.table_file import require
@@ -40,15 +43,20 @@ class ArrayFile:
             raise MissingSignal(f"the mapping says no array for {name}", file=self._path, key=f"signals.{name}")
         values = self._array(self._names.fill(source.array), name)
         stamps = source.time_array or self._mapping.time.array
-        time = self._array(stamps, f"time of {name}")
+        time = self._stamps(stamps, f"time of {name}")
         if time.ndim != 1:
             raise InputError(f"array {stamps!r} (time) is {time.shape}, expected one number a sample", file=self._path)
         if values.shape != (time.size, self._mapping.width(name)):
             what = "numbers" if name in WIDTH else "joints"
             expected = f"{time.size} samples x {self._mapping.width(name)} {what}"
             raise InputError(f"array {source.array!r} ({name}) is {values.shape}, expected {expected}", file=self._path)
-        time = time * UNITS["time"][self._mapping.time.unit] + source.delay
+        time = seconds_of(time, UNITS["time"][self._mapping.time.unit]) + source.delay
         return Series(f"array {source.array!r} ({name})", time, self._mapping.to_si(name, values)).sampled()
+
+    def _stamps(self, name: str, meaning: str) -> NDArray[Any]:
+        """An array of time, in whole numbers where it holds those."""
+        as_numbers, as_stored = self._array(name, meaning), self._arrays[name.strip("/")]
+        return as_stored if np.issubdtype(as_stored.dtype, np.integer) else as_numbers
 
     def _array(self, name: str, meaning: str) -> Array:
         name = name.strip("/")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
@@ -97,6 +99,22 @@ def check_jumps(path: Path, what: str, time: Array, log: Array | None, largest: 
     )
 
 
+def seconds_of(stamps: NDArray[Any], unit: float) -> Array:
+    """Stamps in seconds, ``(k,)``.
+
+    Nanoseconds of a wall clock have more digits than a floating-point number: of whole numbers, seconds and rest are
+    taken apart first, so that no more is lost than in a message that has both.
+
+    Args:
+        stamps: As the file has them, ``(k,)``.
+        unit: Their unit [s].
+    """
+    if not np.issubdtype(stamps.dtype, np.integer):
+        return np.asarray(stamps * unit)
+    each = round(1.0 / unit)
+    return np.asarray(stamps // each + (stamps % each) * unit)
+
+
 def gaps(time: Array, longest: float) -> list[Gap]:
     """Stretches longer than ``longest`` [s] without samples; ``time`` increases, ``(k,)`` [s]."""
     steps = np.diff(time)
@@ -121,8 +139,16 @@ def even_grid(time: Array) -> Array:
     return np.asarray(time[0] + length / count * np.arange(count + 1))
 
 
-def on_the_grid(time: Array, grid: Array) -> bool:
-    """Whether samples at ``time`` are those at ``grid``."""
-    if time.size != grid.size:
-        return False
-    return bool(np.max(np.abs(time - grid)) < ON_THE_GRID * (grid[1] - grid[0]))
+def grid_from(time: Array, main: Array) -> Array:
+    """The even grid of the stamps ``main``, carried on to the first and the last of ``time``, ``(k,)`` [s].
+
+    What matters most is then as on its own, wherever the samples beyond the gaps about it lie.
+    """
+    grid = even_grid(main)
+    period = grid[1] - grid[0]
+    before, after = (int(length / period + ON_THE_GRID) for length in (grid[0] - time[0], time[-1] - grid[-1]))
+    if before == after == 0:
+        return grid
+    return np.concatenate(
+        (grid[0] - period * np.arange(before, 0, -1), grid, grid[-1] + period * np.arange(1, after + 1))
+    )

@@ -51,6 +51,11 @@ class FramePlacement(Schema):
 class MotionCapture(FramePlacement):
     """Where the world of the motion capture is in the inertial frame A of the scenario."""
 
+    estimate: bool = Field(
+        False,
+        description="find position and yaw from the contact in the hits; what they do not tell stays as given: roll "
+        "and pitch, and the way across where all hits go in one direction",
+    )
     bodies: dict[str, FramePlacement] = Field(
         default_factory=dict,
         description="by object: its geometric centre and axes in the frame that is tracked; absent: that frame itself",

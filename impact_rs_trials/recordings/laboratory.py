@@ -2,17 +2,22 @@
 
 Joint signals come on an even grid at the median period of the joint states, interpolated where stamps are not on it.
 Command and object pose keep their own stamps: the one is held until the next, the other is slower. What cannot be used
-is refused in one line; a run that is merely too short between its gaps is left out, with the reason.
+is refused in one line. Gaps split a run: its pieces stay on one grid, with the gaps between them told, so that nobody
+takes what was interpolated for measured; a run whose pieces are all too short is left out, with the reason.
 """
 
 from __future__ import annotations
 
 import functools
+import itertools
+import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
@@ -20,21 +25,31 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
 from impact_rs_trials.recordings.clock import (
+    ON_THE_GRID,
     Gap,
     check_jumps,
     check_stamps,
-    even_grid,
     gaps,
-    on_the_grid,
+    grid_from,
     tell_gaps,
 )
+from impact_rs_trials.recordings.contact_frame import ContactFrame, Touch, contact_frame
 from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, RunRow, read_runs
 from impact_rs_trials.recordings.mapping import REQUIRED, Mapping, SignalName
-from impact_rs_trials.recordings.plausibility import check_object, check_touch, check_weight, gravity_torques
+from impact_rs_trials.recordings.plausibility import (
+    REST,
+    check_object,
+    check_touch,
+    check_weight,
+    gravity_torques,
+    height_on_support,
+)
 from impact_rs_trials.recordings.recording import Recording, check_recording
 from impact_rs_trials.recordings.series import Names, Series
 from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.workers import Map
+
+logger = logging.getLogger(__name__)
 
 ARM_SIGNALS: tuple[SignalName, ...] = (*REQUIRED, "motor_position", "motor_velocity")
 OBJECT_SIGNALS: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
@@ -47,6 +62,8 @@ GAP_CUT = 0.010  # s, what is longer is not bridged
 JUMP = 0.1  # s, a longer step is a jump of the clock
 JITTER = 0.2  # periods that stamps may lie beside the even grid before it is told
 IMPACT_WINDOW = 0.008  # s, over which the change of joint velocity is largest at the impact
+TOUCHING = (0.02, 0.1)  # s from the impact on, in which the pad lies flat on the face and pushes it
+FOLLOWED = 0.3  # s from the impact on, in which the object goes where the pad goes
 SLOW_JOINTS = 200.0  # Hz
 SLOW_POSE = 60.0  # Hz
 IMPACT_SHARE = 0.02  # of the samples, in which an impact may take a velocity or torque beyond the data sheet
@@ -77,6 +94,7 @@ class LaboratoryRun:
         object_quaternion: Its axes in A, x y z w, ``(p, 4)``, without changes of sign between samples.
         wrench_time: Stamps of the wrench, ``(w,)`` [s]; empty where there is none.
         wrench: Force and torque as recorded, ``(w, 6)`` [N, N m].
+        gaps: Where nothing was recorded between its pieces; joint signals there are interpolated and mean nothing.
         remarks: What the user should know of how it was read.
     """
 
@@ -98,6 +116,7 @@ class LaboratoryRun:
     object_quaternion: Array
     wrench_time: Array
     wrench: Array
+    gaps: tuple[Gap, ...]
     remarks: tuple[str, ...]
 
 
@@ -114,12 +133,14 @@ class Laboratory:
         arm: Name of the arm.
         mapping: Where the signals are.
         motion_capture: Where its world is.
+        placed: How that was found; None: it was given.
     """
 
     scenario: Scenario
     arm: str
     mapping: Mapping
     motion_capture: MotionCapture
+    placed: ContactFrame | None = None
 
     @classmethod
     def of(cls, experiment: Experiment) -> Laboratory:
@@ -161,6 +182,18 @@ class Laboratory:
         """Nominal rigid-body model of the arm."""
         return Physics.nominal(self.scenario, next(iter(self.scenario.objects))).robot_model(self.arm)
 
+    def placed_by(self, touches: Sequence[Touch]) -> Laboratory:
+        """With the world of the motion capture where hits say it is.
+
+        Raises:
+            InputError: There is no hit.
+        """
+        given = self.motion_capture
+        found = contact_frame(touches, np.array(given.position), given.rpy[2])
+        x, y, z = (float(number) for number in found.position)
+        update = {"position": (x, y, z), "rpy": (*given.rpy[:2], found.yaw)}
+        return replace(self, motion_capture=given.model_copy(update=update), placed=found)
+
 
 def read_laboratory(
     directory: Path, experiment: Experiment, map_tasks: Map
@@ -182,6 +215,9 @@ def read_laboratory(
     table = read_runs(directory, experiment, laboratory.scenario)
     read: list[LaboratoryRun] = []
     skipped: list[tuple[str, str]] = []
+    if laboratory.motion_capture.estimate:
+        hits = [(laboratory, run) for run in table if run.hit]
+        laboratory = laboratory.placed_by([touch for touch in map_tasks(touch_of, hits) if touch is not None])
     tasks = [(laboratory, run) for run in table]
     for run, result in zip(table, map_tasks(_try_to_read, tasks), strict=True):
         if isinstance(result, LaboratoryRun):
@@ -224,12 +260,11 @@ def read_run(laboratory: Laboratory, run: RunRow) -> LaboratoryRun:
     origin = float(series["position"].time[0])  # numbers of the wall clock have no room for microseconds
     series = {name: replace(one, time=one.time - origin) for name, one in series.items()}
 
-    first, last = _piece(run, series, remarks)
+    pieces, main = _pieces(run, series, remarks)
     base = series["position"]
-    inside = (base.time >= first) & (base.time <= last)
-    raw = base.time[inside]
-    grid = even_grid(raw)
-    arm = {name: _on_grid(series[name], raw, grid) for name in ARM_SIGNALS if name in series}
+    raw = base.time[_inside(base.time, pieces)]
+    grid = grid_from(raw, base.time[_inside(base.time, [main])])
+    arm = {name: _on_grid(series[name], grid) for name in ARM_SIGNALS if name in series}
     _tell_rates(raw, grid, series, remarks)
     time = grid - grid[0]
     recording = Recording(path, time, arm["position"], arm["velocity"], arm["torque"], {})
@@ -248,6 +283,8 @@ def read_run(laboratory: Laboratory, run: RunRow) -> LaboratoryRun:
         )
     object_time, pose = _part(series.get("object_pose"), grid, np.zeros((0, 7)))
     if object_time.size:
+        if laboratory.placed is not None:
+            remarks.append(str(laboratory.placed))
         pose = _in_inertial_frame(laboratory.motion_capture, run, pose)
         remarks += _check_object(laboratory, run, time, arm["position"], object_time, pose)
     elif run.hit:
@@ -272,6 +309,7 @@ def read_run(laboratory: Laboratory, run: RunRow) -> LaboratoryRun:
         object_quaternion=pose[:, 3:],
         wrench_time=wrench_time,
         wrench=wrench,
+        gaps=tuple(Gap(end - grid[0], start - end) for (_, end), (start, _) in itertools.pairwise(pieces)),
         remarks=tuple(remarks),
     )
 
@@ -335,8 +373,13 @@ def _check_overlap(path: Path, series: dict[SignalName, Series]) -> None:
             )
 
 
-def _piece(run: RunRow, series: dict[SignalName, Series], remarks: list[str]) -> tuple[float, float]:
-    """First and last stamp to use: all, or the longest piece without gaps (of a hit: the one with the impact)."""
+def _pieces(
+    run: RunRow, series: dict[SignalName, Series], remarks: list[str]
+) -> tuple[list[tuple[float, float]], tuple[float, float]]:
+    """Stretches between gaps that are long enough, in order, and the one that matters most.
+
+    That is the longest one; of a hit the one with the impact, behind which nothing is used.
+    """
     base = series["position"]
     start, end = float(base.time[0]), float(base.time[-1])
     cuts: list[Gap] = []
@@ -355,26 +398,46 @@ def _piece(run: RunRow, series: dict[SignalName, Series], remarks: list[str]) ->
     if end - start < SHORTEST:
         raise TooShort(f"it lasts {end - start:.3f} s, at least {SHORTEST} s are needed", file=run.path)
     if not cuts:
-        return start, end
+        return [(start, end)], (start, end)
     impact = _impact(series["velocity"]) if run.hit else None
     inside = [gap for gap in cuts if impact is not None and gap.start <= impact <= gap.end]
     if inside:
         raise TooShort(f"the impact falls into a gap of {tell_gaps(inside, start)}", file=run.path)
-    first = np.array([start, *sorted(gap.end for gap in cuts)])
-    last = np.array([*sorted(gap.start for gap in cuts), end])
-    length = last - first
+    first = [start, *sorted(gap.end for gap in cuts)]
+    last = [*sorted(gap.start for gap in cuts), end]
+    between = [(a, b) for a, b in zip(first, last, strict=True) if b > a]
+    used = [piece for piece in between if piece[1] - piece[0] >= SHORTEST]
+    main = max(between if impact is None else [p for p in between if p[0] <= impact <= p[1]], key=_length)
     if impact is not None:
-        length = np.where((first <= impact) & (impact <= last), length, -1.0)
-    best = int(np.argmax(length))
-    if length[best] < SHORTEST:
+        used = [piece for piece in used if piece[0] <= impact]
+    if main not in used:
         what = "with the impact " if run.hit else ""
         raise TooShort(
-            f"gaps leave {max(length[best], 0.0):.3f} s {what}in one piece, at least {SHORTEST} s are needed: gaps of "
+            f"gaps leave {_length(main):.3f} s {what}in one piece, at least {SHORTEST} s are needed: gaps of "
             f"{tell_gaps(sorted(cuts, key=lambda gap: gap.start), start)}",
             file=run.path,
         )
-    remarks.append(f"cut to {first[best] - start:.3f} ... {last[best] - start:.3f} s, for gaps > {GAP_CUT:g} s")
-    return float(first[best]), float(last[best])
+    remarks.append(f"cut to {_told(used, start)}, for gaps > {GAP_CUT:g} s")
+    short = [piece for piece in between if _length(piece) < SHORTEST]
+    behind = [piece for piece in between if piece not in used and piece not in short]
+    if short:
+        remarks.append(f"skipped, for it is shorter than {SHORTEST} s: {_told(short, start)}")
+    if behind:
+        remarks.append(f"skipped, for it comes after the impact and a gap: {_told(behind, start)}")
+    return used, main
+
+
+def _length(piece: tuple[float, float]) -> float:
+    return piece[1] - piece[0]
+
+
+def _told(pieces: list[tuple[float, float]], start: float) -> str:
+    return ", ".join(f"{first - start:.3f} ... {last - start:.3f} s" for first, last in pieces)
+
+
+def _inside(time: Array, pieces: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
+    """Which stamps lie in one of the pieces, ``(k,)``."""
+    return np.any([(time >= first) & (time <= last) for first, last in pieces], axis=0)
 
 
 def _impact(velocity: Series) -> float:
@@ -384,12 +447,12 @@ def _impact(velocity: Series) -> float:
     return float(velocity.time[int(np.argmax(change))])
 
 
-def _on_grid(series: Series, raw: Array, grid: Array) -> Array:
-    """One signal of the arm on the even grid, ``(k, n)``."""
-    first, last = np.searchsorted(series.time, (raw[0], raw[-1]))
-    if np.array_equal(series.time[first : last + 1], raw) and on_the_grid(raw, grid):
-        return series.values[first : last + 1]
-    return series.at(grid)
+def _on_grid(series: Series, grid: Array) -> Array:
+    """One signal of the arm on the even grid, ``(k, n)``: samples where they lie on it, interpolated elsewhere."""
+    nearest = np.clip(np.searchsorted(series.time, grid), 1, series.time.size - 1)
+    nearest -= grid - series.time[nearest - 1] < series.time[nearest] - grid
+    close = np.abs(series.time[nearest] - grid) < ON_THE_GRID * (grid[1] - grid[0])
+    return np.where(close[:, None], series.values[nearest], series.at(grid))
 
 
 def _part(series: Series | None, grid: Array, none: Array) -> tuple[Array, Array]:
@@ -448,6 +511,52 @@ def _with_weight(
 
 
 # ---- object ---------------------------------------------------------------------------------------------------------
+
+
+def touch_of(task: tuple[Laboratory, RunRow]) -> Touch | None:
+    """What a hit says of the world of the motion capture; None where it cannot be read, which is told when it is."""
+    laboratory, run = task
+    try:
+        return _touch(laboratory, run)
+    except InputError as error:
+        logger.debug("%s: tells nothing of the motion capture: %s", run.name, error)
+        return None
+
+
+def _touch(laboratory: Laboratory, run: RunRow) -> Touch:
+    assert run.object is not None
+    wanted: tuple[SignalName, ...] = ("position", "velocity", *OBJECT_SIGNALS)
+    names = Names(object=run.object, arm=laboratory.arm, run=run.name)
+    series = _with_object(run.path, read_series(run.path, laboratory.mapping, wanted, wanted[:2], names), [])
+    joints, seen = series["position"], series.get("object_pose")
+    if seen is None or seen.time.size < 2:
+        raise InputError("the object was not tracked", file=run.path)
+    given = laboratory.motion_capture
+    tilted = given.model_copy(update={"position": (0.0, 0.0, 0.0), "rpy": (*given.rpy[:2], 0.0)})
+    pose = _in_inertial_frame(tilted, run, seen.values)  # as far as hits tell nothing of it
+    impact = _impact(series["velocity"])
+    first, last = (impact + moment for moment in TOUCHING)
+    times = seen.time[(seen.time >= first) & (seen.time <= last)]
+    times = times if times.size else np.array([0.5 * (first + last)])
+    pads = [laboratory.model.placement(q) for q in joints.at(times)]
+    placed = replace(seen, values=pose)
+    objects = [pin.XYZQUATToSE3(row) for row in placed.at(times)]
+    still = np.median(pose[seen.time <= seen.time[0] + REST], axis=0)
+    size = np.array(laboratory.scenario.object(run.object).size)
+    ends = np.array([impact, min(impact + FOLLOWED, float(joints.time[-1]), float(seen.time[-1]))])
+    way = np.diff([laboratory.model.placement(q).translation[:2] for q in joints.at(ends)], axis=0)[0]
+    return Touch(
+        run=run.name,
+        pad=np.array([pad.translation for pad in pads]),
+        pad_normal=np.array([pad.rotation[:, 2] for pad in pads]),
+        position=np.array([thing.translation for thing in objects]),
+        rotation=np.array([thing.rotation for thing in objects]),
+        size=size,
+        standing=height_on_support(laboratory.scenario, run.object, pin.XYZQUATToSE3(pose[0]).rotation),
+        standing_height=float(still[2]),
+        pad_way=way,
+        object_way=np.diff(placed.at(ends)[:, :2], axis=0)[0],
+    )
 
 
 def _in_inertial_frame(motion_capture: MotionCapture, run: RunRow, pose: Array) -> Array:

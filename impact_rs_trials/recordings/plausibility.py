@@ -58,6 +58,12 @@ def check_weight(path: Path, name: str, model: RobotModel, position: Array, torq
         )
 
 
+def height_on_support(scenario: Scenario, name: str, rotation: Array) -> float:
+    """Height in A of the centre of an object that stands on the support with axes ``rotation`` [m]."""
+    size = np.array(scenario.object(name).size)
+    return float(scenario.support.height + np.abs(rotation[2]) @ size / 2.0)
+
+
 def check_object(path: Path, scenario: Scenario, arm: str, name: str, time: Array, pose: Array) -> list[str]:
     """At first the object stands on the support and within reach.
 
@@ -77,8 +83,7 @@ def check_object(path: Path, scenario: Scenario, arm: str, name: str, time: Arra
     """
     centre = np.median(pose[time <= time[0] + REST, :3], axis=0)
     rotation = pin.Quaternion(pose[0, 3:]).matrix()
-    size = np.array(scenario.object(name).size)
-    height = scenario.support.height + float(np.abs(rotation[2]) @ size) / 2.0
+    height = height_on_support(scenario, name, rotation)
     where = f"the centre of {name!r} is first at {np.round(centre, 3).tolist()} m"
     remedy = "pose in another frame or unit? motion_capture in the experiment file says where its world is"
     if abs(centre[2] - height) > HEIGHT_TOLERANCE:

@@ -9,11 +9,14 @@ import csv
 from collections.abc import Mapping as AbstractMapping
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.robot import Array
+from impact_rs_trials.recordings.clock import seconds_of
 from impact_rs_trials.recordings.mapping import UNITS, Mapping, SignalName, SignalSource
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 
@@ -44,7 +47,7 @@ class TableFile:
 
     def __init__(self, path: Path, mapping: Mapping, names: Names) -> None:
         self._path, self._mapping, self._names = path, mapping, names
-        self._columns: AbstractMapping[str, list[str] | Array] = (
+        self._columns: AbstractMapping[str, list[str] | NDArray[Any]] = (
             _read_csv(path) if path.suffix == ".csv" else _read_parquet(path, UNITS["time"][mapping.time.unit])
         )
 
@@ -58,9 +61,9 @@ class TableFile:
         columns = self._named(name, source)
         if not columns:
             raise MissingSignal(f"the mapping says no column for {name}", file=self._path, key=f"signals.{name}")
-        time = self._numbers(source.time_column or self._mapping.time.column, "time")
+        stamps = self._stamps(source.time_column or self._mapping.time.column)
         values = np.column_stack([self._numbers(column, name) for column in columns])
-        time = time * UNITS["time"][self._mapping.time.unit] + source.delay
+        time = seconds_of(stamps, UNITS["time"][self._mapping.time.unit]) + source.delay
         return Series(f"column {columns[0]!r} ({name})", time, self._mapping.to_si(name, values)).sampled()
 
     def _named(self, name: SignalName, source: SignalSource) -> list[str]:
@@ -71,6 +74,15 @@ class TableFile:
         column = self._names.fill(source.column)
         return [column.replace("{joint}", str(index + 1)) for index in range(self._mapping.width(name))]
 
+    def _stamps(self, column: str) -> NDArray[Any]:
+        """A column of time, in whole numbers where it holds nothing else."""
+        cells = self._columns.get(column, [])
+        if isinstance(cells, list) and cells and all(cell.isdecimal() for cell in cells):
+            return np.array([int(cell) for cell in cells])
+        if isinstance(cells, np.ndarray) and np.issubdtype(cells.dtype, np.integer):
+            return cells
+        return self._numbers(column, "time")
+
     def _numbers(self, column: str, name: str) -> Array:
         if column not in self._columns:
             near, found = did_you_mean(column, self._columns), list(self._columns)
@@ -79,14 +91,14 @@ class TableFile:
             raise MissingSignal(message, file=self._path)
         cells = self._columns[column]
         if isinstance(cells, np.ndarray):
-            return cells
+            return np.asarray(cells, dtype=float)
         try:
             return np.array([float(cell or "nan") for cell in cells])
         except ValueError as error:
             raise InputError(f"not a table of numbers: {error} in column {column!r}", file=self._path) from None
 
 
-def _read_csv(path: Path) -> dict[str, list[str] | Array]:
+def _read_csv(path: Path) -> dict[str, list[str] | NDArray[Any]]:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
@@ -106,7 +118,7 @@ def _read_csv(path: Path) -> dict[str, list[str] | Array]:
     return {name: list(cells) for name, cells in zip(header, zip(*rows[1:], strict=True), strict=True)}
 
 
-def _read_parquet(path: Path, time_unit: float) -> dict[str, list[str] | Array]:
+def _read_parquet(path: Path, time_unit: float) -> dict[str, list[str] | NDArray[Any]]:
     require("pyarrow", path)
     import pyarrow
     import pyarrow.parquet
@@ -115,13 +127,13 @@ def _read_parquet(path: Path, time_unit: float) -> dict[str, list[str] | Array]:
         table = pyarrow.parquet.read_table(path)
     except (pyarrow.ArrowException, OSError) as error:
         raise InputError(f"not a readable Parquet file ({str(error).splitlines()[0]})", file=path) from None
-    columns: dict[str, list[str] | Array] = {}
+    columns: dict[str, list[str] | NDArray[Any]] = {}
     for name, column in zip(table.column_names, table.columns, strict=True):
         if pyarrow.types.is_timestamp(column.type):  # it tells its unit, whatever the mapping says
             nanoseconds = column.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
-            columns[name] = nanoseconds.to_numpy(zero_copy_only=False) * (1e-9 / time_unit)
+            columns[name] = seconds_of(nanoseconds.to_numpy(zero_copy_only=False), 1e-9) / time_unit
         elif pyarrow.types.is_integer(column.type) or pyarrow.types.is_floating(column.type):
-            columns[name] = np.asarray(column.to_numpy(zero_copy_only=False), dtype=float)
+            columns[name] = column.to_numpy(zero_copy_only=False)
         else:
             columns[name] = ["" if cell is None else str(cell) for cell in column.to_pylist()]
     return columns

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from impact_rs_analysis.diagnosis.reference import UNMEASURED
 from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_analysis.evidence.discrepancy import (
     NO_DISCREPANCY,
+    TABLE,
     Discrepancy,
     DiscrepancyEntry,
     Patterns,
@@ -19,6 +22,7 @@ from impact_rs_analysis.evidence.discrepancy import (
 )
 from impact_rs_analysis.evidence.features import layout
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.paths import config_directory
 
 
 def entry(kind: str, value: float, by_bin: tuple[float, ...] = ()) -> DiscrepancyEntry:
@@ -95,3 +99,22 @@ def test_the_table_of_patterns_is_read_as_it_was_written(tmp_path: Path) -> None
     (tmp_path / "t.csv").write_text("free,half_step,slow,much\n")
     with pytest.raises(InputError, match=r"t\.csv: no table of patterns"):
         read_patterns(tmp_path / "t.csv")
+
+
+def test_of_a_simulator_left_out_a_third_is_no_sum_of_the_others() -> None:
+    """Share of its differences, on the scale of the discrepancy; the mean over kinds of trials and simulators."""
+    known = measured_discrepancy()
+    shares = []
+    with (config_directory() / TABLE).open(encoding="utf-8") as file:
+        table = [row for row in csv.reader(file) if row]
+    for patterns in known.patterns:
+        features = [Feature(*place, "-", 0.0) for place in patterns.features]
+        size = known.of(features, patterns.kind)
+        rows = np.array(patterns.rows)[:, size > 0.0] / size[size > 0.0]
+        variants = np.array([row[1] for row in table if row[0] == patterns.kind])
+        assert len(variants) == len(rows)
+        for variant in np.unique(variants):
+            own, others = rows[variants == variant], rows[variants != variant]
+            span = np.linalg.svd(others, full_matrices=False)[2]
+            shares.append(np.sum(np.square(own - own @ span.T @ span)) / np.sum(np.square(own)))
+    assert np.mean(shares) == pytest.approx(UNMEASURED, abs=0.05)

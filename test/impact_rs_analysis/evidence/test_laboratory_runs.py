@@ -11,12 +11,17 @@ import pytest
 from impact_rs_analysis.evidence.ante_impact import ante_impact_state, obliqueness, problem_of
 from impact_rs_analysis.evidence.laboratory import _shifted, command_offset
 from impact_rs_analysis.evidence.measured import MeasuredRun
+from impact_rs_analysis.evidence.replays import layout_of, pure_errors
 from impact_rs_analysis.evidence.run import Run
 from impact_rs_analysis.evidence.runs import Runs
+from impact_rs_analysis.evidence.twin import simulated
 from impact_rs_analysis.measure.laboratory import jumps_of
 from impact_rs_sim.effects import library
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import compute_impact_map
 from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.spec import TrialSpec
 
 from .conftest import COULOMB
 
@@ -44,6 +49,84 @@ def test_a_shift_brings_commands_to_where_they_act(free: Run) -> None:
     again = _shifted(late, command_offset([late]))
     name = next(iter(free.command_time))
     assert np.max(np.abs(again.command_time[name] - free.command_time[name])) < 2e-4
+
+
+def with_gap(run: Run, start: float, end: float) -> Run:
+    """The run as it is read with a gap: nothing between is known, and something else stands there."""
+    rows = (run.signals.time > start) & (run.signals.time < end)
+    arms = {}
+    for name, arm in run.signals.arms.items():
+        torque = arm.torque.copy()
+        torque[rows] += 30.0
+        arms[name] = replace(arm, torque=torque)
+    return replace(run, signals=replace(run.signals, arms=arms), gaps=((start, end),))
+
+
+def test_windows_that_no_gap_touches_are_as_without_it(free: Run) -> None:
+    whole = MeasuredRun.of(free)
+    start = [window.time[0] for window in whole.setup.windows][5]
+    torn = MeasuredRun.of(with_gap(free, start + 0.02, start + 0.06))
+    assert torn.lost == (5,)
+    assert whole.lost == ()
+    assert [window.number for window in torn.setup.windows] == [n for n in range(whole.free) if n != 5]
+    known = dict(zip(whole.features, whole.measured, strict=True))
+    assert torn.measured == pytest.approx([known[feature] for feature in torn.features], abs=1e-12)
+    # Of repeats what all of them have is used, and its pure error is that of all conditions.
+    runs = Runs.of(Path("here"), [whole, torn])
+    assert [run.features for run in runs.runs] == [torn.features, torn.features]
+    assert runs.runs[0].lost == (5,)
+    np.testing.assert_array_equal(runs.runs[0].measured, runs.runs[1].measured)
+
+
+def test_a_window_that_one_run_lost_is_given_up_by_all_that_are_alike(free: Run) -> None:
+    whole = MeasuredRun.of(free)
+    starts = [window.time[0] for window in whole.setup.windows]
+    torn = replace(MeasuredRun.of(with_gap(free, starts[5], starts[5] + 0.05)), condition="other")
+    runs = Runs.of(Path("here"), [whole, torn]).runs
+    assert [run.lost for run in runs] == [(5,), (5,)]
+    assert layout_of(runs[0]) == layout_of(runs[1])
+    # More than half of the windows are not given up for others.
+    gone = replace(MeasuredRun.of(with_gap(free, starts[1], starts[-2])), condition="other")
+    assert len(gone.lost) > whole.free / 2
+    assert [run.lost for run in Runs.of(Path("here"), [whole, gone]).runs] == [(), gone.lost]
+
+
+def test_a_repeat_that_moves_for_less_time_has_lost_nothing(free: Run) -> None:
+    whole = MeasuredRun.of(free)
+    first = {feature for feature in whole.features if feature.bin < whole.free - 1}
+    shorter = replace(whole.only(first), free=whole.free - 1)
+    assert [run.lost for run in Runs.of(Path("here"), [whole, shorter]).runs] == [(), ()]
+
+
+def test_a_gap_that_ends_before_a_window_spoils_the_fit_of_its_start(free: Run) -> None:
+    starts = [window.time[0] for window in MeasuredRun.of(free).setup.windows]
+    assert MeasuredRun.of(with_gap(free, starts[3] - 0.03, starts[3] - 0.004)).lost in ((3,), (2, 3))
+
+
+def test_pure_error_is_pooled_over_conditions_with_and_without_gaps(free: Run) -> None:
+    whole = MeasuredRun.of(free)
+    start = [window.time[0] for window in whole.setup.windows][5]
+    torn = replace(MeasuredRun.of(with_gap(free, start, start + 0.05)), condition="other")
+    rng = np.random.default_rng(0)
+    scatter = rng.standard_normal((2, len(whole.features)))
+    left = [feature in torn.features for feature in whole.features]
+    found = pure_errors({whole.condition: whole, "other": torn}, {whole.condition: scatter, "other": scatter[:, left]})
+    expected = np.std(scatter, axis=0, ddof=1)
+    assert found[whole.condition] == pytest.approx(expected)
+    assert found["other"] == pytest.approx(expected[left])
+    assert layout_of(whole) != layout_of(torn)
+
+
+def test_a_gap_before_the_impact_takes_free_motion_and_one_about_it_the_run(hit: Run) -> None:
+    whole = MeasuredRun.of(hit)
+    start = whole.setup.windows[0].time[0]
+    torn = MeasuredRun.of(with_gap(hit, start + 0.02, start + 0.06))
+    assert 0 in torn.lost
+    known = dict(zip(whole.features, whole.measured, strict=True))
+    assert torn.measured == pytest.approx([known[feature] for feature in torn.features], abs=1e-9)
+    impact = whole.impacts["arm"]
+    with pytest.raises(InputError, match="a gap lies in the window about the impact"):
+        MeasuredRun.of(with_gap(hit, impact - 0.06, impact - 0.025))
 
 
 def test_the_state_before_the_impact_is_that_at_the_impact_and_not_milliseconds_before(hit: Run) -> None:
@@ -100,3 +183,18 @@ def test_without_anything_hidden_the_reduced_inertia_predicts_the_speed_after_th
     assert jump.before == pytest.approx(0.7, abs=0.01)
     assert 0.4 < jump.after < 0.6
     assert jump.interval == pytest.approx((jump.after, jump.after))
+
+
+def test_a_pad_that_comes_at_an_angle_takes_the_object_along_sideways() -> None:
+    """15 degrees beside the normal, inside the cone of friction: bound along the way alone, the prediction lags."""
+    scenario = load_scenario("push")
+    case = scenario.cases["case_1"]
+    (arm,) = case.robots
+    beside = case.robots[arm].model_copy(update={"ante_velocity": (-0.12, -0.48, 0.05)})
+    oblique = scenario.model_copy(update={"cases": {"case_1": case.model_copy(update={"robots": {arm: beside}})}})
+    trial = TrialSpec.of(oblique, "juice", "case_1")
+    measured = MeasuredRun.of(replace(simulated(trial, trial.scene.physics), spec=None))
+    assert 0.2 < obliqueness(measured) < 0.3
+    found = jumps_of(Runs.of(Path("here"), [measured]))
+    assert abs(found.errors["reduced"]) < 0.8
+    assert found.errors["reduced"] < found.errors["rotor"]

@@ -8,8 +8,17 @@ import numpy as np
 import pytest
 
 from impact_rs_analysis.evidence.features import onset_level, onset_of
+from impact_rs_analysis.evidence.impacts import impacts_of
 from impact_rs_analysis.evidence.measured import MeasuredRun
-from impact_rs_analysis.evidence.replay import AFTER_IMPACT, BEFORE_IMPACT, FREE, _joint_fit, _slope_fit, windows_of
+from impact_rs_analysis.evidence.replay import (
+    AFTER_IMPACT,
+    BEFORE_IMPACT,
+    FREE,
+    _joint_fit,
+    _slope_fit,
+    free_starts,
+    windows_of,
+)
 from impact_rs_analysis.evidence.run import Run
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
@@ -194,3 +203,22 @@ def test_repeats_share_the_features_that_all_of_them_have(hit: Run) -> None:
     predicted = whole.setup.features_of(whole.setup.replayed(hit.physics))
     floors = np.array([feature.floor for feature in whole.features])
     assert np.sqrt(np.mean(np.square((whole.measured - predicted) / floors))) < 0.3
+
+
+@pytest.mark.parametrize("gap", [None, 1])
+def test_the_part_before_the_hit_is_measured_and_replayed_as_in_the_whole(hit: Run, gap: int | None) -> None:
+    """Window by window, with friction that only the model has, and also where a gap took a window."""
+    run = hit
+    if gap is not None:
+        start = free_starts(hit, {name: begin for name, (begin, _) in impacts_of(hit).items()})[gap]
+        run = replace(hit, gaps=((start + 0.04, start + 0.06),))
+    whole = MeasuredRun.of(run)
+    part = whole.free_part
+    assert part is not None and not part.hit
+    rows = [number for number, feature in enumerate(whole.features) if feature.phase == "free"]
+    assert part.features == tuple(whole.features[row] for row in rows)
+    np.testing.assert_array_equal(part.measured, whole.measured[rows])
+    np.testing.assert_allclose(part.setup.features_of(part.signals), part.measured, atol=1e-12)
+    physics = with_friction(run.physics)
+    predicted = whole.setup.features_of(whole.setup.replayed(physics))
+    np.testing.assert_allclose(part.setup.features_of(part.setup.replayed(physics)), predicted[rows], atol=1e-12)

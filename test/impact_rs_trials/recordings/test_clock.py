@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from impact_rs_sim.errors import InputError
-from impact_rs_trials.recordings.clock import check_jumps, check_stamps, even_grid, gaps, on_the_grid, tell_gaps
+from impact_rs_trials.recordings.clock import (
+    check_jumps,
+    check_stamps,
+    even_grid,
+    gaps,
+    grid_from,
+    seconds_of,
+    tell_gaps,
+)
 
 BAG = Path("bag")
 
@@ -18,15 +26,33 @@ def test_stamps_of_a_wall_clock_are_on_an_even_grid_but_for_rounding() -> None:
     stamps = (start + 1e-3 * np.arange(100_000)) - start
     grid = even_grid(stamps)
     assert grid.size == stamps.size  # the median step, 0.99993 ms, would give eight samples more
-    assert on_the_grid(stamps, grid)
+    np.testing.assert_allclose(grid, stamps, atol=1e-6)
 
 
 def test_a_grid_goes_through_gaps_at_the_usual_distance() -> None:
     stamps = np.delete(1e-3 * np.arange(1000), range(300, 340))
     grid = even_grid(stamps)
     np.testing.assert_allclose(grid, 1e-3 * np.arange(1000), atol=1e-12)
-    assert not on_the_grid(stamps, grid)
     assert tell_gaps(gaps(stamps, 0.005), 0.0) == "0.041 s at t = 0.299 s"
+
+
+def test_a_grid_is_that_of_the_piece_that_matters_carried_on() -> None:
+    first, last = 1e-3 * np.arange(1000), 1.3004 + 1e-3 * np.arange(500)  # the clock has lost its beat in between
+    stamps = np.concatenate((first, last))
+    grid = grid_from(stamps, first)
+    np.testing.assert_allclose(grid[:1000], first, atol=1e-12)
+    assert grid[-1] == pytest.approx(1.799)
+    np.testing.assert_allclose(grid_from(stamps, last)[-500:], last, atol=1e-9)
+    assert grid_from(stamps, last)[0] == pytest.approx(0.0004)
+    assert np.array_equal(grid_from(first, first), even_grid(first))
+
+
+def test_nanoseconds_of_a_wall_clock_are_read_as_well_as_a_header() -> None:
+    nanoseconds = 1_763_500_000 * 10**9 + np.arange(0, 50_000_000, 1_234_567)
+    header = nanoseconds // 10**9 + 1e-9 * (nanoseconds % 10**9)
+    assert np.array_equal(seconds_of(nanoseconds, 1e-9), header)
+    assert not np.array_equal(1e-9 * nanoseconds, header)
+    assert np.array_equal(seconds_of(np.array([1.5, 2.0]), 1e-3), [0.0015, 0.002])
 
 
 def test_many_gaps_are_counted() -> None:

@@ -302,10 +302,42 @@ def test_a_run_is_cut_to_the_piece_with_the_impact(laboratory: LaboratoryFolder)
     assert run.time[0] == 0.0
     assert run.time[-1] == pytest.approx(0.479)  # the first command comes right after the first state
     assert "cut to 0.220 ... 0.700 s, for gaps > 0.01 s" in run.remarks
+    assert "skipped, for it is shorter than 0.3 s: 0.000 ... 0.200 s" in run.remarks
+    assert "skipped, for it comes after the impact and a gap: 0.750 ... 1.599 s" in run.remarks
+    assert run.gaps == ()
     assert -0.1 < run.command_time[0] < 0.0  # a command holds until the next, so those before are needed
     at_impact = np.argmin(np.abs(run.object_time - 0.179))  # 0.4 s
     assert run.object_position[at_impact, 1] == pytest.approx(-0.15)
     assert run.object_position[at_impact + 2, 1] < -0.15
+
+
+def test_free_motion_keeps_all_pieces_on_one_grid(laboratory: LaboratoryFolder) -> None:
+    whole = laboratory.signals.known(2.0)
+    laboratory.signals = whole.without(0.4, 0.45).without(0.9, 0.96).without(1.0, 1.02)
+    laboratory.bag()
+    (run,) = laboratory.read("run_1,none,free motion,fast,a")
+    assert run.time[0] == 0.0
+    assert run.time[-1] == pytest.approx(1.999)
+    assert [(gap.start, gap.end) for gap in run.gaps] == [
+        pytest.approx((0.4, 0.45), abs=2e-3),
+        pytest.approx((0.9, 1.02), abs=2e-3),
+    ]
+    kept = np.all([(run.time <= gap.start) | (run.time >= gap.end) for gap in run.gaps], axis=0)
+    for name in ("position", "velocity", "torque"):
+        np.testing.assert_array_equal(getattr(run, name)[kept], getattr(whole, name)[kept])
+    remarks = "\n".join(run.remarks)
+    assert "gaps of 0.050 s at t = 0.400 s, 0.060 s at t = 0.900 s, 0.020 s at t = 1.000 s" in remarks
+    assert "cut to 0.000 ... 0.400 s, 0.450 ... 0.900 s, 1.020 ... 1.999 s, for gaps > 0.01 s" in remarks
+    assert "skipped, for it is shorter than 0.3 s: 0.960 ... 1.000 s" in remarks
+
+
+def test_a_hit_keeps_the_free_motion_before_a_gap(laboratory: LaboratoryFolder) -> None:
+    known = laboratory.signals.known(1.2)
+    laboratory.signals = known.without(0.31, 0.33)
+    laboratory.bag()
+    (run,) = laboratory.read()
+    assert run.time[0] == 0.0
+    assert run.gaps[0].end == pytest.approx(0.33, abs=1e-3)
 
 
 def test_what_is_left_out_is_named_with_the_reason_and_the_others_are_read(laboratory: LaboratoryFolder) -> None:

@@ -1,0 +1,204 @@
+"""Where the world of a motion capture is in A, found from contact alone: in a hit the pad lies on a face of the object.
+
+An object at p with axes R_p in the world of the motion capture, that world at t and turned by psi about z in A, the
+middle of the pad at c with its normal m in A, the outward normal n of the face that is hit, and h half the size of the
+object along it give
+
+    n . (c - t - R(psi) p) = h,    n = R(psi) R_p e        the pad lies on the face
+    angle from -n to m     = 0                             face on face, which is less sure
+
+for every hit, and the support, on which the object stands at first,
+
+    t_z = height of the support + half the object's height - p_z.
+
+Least squares for t_x, t_y and psi, by Gauss-Newton steps; where all hits go one way, t may be anything across it, and
+stays there as given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array
+
+DISTANCE = 0.001  # m, how well pad and face are known to touch
+FLUSH = 0.02  # rad, how well they are known to be parallel
+KNOWN = 0.005  # m; a position that is less sure in some direction is not told by the hits
+PUSHED = 0.005  # m; objects that all of them together move by less do not tell the first psi
+STEPS = 20
+CLOSE = 1e-9  # m or rad, a step after which no other is made
+
+
+@dataclass(frozen=True)
+class Touch:
+    """One hit, while pad and object touch.
+
+    Attributes:
+        run: Name of the run.
+        pad: Middle of the pad in A, ``(k, 3)`` [m].
+        pad_normal: Outward normal of the pad in A, ``(k, 3)``.
+        position: Geometric centre of the object in the world of the motion capture, ``(k, 3)`` [m].
+        rotation: Its axes there, ``(k, 3, 3)``.
+        size: Of the object, ``(3,)`` [m].
+        standing: Height of its centre over the support while it stands at first [m].
+        standing_height: The same centre's height then, in the world of the motion capture [m].
+        pad_way: Where the pad goes from the impact on, in A, ``(2,)`` [m].
+        object_way: Where the object goes meanwhile, in the world of the motion capture, ``(2,)`` [m].
+    """
+
+    run: str
+    pad: Array
+    pad_normal: Array
+    position: Array
+    rotation: Array
+    size: Array
+    standing: float
+    standing_height: float
+    pad_way: Array
+    object_way: Array
+
+
+@dataclass(frozen=True)
+class ContactFrame:
+    """The world of the motion capture in A.
+
+    Attributes:
+        position: Its origin [m].
+        yaw: How far it is turned about z [rad].
+        error: Standard error of x, y [m] and yaw [rad] by the scatter of the hits; 0 of what was not found.
+        scatter: Between pad and face, rms over the hits [m].
+        tilt: Between pad and face, rms over the hits [rad].
+        hits: How many hits there were.
+        kept: Direction in A along which the position stays as given, for no hit tells it, ``(2,)``; None: none.
+    """
+
+    position: Array
+    yaw: float
+    error: Array
+    scatter: float
+    tilt: float
+    hits: int
+    kept: Array | None
+
+    def __str__(self) -> str:
+        x, y, z = self.position
+        told = (
+            f"motion capture placed from contact in {self.hits} hits: position [{x:.4f}, {y:.4f}, {z:.4f}] m, yaw "
+            f"{self.yaw:.4f} rad, +- {1e3 * self.error[0]:.1f} mm, {1e3 * self.error[1]:.1f} mm, {self.error[2]:.4f} "
+            f"rad; pad and face are then {1e3 * self.scatter:.1f} mm and {np.rad2deg(self.tilt):.1f} degrees rms from "
+            "touching"
+        )
+        if self.kept is None:
+            return told
+        return (
+            f"{told}; along [{self.kept[0]:.2f}, {self.kept[1]:.2f}] the position stays as given, for all hits go "
+            "across that and none tells"
+        )
+
+
+def contact_frame(touches: Sequence[Touch], given: Array, given_yaw: float) -> ContactFrame:
+    """Place the world of the motion capture so that all hits touch.
+
+    Args:
+        touches: The hits; poses already turned by roll and pitch, which no hit tells.
+        given: Position that is kept where hits tell nothing, ``(3,)`` [m].
+        given_yaw: Yaw to start from where no object moves [rad].
+
+    Raises:
+        InputError: There is no hit.
+    """
+    if not touches:
+        raise InputError("motion_capture.estimate: no hit has both joint positions and a pose of the object")
+    height = float(np.mean([touch.standing - touch.standing_height for touch in touches]))
+    found = _first(touches, given_yaw)
+    weights = np.tile([1.0 / DISTANCE, 1.0 / FLUSH], len(touches))
+    for _ in range(STEPS):
+        before = found.copy()
+        kept = _untold(weights[:, None] * _residuals(touches, found)[1])
+        free = np.eye(3) if kept is None else np.array([[-kept[1], kept[0], 0.0], [0.0, 0.0, 1.0]]).T
+        if kept is not None:
+            found[:2] += kept * (kept @ (given[:2] - found[:2]))
+        values, slopes = _residuals(touches, found)
+        design = weights[:, None] * slopes @ free
+        found = found + free @ np.linalg.lstsq(design, -weights * values, rcond=None)[0]
+        if np.max(np.abs(found - before)) < CLOSE:
+            break
+    values, slopes = _residuals(touches, found)
+    # Two numbers of every hit, less what was found; what is given beforehand is the least that errors can be.
+    freedom = max(1, values.size - free.shape[1])
+    spread = max(1.0, float(np.sum(np.square(weights * values))) / freedom)
+    design = weights[:, None] * slopes @ free
+    covariance = free @ np.linalg.inv(design.T @ design) @ free.T * spread
+    return ContactFrame(
+        position=np.array([found[0], found[1], height]),
+        yaw=float(np.arctan2(np.sin(found[2]), np.cos(found[2]))),
+        error=np.sqrt(np.diag(covariance)),
+        scatter=float(np.sqrt(np.mean(np.square(values[0::2])))),
+        tilt=float(np.sqrt(np.mean(np.square(values[1::2])))),
+        hits=len(touches),
+        kept=kept,
+    )
+
+
+def _untold(slopes: Array) -> Array | None:
+    """Direction across all hits, ``(2,)``, where they do not tell the position, whatever the yaw; None where they do.
+
+    Args:
+        slopes: Of weighted residuals in x, y and yaw, ``(2 h, 3)``; in x and y those are normals of faces.
+    """
+    told, directions = np.linalg.eigh(slopes[:, :2].T @ slopes[:, :2])
+    if told[0] * KNOWN**2 > 1.0:
+        return None
+    direction = directions[:, 0]
+    return np.asarray(direction * np.sign(direction[int(np.argmax(np.abs(direction)))]))
+
+
+def _first(touches: Sequence[Touch], given_yaw: float) -> Array:
+    """x, y and yaw to start from: the ways of the objects are those of the pads, and every pad is amid its face."""
+    yaw = given_yaw
+    if sum(float(np.linalg.norm(touch.object_way)) for touch in touches) > PUSHED:
+        cosine = sum(float(touch.object_way @ touch.pad_way) for touch in touches)
+        sine = sum(
+            float(touch.object_way[0] * touch.pad_way[1] - touch.object_way[1] * touch.pad_way[0]) for touch in touches
+        )
+        yaw = float(np.arctan2(sine, cosine))
+    turn = pin.rpy.rpyToMatrix(0.0, 0.0, yaw)
+    places = []
+    for touch in touches:
+        normal, half = _face(touch, turn)
+        places.append(np.mean(touch.pad - half * normal - touch.position @ turn.T, axis=0))
+    return np.append(np.mean(places, axis=0)[:2], yaw)
+
+
+def _residuals(touches: Sequence[Touch], found: Array) -> tuple[Array, Array]:
+    """Distance [m] and angle [rad] of every hit in turn, ``(2 h,)``, and their slopes in x, y and yaw, ``(2 h, 3)``."""
+    turn = pin.rpy.rpyToMatrix(0.0, 0.0, float(found[2]))
+    values, slopes = [], []
+    for touch in touches:
+        normal, half = _face(touch, turn)
+        beyond = touch.pad[:, :2] - found[:2]
+        reach = np.einsum("ki,ki->k", normal, touch.pad - (turn @ touch.position.T).T)
+        distance = reach - normal[:, :2] @ found[:2] - half
+        facing = -touch.pad_normal
+        angle = np.arctan2(
+            facing[:, 0] * normal[:, 1] - facing[:, 1] * normal[:, 0],
+            np.einsum("ki,ki->k", facing[:, :2], normal[:, :2]),
+        )
+        # n . R p does not change with psi, for both turn; n . (c - t) does, by z x n . (c - t).
+        turning = normal[:, 0] * beyond[:, 1] - normal[:, 1] * beyond[:, 0]
+        values += [float(distance.mean()), float(angle.mean())]
+        slopes += [np.append(-normal[:, :2].mean(axis=0), turning.mean()), np.array([0.0, 0.0, 1.0])]
+    return np.array(values), np.array(slopes)
+
+
+def _face(touch: Touch, turn: Array) -> tuple[Array, float]:
+    """Outward normal of the face that the pad meets, in A, ``(k, 3)``, and half the size of the object along it [m]."""
+    axes = turn @ touch.rotation
+    towards = -np.einsum("kij,ki->kj", axes, touch.pad_normal)[0]  # of the object's axes, to the pad
+    axis = int(np.argmax(np.abs(towards)))
+    return axes[:, :, axis] * np.sign(towards[axis]), float(touch.size[axis]) / 2.0

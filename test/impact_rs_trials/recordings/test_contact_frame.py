@@ -1,0 +1,125 @@
+"""A transform that was planted is found again from hits, and what they do not tell is left alone and said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.recordings.contact_frame import Touch, contact_frame
+
+from .conftest import ARM, LaboratoryFolder
+
+SIZE = np.array([0.25, 0.18, 0.16])
+WORLD = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, 2.4), np.array([1.3, -0.7, 0.25]))  # of the motion capture, in A
+GIVEN, NO_YAW = np.zeros(3), 0.0
+
+
+def touch(direction: float, beside: float = 0.01, apart: float = 0.0, tilt: float = 0.0, number: int = 0) -> Touch:
+    """A pad that goes in a direction [rad], beside the middle of the face and apart from it [m], and tilted [rad]."""
+    turn = pin.rpy.rpyToMatrix(0.0, 0.0, direction)
+    centre = np.array([0.4, -0.1, 0.48]) + turn @ [0.0, 0.05 * number, 0.0]
+    normal = turn[:, 0]
+    pad = centre - normal * (SIZE[1] / 2.0 + apart) + beside * turn[:, 1] + [0.0, 0.0, 0.02]
+    axes = turn @ pin.rpy.rpyToMatrix(0.0, 0.0, np.pi / 2.0)  # the face is that of the object's y axis
+    seen = WORLD.inverse() * pin.SE3(axes, centre)
+    way = 0.05 * turn[:2, 0]
+    tilted = pin.rpy.rpyToMatrix(0.0, 0.0, tilt) @ normal
+    return Touch(
+        run=f"run_{number}",
+        pad=np.tile(pad, (3, 1)),
+        pad_normal=np.tile(tilted, (3, 1)),
+        position=np.tile(seen.translation, (3, 1)),
+        rotation=np.tile(seen.rotation, (3, 1, 1)),
+        size=SIZE,
+        standing=0.48,
+        standing_height=float(seen.translation[2]),
+        pad_way=way,
+        object_way=(WORLD.rotation.T @ np.append(way, 0.0))[:2],
+    )
+
+
+def test_hits_in_several_directions_tell_everything() -> None:
+    touches = [touch(direction, number=n) for n, direction in enumerate((-1.6, -1.5, -0.4, 0.3))]
+    found = contact_frame(touches, GIVEN, NO_YAW)
+    np.testing.assert_allclose(found.position, WORLD.translation, atol=1e-8)
+    assert found.yaw == pytest.approx(2.4, abs=1e-9)
+    assert found.kept is None
+    assert found.scatter < 1e-8
+    assert found.tilt < 1e-8
+    assert "stays as given" not in str(found)
+
+
+def test_across_hits_in_one_direction_the_position_stays_as_given_and_that_is_said() -> None:
+    touches = [touch(-np.pi / 2.0, number=number) for number in range(4)]
+    given = np.array([1.25, 0.3, 9.0])
+    found = contact_frame(touches, given, NO_YAW)
+    np.testing.assert_allclose(found.position, [1.25, -0.7, 0.25], atol=1e-6)
+    assert found.yaw == pytest.approx(2.4, abs=1e-6)
+    assert np.abs(found.kept) == pytest.approx([1.0, 0.0], abs=1e-6)
+    assert found.error[0] < 1e-6
+    assert "the position stays as given, for all hits go across that" in str(found)
+    assert "in 4 hits: position [1.2500, -0.7000, 0.2500] m, yaw 2.4000 rad" in str(found)
+
+
+def test_scatter_of_the_hits_is_that_of_the_answer() -> None:
+    rng = np.random.default_rng(0)
+    errors = []
+    for _ in range(60):
+        touches = [
+            touch(direction, apart=rng.normal(0.0, 0.002), tilt=rng.normal(0.0, 0.02), number=number)
+            for number, direction in enumerate((-1.6, -1.6, -1.6, 0.0, 0.0, 0.0))
+        ]
+        found = contact_frame(touches, GIVEN, NO_YAW)
+        off = np.append(found.position[:2] - WORLD.translation[:2], found.yaw - 2.4)
+        errors.append(off / found.error)
+        assert found.scatter < 0.006
+    assert 0.6 < np.std(errors) < 1.3
+
+
+def test_objects_that_do_not_move_leave_the_yaw_to_start_from() -> None:
+    still = [replace(touch(-1.5), object_way=np.zeros(2))]
+    assert contact_frame(still, GIVEN, 2.3).yaw == pytest.approx(2.4, abs=1e-6)
+    assert contact_frame(still, GIVEN, 2.4 + np.pi / 2.0).yaw == pytest.approx(
+        2.4 + np.pi / 2.0 - 2.0 * np.pi, abs=1e-6
+    )
+
+
+def test_without_a_hit_there_is_nothing_to_tell() -> None:
+    with pytest.raises(InputError, match="motion_capture.estimate: no hit has both"):
+        contact_frame([], GIVEN, NO_YAW)
+
+
+def pushed(laboratory: LaboratoryFolder) -> np.ndarray:
+    """The box goes with the pad all the time, and is seen in the planted world; its centre in A, ``(p, 3)``."""
+    signals = laboratory.signals
+    poses, centres = [], []
+    for moment in 1e-9 * signals.object_time:
+        row = round(1e3 * moment)
+        pad = ARM.placement(signals.position[min(row, len(signals.position) - 1)])
+        normal = pad.rotation[:, 2]
+        yaw = np.arctan2(normal[1], normal[0]) + np.pi / 2.0
+        centre = pad.translation + 0.09 * np.append(normal[:2] / np.linalg.norm(normal[:2]), 0.0)
+        centre[2] = 0.485
+        centres.append(centre)
+        placed = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, yaw), centre)
+        poses.append(pin.SE3ToXYZQUAT(WORLD.inverse() * placed))
+    laboratory.signals = replace(signals, pose=np.array(poses))
+    return np.array(centres)
+
+
+def test_an_experiment_that_asks_for_it_finds_the_world_of_its_motion_capture(laboratory: LaboratoryFolder) -> None:
+    centres = pushed(laboratory)
+    laboratory.bag()
+    with pytest.raises(InputError, match="pose in another frame"):
+        laboratory.read()
+    normal = ARM.placement(laboratory.signals.position[460]).rotation[:2, 2]
+    off = WORLD.translation[:2] + 0.2 * normal / np.linalg.norm(normal)  # one hit tells how far along its way it is
+    laboratory.experiment["motion_capture"] = {"estimate": True, "position": [*map(float, off), 0.0]}
+    (run,) = laboratory.read()
+    np.testing.assert_allclose(run.object_position, centres[: len(run.object_position)], atol=0.01)
+    told = next(remark for remark in run.remarks if remark.startswith("motion capture placed from contact in 1 hits"))
+    assert "stays as given" in told
