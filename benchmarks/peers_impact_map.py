@@ -29,7 +29,7 @@ from scipy.optimize import approx_fprime, nnls
 
 from impact_rs_sim.impact_map import BulletEngine, Engine, ImpactMapError, ImpactProblem, PinocchioEngine
 from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint, Meeting, contact_frame, find_contacts, meetings
-from impact_rs_sim.impact_map.pinocchio import solve_contacts
+from impact_rs_sim.impact_map.pinocchio import solve_cones
 from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.physics import Physics
@@ -190,7 +190,7 @@ def grid(corners: Sequence[ContactPoint], count: int) -> list[ContactPoint]:
 def _exact(system: System, contacts: Sequence[ContactPoint]) -> Array:
     """u^+ by Newton's method on the laws, with the contact modes of a first answer by our solver."""
     terms = ContactTerms.of(system, contacts, 0.0)
-    guess, _ = solve_contacts(terms, GUESS)
+    guess, _ = solve_cones(terms, GUESS)
     residuals = []
     for slowest in SLOWEST_SLIDING:
         impulses = _newton(system, terms, guess, slowest)

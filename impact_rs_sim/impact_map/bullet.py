@@ -42,7 +42,7 @@ import numpy as np
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, Meeting
 from impact_rs_sim.impact_map.engine import Answer, Engine
-from impact_rs_sim.impact_map.pinocchio import solve_contacts
+from impact_rs_sim.impact_map.pinocchio import solve_cones
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.impact_map.residual import SLIDING, ContactTerms
 from impact_rs_sim.impact_map.system import System
@@ -143,7 +143,7 @@ class BulletEngine(Engine):
             count = 1
             if best.error <= self._GOAL:
                 return best, count
-        total, _ = solve_contacts(terms, effort.guess)
+        total, _ = solve_cones(terms, effort.guess)
         moved = terms.response @ total.ravel()
         extra = total - _bullet_friction(terms, run.inertia, total, system.velocity + moved)
         inertial = -missing @ moved

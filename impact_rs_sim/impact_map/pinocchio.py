@@ -3,8 +3,9 @@
     v^+ = G L + J_c u^-,     G = J_c (M + B)^-1 J_c^T           (Delassus operator, B as armature)
     K* contains  v^+ + e J_n u^- n + mu |v_t^+| n,  perpendicular to L in K      (K: Coulomb's cones, de Saxce's term)
 
-Solved by Pinocchio's ADMM solver. Its proximal term makes redundant contacts (a singular G) harmless: it leads to
-impulses without favourites among equivalent ones, and u^+ does not depend on the choice.
+Solved by Pinocchio's ADMM solver, and brought to the answer that is told where several obey the laws by Newton's method
+(:mod:`impact_rs_sim.impact_map.newton`). ADMM alone ends at one of them, which depends on where it started: with corners
+that slide u^+ differs by up to some percent of the ante-impact speed.
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ import pinocchio as pin
 
 from impact_rs_sim.impact_map.contacts import ContactPoint, Meeting, contact_frame, find_contacts
 from impact_rs_sim.impact_map.engine import Answer, Engine
+from impact_rs_sim.impact_map.newton import settle
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import System
 from impact_rs_sim.robot import Array
 
-FEASIBILITY = 1e-8  # m/s, what the solver is asked for
+COARSE = 1e-5  # m/s, what ADMM is asked for as a first guess of Newton's method
+FEASIBILITY = 1e-8  # m/s, what it is asked for where that did not do
 GOOD_ENOUGH = 1e-6  # m/s; no other update rule is tried below
 ITERATIONS = 3000  # per update rule; a face contact takes some hundred
 UPDATE_RULES = (pin.ADMMUpdateRule.OSQP, pin.ADMMUpdateRule.SPECTRAL, pin.ADMMUpdateRule.LINEAR)
@@ -43,8 +46,28 @@ class PinocchioEngine(Engine):
         return find_contacts(self.physics, meetings)
 
 
-def solve_contacts(terms: ContactTerms, feasibility: float = FEASIBILITY) -> tuple[Array, int]:
-    """Solve the conic problem.
+def solve_contacts(terms: ContactTerms) -> tuple[Array, int]:
+    """Solve the problem.
+
+    Args:
+        terms: The problem at its m contact points.
+
+    Returns:
+        Impulses on the object ``(m, 3)`` [N s], and the number of ADMM iterations. Where Newton's method does not
+        converge, the impulses are those of ADMM; how well they obey the laws is for the caller to judge.
+    """
+    total, guess = 0, np.zeros((len(terms.contacts), 3))
+    for feasibility in (COARSE, FEASIBILITY):
+        guess, iterations = solve_cones(terms, feasibility)
+        total += iterations
+        impulses, converged = settle(terms, guess)
+        if converged:
+            return impulses, total
+    return guess, total
+
+
+def solve_cones(terms: ContactTerms, feasibility: float = FEASIBILITY) -> tuple[Array, int]:
+    """Solve the conic problem by ADMM alone, which ends at any of its answers.
 
     Args:
         terms: The problem at its m contact points.
@@ -80,7 +103,7 @@ def solve_contacts(terms: ContactTerms, feasibility: float = FEASIBILITY) -> tup
         error = max(result.primal_feasibility, result.dual_feasibility, result.complementarity)
         if error < best:
             best, impulse = error, result.retrieveConstraintImpulses() / scale
-        if converged or error < GOOD_ENOUGH:
+        if converged or error < max(GOOD_ENOUGH, feasibility):
             break
     return np.einsum("mji,mj->mi", frames, impulse.reshape(-1, 3)), iterations
 

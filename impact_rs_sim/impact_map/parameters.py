@@ -1,0 +1,168 @@
+"""What a prediction of the impact map depends on: named scalars, and the question with some of them changed.
+
+====================================  ========  ==============================================================
+name                                  unit      what it is
+====================================  ========  ==============================================================
+``object.mass``                       kg        mass, at the same moments about the centre of mass
+``object.inertia.x`` ...              kg m^2    principal moments about the centre of mass
+``object.com_offset.x`` ...           m         centre of mass from the geometric centre, axes of the object
+``object.position.x`` ...             m         geometric centre, axes of A
+``object.rotation.x`` ...             rad       rotation vector of a turn of the object, axes of A
+``object.velocity.x`` ...             m/s       ante-impact velocity of the centre, axes of A
+``object.angular_velocity.x`` ...     rad/s     ante-impact angular velocity, axes of A
+``ARM.motor_inertia.1`` ...           kg m^2    diagonal of B
+``ARM.link_inertia``                  -         factor on M(q): masses and moments of all links
+``ARM.position.1`` ...                rad       joint positions q
+``ARM.velocity.1`` ...                rad/s     ante-impact joint velocities
+``ARM.contact_point.x`` ``.y``        m         shift of the contact points along the pad, axes of frame E
+``pad_friction`` ``support_friction``  -        Coulomb coefficients
+``restitution``                       -         Newton restitution
+====================================  ========  ==============================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map.contacts import ContactPoint, Meeting, find_contacts
+from impact_rs_sim.impact_map.problem import ImpactProblem
+from impact_rs_sim.impact_map.residual import ContactTerms
+from impact_rs_sim.impact_map.system import System, build_system
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scene import ArmState, BodyState
+
+AXES = "xyz"
+OF_OBJECT = {
+    "inertia": "kg m^2",
+    "com_offset": "m",
+    "position": "m",
+    "rotation": "rad",
+    "velocity": "m/s",
+    "angular_velocity": "rad/s",
+}
+OF_JOINTS = {"motor_inertia": "kg m^2", "position": "rad", "velocity": "rad/s"}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A scalar that a prediction depends on; ``name`` and ``unit`` are those of the table above."""
+
+    name: str
+    unit: str
+
+
+def parameters_of(problem: ImpactProblem) -> tuple[Parameter, ...]:
+    """All parameters of a question."""
+    found = [Parameter("object.mass", "kg")]
+    found += [Parameter(f"object.{kind}.{axis}", unit) for kind, unit in OF_OBJECT.items() for axis in AXES]
+    for name, state in problem.arms.items():
+        found += [
+            Parameter(f"{name}.{kind}.{joint + 1}", unit)
+            for kind, unit in OF_JOINTS.items()
+            for joint in range(state.position.size)
+        ]
+        found.append(Parameter(f"{name}.link_inertia", "-"))
+        found += [Parameter(f"{name}.contact_point.{axis}", "m") for axis in "xy"]
+    found += [Parameter(name, "-") for name in ("pad_friction", "support_friction", "restitution")]
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Changed:
+    """A question with some parameters changed.
+
+    Attributes:
+        problem: The question as far as it can say so.
+        link_inertia: Change of the factor on M(q) by arm [-].
+        contact_point: Shift of the contact points along x and y of frame E by arm, ``(2,)`` [m].
+    """
+
+    problem: ImpactProblem
+    link_inertia: dict[str, float] = field(default_factory=dict)
+    contact_point: dict[str, Array] = field(default_factory=dict)
+
+    def system(self, models: Mapping[str, RobotModel]) -> System:
+        """Inertia and kinematics; ``models`` are the rigid-body models by arm, without the change."""
+        system = build_system(self.problem, models)
+        if not self.link_inertia:
+            return system
+        extra = np.zeros_like(system.inertia)
+        for name, factor in self.link_inertia.items():
+            where = system.columns[name]
+            extra[where, where] = factor * system.link_inertia[where, where]
+        return replace(system, inertia=system.inertia + extra, link_inertia=system.link_inertia + extra)
+
+    def contacts(self, found: list[Meeting], models: Mapping[str, RobotModel]) -> list[ContactPoint]:
+        """Contact points where the object stands to its partners like this."""
+        shifts = {
+            name: models[name].placement(self.problem.arms[name].position).rotation[:, :2] @ along
+            for name, along in self.contact_point.items()
+        }
+        return [
+            replace(point, position=point.position + shifts[point.partner]) if point.partner in shifts else point
+            for point in find_contacts(self.problem.physics, found)
+        ]
+
+    def terms(self, found: list[Meeting], models: Mapping[str, RobotModel]) -> tuple[System, ContactTerms]:
+        """What an answer is found from."""
+        system = self.system(models)
+        return system, ContactTerms.of(system, self.contacts(found, models), self.problem.restitution)
+
+
+def change(problem: ImpactProblem, amounts: Mapping[str, float]) -> Changed:
+    """The question with parameters changed by some amounts, in the units of the table above.
+
+    Raises:
+        InputError: There is no such parameter.
+    """
+    units = {parameter.name for parameter in parameters_of(problem)}
+    for name in amounts:
+        if name not in units:
+            raise InputError(f"no parameter {name!r} of the impact map; known are: {', '.join(sorted(units))}")
+    physics = problem.physics
+    of_object = {kind: np.array([amounts.get(f"object.{kind}.{axis}", 0.0) for axis in AXES]) for kind in OF_OBJECT}
+    thing, body = physics.object, problem.object
+    thing = replace(
+        thing,
+        mass=thing.mass + amounts.get("object.mass", 0.0),
+        inertia=thing.inertia + of_object["inertia"],
+        com_offset=thing.com_offset + of_object["com_offset"],
+    )
+    body = BodyState(
+        body.position + of_object["position"],
+        pin.exp3(of_object["rotation"]) @ body.rotation,
+        body.twist + np.concatenate((of_object["velocity"], of_object["angular_velocity"])),
+    )
+    arms, motors, factors, points = {}, {}, {}, {}
+    for name, state in problem.arms.items():
+        joints = {
+            kind: np.array([amounts.get(f"{name}.{kind}.{joint + 1}", 0.0) for joint in range(state.position.size)])
+            for kind in OF_JOINTS
+        }
+        arms[name] = ArmState(state.position + joints["position"], state.velocity + joints["velocity"])
+        motors[name] = problem.motor_inertia[name] + joints["motor_inertia"]
+        if factor := amounts.get(f"{name}.link_inertia", 0.0):
+            factors[name] = factor
+        along = np.array([amounts.get(f"{name}.contact_point.{axis}", 0.0) for axis in "xy"])
+        if np.any(along):
+            points[name] = along
+    changed = replace(
+        problem,
+        physics=replace(
+            physics,
+            object=thing,
+            pad_friction=physics.pad_friction + amounts.get("pad_friction", 0.0),
+            support_friction=physics.support_friction + amounts.get("support_friction", 0.0),
+        ),
+        arms=arms,
+        object=body,
+        motor_inertia=motors,
+        restitution=problem.restitution + amounts.get("restitution", 0.0),
+    )
+    return Changed(changed, factors, points)
