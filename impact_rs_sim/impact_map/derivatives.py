@@ -90,12 +90,15 @@ def output_names(problem: ImpactProblem) -> tuple[str, ...]:
     return tuple(names)
 
 
-def differentiate(problem: ImpactProblem, models: Mapping[str, RobotModel] | None = None) -> Derivatives:
+def differentiate(
+    problem: ImpactProblem, models: Mapping[str, RobotModel] | None = None, compliance: float = COMPLIANCE
+) -> Derivatives:
     """Derivatives of u^+ with respect to every parameter of a question.
 
     Args:
         problem: The question; Newton's law.
         models: Rigid-body models by arm, where the caller has them already.
+        compliance: rho of the contact points [-].
 
     Raises:
         InputError: The question has no answer (see :func:`check_problem`).
@@ -106,7 +109,7 @@ def differentiate(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
     system = build_system(problem, models)
     contacts = find_contacts(problem.physics, found)
     terms = ContactTerms.of(system, contacts, problem.restitution)
-    impulses, _ = settle(terms, solve_contacts(terms)[0])
+    impulses, _ = settle(terms, solve_contacts(terms)[0], compliance=compliance)
     velocity = system.velocity + terms.response @ impulses.ravel()
     changes = _Changes(problem, system, models, contacts, found, impulses, velocity)
     parameters = parameters_of(problem)
@@ -119,7 +122,7 @@ def differentiate(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
     states: tuple[str, ...] = ()
     margin = np.inf
     if contacts:
-        operator = delassus(terms, COMPLIANCE)
+        operator = delassus(terms, compliance)
         slip = yielding_velocity(terms, operator, impulses)
         linear = linearise(terms, impulses, slip)
         normals = terms.normals
@@ -131,6 +134,7 @@ def differentiate(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
             again = problem.restitution * np.sum(normals * approach, axis=1)
             again = again + effect.restitution * np.sum(normals * changes.relative_before, axis=1)
             rate = rate + again[:, None] * normals - np.cross(effect.turned, changes.relative_after)
+            rate = rate - compliance * terms.mobility**2 * effect.mass * impulses
             push = np.einsum("mij,mj->mi", linear.by_velocity, rate) + linear.by_friction * effect.friction[:, None]
             pushes.append(push.ravel())
         answer = np.linalg.solve(slope(linear, operator), -np.array(pushes).T)
@@ -160,6 +164,7 @@ class _Effect:
         turned: Rotation vectors of the normals, ``(m, 3)`` [rad].
         friction: Of the coefficients, ``(m,)`` [-].
         restitution: Of e [-].
+        mass: Of the object [kg].
     """
 
     before: Array
@@ -169,6 +174,7 @@ class _Effect:
     turned: Array
     friction: Array
     restitution: float = 0.0
+    mass: float = 0.0
 
 
 class _Changes:
@@ -237,6 +243,7 @@ class _Changes:
         elif kind == "angular_velocity":
             effect.before[where.start + 3 + axis] = 1.0
         elif kind == "mass":
+            effect.mass = 1.0
             effect.generalised[where] = -pin.Inertia(1.0, offset, np.zeros((3, 3))).matrix() @ jump
         elif kind == "inertia":
             along = rotation[:, axis]

@@ -1,6 +1,6 @@
 """Newton's method on the laws of an impact, which ends at the answer that is told where there are several.
 
-With s_i = (J_c u^+)_i + e (J_n u^-)_i n_i + rho g L_i, the impulse L_i >= a_i of every contact point, r_i = 1 / g_i and
+With s_i = (J_c u^+)_i + e (J_n u^-)_i n_i + (rho / m) L_i, the mass m of the object, the impulse L_i >= a_i of every contact point, r_i = 1 / g_i and
 the projection P onto the disk of radius mu L_n, the laws of :mod:`impact_rs_sim.impact_map.problem` are
 
     F_n = L_n - max(a, L_n - r s_n) = 0,        F_t = L_t - P(L_t - r s_t) = 0
@@ -8,9 +8,9 @@ the projection P onto the disk of radius mu L_n, the laws of :mod:`impact_rs_sim
 (Alart and Curnier 1991), and u^+ = u^- + H^-1 J_c^T L. a = 0 but in the second phase of Poisson's law.
 
 **Which answer.** Four corners of a face carry a load in many ways, and where they slide, each way has a friction of its
-own: u^+ is not unique. rho > 0 makes it so: every contact point yields by the same rho g per impulse. As rho goes to 0
+own: u^+ is not unique. rho > 0 makes it so: every contact point yields by the same rho / m per impulse. As rho goes to 0
 this singles out the impulses of least norm among those that hold the same velocities. At the ``COMPLIANCE`` taken here
-a point gives way by a hundred-millionth of what its impulse would give it by itself.
+a point gives way by a hundred-millionth of the velocity that its impulse gives the object.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.robot import Array
 
 COMPLIANCE = 1e-8  # rho [-]; ten times less and rounding begins to decide who carries a load
-CONVERGED = 1e-13  # m/s, |g F| that ends the iteration
+CONVERGED = 1e-15  # m/s, |g F| that ends the iteration
 ACCEPTED = 1e-10  # m/s, |g F| that is an answer where rounding ends it before
 ITERATIONS = 40  # most problems take five to ten
 CONTINUATION = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # rho, where the iteration does not get there at once
@@ -51,9 +51,11 @@ class Linearisation:
 
 
 def delassus(terms: ContactTerms, compliance: float = COMPLIANCE) -> Array:
-    """J_c H^-1 J_c^T + rho g, with the mean g of the points, ``(3 m, 3 m)`` [1/kg]."""
+    """J_c H^-1 J_c^T + rho / m, ``(3 m, 3 m)`` [1/kg]."""
     operator = terms.jacobian @ terms.response
-    return np.asarray((operator + operator.T) / 2.0 + compliance * np.mean(terms.inverse_mass) * np.eye(len(operator)))
+    if not len(operator):
+        return operator
+    return np.asarray((operator + operator.T) / 2.0 + compliance * terms.mobility * np.eye(len(operator)))
 
 
 def linearise(terms: ContactTerms, impulses: Array, velocity: Array, least: Array | float = 0.0) -> Linearisation:
@@ -85,9 +87,7 @@ def linearise(terms: ContactTerms, impulses: Array, velocity: Array, least: Arra
     by_velocity = by_velocity + ratio[:, None, None] * np.where(sticks[:, None, None], across, turning)
     by_friction = np.where(sticks[:, None], 0.0, -carried[:, None] * direction)
     touching = closed | (carried > 0.0)
-    state = tuple(
-        "open" if not touching[i] else "stick" if sticks[i] else "slide" for i in range(count)
-    )
+    state = tuple("open" if not touching[i] else "stick" if sticks[i] else "slide" for i in range(count))
     gap_normal, gap_friction = np.abs(wanted_normal - least), np.abs(length - radius)
     margin = terms.inverse_mass * np.where(touching, np.minimum(gap_normal, gap_friction), gap_normal)
     return Linearisation(
@@ -115,6 +115,13 @@ def slope(linear: Linearisation, operator: Array) -> Array:
         where = slice(3 * index, 3 * index + 3)
         matrix[where, where] += block
     return np.asarray(matrix)
+
+
+def states(terms: ContactTerms, impulses: Array, compliance: float = COMPLIANCE) -> tuple[str, ...]:
+    """``open``, ``stick`` or ``slide`` of every contact point of an answer."""
+    if not len(impulses):
+        return ()
+    return linearise(terms, impulses, yielding_velocity(terms, delassus(terms, compliance), impulses)).state
 
 
 def settle(
@@ -148,8 +155,8 @@ def _full_steps(terms: ContactTerms, impulses: Array, least: Array | float, comp
     for _ in range(ITERATIONS):
         linear = linearise(terms, impulses, yielding_velocity(terms, operator, impulses), least)
         error = float(np.linalg.norm(weight * linear.defect))
-        stalled = error > 0.5 * lowest
-        if error < lowest:
+        stalled = error >= lowest
+        if not stalled:
             best, lowest = impulses, error
         if lowest <= CONVERGED or (lowest <= ACCEPTED and stalled):
             break

@@ -22,14 +22,14 @@ name                                  unit      what it is
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map.contacts import ContactPoint, Meeting, find_contacts
+from impact_rs_sim.impact_map.contacts import ContactPoint, Meeting, find_contacts, meetings
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import System, build_system
@@ -98,8 +98,11 @@ class Changed:
             extra[where, where] = factor * system.link_inertia[where, where]
         return replace(system, inertia=system.inertia + extra, link_inertia=system.link_inertia + extra)
 
-    def contacts(self, found: list[Meeting], models: Mapping[str, RobotModel]) -> list[ContactPoint]:
-        """Contact points where the object stands to its partners like this."""
+    def contacts(self, models: Mapping[str, RobotModel], found: Sequence[Meeting] | None = None) -> list[ContactPoint]:
+        """Contact points; ``found`` is how the object stands to its partners, where the caller has it already."""
+        if found is None:
+            placements = {name: models[name].placement(arm.position) for name, arm in self.problem.arms.items()}
+            found = meetings(self.problem.physics, self.problem.object, placements)
         shifts = {
             name: models[name].placement(self.problem.arms[name].position).rotation[:, :2] @ along
             for name, along in self.contact_point.items()
@@ -109,10 +112,12 @@ class Changed:
             for point in find_contacts(self.problem.physics, found)
         ]
 
-    def terms(self, found: list[Meeting], models: Mapping[str, RobotModel]) -> tuple[System, ContactTerms]:
-        """What an answer is found from."""
+    def terms(
+        self, models: Mapping[str, RobotModel], found: Sequence[Meeting] | None = None
+    ) -> tuple[System, ContactTerms]:
+        """What an answer is found from; arguments as above."""
         system = self.system(models)
-        return system, ContactTerms.of(system, self.contacts(found, models), self.problem.restitution)
+        return system, ContactTerms.of(system, self.contacts(models, found), self.problem.restitution)
 
 
 def change(problem: ImpactProblem, amounts: Mapping[str, float]) -> Changed:

@@ -40,6 +40,7 @@ class ContactTerms:
         friction: Coulomb coefficients, ``(m,)`` [-].
         rebound: e J_n u^-, ``(m,)`` [m/s].
         inverse_mass: Mean over the directions of a point of its J_c H^-1 J_c^T, ``(m,)`` [1/kg].
+        mobility: 1 / m of the object [1/kg].
     """
 
     contacts: Sequence[ContactPoint]
@@ -51,6 +52,7 @@ class ContactTerms:
     friction: Array
     rebound: Array
     inverse_mass: Array
+    mobility: float
 
     @classmethod
     def of(cls, system: System, contacts: Sequence[ContactPoint], restitution: float) -> ContactTerms:
@@ -75,6 +77,7 @@ class ContactTerms:
             friction=np.array([contact.friction for contact in contacts]),
             rebound=restitution * approach,
             inverse_mass=np.einsum("ij,ji->i", jacobian, response).reshape(-1, 3).mean(axis=1),
+            mobility=float(1.0 / system.inertia[system.columns["object"].start, system.columns["object"].start]),
         )
 
     def split(self, vectors: Array) -> tuple[Array, Array]:

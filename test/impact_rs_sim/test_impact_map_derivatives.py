@@ -1,0 +1,138 @@
+"""Derivatives of the impact map: closed forms, invariants, and central differences of the map itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from impact_map_cases import PUSH, nominal, one_point
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map.derivatives import Derivatives, chain_derivative, differentiate
+from impact_rs_sim.impact_map.newton import settle, states
+from impact_rs_sim.impact_map.parameters import change, parameters_of
+from impact_rs_sim.impact_map.pinocchio import solve_contacts
+from impact_rs_sim.impact_map.problem import ImpactProblem
+from impact_rs_sim.impact_map.sampling import random_problem
+from impact_rs_sim.robot_model import RobotModel
+
+COMPLIANCE = 1e-5  # so that rounding leaves room for a small step; the derivatives are the same code
+
+
+def answer(
+    problem: ImpactProblem, models: dict[str, RobotModel], amounts: dict[str, float]
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """u^+ and contact states with some parameters changed."""
+    system, terms = change(problem, amounts).terms(models)
+    impulses, _ = settle(terms, solve_contacts(terms)[0], compliance=COMPLIANCE)
+    return system.velocity + terms.response @ impulses.ravel(), states(terms, impulses, COMPLIANCE)
+
+
+def kinds(problem: ImpactProblem) -> list[str]:
+    """One name of every kind of parameter, and every axis and some joints."""
+    names = [parameter.name for parameter in parameters_of(problem)]
+    return [name for name in names if not name[-1].isdigit() or name[-1] in "247"]
+
+
+@pytest.mark.parametrize("seed", [0, 4, 7])
+def test_every_column_is_the_central_difference_of_the_map(seed: int) -> None:
+    problem = random_problem(PUSH, np.random.default_rng(seed), 0.3)
+    problem = replace(problem, motor_inertia={"arm": problem.motor_inertia["arm"] + 0.1})
+    models = {"arm": problem.physics.robot_model("arm")}
+    found = differentiate(problem, models, COMPLIANCE)
+    compared = 0
+    for name in kinds(problem):
+        slopes = []
+        for step in (2e-4, 1e-4):
+            (high, above), (low, below) = (answer(problem, models, {name: sign * step}) for sign in (1.0, -1.0))
+            slopes.append((high - low) / (2.0 * step))
+        if not above == below == found.states:
+            continue
+        compared += 1
+        wanted = (4.0 * slopes[1] - slopes[0]) / 3.0
+        error = np.linalg.norm(found.of(name) - wanted) / max(np.linalg.norm(wanted), 1e-2)
+        assert error <= 1e-4, f"{name}: {error:.1e}"
+    assert compared >= 20
+
+
+def test_effective_masses_give_the_derivatives_of_one_frictionless_contact() -> None:
+    # v_n^+ of the object is (1 + e) v m_a / (m_a + m_o) with the effective masses of arm and object at the point.
+    problem = replace(one_point(pad_friction=0.0), restitution=0.4)
+    found = differentiate(problem)
+    assert found.states == ("slide",)
+    models = {"arm": problem.physics.robot_model("arm")}
+    system, terms = change(problem, {}).terms(models)
+    row = terms.normals[0] @ terms.jacobian
+    of_object = row[7:] @ np.linalg.solve(system.inertia[7:, 7:], row[7:])
+    of_arm = row[:7] @ np.linalg.solve(system.inertia[:7, :7], row[:7])
+    closing = -row @ system.velocity
+    impulse = (1.4) * closing / (of_object + of_arm)
+    np.testing.assert_allclose(
+        found.of("restitution"), terms.response @ (closing / (of_object + of_arm) * terms.normals[0]), rtol=1e-6
+    )
+    push = np.linalg.solve(system.inertia[:7, :7], row[:7])
+    for joint in range(7):
+        # d(1 / m_a) / dB_j = -push_j^2, so that the impulse grows by L push_j^2 / (1 / m_a + 1 / m_o)
+        grows = impulse * push[joint] ** 2 / (of_object + of_arm)
+        moved = found.of(f"arm.motor_inertia.{joint + 1}")[7:]
+        np.testing.assert_allclose(
+            moved, np.linalg.solve(system.inertia[7:, 7:], row[7:]) * grows, rtol=1e-6, atol=1e-12
+        )
+
+
+def test_more_of_everything_moves_the_answer_the_way_it_should() -> None:
+    found = differentiate(nominal())
+    forward = -found.jacobian[found.outputs.index("object.velocity.y")]  # the push is along -y
+    by_name = {parameter.name: value for parameter, value in zip(found.parameters, forward, strict=True)}
+    assert by_name["object.mass"] < -0.05
+    assert by_name["support_friction"] <= 1e-9
+    assert by_name["restitution"] > 0.3
+    assert sum(by_name[f"arm.motor_inertia.{joint}"] for joint in range(1, 8)) > 0.0
+    assert by_name["arm.link_inertia"] > 0.02
+
+
+@settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@given(seed=st.integers(0, 10**6))
+def test_homogeneous_laws_obey_eulers_theorem(seed: int) -> None:
+    # u^+ is homogeneous of degree one in u^-, and of degree zero in all inertias.
+    problem = random_problem(PUSH, np.random.default_rng(seed))
+    found = differentiate(problem)
+    arm, thing = problem.arms["arm"], problem.physics.object
+    along = sum(arm.velocity[joint] * found.of(f"arm.velocity.{joint + 1}") for joint in range(7))
+    np.testing.assert_allclose(along, found.velocity, atol=1e-6)
+    inertias = found.of("arm.link_inertia") + thing.mass * found.of("object.mass")
+    inertias = inertias + sum(
+        thing.inertia[axis] * found.of(f"object.inertia.{name}") for axis, name in enumerate("xyz")
+    )
+    motors = problem.motor_inertia["arm"]
+    inertias = inertias + sum(motors[joint] * found.of(f"arm.motor_inertia.{joint + 1}") for joint in range(7))
+    np.testing.assert_allclose(inertias, 0.0, atol=1e-6)
+
+
+@settings(max_examples=5, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@given(seed=st.integers(0, 10**6))
+def test_impulses_of_a_sticking_point_do_not_know_friction(seed: int) -> None:
+    problem = random_problem(PUSH, np.random.default_rng(seed))
+    problem = replace(problem, physics=replace(problem.physics, pad_friction=50.0, support_friction=0.0))
+    found: Derivatives = differentiate(problem)
+    if "slide" not in [state for state in found.states[:4]]:
+        np.testing.assert_allclose(found.of("pad_friction"), 0.0, atol=1e-9)
+
+
+def test_jacobian_of_the_arm_has_its_own_derivative() -> None:
+    model, q = nominal().physics.robot_model("arm"), np.array([0.1, -0.4, 0.3, -2.1, 0.5, 1.6, -0.2])
+    slopes = chain_derivative(model.jacobian(q))
+    for joint in range(7):
+        step = 1e-6 * np.eye(7)[joint]
+        wanted = (model.jacobian(q + step) - model.jacobian(q - step)) / 2e-6
+        np.testing.assert_allclose(slopes[joint], wanted, atol=1e-8)
+
+
+def test_unknown_parameter_is_refused() -> None:
+    with pytest.raises(InputError, match=r"no parameter 'object\.weight'"):
+        change(nominal(), {"object.weight": 1.0})
+    with pytest.raises(InputError, match="no parameter"):
+        differentiate(nominal()).of("gravity")
