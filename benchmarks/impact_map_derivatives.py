@@ -17,10 +17,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.derivatives import differentiate
 from impact_rs_sim.impact_map.newton import COMPLIANCE, settle, states
 from impact_rs_sim.impact_map.parameters import change
-from impact_rs_sim.impact_map.pinocchio import solve_contacts
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.robot import Array

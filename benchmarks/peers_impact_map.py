@@ -28,8 +28,8 @@ from rich.table import Table
 from scipy.optimize import approx_fprime, nnls
 
 from impact_rs_sim.impact_map import BulletEngine, Engine, ImpactMapError, ImpactProblem, PinocchioEngine
+from impact_rs_sim.impact_map.cones import solve_cones
 from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint, Meeting, contact_frame, find_contacts, meetings
-from impact_rs_sim.impact_map.pinocchio import solve_cones
 from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.physics import Physics

@@ -18,6 +18,7 @@ from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.scenario import Scenario
 
 MOTOR_INERTIA_MODELS = ("reduced", "rotor", "zero")
+RESTITUTION_LAWS = ("newton", "poisson")
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,7 @@ class Physics:
         support_size: Extent of the support along x and y [m].
         support_friction: Friction between object and support [-].
         pad_friction: Friction between pad and object [-].
-        restitution: Newton restitution of the rigid impact map [-].
+        restitution: Restitution of the rigid impact map [-].
         bounce: Newton restitution that a single impact has beyond ``restitution`` [-]. A pad that keeps pushing ends a
             series of bounces where one inelastic impact ends, so the map of a whole push knows ``restitution`` alone;
             that of one measured impact (:mod:`impact_rs_sim.impact_map.measured`) knows the sum.
@@ -190,6 +191,7 @@ class Physics:
         support_compliance: Yield of the support per load on it, from where the object stands by its own weight [m/N];
             0: rigid. ``support_height`` is the surface below the object that stands on it.
         rolling_arm: Lever of the moment that resists rolling, over the normal force: |M| <= rolling_arm N [m].
+        restitution_law: Whose restitution the rigid impact map has, ``newton`` or ``poisson``.
     """
 
     arms: dict[str, ArmPhysics]
@@ -203,6 +205,7 @@ class Physics:
     bounce: float = 0.0
     support_compliance: float = 0.0
     rolling_arm: float = 0.0
+    restitution_law: str = "newton"
 
     @staticmethod
     def nominal(scenario: Scenario, object_name: str) -> Physics:
@@ -247,6 +250,7 @@ class Physics:
             support_friction=scenario.support.friction,
             pad_friction=scenario.contact.friction,
             restitution=scenario.contact.restitution,
+            restitution_law=scenario.contact.restitution_law,
         )
 
     @property

@@ -176,8 +176,20 @@ class Contact(Schema):
 
     friction: NonNegative = Field(description="friction between pad and object [-]")
     restitution: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
-        0.0, description="Newton restitution of the rigid impact map [-]"
+        0.0, description="restitution of the rigid impact map [-]"
     )
+    restitution_law: Literal["newton", "poisson"] = Field(
+        "newton",
+        description="whose law: newton (of velocities; may gain energy with friction) or poisson (of impulses)",
+    )
+
+    @model_serializer(mode="wrap")
+    def _without_the_usual_law(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Bags of scenarios with Newton's law read as they always did."""
+        data: dict[str, Any] = handler(self)
+        if self.restitution_law == "newton":
+            data.pop("restitution_law", None)
+        return data
 
 
 class CaseRobot(Schema):
@@ -303,6 +315,45 @@ class Scatter(Schema):
     support_friction: NonNegative = Field(description="relative change of the support's friction [-]")
 
 
+class Uncertainties(Schema):
+    """How well the numbers of a prediction are known: half the width of a 95 % interval, and where that comes from."""
+
+    motor_inertia: NonNegative = Field(
+        0.10, description="B_theta, relative, each joint by itself; the paper: known to 10 % [-]"
+    )
+    link_inertia: NonNegative = Field(
+        0.05, description="M of the arm, relative; between published parameter sets of one robot [-]"
+    )
+    object_mass: NonNegative = Field(0.005, description="mass with its moments, relative; kitchen scales [-]")
+    object_inertia: NonNegative = Field(
+        0.10, description="each moment, relative; assumed: a box is not quite homogeneous [-]"
+    )
+    object_com_offset: NonNegative = Field(0.005, description="centre of mass, each axis; assumed, as above [m]")
+    object_position: NonNegative = Field(
+        0.003,
+        description="object in the plane, each axis; two standard deviations of scatter.object_position of push [m]",
+    )
+    object_yaw: NonNegative = Field(
+        0.012, description="object about z; two standard deviations of scatter.object_yaw of push [rad]"
+    )
+    joint_position: NonNegative = Field(
+        4e-4, description="each joint; two standard deviations of scatter.joint_position of push [rad]"
+    )
+    joint_velocity: NonNegative = Field(
+        4e-3, description="each joint; two standard deviations of sensors.joint_velocity_noise of push [rad/s]"
+    )
+    contact_point: NonNegative = Field(
+        0.002, description="contact points along the pad, each axis; assumed: rounded edges of a pad [m]"
+    )
+    pad_friction: NonNegative = Field(0.20, description="Coulomb coefficient, relative; assumed: dry contacts vary [-]")
+    support_friction: NonNegative = Field(
+        0.20, description="Coulomb coefficient, relative; assumed: dry contacts vary [-]"
+    )
+    restitution: NonNegative = Field(
+        0.0, description="restitution; a pad that keeps pushing ends a series of bounces at 0 [-]"
+    )
+
+
 class Scenario(Schema):
     """A whole experiment (``config/scenarios/*.yaml``)."""
 
@@ -331,6 +382,9 @@ class Scenario(Schema):
     control: Control = Field(description="controller")
     sensors: Sensors = Field(description="measurement")
     scatter: Scatter = Field(description="trial-to-trial scatter")
+    uncertainty: Uncertainties = Field(
+        default_factory=Uncertainties, description="what `impact-rs map --uncertainty` takes for known how well"
+    )
     friction_compensation: FrictionCompensation | None = Field(
         None,
         description="a path, seen from the scenario file's folder, to what `impact-rs friction identify` wrote; "
@@ -339,8 +393,10 @@ class Scenario(Schema):
 
     @model_serializer(mode="wrap")
     def _without_absent_compensation(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Bags of scenarios without it read as they always did."""
+        """Bags of scenarios without it, or with usual uncertainties, read as they always did."""
         data: dict[str, Any] = handler(self)
+        if self.uncertainty == Uncertainties():
+            data.pop("uncertainty", None)
         if self.friction_compensation is None:
             data.pop("friction_compensation", None)
         return data

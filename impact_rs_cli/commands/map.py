@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from impact_rs_cli.terminal import Terminal, add_json, declare
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
+from impact_rs_sim.impact_map.uncertainty import LEVEL, Prediction, predict
+from impact_rs_sim.impact_map.uniqueness import CHOICE, uniqueness_of
+from impact_rs_sim.physics import RESTITUTION_LAWS
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 
@@ -16,12 +20,13 @@ TEXT = """\
 Predict the velocities just after the nominal impact of a scenario.
 
 Solves the rigid impact map: ante-impact configuration and velocities in, post-impact velocities of all joints and
-bodies and the contact impulses out. --motor-inertia says which inertia the motors have during the impact: 'reduced'
+bodies and the contact impulses out, with how far answers that obey the same laws lie apart. --motor-inertia says which inertia the motors have during the impact: 'reduced'
 (B_theta, what the robot's torque loop leaves of it), 'rotor' (B_rho, all of it) or 'zero'.
 
 example:
   impact-rs map push cat_food case_2
   impact-rs map push cat_food 2 --motor-inertia rotor --json
+  impact-rs map push cat_food 2 --uncertainty
 
 Units: m/s and rad/s, impulses in N s, vectors in the axes of the world frame, SI throughout."""
 
@@ -38,6 +43,14 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--engine", choices=("bullet", "pinocchio"), default="pinocchio", help="solver; default: %(default)s"
     )
+    parser.add_argument(
+        "--restitution-law", choices=RESTITUTION_LAWS, help="law of restitution; default: that of the scenario"
+    )
+    parser.add_argument(
+        "--uncertainty",
+        action="store_true",
+        help="interval of every velocity from the uncertainties that the scenario states, and who contributes what",
+    )
     add_json(parser)
 
 
@@ -47,7 +60,11 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     scenario.object(args.object)
     scene = Scene.resolve(scenario, args.object, args.case)
     problem = ImpactProblem.at_nominal_impact(scene, args.motor_inertia)
+    if args.restitution_law:
+        problem = replace(problem, restitution_law=args.restitution_law)
     result = compute_impact_map(problem, args.engine)
+    several = uniqueness_of(problem, scene.models)
+    told = predict(problem, scenario.uncertainty, scene.models) if args.uncertainty else None
     before = {name: scene.models[name].jacobian(arm.position) @ arm.velocity for name, arm in scene.arms.items()}
     terminal.result(
         {
@@ -75,6 +92,14 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
                 }
                 for contact in result.contacts
             ],
+            "uniqueness": {
+                "spread": several.spread,
+                "relative": several.relative,
+                "unique": several.unique,
+                "answers": several.answers,
+                "choice": CHOICE,
+            },
+            **({} if told is None else {"uncertainty": _uncertainty(told)}),
             "residual": {name: float(value) for name, value in vars(result.residual).items()},
             "engine": result.engine,
             "iterations": result.iterations,
@@ -91,7 +116,49 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         f"  impulse of the pads on the object {_vector(total)} N s; {result.engine}, "
         f"residual {result.residual.largest:.1e}, {1e3 * result.elapsed:.1f} ms"
     )
+    if told is not None:
+        _say_uncertainty(told, terminal)
+    if several.warning:
+        terminal.note(f"warning: {several.warning}")
     return 0
+
+
+def _uncertainty(told: Prediction) -> dict[str, Any]:
+    """Intervals and budgets as JSON."""
+    return {
+        "level": LEVEL,
+        "method": told.method,
+        "switched": told.switched,
+        "draws": told.draws,
+        "without_answer": told.without_answer,
+        "interval": {
+            name: {"value": value, "low": low, "high": high}
+            for name, value, low, high in zip(
+                told.names, told.nominal.tolist(), told.low.tolist(), told.high.tolist(), strict=True
+            )
+        },
+        "budget": {
+            name: {source: float(share[index]) for source, share in told.budget.items()}
+            for index, name in enumerate(told.names)
+        },
+    }
+
+
+def _say_uncertainty(told: Prediction, terminal: Terminal) -> None:
+    """Intervals of linear velocities, with what contributes most."""
+    how = (
+        "linear propagation"
+        if told.method == "linear"
+        else f"{told.draws} draws, contacts switch in {told.switched:.0%}"
+    )
+    terminal.say(f"  {LEVEL:.0%} intervals from the stated uncertainties ({how}):")
+    for index, name in enumerate(told.names):
+        if ".velocity." not in name:
+            continue
+        shares = sorted(((float(share[index]), source) for source, share in told.budget.items()), reverse=True)[:3]
+        most = ", ".join(f"{source} {share:.0%}" for share, source in shares if share >= 0.01)
+        low, high = told.low[index], told.high[index]
+        terminal.say(f"    {name:<20} {told.nominal[index]:8.4f} m/s  [{low:.4f}, {high:.4f}]  {most}")
 
 
 def _vector(values: Any) -> str:

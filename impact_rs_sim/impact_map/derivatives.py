@@ -25,12 +25,12 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contact_motion import PointMotion, point_motion
 from impact_rs_sim.impact_map.contacts import ContactPoint, Meeting, find_contacts
 from impact_rs_sim.impact_map.newton import COMPLIANCE, delassus, linearise, settle, slope, yielding_velocity
 from impact_rs_sim.impact_map.parameters import AXES, Parameter, parameters_of
-from impact_rs_sim.impact_map.pinocchio import solve_contacts
-from impact_rs_sim.impact_map.problem import ImpactProblem, check_problem
+from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
 from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.robot import Array
@@ -102,6 +102,7 @@ def differentiate(
 
     Raises:
         InputError: The question has no answer (see :func:`check_problem`).
+        ImpactMapError: Newton's method does not converge, so that there are no contact states to hold.
     """
     if models is None:
         models = {name: problem.physics.robot_model(name) for name in problem.arms}
@@ -109,7 +110,9 @@ def differentiate(
     system = build_system(problem, models)
     contacts = find_contacts(problem.physics, found)
     terms = ContactTerms.of(system, contacts, problem.restitution)
-    impulses, _ = settle(terms, solve_contacts(terms)[0], compliance=compliance)
+    impulses, converged = settle(terms, solve_contacts(terms)[0], compliance=compliance)
+    if not converged:
+        raise ImpactMapError("Newton's method found no contact states to differentiate at")
     velocity = system.velocity + terms.response @ impulses.ravel()
     changes = _Changes(problem, system, models, contacts, found, impulses, velocity)
     parameters = parameters_of(problem)

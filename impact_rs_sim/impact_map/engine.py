@@ -7,12 +7,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import Meeting
 from impact_rs_sim.impact_map.problem import (
     ContactImpulse,
+    EnergyGain,
     ImpactMapError,
     ImpactProblem,
     ImpactResult,
+    Residual,
     check_problem,
 )
 from impact_rs_sim.impact_map.residual import ContactTerms
@@ -20,6 +25,8 @@ from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
+
+ENERGY_TOLERANCE = 1e-9  # of the kinetic energy before, for rounding
 
 
 @dataclass(frozen=True)
@@ -31,12 +38,20 @@ class Answer:
         impulses: On the object, in axes of A, ``(m, 3)`` [N s].
         velocity: u^+, ``(nv,)`` [rad/s, m/s].
         iterations: Of the engine's outer loop.
+        residual: Where the engine judges it by other laws than Newton's.
     """
 
     terms: ContactTerms
     impulses: Array
     velocity: Array
     iterations: int
+    residual: Residual | None = None
+
+    @property
+    def energy_gain(self) -> float:
+        """Kinetic energy with (M + B) after the impact minus before, ``(u^+ + u^-)^T J_c^T L / 2`` [J]."""
+        passed = self.terms.jacobian @ (self.velocity + self.terms.before)
+        return float(0.5 * passed @ self.impulses.ravel())
 
 
 class Engine(ABC):
@@ -48,6 +63,7 @@ class Engine(ABC):
 
     name: str
     tolerance: float  # m/s, largest accepted residual
+    laws: tuple[str, ...] = ("newton",)  # of restitution
 
     def __init__(self, physics: Physics) -> None:
         self.physics = physics
@@ -58,20 +74,28 @@ class Engine(ABC):
 
         Raises:
             InputError: The question has no answer (see :func:`check_problem`).
-            ImpactMapError: The answer breaks a law by more than ``tolerance``; the message names the law.
+            ImpactMapError: The answer breaks a law by more than ``tolerance``; the message names the law. Or it gains
+                energy, which Newton's law allows and nature does not.
         """
         start = time.perf_counter()
         meetings = check_problem(problem, self.models)
+        if problem.restitution_law not in self.laws:
+            raise InputError(
+                f"engine {self.name!r} knows no restitution but that of {', '.join(self.laws)}; 'pinocchio' does",
+                key="restitution_law",
+                value=problem.restitution_law,
+            )
         system = build_system(problem, self.models)
         answer = self._solve(problem, system, meetings)
         contacts, iterations = answer.terms.contacts, answer.iterations
-        residual = answer.terms.residual(answer.impulses, answer.velocity)
+        residual = answer.residual or answer.terms.residual(answer.impulses, answer.velocity)
         if not residual.largest <= self.tolerance:
             law, amount = residual.worst
             raise ImpactMapError(
                 f"engine {self.name!r} breaks {law} by {amount:.3g} m/s (accepted: {self.tolerance:.3g} m/s) "
                 f"with {len(contacts)} contact points after {iterations} iterations"
             )
+        self._check_energy(problem, system, answer, residual)
         joints, twists, twist = system.split(answer.velocity)
         return ImpactResult(
             joint_velocity=joints,
@@ -86,6 +110,20 @@ class Engine(ABC):
             iterations=iterations,
             elapsed=time.perf_counter() - start,
         )
+
+    @staticmethod
+    def _check_energy(problem: ImpactProblem, system: System, answer: Answer, residual: Residual) -> None:
+        """Refuse an answer with more energy than there was, beyond what its residual can account for."""
+        before = 0.5 * float(system.velocity @ system.inertia @ system.velocity)
+        gain = answer.energy_gain
+        slack = ENERGY_TOLERANCE * before + 2.0 * residual.largest * float(np.sum(np.abs(answer.impulses)))
+        if gain > slack:
+            hint = "'poisson' sets impulses instead" if problem.restitution_law == "newton" else "a smaller e does not"
+            raise EnergyGain(
+                f"the impact gains {gain:.3g} J, {gain / before:.2%} of the kinetic energy there was: restitution e = "
+                f"{problem.restitution:g} by the law of {problem.restitution_law!r} with friction and several contacts "
+                f"can; restitution_law {hint}"
+            )
 
     def close(self) -> None:
         """Give back what the engine holds outside Python; nothing by default."""

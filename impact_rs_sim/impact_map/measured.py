@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_rs_sim.errors import Infeasible
+from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contacts import (
     GAP_TOLERANCE,
     SUPPORT,
@@ -28,7 +29,7 @@ from impact_rs_sim.impact_map.contacts import (
     find_contacts,
     meetings,
 )
-from impact_rs_sim.impact_map.pinocchio import PinocchioEngine, solve_contacts
+from impact_rs_sim.impact_map.pinocchio import PinocchioEngine
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
 from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import System, build_system

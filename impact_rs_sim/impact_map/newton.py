@@ -25,7 +25,7 @@ from impact_rs_sim.robot import Array
 COMPLIANCE = 1e-8  # rho [-]; ten times less and rounding begins to decide who carries a load
 CONVERGED = 1e-15  # m/s, |g F| that ends the iteration
 ACCEPTED = 1e-10  # m/s, |g F| that is an answer where rounding ends it before
-ITERATIONS = 40  # most problems take five to ten
+ITERATIONS = 25  # most problems take five to ten
 CONTINUATION = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # rho, where the iteration does not get there at once
 
 
@@ -142,6 +142,8 @@ def settle(
         found, converged = impulses, True
         for step in (*(value for value in chain if value > compliance), compliance):
             found, converged = _full_steps(terms, found, least, step)
+            if not converged:
+                break
         if converged:
             return found, True
     return impulses, False

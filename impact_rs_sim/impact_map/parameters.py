@@ -119,6 +119,21 @@ class Changed:
         system = self.system(models)
         return system, ContactTerms.of(system, self.contacts(models, found), self.problem.restitution)
 
+    def touching_terms(self, models: Mapping[str, RobotModel]) -> tuple[System, ContactTerms]:
+        """The same where every pad that can has come on, along the normal, until it touches."""
+        placements = {name: models[name].placement(arm.position) for name, arm in self.problem.arms.items()}
+        system, found = self.system(models), []
+        positions = dict(system.end_effector_position)
+        for meeting in meetings(self.problem.physics, self.problem.object, placements):
+            if meeting.partner in positions:
+                step = meeting.separation * meeting.normal
+                positions[meeting.partner] = positions[meeting.partner] + step
+                box = replace(meeting.box, centre=meeting.box.centre + step)
+                meeting = replace(meeting, box=box, separation=0.0)
+            found.append(meeting)
+        system = replace(system, end_effector_position=positions)
+        return system, ContactTerms.of(system, self.contacts(models, found), self.problem.restitution)
+
 
 def change(problem: ImpactProblem, amounts: Mapping[str, float]) -> Changed:
     """The question with parameters changed by some amounts, in the units of the table above.

@@ -4,7 +4,8 @@ Given the configuration, the ante-impact velocities v^- of all bodies and the mo
 impulses L such that, with the generalised inertia of arms (M + B) and object,
 
     (M + B) (v^+ - v^-) = J_c^T L                              momentum balance
-    0 <= L_n  perpendicular to  J_n v^+ + e J_n v^- >= 0       Newton restitution, per contact point
+    0 <= L_n  perpendicular to  J_n v^+ + e J_n v^- >= 0       Newton restitution, per contact point (or Poisson's:
+                                                               :mod:`impact_rs_sim.impact_map.restitution`)
     |L_t| <= mu L_n, opposing the sliding velocity J_t v^+     Coulomb friction
 
 (paper sec. Simulation framework; Glocker 2006; Acary and Brogliato 2008). The impact is instantaneous: positions,
@@ -21,7 +22,7 @@ import numpy as np
 
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.impact_map.contacts import SUPPORT, Meeting, meetings
-from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, RESTITUTION_LAWS, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState, Scene
@@ -36,8 +37,9 @@ class ImpactProblem:
         arms: Configuration and ante-impact velocity by arm.
         object: Pose and ante-impact twist of the object.
         motor_inertia: Diagonal of B by arm, ``(n,)`` [kg m^2].
-        restitution: Newton restitution e of every closing contact [-].
+        restitution: Restitution e of every closing contact [-].
         measured: Whether the state was measured: then a robot has been there, whatever its data sheet allows.
+        restitution_law: ``newton`` or ``poisson``.
     """
 
     physics: Physics
@@ -46,6 +48,7 @@ class ImpactProblem:
     motor_inertia: dict[str, Array]
     restitution: float = 0.0
     measured: bool = False
+    restitution_law: str = "newton"
 
     @staticmethod
     def at_nominal_impact(scene: Scene, motor_inertia: str = "reduced") -> ImpactProblem:
@@ -64,6 +67,7 @@ class ImpactProblem:
             object=_touched(scene),
             motor_inertia={name: arm.motor_inertia(motor_inertia) for name, arm in scene.physics.arms.items()},
             restitution=scene.physics.restitution,
+            restitution_law=scene.physics.restitution_law,
         )
 
 
@@ -168,6 +172,10 @@ class ImpactMapError(RuntimeError):
     """An engine found no answer that obeys the laws; the message says which law and by how much."""
 
 
+class EnergyGain(ImpactMapError):
+    """An answer obeys its laws and has more kinetic energy than the state before the impact."""
+
+
 PENETRATION_TOLERANCE = 1e-3  # m, deepest accepted overlap of pad and object, or object and support
 
 
@@ -258,6 +266,10 @@ def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
 
 def _check_scalars(problem: ImpactProblem) -> None:
     physics, thing = problem.physics, problem.physics.object
+    if problem.restitution_law not in RESTITUTION_LAWS:
+        raise InputError(
+            f"expected one of {', '.join(RESTITUTION_LAWS)}", key="restitution_law", value=problem.restitution_law
+        )
     if not 0.0 <= problem.restitution <= 1.0:
         raise InputError("expected a restitution between 0 and 1 [-]", key="restitution", value=problem.restitution)
     if not (np.isfinite(thing.mass) and thing.mass > 0.0):

@@ -94,12 +94,13 @@ class ContactTerms:
         slides = (np.linalg.norm(tangential, axis=1) >= limit * (1.0 - 1e-9)) & (speed > SLIDING)
         return slides, -sliding / np.maximum(speed, SLIDING)[:, None]
 
-    def residual(self, impulses: Array, velocity: Array) -> Residual:
+    def residual(self, impulses: Array, velocity: Array, least: Array | float = 0.0) -> Residual:
         """Residuals of an answer.
 
         Args:
             impulses: L on the object in axes of A, ``(m, 3)`` [N s].
             velocity: u^+, ``(nv,)`` [rad/s, m/s].
+            least: What every point presses at least; L_n beyond it is complementary to opening [N s].
         """
         jump = velocity - self.before
         momentum = float(np.max(np.abs(jump - self.response @ impulses.ravel())))
@@ -108,8 +109,8 @@ class ContactTerms:
         leaving, sliding = self.split((self.jacobian @ velocity).reshape(-1, 3))
         separation = leaving + self.rebound
         pressing, tangential = self.split(impulses)
-        pushed, pulled = np.maximum(pressing, 0.0), np.maximum(-pressing, 0.0)
-        carried = np.maximum(separation, 0.0) * pushed / max(float(np.max(pushed)), 1e-300)
+        pushed, pulled = np.maximum(pressing, 0.0), np.maximum(least - pressing, 0.0)
+        carried = np.maximum(separation, 0.0) * np.maximum(pressing - least, 0.0) / max(float(np.max(pushed)), 1e-300)
         wanted = tangential - sliding / self.inverse_mass[:, None]
         length = np.maximum(np.linalg.norm(wanted, axis=1), 1e-300)
         wanted = wanted * np.minimum(1.0, self.friction * pushed / length)[:, None]

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from impact_map_cases import PUSH, nominal, one_point
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.derivatives import Derivatives, chain_derivative, differentiate
 from impact_rs_sim.impact_map.newton import settle, states
 from impact_rs_sim.impact_map.parameters import change, parameters_of
-from impact_rs_sim.impact_map.pinocchio import solve_contacts
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.robot_model import RobotModel
@@ -99,7 +99,7 @@ def test_more_of_everything_moves_the_answer_the_way_it_should() -> None:
 def test_homogeneous_laws_obey_eulers_theorem(seed: int) -> None:
     # u^+ is homogeneous of degree one in u^-, and of degree zero in all inertias.
     problem = random_problem(PUSH, np.random.default_rng(seed))
-    found = differentiate(problem)
+    found = differentiate(problem, compliance=COMPLIANCE)
     arm, thing = problem.arms["arm"], problem.physics.object
     along = sum(arm.velocity[joint] * found.of(f"arm.velocity.{joint + 1}") for joint in range(7))
     np.testing.assert_allclose(along, found.velocity, atol=1e-6)

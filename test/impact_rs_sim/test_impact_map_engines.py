@@ -14,13 +14,16 @@ from impact_rs_sim.impact_map import (
     compute_impact_map,
 )
 from impact_rs_sim.impact_map.sampling import random_problem
+from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 
 
 @pytest.mark.parametrize("seed", range(30))
 def test_engines_agree_within_half_a_percent_of_the_ante_impact_speed(seed: int) -> None:
     problem = random_problem(PUSH, np.random.default_rng(seed))
+    several = uniqueness_of(problem)
     bullet, pinocchio = (compute_impact_map(problem, engine) for engine in ("bullet", "pinocchio"))
-    assert disagreement(bullet, pinocchio) <= 0.005 * ante_speed(problem)
+    # Where u^+ is not unique, engines may stop at different answers of the family.
+    assert disagreement(bullet, pinocchio) <= 0.005 * ante_speed(problem) + several.spread
 
 
 @pytest.mark.parametrize("seed", range(30))

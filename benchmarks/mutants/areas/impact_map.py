@@ -6,7 +6,7 @@ SYSTEM = "impact_rs_sim/impact_map/system.py"
 SYSTEM_TESTS = ("test/impact_rs_sim/test_impact_map_system.py",)
 RESIDUAL = "impact_rs_sim/impact_map/residual.py"
 RESIDUAL_TESTS = ("test/impact_rs_sim/test_impact_map_residual.py",)
-PINOCCHIO = "impact_rs_sim/impact_map/pinocchio.py"
+CONES = "impact_rs_sim/impact_map/cones.py"
 BULLET = "impact_rs_sim/impact_map/bullet.py"
 CONTACTS = "impact_rs_sim/impact_map/contacts.py"
 CONTACT_TESTS = ("test/impact_rs_sim/test_impact_map_contacts.py",)
@@ -97,7 +97,7 @@ MUTANTS = [
     ),
     Mutant(
         name="restitution_sign",
-        file=PINOCCHIO,
+        file=CONES,
         original="drift[2::3] *= 1.0 + terms.restitution",
         mutated="drift[2::3] *= 1.0 - terms.restitution",
         wrong="Restitution has the wrong sign.",
@@ -105,7 +105,7 @@ MUTANTS = [
     ),
     Mutant(
         name="no_restitution",
-        file=PINOCCHIO,
+        file=CONES,
         original="    drift[2::3] *= 1.0 + terms.restitution\n",
         mutated="",
         wrong="Nothing bounces.",
@@ -113,7 +113,7 @@ MUTANTS = [
     ),
     Mutant(
         name="restitution_of_the_tangent",
-        file=PINOCCHIO,
+        file=CONES,
         original="drift[2::3] *= 1.0 + terms.restitution",
         mutated="drift *= 1.0 + terms.restitution",
         wrong="Sliding velocities are turned back as well.",
@@ -121,7 +121,7 @@ MUTANTS = [
     ),
     Mutant(
         name="friction_cone_doubled",
-        file=PINOCCHIO,
+        file=CONES,
         original="constraint.setFriction(coefficient)",
         mutated="constraint.setFriction(2.0 * coefficient)",
         wrong="The friction cone is twice as wide.",
@@ -129,7 +129,7 @@ MUTANTS = [
     ),
     Mutant(
         name="frictionless_map",
-        file=PINOCCHIO,
+        file=CONES,
         original="constraint.setFriction(coefficient)",
         mutated="constraint.setFriction(0.0)",
         wrong="The map knows no friction.",
@@ -137,7 +137,7 @@ MUTANTS = [
     ),
     Mutant(
         name="delassus_scaled_wrongly",
-        file=PINOCCHIO,
+        file=CONES,
         original="(delassus + delassus.T) / (2.0 * scale)",
         mutated="(delassus + delassus.T) / scale",
         wrong="The Delassus operator is twice as large.",
@@ -145,7 +145,7 @@ MUTANTS = [
     ),
     Mutant(
         name="impulses_not_scaled_back",
-        file=PINOCCHIO,
+        file=CONES,
         original="result.retrieveConstraintImpulses() / scale",
         mutated="result.retrieveConstraintImpulses()",
         wrong="Impulses stay in units of velocity.",
@@ -153,7 +153,7 @@ MUTANTS = [
     ),
     Mutant(
         name="impulses_in_the_contact_frame",
-        file=PINOCCHIO,
+        file=CONES,
         original='np.einsum("mji,mj->mi", frames',
         mutated='np.einsum("mij,mj->mi", frames',
         wrong="Impulses are turned back the wrong way.",

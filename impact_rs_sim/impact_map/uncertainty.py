@@ -1,0 +1,286 @@
+"""How sure a prediction is: intervals of every predicted velocity from stated uncertainties, and who contributes what.
+
+With independent uncertainties of the standard deviations sigma_k and the Jacobian J of the prediction
+(:mod:`impact_rs_sim.impact_map.derivatives`), as long as no contact changes its state,
+
+    var(u^+_i) = sum_k (J_ik sigma_k)^2,       interval u^+_i -+ 1.96 sqrt(var),      budget (J_ik sigma_k)^2 / var
+
+Draws from the stated uncertainties tell whether that holds. Where more than ``SWITCHES`` of them end in other contact
+states (or other contact points), the interval is that of the draws, and the budget the variance that is left when one
+source alone is drawn, over the sum of these.
+
+A scenario states half the width of a 95 % interval, 1.96 sigma. A source may have independent parts, such as the joints of
+B, or move several parameters together, such as a mass with its moments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map.cones import solve_contacts
+from impact_rs_sim.impact_map.derivatives import Derivatives, differentiate, output_names
+from impact_rs_sim.impact_map.newton import states
+from impact_rs_sim.impact_map.parameters import AXES, change
+from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import Uncertainties
+
+SWITCHES = 0.02  # share of draws in other contact states from which the linear interval is not taken
+DRAWS = 200  # the ends of an interval scatter by about a tenth of its width
+LEVEL = 0.95
+_NORMAL = 1.959964  # 97.5 % quantile of the normal distribution
+_LAWFUL = 1e-5  # m/s, residual of a draw that counts
+
+
+@dataclass(frozen=True)
+class Source:
+    """One thing that is not known exactly.
+
+    Attributes:
+        name: Name of the source, a key of the scenario's ``uncertainty``.
+        deviations: By independent part: what one standard deviation of it changes, by parameter.
+    """
+
+    name: str
+    deviations: tuple[Mapping[str, float], ...]
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Velocities with their intervals.
+
+    Attributes:
+        names: Names of the velocities: joint velocities, ``ARM.velocity.x`` ... of frame E, and the object's twist.
+        nominal: Predicted values, ``(k,)`` [rad/s, m/s].
+        low: Lower ends at ``LEVEL``, ``(k,)``.
+        high: Upper ends, ``(k,)``.
+        deviation: Standard deviations, ``(k,)``.
+        budget: Share of the variance by source, ``(k,)`` each [-].
+        method: ``linear`` or ``monte_carlo``.
+        switched: Share of draws in other contact states [-].
+        draws: Draws that have an answer.
+        without_answer: Draws that have none.
+    """
+
+    names: tuple[str, ...]
+    nominal: Array
+    low: Array
+    high: Array
+    deviation: Array
+    budget: Mapping[str, Array]
+    method: str
+    switched: float
+    draws: int
+    without_answer: int
+
+
+def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[Source, ...]:
+    """The uncertainties that a scenario states, as changes of the parameters of a question; none is left out."""
+    thing = problem.physics.object
+    stated = Uncertainties(**{name: width / _NORMAL for name, width in stated})
+
+    def apart(names: Sequence[str], sigma: float) -> tuple[Mapping[str, float], ...]:
+        return tuple({name: sigma} for name in names)
+
+    motors, links, joints, speeds, points = [], [], [], [], []
+    for name, state in problem.arms.items():
+        count = range(1, state.position.size + 1)
+        motors += [
+            {f"{name}.motor_inertia.{joint}": stated.motor_inertia * float(problem.motor_inertia[name][joint - 1])}
+            for joint in count
+        ]
+        links.append({f"{name}.link_inertia": stated.link_inertia})
+        joints += apart([f"{name}.position.{joint}" for joint in count], stated.joint_position)
+        speeds += apart([f"{name}.velocity.{joint}" for joint in count], stated.joint_velocity)
+        points += apart([f"{name}.contact_point.{axis}" for axis in "xy"], stated.contact_point)
+    mass = stated.object_mass * thing.mass
+    scaled = {"object.mass": mass} | {
+        f"object.inertia.{axis}": stated.object_mass * float(value)
+        for axis, value in zip(AXES, thing.inertia, strict=True)
+    }
+    moments = [
+        {f"object.inertia.{axis}": stated.object_inertia * float(value)}
+        for axis, value in zip(AXES, thing.inertia, strict=True)
+    ]
+    found = [
+        Source("motor_inertia", tuple(motors)),
+        Source("link_inertia", tuple(links)),
+        Source("object_mass", (scaled,)),
+        Source("object_inertia", tuple(moments)),
+        Source("object_com_offset", apart([f"object.com_offset.{axis}" for axis in AXES], stated.object_com_offset)),
+        Source(
+            "object_pose",
+            (
+                *apart(["object.position.x", "object.position.y"], stated.object_position),
+                *apart(["object.rotation.z"], stated.object_yaw),
+            ),
+        ),
+        Source("joint_position", tuple(joints)),
+        Source("joint_velocity", tuple(speeds)),
+        Source("contact_point", tuple(points)),
+        Source("pad_friction", ({"pad_friction": stated.pad_friction * problem.physics.pad_friction},)),
+        Source("support_friction", ({"support_friction": stated.support_friction * problem.physics.support_friction},)),
+        Source("restitution", ({"restitution": stated.restitution},)),
+    ]
+    return tuple(
+        Source(one.name, tuple(part for part in one.deviations if any(sigma > 0.0 for sigma in part.values())))
+        for one in found
+    )
+
+
+def draw(sources: Sequence[Source], rng: np.random.Generator) -> dict[str, float]:
+    """One draw of all parameters: normal, independent from source to source and part to part."""
+    amounts: dict[str, float] = {}
+    for source in sources:
+        for part in source.deviations:
+            size = float(rng.standard_normal())
+            for name, sigma in part.items():
+                amounts[name] = amounts.get(name, 0.0) + sigma * size
+    return amounts
+
+
+def predict(
+    problem: ImpactProblem,
+    stated: Uncertainties,
+    models: Mapping[str, RobotModel] | None = None,
+    draws: int = DRAWS,
+    seed: int = 0,
+) -> Prediction:
+    """Predict with intervals.
+
+    Args:
+        problem: The question; Newton's law.
+        stated: What is not known exactly.
+        models: Rigid-body models by arm, where the caller has them already.
+        draws: From all uncertainties; a quarter as many of every source where the interval is that of the draws.
+        seed: Of the draws.
+
+    Raises:
+        InputError: The question has no answer, or Poisson's law is asked for.
+        ImpactMapError: No answer was found.
+    """
+    if problem.restitution_law != "newton":
+        raise InputError("intervals are those of Newton's law", key="restitution_law", value=problem.restitution_law)
+    if models is None:
+        models = {name: problem.physics.robot_model(name) for name in problem.arms}
+    check_problem(problem, models)
+    sources = sources_of(problem, stated)
+    found = differentiate(problem, models)
+    nominal, usual = answer_of(problem, models, {})
+    slopes = dict(zip((one.name for one in found.parameters), _rows(found, problem).T, strict=True))
+    rng = np.random.default_rng(seed)
+    sample, switched, lost = _sample(problem, models, sources, draws, rng, usual)
+    if len(sample) < 2:
+        raise ImpactMapError(f"of {draws} draws from the stated uncertainties {lost} have no answer")
+    variances = {
+        source.name: np.sum(
+            [np.square(sum(slopes[name] * sigma for name, sigma in part.items())) for part in source.deviations], axis=0
+        )
+        if source.deviations
+        else np.zeros_like(nominal)
+        for source in sources
+    }
+    method = "linear" if found.smooth and switched <= SWITCHES else "monte_carlo"
+    if method == "linear":
+        deviation = np.sqrt(np.sum(list(variances.values()), axis=0))
+        low, high = nominal - _NORMAL * deviation, nominal + _NORMAL * deviation
+    else:
+        tail = (1.0 - LEVEL) / 2.0
+        low, high = np.quantile(sample, (tail, 1.0 - tail), axis=0)
+        deviation = np.std(sample, axis=0)
+        for source in sources:
+            alone, _, _ = _sample(problem, models, (source,), max(draws // 4, 2), rng, usual)
+            variances[source.name] = np.var(alone, axis=0) if len(alone) > 1 else np.zeros_like(nominal)
+    total = np.maximum(np.sum(list(variances.values()), axis=0), 1e-300)
+    return Prediction(
+        names=velocity_names(problem),
+        nominal=nominal,
+        low=low,
+        high=high,
+        deviation=deviation,
+        budget={name: variance / total for name, variance in variances.items()},
+        method=method,
+        switched=switched,
+        draws=len(sample),
+        without_answer=lost,
+    )
+
+
+def velocity_names(problem: ImpactProblem) -> tuple[str, ...]:
+    """Names of the velocities of a :class:`Prediction`."""
+    *joints, vx, vy, vz, wx, wy, wz = output_names(problem)
+    twists = [
+        f"{arm}.{kind}.{axis}" for arm in problem.arms for kind in ("velocity", "angular_velocity") for axis in AXES
+    ]
+    return (*joints, *twists, vx, vy, vz, wx, wy, wz)
+
+
+def answer_of(
+    problem: ImpactProblem, models: Mapping[str, RobotModel], amounts: Mapping[str, float]
+) -> tuple[Array, tuple[str, ...]]:
+    """All velocities ``(k,)`` with parameters changed, and the partner and state of every contact point.
+
+    Pads come on until they touch, wherever the changed poses leave them.
+
+    Raises:
+        ImpactMapError: No answer was found.
+    """
+    system, terms = change(problem, _possible(problem, amounts)).touching_terms(models)
+    impulses, _ = solve_contacts(terms)
+    velocity = system.velocity + terms.response @ impulses.ravel()
+    if not terms.residual(impulses, velocity).largest <= _LAWFUL:
+        raise ImpactMapError("no answer obeys the laws")
+    joints, twists, thing = system.split(velocity)
+    states_ = zip((contact.partner for contact in terms.contacts), states(terms, impulses), strict=True)
+    return np.concatenate((*joints.values(), *twists.values(), thing)), tuple(" ".join(one) for one in states_)
+
+
+def _sample(
+    problem: ImpactProblem,
+    models: Mapping[str, RobotModel],
+    sources: Sequence[Source],
+    count: int,
+    rng: np.random.Generator,
+    usual: tuple[str, ...],
+) -> tuple[Array, float, int]:
+    """Velocities of draws ``(n, k)``, the share in other states than usual, and how many draws have no answer."""
+    sample, others = [], 0
+    for _ in range(count):
+        try:
+            velocities, there = answer_of(problem, models, draw(sources, rng))
+        except ImpactMapError:
+            continue
+        sample.append(velocities)
+        others += there != usual
+    return np.array(sample), others / max(len(sample), 1), count - len(sample)
+
+
+def _rows(found: Derivatives, problem: ImpactProblem) -> Array:
+    """Derivatives of all velocities, ``(k, p)``."""
+    start, joints, twists = 0, [], []
+    for name, state in problem.arms.items():
+        where = slice(start, start + state.position.size)
+        joints.append(found.jacobian[where])
+        twists.append(found.end_effector_twist(name, where))
+        start = where.stop
+    return np.concatenate((*joints, *twists, found.jacobian[start:]))
+
+
+def _possible(problem: ImpactProblem, amounts: Mapping[str, float]) -> dict[str, float]:
+    """Amounts that leave masses, inertias and friction positive, and restitution between 0 and 1."""
+    physics, thing = problem.physics, problem.physics.object
+    least = {"object.mass": -0.99 * thing.mass, "pad_friction": -physics.pad_friction}
+    least |= {"support_friction": -physics.support_friction, "restitution": -problem.restitution}
+    least |= {f"object.inertia.{axis}": -0.99 * value for axis, value in zip(AXES, thing.inertia, strict=True)}
+    for name, motor in problem.motor_inertia.items():
+        least |= {f"{name}.motor_inertia.{joint + 1}": -value for joint, value in enumerate(motor)}
+        least[f"{name}.link_inertia"] = -0.99
+    possible = {name: max(amount, float(least.get(name, -np.inf))) for name, amount in amounts.items()}
+    if "restitution" in possible:
+        possible["restitution"] = min(possible["restitution"], 1.0 - problem.restitution)
+    return possible

@@ -1,0 +1,152 @@
+"""How far answers that obey the same laws lie apart.
+
+A face that touches with more than three points can share a load among them in many ways. While its points stick or
+slide without friction, all ways give one u^+; where they slide, each point's friction follows its own load, and u^+ is
+one of a family. The loads of a family form a polytope, whose corners leave at most three points of a face loaded. So
+every choice of three points of every such face is solved by itself, and those answers that obey the laws of the whole
+problem span the **spread**. Answers are solved from the map's own and from ADMM's first guess, so that an answer with
+other contact states is found where there is one.
+
+Which one the map tells is a matter of choice (:mod:`impact_rs_sim.impact_map.newton`): points of equal compliance.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from impact_rs_sim.impact_map.cones import solve_cones, solve_contacts
+from impact_rs_sim.impact_map.contacts import find_contacts
+from impact_rs_sim.impact_map.newton import settle
+from impact_rs_sim.impact_map.problem import ImpactProblem, check_problem
+from impact_rs_sim.impact_map.residual import ContactTerms
+from impact_rs_sim.impact_map.system import System, build_system
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+
+WARNING = 1e-3  # of the ante-impact speed; beyond it a prediction is not told without a word
+LAWFUL = 1e-6  # m/s, residual up to which an answer of some points is one of all
+MOST = 200  # choices of points that are tried; two faces of four points have 25
+CHOICE = "contact points of equal compliance (least norm)"
+
+
+@dataclass(frozen=True)
+class Uniqueness:
+    """How far the answers of one question lie apart.
+
+    Attributes:
+        spread: Largest difference of two answers in a linear velocity of an end effector or the object [m/s].
+        relative: The same over the ante-impact speed, the largest of all bodies [-].
+        answers: Lawful answers that were found, the told one among them.
+        low: Least of every entry of u^+, ``(nv,)`` [rad/s, m/s].
+        high: Largest of every entry of u^+, ``(nv,)``.
+    """
+
+    spread: float
+    relative: float
+    answers: int
+    low: Array
+    high: Array
+
+    @property
+    def unique(self) -> bool:
+        """Whether the answers agree within ``WARNING`` of the ante-impact speed."""
+        return self.relative <= WARNING
+
+    @property
+    def warning(self) -> str:
+        """What a user should know; empty: nothing."""
+        if self.unique:
+            return ""
+        return (
+            f"u+ is not unique: answers that obey all laws differ by {self.spread:.2g} m/s ({self.relative:.2%} of the "
+            f"ante-impact speed), because sliding points can share their load in many ways; told is that of {CHOICE}"
+        )
+
+
+def uniqueness_of(problem: ImpactProblem, models: Mapping[str, RobotModel] | None = None) -> Uniqueness:
+    """The spread of a question's answers; under Poisson's law that of its compression.
+
+    Args:
+        problem: The question.
+        models: Rigid-body models by arm, where the caller has them already.
+
+    Raises:
+        InputError: The question has no answer (see :func:`check_problem`).
+    """
+    if models is None:
+        models = {name: problem.physics.robot_model(name) for name in problem.arms}
+    found = check_problem(problem, models)
+    system = build_system(problem, models)
+    restitution = problem.restitution if problem.restitution_law == "newton" else 0.0
+    terms = ContactTerms.of(system, find_contacts(problem.physics, found), restitution)
+    return spread_of(system, lawful_answers(terms))
+
+
+def lawful_answers(terms: ContactTerms) -> list[Array]:
+    """u^+ of every answer that was found, the told one first, ``(nv,)`` each."""
+    told, _ = solve_contacts(terms)
+    answers = [terms.before + terms.response @ told.ravel()]
+    guesses = [told, solve_cones(terms)[0]]
+    for points in itertools.islice(_choices([contact.partner for contact in terms.contacts]), MOST):
+        some = _of_points(terms, points)
+        for guess in guesses:
+            impulses = np.zeros_like(told)
+            impulses[points], converged = settle(some, guess[points])
+            velocity = terms.before + terms.response @ impulses.ravel()
+            if converged and terms.residual(impulses, velocity).largest <= LAWFUL:
+                answers.append(velocity)
+                break
+    return answers
+
+
+def spread_of(system: System, answers: Sequence[Array]) -> Uniqueness:
+    """How far answers ``(nv,)`` of one problem lie apart."""
+    speeds = np.array([_linear(system, answer) for answer in answers])
+    spread = float(np.max(np.ptp(speeds, axis=0)))
+    before = float(np.max(np.linalg.norm(_linear(system, system.velocity).reshape(-1, 3), axis=1)))
+    together = np.array(answers)
+    return Uniqueness(
+        spread=spread,
+        relative=spread / before if before > 0.0 else 0.0,
+        answers=len(answers),
+        low=together.min(axis=0),
+        high=together.max(axis=0),
+    )
+
+
+def _linear(system: System, velocity: Array) -> Array:
+    """Linear velocities of all end effectors and the object, in a row [m/s]."""
+    _, twists, thing = system.split(velocity)
+    return np.concatenate([*(twist[:3] for twist in twists.values()), thing[:3]])
+
+
+def _choices(partners: Sequence[str]) -> itertools.chain[list[int]]:
+    """Points that are left when every face with more than three keeps three of them, or all."""
+    faces = []
+    for name in dict.fromkeys(partners):
+        points = [index for index, partner in enumerate(partners) if partner == name]
+        corners = list(itertools.combinations(points, 3)) if len(points) > 3 else []
+        faces.append([tuple(points), *corners])
+    product = itertools.product(*faces)
+    next(product)  # all points of all faces are the problem itself
+    return itertools.chain(sorted(itertools.chain(*kept)) for kept in product)
+
+
+def _of_points(terms: ContactTerms, points: Sequence[int]) -> ContactTerms:
+    """The problem with some of its points."""
+    rows = np.ravel([[3 * point, 3 * point + 1, 3 * point + 2] for point in points])
+    kept = list(points)
+    return replace(
+        terms,
+        contacts=[terms.contacts[point] for point in points],
+        jacobian=terms.jacobian[rows],
+        response=terms.response[:, rows],
+        normals=terms.normals[kept],
+        friction=terms.friction[kept],
+        rebound=terms.rebound[kept],
+        inverse_mass=terms.inverse_mass[kept],
+    )
