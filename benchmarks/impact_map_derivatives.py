@@ -4,8 +4,8 @@
 
 A column counts where the map has the same contact states at the problem and at every point of the difference. The step
 is the one at which the differences agree best with each other (Ridders 1982); where they disagree by more than
-``TRUSTED``, the difference itself is no measure and is listed apart: at the map's own compliance of 1e-8 rounding shows in
-the answer from the tenth digit on, at 1e-5 much later. The derivatives are the same code.
+``TRUSTED``, the difference itself is no measure and is listed apart: at the map's own compliance of 1e-8 rounding shows
+in the answer from the tenth digit on, at 1e-5 much later. The derivatives are the same code.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     python benchmarks/impact_map_uniqueness.py [--problems 200] [--starts 12] [--sweeps 5000]
 
-Brute force counts where it obeys the laws to ``LAWFUL``. It cannot find more than there is, and seldom finds the ends of
-a family; so what is held against it is the verdict (more or less than 0.1 % of the ante-impact speed apart), that it
+Brute force counts where it obeys the laws to ``LAWFUL``. It cannot find more than there is, and seldom finds the ends
+of a family; so what is held against it is the verdict (more or less than 0.1 % of the ante-impact speed apart), that it
 never finds more than was told, and, on unique problems, that it finds the told answer.
 """
 

@@ -20,7 +20,8 @@ TEXT = """\
 Predict the velocities just after the nominal impact of a scenario.
 
 Solves the rigid impact map: ante-impact configuration and velocities in, post-impact velocities of all joints and
-bodies and the contact impulses out, with how far answers that obey the same laws lie apart. --motor-inertia says which inertia the motors have during the impact: 'reduced'
+bodies and the contact impulses out, with how far answers that obey the same laws lie apart. --motor-inertia says
+which inertia the motors have during the impact: 'reduced'
 (B_theta, what the robot's torque loop leaves of it), 'rotor' (B_rho, all of it) or 'zero'.
 
 example:
@@ -119,7 +120,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     if told is not None:
         _say_uncertainty(told, terminal)
     if several.warning:
-        terminal.note(f"warning: {several.warning}")
+        terminal.warn(several.warning)
     return 0
 
 

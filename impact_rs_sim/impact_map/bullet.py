@@ -40,9 +40,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_rs_sim.bullet_world import BulletWorld
+from impact_rs_sim.impact_map.cones import solve_cones
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, Meeting
 from impact_rs_sim.impact_map.engine import Answer, Engine
-from impact_rs_sim.impact_map.cones import solve_cones
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.impact_map.residual import SLIDING, ContactTerms
 from impact_rs_sim.impact_map.system import System

@@ -1,8 +1,8 @@
 """How contact points move with the bodies that touch.
 
-A contact point is a corner of the incident face, clipped to the reference face (:mod:`.contacts`): the point x where the
-plane of the incident face meets two planes more, sides of either box. A plane k of a body with the motion
-w(y) = dp + dphi x (y - p) keeps x in it if n_k . dx = n_k . w(x), so
+A contact point is a corner of the incident face, clipped to the reference face: the point x where the plane of the
+incident face meets two planes more, sides of either box (:mod:`impact_rs_sim.impact_map.contacts`). A plane k of a body
+with the motion w(y) = dp + dphi x (y - p) keeps x in it if n_k . dx = n_k . w(x), so
 
     (n_1, n_2, n_3)^T dx = (n_k . w_k(x))_k
 

@@ -9,7 +9,8 @@ u^+ = u^- + H^-1 J^T L, a parameter theta moves u^+ by
 where L and s turn with the contact normals. What a parameter does to H, J and the normals is closed as well:
 
 * a serial chain of revolute joints with the columns (l_i, z_i) of J in E[A]: dl_i / dq_j = z_j x l_i and
-  dz_i / dq_j = z_j x z_i for j <= i, else z_i x l_j and 0; (dM / dq) a from Pinocchio's derivatives of inverse dynamics;
+  dz_i / dq_j = z_j x z_i for j <= i, else z_i x l_j and 0; (dM / dq) a from Pinocchio's derivatives of the inverse
+  dynamics;
 * the object: dH a = W H a - H W a for a turn dphi with W = blockdiag(dphi x, dphi x);
 * contact points: :mod:`impact_rs_sim.impact_map.contact_motion`.
 
@@ -216,9 +217,8 @@ class _Changes:
     def nothing(self) -> _Effect:
         """No change."""
         size, count = self.velocity.size, len(self.contacts)
-        return _Effect(
-            np.zeros(size), np.zeros(size), *(np.zeros((count, 3)) for _ in range(3)), friction=np.zeros(count)
-        )
+        still = np.zeros((3, count, 3))
+        return _Effect(np.zeros(size), np.zeros(size), still[0], still[1], still[2], np.zeros(count))
 
     def of(self, name: str) -> _Effect:
         """What a parameter does, by its name."""
@@ -307,7 +307,7 @@ class _Changes:
                 self._displace(effect, index, along, along, "-", np.zeros(6))
 
     def _displace(self, effect: _Effect, index: int, of_thing: Array, of_partner: Array, mover: str, by: Array) -> None:
-        """One contact point moves on object and partner, and the origin of the ``mover`` (object: empty) with its body."""
+        """One contact point moves on object and partner, and so does the origin of the ``mover`` (empty: the object)."""
         point, impulse = self.contacts[index], self.impulses[index]
         thing = self.system.columns["object"]
         lever = of_thing - (by[:3] if mover == "" else 0.0)

@@ -1,16 +1,17 @@
 """Newton's method on the laws of an impact, which ends at the answer that is told where there are several.
 
-With s_i = (J_c u^+)_i + e (J_n u^-)_i n_i + (rho / m) L_i, the mass m of the object, the impulse L_i >= a_i of every contact point, r_i = 1 / g_i and
-the projection P onto the disk of radius mu L_n, the laws of :mod:`impact_rs_sim.impact_map.problem` are
+With s_i = (J_c u^+)_i + e (J_n u^-)_i n_i + (rho / m) L_i, the mass m of the object, the impulse L_n >= a of every
+contact point, r_i = 1 / g_i and the projection P onto the disk of radius mu L_n, the laws of
+:mod:`impact_rs_sim.impact_map.problem` are
 
     F_n = L_n - max(a, L_n - r s_n) = 0,        F_t = L_t - P(L_t - r s_t) = 0
 
 (Alart and Curnier 1991), and u^+ = u^- + H^-1 J_c^T L. a = 0 but in the second phase of Poisson's law.
 
-**Which answer.** Four corners of a face carry a load in many ways, and where they slide, each way has a friction of its
-own: u^+ is not unique. rho > 0 makes it so: every contact point yields by the same rho / m per impulse. As rho goes to 0
-this singles out the impulses of least norm among those that hold the same velocities. At the ``COMPLIANCE`` taken here
-a point gives way by a hundred-millionth of the velocity that its impulse gives the object.
+**Which answer.** Four corners of a face carry a load in many ways, and where they slide, each way has a friction of
+its own: u^+ is not unique. rho > 0 makes it so: every contact point yields by the same rho / m per impulse. As rho goes
+to 0 this singles out the impulses of least norm among those that hold the same velocities. At the ``COMPLIANCE`` taken
+here a point gives way by a hundred-millionth of the velocity that its impulse gives the object.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Poisson's law of restitution: an impact in two phases, compression and expansion.
 
 Newton's law sets velocities, and what the contacts then have to push to get there may be more than the impact had: with
-friction u^+ can carry more energy than u^-. Poisson's law sets impulses. Compression ends where nothing closes any more,
+friction u^+ can carry more energy than u^-. Poisson's law sets impulses. Compression ends where nothing closes any
+more,
 
     u^c = u^- + H^-1 J_c^T L^c,      0 <= L^c_n  perpendicular to  J_n u^c >= 0
 
@@ -10,8 +11,8 @@ and expansion returns the share e of every normal impulse, and more only where s
     u^+ = u^c + H^-1 J_c^T L^e,      0 <= L^e_n - e L^c_n  perpendicular to  J_n u^+ >= 0
 
 with Coulomb friction in either phase against the sliding velocity at its end (Glocker and Pfeiffer 1995, Anitescu and
-Potra 1997; no restitution along the face). Where sliding keeps its direction, or ends, this is Routh's diagram; where it
-turns round within a phase it is not, for no point of one phase slides two ways. Without friction at a single point
+Potra 1997; no restitution along the face). Where sliding keeps its direction, or ends, this is Routh's diagram; where
+it turns round within a phase it is not, for no point of one phase slides two ways. Without friction at a single point
 both laws are one. With several points they differ: a point that was not pressed has nothing to give back.
 """
 

@@ -9,8 +9,8 @@ Draws from the stated uncertainties tell whether that holds. Where more than ``S
 states (or other contact points), the interval is that of the draws, and the budget the variance that is left when one
 source alone is drawn, over the sum of these.
 
-A scenario states half the width of a 95 % interval, 1.96 sigma. A source may have independent parts, such as the joints of
-B, or move several parameters together, such as a mass with its moments.
+A scenario states half the width of a 95 % interval, 1.96 sigma. A source may have independent parts, such as the joints
+of B, or move several parameters together, such as a mass with its moments.
 """
 
 from __future__ import annotations
@@ -87,7 +87,11 @@ def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[Source, .
     def apart(names: Sequence[str], sigma: float) -> tuple[Mapping[str, float], ...]:
         return tuple({name: sigma} for name in names)
 
-    motors, links, joints, speeds, points = [], [], [], [], []
+    motors: list[Mapping[str, float]] = []
+    links: list[Mapping[str, float]] = []
+    joints: list[Mapping[str, float]] = []
+    speeds: list[Mapping[str, float]] = []
+    points: list[Mapping[str, float]] = []
     for name, state in problem.arms.items():
         count = range(1, state.position.size + 1)
         motors += [

@@ -13,8 +13,8 @@ from impact_map_cases import PUSH, nominal, one_point
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import compute_impact_map
-from impact_rs_sim.impact_map.contacts import ContactPoint
 from impact_rs_sim.impact_map.cones import solve_contacts
+from impact_rs_sim.impact_map.contacts import ContactPoint
 from impact_rs_sim.impact_map.engine import Answer, Engine
 from impact_rs_sim.impact_map.problem import EnergyGain
 from impact_rs_sim.impact_map.residual import ContactTerms
