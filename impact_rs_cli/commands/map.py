@@ -10,7 +10,7 @@ import numpy as np
 
 from impact_rs_cli.terminal import Terminal, add_json, declare
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
-from impact_rs_sim.impact_map.uncertainty import LEVEL, Prediction, predict
+from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, predict
 from impact_rs_sim.impact_map.uniqueness import CHOICE, uniqueness_of
 from impact_rs_sim.physics import RESTITUTION_LAWS
 from impact_rs_sim.scenario import load_scenario
@@ -124,7 +124,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     return 0
 
 
-def _uncertainty(told: Prediction) -> dict[str, Any]:
+def _uncertainty(told: UncertainPrediction) -> dict[str, Any]:
     """Intervals and budgets as JSON."""
     return {
         "level": LEVEL,
@@ -145,7 +145,7 @@ def _uncertainty(told: Prediction) -> dict[str, Any]:
     }
 
 
-def _say_uncertainty(told: Prediction, terminal: Terminal) -> None:
+def _say_uncertainty(told: UncertainPrediction, terminal: Terminal) -> None:
     """Intervals of linear velocities, with what contributes most."""
     how = (
         "linear propagation"

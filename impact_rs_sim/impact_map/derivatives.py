@@ -30,7 +30,7 @@ from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contact_motion import PointMotion, point_motion
 from impact_rs_sim.impact_map.contacts import ContactPoint, Meeting, find_contacts
 from impact_rs_sim.impact_map.newton import COMPLIANCE, delassus, linearise, settle, slope, yielding_velocity
-from impact_rs_sim.impact_map.parameters import AXES, Parameter, parameters_of
+from impact_rs_sim.impact_map.parameters import AXES, MapParameter, parameters_of
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
 from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import System, build_system
@@ -54,7 +54,7 @@ class Derivatives:
         end_effector: J of frame E in E[A] by arm ``(6, n)``, and du^+ of its twist at fixed u^+, ``(6, p)``.
     """
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[MapParameter, ...]
     outputs: tuple[str, ...]
     velocity: Array
     jacobian: Array
@@ -307,7 +307,7 @@ class _Changes:
                 self._displace(effect, index, along, along, "-", np.zeros(6))
 
     def _displace(self, effect: _Effect, index: int, of_thing: Array, of_partner: Array, mover: str, by: Array) -> None:
-        """One contact point moves on object and partner, and so does the origin of the ``mover`` (empty: the object)."""
+        """One contact point moves on both bodies, and with its body so does the origin of the ``mover`` (empty: object)."""
         point, impulse = self.contacts[index], self.impulses[index]
         thing = self.system.columns["object"]
         lever = of_thing - (by[:3] if mover == "" else 0.0)

@@ -50,26 +50,26 @@ OF_JOINTS = {"motor_inertia": "kg m^2", "position": "rad", "velocity": "rad/s"}
 
 
 @dataclass(frozen=True)
-class Parameter:
+class MapParameter:
     """A scalar that a prediction depends on; ``name`` and ``unit`` are those of the table above."""
 
     name: str
     unit: str
 
 
-def parameters_of(problem: ImpactProblem) -> tuple[Parameter, ...]:
+def parameters_of(problem: ImpactProblem) -> tuple[MapParameter, ...]:
     """All parameters of a question."""
-    found = [Parameter("object.mass", "kg")]
-    found += [Parameter(f"object.{kind}.{axis}", unit) for kind, unit in OF_OBJECT.items() for axis in AXES]
+    found = [MapParameter("object.mass", "kg")]
+    found += [MapParameter(f"object.{kind}.{axis}", unit) for kind, unit in OF_OBJECT.items() for axis in AXES]
     for name, state in problem.arms.items():
         found += [
-            Parameter(f"{name}.{kind}.{joint + 1}", unit)
+            MapParameter(f"{name}.{kind}.{joint + 1}", unit)
             for kind, unit in OF_JOINTS.items()
             for joint in range(state.position.size)
         ]
-        found.append(Parameter(f"{name}.link_inertia", "-"))
-        found += [Parameter(f"{name}.contact_point.{axis}", "m") for axis in "xy"]
-    found += [Parameter(name, "-") for name in ("pad_friction", "support_friction", "restitution")]
+        found.append(MapParameter(f"{name}.link_inertia", "-"))
+        found += [MapParameter(f"{name}.contact_point.{axis}", "m") for axis in "xy"]
+    found += [MapParameter(name, "-") for name in ("pad_friction", "support_friction", "restitution")]
     return tuple(found)
 
 

@@ -38,7 +38,7 @@ _LAWFUL = 1e-5  # m/s, residual of a draw that counts
 
 
 @dataclass(frozen=True)
-class Source:
+class UncertaintySource:
     """One thing that is not known exactly.
 
     Attributes:
@@ -51,7 +51,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Prediction:
+class UncertainPrediction:
     """Velocities with their intervals.
 
     Attributes:
@@ -79,7 +79,7 @@ class Prediction:
     without_answer: int
 
 
-def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[Source, ...]:
+def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[UncertaintySource, ...]:
     """The uncertainties that a scenario states, as changes of the parameters of a question; none is left out."""
     thing = problem.physics.object
     stated = Uncertainties(**{name: width / _NORMAL for name, width in stated})
@@ -112,32 +112,38 @@ def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[Source, .
         for axis, value in zip(AXES, thing.inertia, strict=True)
     ]
     found = [
-        Source("motor_inertia", tuple(motors)),
-        Source("link_inertia", tuple(links)),
-        Source("object_mass", (scaled,)),
-        Source("object_inertia", tuple(moments)),
-        Source("object_com_offset", apart([f"object.com_offset.{axis}" for axis in AXES], stated.object_com_offset)),
-        Source(
+        UncertaintySource("motor_inertia", tuple(motors)),
+        UncertaintySource("link_inertia", tuple(links)),
+        UncertaintySource("object_mass", (scaled,)),
+        UncertaintySource("object_inertia", tuple(moments)),
+        UncertaintySource(
+            "object_com_offset", apart([f"object.com_offset.{axis}" for axis in AXES], stated.object_com_offset)
+        ),
+        UncertaintySource(
             "object_pose",
             (
                 *apart(["object.position.x", "object.position.y"], stated.object_position),
                 *apart(["object.rotation.z"], stated.object_yaw),
             ),
         ),
-        Source("joint_position", tuple(joints)),
-        Source("joint_velocity", tuple(speeds)),
-        Source("contact_point", tuple(points)),
-        Source("pad_friction", ({"pad_friction": stated.pad_friction * problem.physics.pad_friction},)),
-        Source("support_friction", ({"support_friction": stated.support_friction * problem.physics.support_friction},)),
-        Source("restitution", ({"restitution": stated.restitution},)),
+        UncertaintySource("joint_position", tuple(joints)),
+        UncertaintySource("joint_velocity", tuple(speeds)),
+        UncertaintySource("contact_point", tuple(points)),
+        UncertaintySource("pad_friction", ({"pad_friction": stated.pad_friction * problem.physics.pad_friction},)),
+        UncertaintySource(
+            "support_friction", ({"support_friction": stated.support_friction * problem.physics.support_friction},)
+        ),
+        UncertaintySource("restitution", ({"restitution": stated.restitution},)),
     ]
     return tuple(
-        Source(one.name, tuple(part for part in one.deviations if any(sigma > 0.0 for sigma in part.values())))
+        UncertaintySource(
+            one.name, tuple(part for part in one.deviations if any(sigma > 0.0 for sigma in part.values()))
+        )
         for one in found
     )
 
 
-def draw(sources: Sequence[Source], rng: np.random.Generator) -> dict[str, float]:
+def draw(sources: Sequence[UncertaintySource], rng: np.random.Generator) -> dict[str, float]:
     """One draw of all parameters: normal, independent from source to source and part to part."""
     amounts: dict[str, float] = {}
     for source in sources:
@@ -154,7 +160,7 @@ def predict(
     models: Mapping[str, RobotModel] | None = None,
     draws: int = DRAWS,
     seed: int = 0,
-) -> Prediction:
+) -> UncertainPrediction:
     """Predict with intervals.
 
     Args:
@@ -201,7 +207,7 @@ def predict(
             alone, _, _ = _sample(problem, models, (source,), max(draws // 4, 2), rng, usual)
             variances[source.name] = np.var(alone, axis=0) if len(alone) > 1 else np.zeros_like(nominal)
     total = np.maximum(np.sum(list(variances.values()), axis=0), 1e-300)
-    return Prediction(
+    return UncertainPrediction(
         names=velocity_names(problem),
         nominal=nominal,
         low=low,
@@ -216,7 +222,7 @@ def predict(
 
 
 def velocity_names(problem: ImpactProblem) -> tuple[str, ...]:
-    """Names of the velocities of a :class:`Prediction`."""
+    """Names of the velocities of a :class:`UncertainPrediction`."""
     *joints, vx, vy, vz, wx, wy, wz = output_names(problem)
     twists = [
         f"{arm}.{kind}.{axis}" for arm in problem.arms for kind in ("velocity", "angular_velocity") for axis in AXES
@@ -247,7 +253,7 @@ def answer_of(
 def _sample(
     problem: ImpactProblem,
     models: Mapping[str, RobotModel],
-    sources: Sequence[Source],
+    sources: Sequence[UncertaintySource],
     count: int,
     rng: np.random.Generator,
     usual: tuple[str, ...],

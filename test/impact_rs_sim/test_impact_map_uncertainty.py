@@ -1,0 +1,76 @@
+"""Intervals of a prediction and the budget of what makes them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from impact_map_cases import nominal
+
+from impact_rs_sim.impact_map.derivatives import differentiate
+from impact_rs_sim.impact_map.parameters import change
+from impact_rs_sim.impact_map.problem import ImpactProblem
+from impact_rs_sim.impact_map.uncertainty import answer_of, draw, predict, sources_of, velocity_names
+from impact_rs_sim.scenario import Uncertainties
+
+NONE = dict.fromkeys(Uncertainties.model_fields, 0.0)
+PROBLEM: ImpactProblem = nominal()
+MODELS = {"arm": PROBLEM.physics.robot_model("arm")}
+
+
+def test_mass_alone_gives_the_interval_of_its_derivative() -> None:
+    told = predict(PROBLEM, Uncertainties(**NONE | {"object_mass": 0.02}), MODELS, draws=8)
+    assert told.method == "linear"
+    found = differentiate(PROBLEM)
+    thing = PROBLEM.physics.object
+    column = found.of("object.mass") * thing.mass
+    column = column + sum(thing.inertia[axis] * found.of(f"object.inertia.{name}") for axis, name in enumerate("xyz"))
+    index, row = told.names.index("object.velocity.y"), found.outputs.index("object.velocity.y")
+    half = 0.02 * abs(column[row])
+    assert told.high[index] - told.low[index] == pytest.approx(2.0 * half, rel=1e-6)
+    assert told.budget["object_mass"][index] == pytest.approx(1.0)
+
+
+def test_shares_of_a_budget_add_up_and_intervals_add_in_squares() -> None:
+    parts = {"object_mass": 0.02, "motor_inertia": 0.1}
+    both = predict(PROBLEM, Uncertainties(**NONE | parts), MODELS, draws=8)
+    alone = [predict(PROBLEM, Uncertainties(**NONE | {key: parts[key]}), MODELS, draws=8) for key in parts]
+    np.testing.assert_allclose(both.deviation**2, sum(one.deviation**2 for one in alone), rtol=1e-9)
+    index = both.names.index("arm.velocity.y")
+    assert sum(share[index] for share in both.budget.values()) == pytest.approx(1.0)
+    assert both.low[index] < both.nominal[index] < both.high[index]
+
+
+def test_draws_of_a_smooth_problem_scatter_as_linear_propagation_says() -> None:
+    stated = Uncertainties(**NONE | {"object_mass": 0.02, "motor_inertia": 0.1, "link_inertia": 0.05})
+    told = predict(PROBLEM, stated, MODELS, draws=8)
+    rng, sources = np.random.default_rng(1), sources_of(PROBLEM, stated)
+    sample = np.array([answer_of(PROBLEM, MODELS, draw(sources, rng))[0] for _ in range(150)])
+    index = told.names.index("object.velocity.y")
+    assert np.std(sample[:, index]) == pytest.approx(told.deviation[index], rel=0.2)
+
+
+def test_where_contacts_switch_the_interval_is_that_of_the_draws() -> None:
+    # Yaw of a few mrad lets an edge of the pad hit first.
+    told = predict(PROBLEM, Uncertainties(**NONE | {"object_yaw": 0.012}), MODELS, draws=24)
+    assert told.method == "monte_carlo"
+    assert told.switched > 0.5
+    index = told.names.index("object.velocity.y")
+    assert told.budget["object_pose"][index] == pytest.approx(1.0)
+
+
+def test_pads_come_on_until_they_touch() -> None:
+    for amount in (-0.004, 0.004):
+        moved = change(PROBLEM, {"object.position.y": amount})
+        _, terms = moved.touching_terms(MODELS)
+        pads = [contact for contact in terms.contacts if contact.partner == "arm"]
+        assert len(pads) == 4
+        velocities, states = answer_of(PROBLEM, MODELS, {"object.position.y": amount})
+        assert states == answer_of(PROBLEM, MODELS, {})[1]
+        np.testing.assert_allclose(velocities, answer_of(PROBLEM, MODELS, {})[0], atol=1e-6)
+
+
+def test_every_velocity_has_a_name() -> None:
+    told = predict(PROBLEM, Uncertainties(**NONE), MODELS, draws=2)
+    assert len(told.names) == len(told.nominal) == 7 + 6 + 6
+    assert told.names == velocity_names(PROBLEM)
+    np.testing.assert_array_equal(told.low, told.high)
