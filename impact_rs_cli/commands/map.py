@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from impact_rs_cli.arguments import add_jobs, started
 from impact_rs_cli.terminal import Terminal, add_json, declare
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, predict
 from impact_rs_sim.impact_map.uniqueness import CHOICE, uniqueness_of
 from impact_rs_sim.physics import RESTITUTION_LAWS
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
+from impact_rs_trials.map_table import answer_table, write_answers
+from impact_rs_trials.recordings.impact_table import read_impact_table
 
 TEXT = """\
 Predict the velocities just after the nominal impact of a scenario.
@@ -28,6 +33,11 @@ example:
   impact-rs map push cat_food case_2
   impact-rs map push cat_food 2 --motor-inertia rotor --json
   impact-rs map push cat_food 2 --uncertainty
+  impact-rs map push --table problems.parquet -o answers.parquet
+  impact-rs map --table tosses.csv -o answers.csv
+
+--table solves one problem per row of a table of impacts (docs/impact_tables.md) whose velocities after are left out:
+those of an arm with a scenario, of free bodies without one.
 
 Units: m/s and rad/s, impulses in N s, vectors in the axes of the world frame, SI throughout."""
 
@@ -35,9 +45,9 @@ Units: m/s and rad/s, impulses in N s, vectors in the axes of the world frame, S
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
     declare(parser, run, TEXT)
-    parser.add_argument("scenario", metavar="SCENARIO", help="name of a scenario, or path of its YAML file")
-    parser.add_argument("object", metavar="OBJECT", help="name of an object of the scenario")
-    parser.add_argument("case", metavar="CASE", help="name of a case of the scenario; 2 is short for case_2")
+    parser.add_argument("scenario", metavar="SCENARIO", nargs="?", help="name of a scenario, or path of its YAML file")
+    parser.add_argument("object", metavar="OBJECT", nargs="?", help="name of an object of the scenario")
+    parser.add_argument("case", metavar="CASE", nargs="?", help="name of a case of the scenario; 2 is short for case_2")
     parser.add_argument(
         "--motor-inertia", choices=("reduced", "rotor", "zero"), default="reduced", help="default: %(default)s"
     )
@@ -52,11 +62,18 @@ def add(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="interval of every velocity from the uncertainties that the scenario states, and who contributes what",
     )
+    parser.add_argument("--table", type=Path, metavar="FILE", help="many problems: a .csv or .parquet table of impacts")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="where the answers of --table go")
+    add_jobs(parser)
     add_json(parser)
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
+    if args.table is not None:
+        return _many(args, terminal)
+    if args.scenario is None or args.object is None or args.case is None:
+        raise InputError("expected SCENARIO OBJECT CASE, or --table FILE -o FILE")
     scenario = load_scenario(args.scenario)
     scenario.object(args.object)
     scene = Scene.resolve(scenario, args.object, args.case)
@@ -121,6 +138,26 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         _say_uncertainty(told, terminal)
     if several.warning:
         terminal.warn(several.warning)
+    return 0
+
+
+def _many(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Answer a table."""
+    if args.output is None:
+        raise InputError("--table needs -o FILE, where the answers go (.csv or .parquet)")
+    if args.object is not None or args.uncertainty or args.restitution_law:
+        raise InputError("--table goes with at most a SCENARIO; the rest stands in its columns")
+    scenario = load_scenario(args.scenario) if args.scenario is not None else None
+    table = read_impact_table(args.table, scenario, questions=True)
+    with started(args) as map_tasks:
+        answers = answer_table(table, map_tasks)
+    write_answers(table, answers, args.output)
+    for number, message in answers.messages.items():
+        terminal.warn(f"row {number}: {message}")
+    terminal.result(
+        {"rows": len(table.rows), "answered": len(table.rows) - len(answers.messages), "output": str(args.output)}
+    )
+    terminal.say(f"{len(table.rows) - len(answers.messages)} of {len(table.rows)} rows answered: {args.output}")
     return 0
 
 

@@ -307,7 +307,7 @@ class _Changes:
                 self._displace(effect, index, along, along, "-", np.zeros(6))
 
     def _displace(self, effect: _Effect, index: int, of_thing: Array, of_partner: Array, mover: str, by: Array) -> None:
-        """One contact point moves on both bodies, and with its body so does the origin of the ``mover`` (empty: object)."""
+        """One contact point moves on both bodies, and the origin of the ``mover`` (empty: object) with its body."""
         point, impulse = self.contacts[index], self.impulses[index]
         thing = self.system.columns["object"]
         lever = of_thing - (by[:3] if mover == "" else 0.0)

@@ -133,19 +133,20 @@ class ImpactTable:
     unread: tuple[str, ...] = ()
 
 
-def read_impact_table(path: Path, scenario: Scenario | None = None) -> ImpactTable:
+def read_impact_table(path: Path, scenario: Scenario | None = None, questions: bool = False) -> ImpactTable:
     """Read a table of impacts.
 
     Args:
         path: CSV or Parquet file.
         scenario: Robots, pads and support of rows of arms; None: rows of free bodies.
+        questions: Whether the rows ask for the velocities after: their columns may be absent and are not read.
 
     Raises:
         InputError: It cannot be read, a column is missing or has another unit, or a row is no impact; the message names
             row and column, what is there, and what was expected.
     """
     header, cells, digest = _read(path)
-    return _Reader(path, header, cells, scenario).table(digest)
+    return _Reader(path, header, cells, scenario, questions).table(digest)
 
 
 Cells = list[dict[str, Any]]
@@ -241,12 +242,14 @@ class _Reader:
         header: Headers of the file.
         cells: Rows by header.
         scenario: Of rows of arms.
+        questions: Whether velocities after are asked for.
     """
 
     path: Path
     header: list[str]
     cells: Cells
     scenario: Scenario | None
+    questions: bool = False
     _where: dict[str, str] = field(default_factory=dict)  # header by name of a column
     _factor: dict[str, float] = field(default_factory=dict)
     _unit: dict[str, str] = field(default_factory=dict)
@@ -333,6 +336,8 @@ class _Reader:
         if any(f"{self._label(arm)}B1" in self._where for arm in self._arms):
             needed |= {name: "kg m^2" for arm in self._arms for name in self._of_joints(arm, "B")}
         for name, unit in needed.items():
+            if self.questions and name.endswith("_after"):
+                continue
             if name not in self._where:
                 wanted = f"{name} [{unit}]"
                 others = set(self.header) - set(self._where.values())
@@ -375,6 +380,9 @@ class _Reader:
     def _values(self, number: int, cells: Mapping[str, Any], names: Sequence[str]) -> Array:
         return np.array([self._value(number, cells, name) for name in names])
 
+    def _after(self, number: int, cells: Mapping[str, Any], names: Sequence[str]) -> Array:
+        return np.full(len(names), np.nan) if self.questions else self._values(number, cells, names)
+
     def _wrong(self, number: int, names: str, value: object, message: str) -> InputError:
         return InputError(message, file=self.path, key=f"{_row(number)}, {names}", value=value)
 
@@ -388,7 +396,7 @@ class _Reader:
             rotation=self._rotation(number, cells),
             twist=self._values(number, cells, [*_triple("v", "_before"), *_triple("w", "_before")]),
         )
-        after = [self._values(number, cells, [*_triple("v", "_after"), *_triple("w", "_after")])]
+        after = [self._after(number, cells, [*_triple("v", "_after"), *_triple("w", "_after")])]
         normal = self._normal(number, cells)
         given = self._given_points(number, cells)
         thing = self._object(number, cells)
@@ -399,7 +407,7 @@ class _Reader:
                 self._values(number, cells, self._of_joints(arm, "q")),
                 self._values(number, cells, self._of_joints(arm, "dq", "_before")),
             )
-            after.insert(place, self._values(number, cells, self._of_joints(arm, "dq", "_after")))
+            after.insert(place, self._after(number, cells, self._of_joints(arm, "dq", "_after")))
         if arms:
             on_pad = {next(iter(arms)): (given, normal)} if given and len(arms) == 1 else None
             try:

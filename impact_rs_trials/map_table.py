@@ -1,0 +1,104 @@
+"""The impact map for many questions at once: a table of impacts in, the same with the velocities after out."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map.measured import solve_measured
+from impact_rs_sim.impact_map.problem import ImpactMapError
+from impact_rs_sim.robot import Array
+from impact_rs_trials.recordings.impact_table import SUFFIXES, ImpactRow, ImpactTable
+from impact_rs_trials.recordings.table_file import require
+from impact_rs_trials.workers import Map
+
+_AT_A_TIME = 50  # rows of a task; one takes some milliseconds
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Velocities after every row's impact.
+
+    Attributes:
+        after: u^+, joint velocities of every arm and then the twist of the centre, ``(rows, nv)`` [rad/s, m/s]; NaN
+            where there is no answer.
+        messages: Why there is none, by row number.
+    """
+
+    after: Array
+    messages: dict[int, str]
+
+
+def answer_table(table: ImpactTable, map_tasks: Map = map) -> Answers:  # type: ignore[assignment]
+    """Solve all rows of a table that was read as questions.
+
+    Args:
+        table: The questions.
+        map_tasks: The map of a workforce (:func:`impact_rs_trials.workers.workers`); absent: this process.
+    """
+    chunks = [table.rows[start : start + _AT_A_TIME] for start in range(0, len(table.rows), _AT_A_TIME)]
+    after: list[Array] = []
+    messages: dict[int, str] = {}
+    for answered, said in map_tasks(_answer, chunks):
+        after.extend(answered)
+        messages |= said
+    return Answers(np.array(after), messages)
+
+
+def _answer(rows: Sequence[ImpactRow]) -> tuple[list[Array], dict[int, str]]:
+    after, messages = [], {}
+    for row in rows:
+        try:
+            after.append(solve_measured(row.physics, row.impact)[0])
+        except ImpactMapError as error:
+            after.append(np.full_like(row.after, np.nan))
+            messages[row.number] = str(error)
+    return after, messages
+
+
+def write_answers(table: ImpactTable, answers: Answers, target: Path) -> None:
+    """Write row number, condition and velocities after, in columns named as in tables of impacts.
+
+    Raises:
+        InputError: Neither CSV nor Parquet, pyarrow is missing, or the file cannot be written.
+    """
+    if target.suffix not in SUFFIXES:
+        raise InputError(f"expected a table ({' or '.join(SUFFIXES)})", file=target)
+    columns: dict[str, list[object]] = {
+        "row": [row.number for row in table.rows],
+        "condition": [row.condition for row in table.rows],
+        **{name: values.tolist() for name, values in zip(_names(table), answers.after.T, strict=True)},
+        "message": [answers.messages.get(row.number, "") for row in table.rows],
+    }
+    try:
+        if target.suffix == ".csv":
+            with target.open("w", newline="", encoding="utf-8") as file:
+                writer = csv.writer(file)
+                writer.writerow(columns)
+                writer.writerows(zip(*columns.values(), strict=True))
+        else:
+            require("pyarrow", target)
+            import pyarrow
+            import pyarrow.parquet
+
+            pyarrow.parquet.write_table(pyarrow.table(columns), target)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", file=target) from None
+
+
+def _names(table: ImpactTable) -> list[str]:
+    row = table.rows[0]
+    names = []
+    for arm in table.arms:
+        label = f"{arm}." if len(table.arms) > 1 else ""
+        names += [f"{label}dq{joint + 1}_after [rad/s]" for joint in range(row.impact.arms[arm].position.size)]
+    return [
+        *names,
+        *(f"v{axis}_after [m/s]" for axis in "xyz"),
+        *(f"w{axis}_after [rad/s]" for axis in "xyz"),
+    ]
