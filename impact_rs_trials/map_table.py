@@ -34,7 +34,7 @@ class Answers:
     messages: dict[int, str]
 
 
-def answer_table(table: ImpactTable, map_tasks: Map = map) -> Answers:  # type: ignore[assignment]
+def answer_table(table: ImpactTable, map_tasks: Map = map) -> Answers:
     """Solve all rows of a table that was read as questions.
 
     Args:

@@ -13,7 +13,8 @@ from impact_rs_trials.recordings.impact_table import read_impact_table
 
 HEADER = (
     "x [m],y [m],z [m],qx,qy,qz,qw,vx_before [m/s],vy_before [m/s],vz_before [m/s],wx_before [rad/s],"
-    "wy_before [rad/s],wz_before [rad/s],mass [kg],size_x [m],size_y [m],size_z [m],px [m],py [m],pz [m],friction,restitution"
+    "wy_before [rad/s],wz_before [rad/s],mass [kg],size_x [m],size_y [m],size_z [m],"
+    "px [m],py [m],pz [m],friction,restitution"
 )
 
 

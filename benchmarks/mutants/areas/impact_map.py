@@ -14,6 +14,17 @@ LAWS = ("test/impact_rs_sim/test_impact_map_physics.py",)
 ENGINES = ("test/impact_rs_sim/test_impact_map_engines.py",)
 PROBLEM = "impact_rs_sim/impact_map/problem.py"
 
+NEWTON = "impact_rs_sim/impact_map/newton.py"
+DERIVATIVES = "impact_rs_sim/impact_map/derivatives.py"
+MOTION = "impact_rs_sim/impact_map/contact_motion.py"
+ENGINE = "impact_rs_sim/impact_map/engine.py"
+RESTITUTION = "impact_rs_sim/impact_map/restitution.py"
+UNCERTAINTY = "impact_rs_sim/impact_map/uncertainty.py"
+DERIVATIVE_TESTS = ("test/impact_rs_sim/test_impact_map_derivatives.py",)
+UNIQUENESS_TESTS = ("test/impact_rs_sim/test_impact_map_uniqueness.py",)
+RESTITUTION_TESTS = ("test/impact_rs_sim/test_impact_map_restitution.py",)
+UNCERTAINTY_TESTS = ("test/impact_rs_sim/test_impact_map_uncertainty.py",)
+
 MUTANTS = [
     Mutant(
         name="motor_inertia_left_out_of_the_map",
@@ -374,5 +385,85 @@ MUTANTS = [
         mutated="            polygon = polygon + 0.0 * sign\n",
         wrong="Contact points lie beyond the edge of a face.",
         tests=CONTACT_TESTS,
+    ),
+    Mutant(
+        name="share_of_equal_corners_left_open",
+        file=NEWTON,
+        original="compliance * terms.mobility * np.eye(len(operator))",
+        mutated="compliance * terms.mobility * np.diag(1.0 + np.arange(len(operator)))",
+        wrong="Contact points are not equally compliant, and another answer of the family is told.",
+        tests=UNIQUENESS_TESTS,
+    ),
+    Mutant(
+        name="friction_along_sliding_in_newtons_method",
+        file=NEWTON,
+        original="wanted = tangential - ratio[:, None] * sliding",
+        mutated="wanted = tangential + ratio[:, None] * sliding",
+        wrong="Newton's method looks for friction that drives the sliding.",
+        tests=DERIVATIVE_TESTS,
+    ),
+    Mutant(
+        name="mass_derivative_sign",
+        file=DERIVATIVES,
+        original="= -pin.Inertia(1.0, offset, np.zeros((3, 3))).matrix() @ jump",
+        mutated="= pin.Inertia(1.0, offset, np.zeros((3, 3))).matrix() @ jump",
+        wrong="A heavier object is said to leave faster.",
+        tests=DERIVATIVE_TESTS,
+    ),
+    Mutant(
+        name="motor_inertia_derivative_sign",
+        file=DERIVATIVES,
+        original="effect.generalised[where.start + joint] = -self.jump[where][joint]",
+        mutated="effect.generalised[where.start + joint] = self.jump[where][joint]",
+        wrong="More motor inertia is said to push less.",
+        tests=DERIVATIVE_TESTS,
+    ),
+    Mutant(
+        name="normals_do_not_turn",
+        file=DERIVATIVES,
+        original="        self._turn_impulses(effect)\n",
+        mutated="",
+        wrong="Impulses keep their direction when a face turns.",
+        tests=DERIVATIVE_TESTS,
+    ),
+    Mutant(
+        name="contact_point_follows_the_wrong_plane",
+        file=MOTION,
+        original="of_incident, of_reference = (of_partner, of_object)",
+        mutated="of_reference, of_incident = (of_partner, of_object)",
+        wrong="Corners of a pad are said to move with the object.",
+        tests=DERIVATIVE_TESTS,
+    ),
+    Mutant(
+        name="energy_gain_sign",
+        file=ENGINE,
+        original="return float(0.5 * passed @ self.impulses.ravel())",
+        mutated="return float(-0.5 * passed @ self.impulses.ravel())",
+        wrong="Answers that gain energy pass.",
+        tests=RESTITUTION_TESTS,
+    ),
+    Mutant(
+        name="expansion_returns_everything",
+        file=RESTITUTION,
+        original="least = terms.restitution * np.maximum(",
+        mutated="least = 1.0 * np.maximum(",
+        wrong="Poisson's law gives back all of the impulse of compression.",
+        tests=RESTITUTION_TESTS,
+    ),
+    Mutant(
+        name="variances_add_without_squares",
+        file=UNCERTAINTY,
+        original="deviation = np.sqrt(np.sum(list(variances.values()), axis=0))",
+        mutated="deviation = np.sum(np.sqrt(list(variances.values())), axis=0)",
+        wrong="Independent uncertainties add as if they were one.",
+        tests=UNCERTAINTY_TESTS,
+    ),
+    Mutant(
+        name="stated_widths_taken_for_sigmas",
+        file=UNCERTAINTY,
+        original="name: width / _NORMAL for name",
+        mutated="name: width for name",
+        wrong="Intervals are twice as wide as what is stated.",
+        tests=UNCERTAINTY_TESTS,
     ),
 ]
