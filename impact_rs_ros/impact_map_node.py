@@ -23,6 +23,7 @@ from impact_rs_ros.process import NodeProgram, run
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.impact_map import ImpactMapError, compute_impact_map
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
+from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, ObjectPhysics, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import load_scenario
@@ -56,6 +57,7 @@ class ImpactMapNode(NodeProgram):
             name = request.object_description.name if request.use_object_description else request.object_name
             _fill(response, problem, compute_impact_map(problem, engine), name)
             response.success = True
+            response.message = uniqueness_of(problem).warning  # empty as ever where u^+ is unique
             self._answered += 1
             self.log.info(f"answered {name}, case {request.case_name!r}, by engine {engine}")
         except (InputError, ImpactMapError) as error:

@@ -34,6 +34,7 @@ SWITCHES = 0.02  # share of draws in other contact states from which the linear 
 DRAWS = 200  # the ends of an interval scatter by about a tenth of its width
 LEVEL = 0.95
 _NORMAL = 1.959964  # 97.5 % quantile of the normal distribution
+_SOFTER = 1e-5  # rho of the derivatives where Newton's method fails at that of the map
 _LAWFUL = 1e-5  # m/s, residual of a draw that counts
 
 
@@ -180,7 +181,10 @@ def predict(
         models = {name: problem.physics.robot_model(name) for name in problem.arms}
     check_problem(problem, models)
     sources = sources_of(problem, stated)
-    found = differentiate(problem, models)
+    try:
+        found = differentiate(problem, models)
+    except ImpactMapError:
+        found = differentiate(problem, models, _SOFTER)
     nominal, usual = answer_of(problem, models, {})
     slopes = dict(zip((one.name for one in found.parameters), _rows(found, problem).T, strict=True))
     rng = np.random.default_rng(seed)
