@@ -21,7 +21,7 @@ from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.derivatives import differentiate
 from impact_rs_sim.impact_map.newton import COMPLIANCE, settle, states
 from impact_rs_sim.impact_map.parameters import change
-from impact_rs_sim.impact_map.problem import ImpactProblem
+from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
 from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -85,7 +85,11 @@ def main() -> None:
         problem = random_problem(scenario, rng)
         models = {name: problem.physics.robot_model(name) for name in problem.arms}
         start = time.perf_counter()
-        found = differentiate(problem, models, options.compliance)
+        try:
+            found = differentiate(problem, models, options.compliance)
+        except ImpactMapError as error:
+            misses.append(f"problem {index}: {error}")
+            continue
         times.append(1e3 * (time.perf_counter() - start))
         names = [parameter.name for parameter in found.parameters]
         chosen = rng.permutation(names)[: options.columns or len(names)]
