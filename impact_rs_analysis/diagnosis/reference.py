@@ -38,13 +38,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from impact_rs_analysis.diagnosis.thresholds import DRAWS, LEAST_FREEDOM
+from impact_rs_analysis.diagnosis.thresholds import DRAWS, LEAST_FREEDOM, LEAST_OWN, UNMEASURED
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
-
-# Of a simulator left out, the share of its differences that no sum of the others' is: 14 to 67 %, 34 % in the mean.
-UNMEASURED = 1.0 / 3.0
-LEAST_OWN = 0.01  # of a feature's squared scale that is not discrepancy, lest a direction without noise weighs all
 
 
 class Reference(ABC):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -134,6 +135,29 @@ class AnalyticSource(Source):
             replace(item, residuals=(self._measured[int(item.name)] - features(int(item.name), added)) / item.sigma)
             for item in like
         ]
+
+
+class BeforeTheHit(AnalyticSource):
+    """Clusters whose first half of features was measured before anything is hit; arguments as for the world."""
+
+    @property
+    def before(self) -> list[bool]:
+        """Which of the features these are."""
+        return [number < FEATURES // 2 for number in range(FEATURES)]
+
+    @property
+    def free_motion(self) -> AnalyticSource:
+        """These features alone; what is asked of them is not in ``asked``."""
+        found = copy.copy(self)
+        found.__class__ = _FirstHalf
+        found.asked = []
+        found.clusters = tuple(item.only(self.before, contact=False) for item in self.clusters)
+        return found
+
+
+class _FirstHalf(AnalyticSource):
+    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+        return [None if values is None else values[: FEATURES // 2] for values in super().predict(wanted, what)]
 
 
 def correlated(rank: int = 5, seed: int = 0) -> Array:
