@@ -119,8 +119,8 @@ MUTANTS = [
     Mutant(
         name="discrepancy_counts_in_every_direction",
         file=REFERENCE,
-        original="return np.asarray(vectors / np.sqrt(values))",
-        mutated="return np.eye(values.size)",
+        original="return np.asarray(np.linalg.inv(np.linalg.cholesky(both)).T)",
+        mutated="return np.eye(len(both))",
         wrong="The directions in which simulators differ hide what lies across them.",
         tests=REFERENCES,
     ),
