@@ -340,4 +340,20 @@ MUTANTS = [
         wrong="Friction helps the motion in a torque balance.",
         tests=RECORDED,
     ),
+    Mutant(
+        name="shape_from_where_it_stands",
+        file=SEARCH,
+        original="replace(candidate, point=before.estimate)",
+        mutated="replace(candidate, point=candidate.point)",
+        wrong="A shape is fitted from its nominal value, however far away it is.",
+        tests=SEARCHES,
+    ),
+    Mutant(
+        name="motion_before_a_hit_forgotten",
+        file=SEARCH,
+        original="        if free is None:",
+        mutated="        if True:",
+        wrong="Only what never hits anything can rule an effect out.",
+        tests=SEARCHES,
+    ),
 ]

@@ -20,8 +20,10 @@ FLOOR = 0.3  # share of a feature's scale that nobody cares about
 PHYSICS = Physics.nominal(load_scenario("push"), "juice")  # for the number of joints alone
 
 
-def parameter(name: str, nominal: float = 0.0, shape: bool = False, lower: float = -50.0) -> Parameter:
-    return Parameter(name, "-", nominal, lower, 50.0, 1.0, name, shape=shape)
+def parameter(
+    name: str, nominal: float = 0.0, shape: bool = False, lower: float = -50.0, grid: tuple[float, ...] = ()
+) -> Parameter:
+    return Parameter(name, "-", nominal, lower, 50.0, 1.0, name, shape=shape, grid=grid)
 
 
 def effect(name: str, parameters: tuple[Parameter, ...], phases: tuple[str, ...] = ("free", "contact")) -> Effect:
@@ -38,6 +40,7 @@ EFFECTS = {
         effect("of_joints", tuple(parameter(f"joint{number}") for number in range(7))),
         effect("of_motors", tuple(parameter(f"motor{number}") for number in range(7))),
         effect("one_sided", (parameter("d", lower=0.0),)),
+        effect("fading", (parameter("e"), parameter("rate", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
     )
 }
 
@@ -62,6 +65,8 @@ def features(cluster: int, added: Added) -> Array:
             result += sum(value * direction(cluster, 10 + j) for j, value in enumerate(values))
         elif name == "of_motors":
             result += sum(value * direction(cluster, 20 + j) for j, value in enumerate(values))
+        elif name == "fading":
+            result += values[0] * np.exp(-values[1] * np.linspace(0.0, 3.0, FEATURES)) * (1.0 + 0.1 * cluster)
         elif name == "one_sided":
             result += values[0] * direction(cluster, 7)
         elif name == "outside":

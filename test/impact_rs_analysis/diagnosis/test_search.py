@@ -203,6 +203,18 @@ def test_where_one_effect_explains_free_motion_others_of_the_joints_are_not_trie
     assert chosen is not None and chosen.candidate.names == ("of_joints",)
 
 
+@pytest.mark.parametrize("rate", [0.15, 6.0, 20.0])
+def test_a_shape_far_from_its_start_is_found_in_the_motion_before_a_hit(rate: float) -> None:
+    """A rate up to twenty times its start, which no linear step leads to; the hit is asked from the place found."""
+    source = BeforeTheHit(1, (("fading", (12.0, rate)),))
+    search = searched(source, ("bent", "fading"))
+    asked = [values[1] for _, added in source.asked for name, values in added if name == "fading"]
+    assert any(value == pytest.approx(rate, rel=0.2) for value in asked)
+    chosen = search.choose()
+    assert chosen is not None and chosen.candidate.names == ("fading",)
+    np.testing.assert_allclose(chosen.estimate, (12.0, rate), rtol=0.15)
+
+
 def test_motion_before_a_hit_rules_out_as_well_and_the_hit_is_not_asked() -> None:
     """No cluster is without a hit; what is told of the effect all the same is how little of it can be there."""
     ruled_out = 0
