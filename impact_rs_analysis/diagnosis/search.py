@@ -114,7 +114,7 @@ class Search:
 
         Where trying them in contact is dear, they are fitted to the motion before it.
         """
-        if not any(scalar.grid for scalar in candidate.scalars):
+        if not _bends(candidate):
             return candidate
         if self.source.cheap:
             return self._best_shape(candidate, self.evidence)
@@ -126,7 +126,7 @@ class Search:
 
     def _fitted(self, candidate: Candidate, evidence: Evidence) -> Fit:
         """A fit where predictions are cheap: with a shape, which bends everything, from its best value and again."""
-        if not any(scalar.grid for scalar in candidate.scalars):
+        if not _bends(candidate):
             return refine(candidate, evidence)
         fitted = refine(self._best_shape(candidate, evidence), evidence)
         for _ in range(ROUNDS):
@@ -211,9 +211,12 @@ class Search:
         enough = 2.0 * float(evidence.expected.mean())
         if evidence.excess(evidence.errors) < enough:
             return set()
-        fits = {name: see_all(self._fitted(candidate, evidence)) for name, candidate in sorted(candidates.items())}
-        self._fitted_before_contact = fits
-        errors = {name: float(np.mean(fitted.problem.errors(fitted.change))) for name, fitted in fits.items()}
+        errors: dict[str, float] = {}
+        for name, candidate in sorted(candidates.items(), key=lambda entry: _bends(entry[1])):
+            known = min(errors.values(), default=np.inf) <= enough
+            fitted = see_all(refine(candidate, evidence) if known else self._fitted(candidate, evidence))
+            self._fitted_before_contact[name] = fitted
+            errors[name] = float(np.mean(fitted.problem.errors(fitted.change)))
         best = min(errors.values(), default=np.inf)
         if best > 2.0 * enough:
             return set()
@@ -450,6 +453,11 @@ def tied_errors(own: Array, other: Array, floor: Array | float) -> bool:
     ratio = ratio[moved]
     spread = float(ratio.std(ddof=1) / math.sqrt(ratio.size)) if ratio.size > 1 else math.inf
     return float(ratio.mean()) < max(TIE, min(2.0 * spread, WIDE_TIE))
+
+
+def _bends(candidate: Candidate) -> bool:
+    """Whether a shape bends what the effect does, so that it has several places to begin from."""
+    return any(scalar.grid for scalar in candidate.scalars)
 
 
 def consistent(fitted: Fit, first: int = 0) -> bool:
