@@ -118,8 +118,9 @@ class Search:
             return candidate
         if self.source.cheap:
             return self._best_shape(candidate, self.evidence)
-        before = self._fitted_before_contact.get(candidate.names[0])
-        if before is None:
+        fits = self._fitted_before_contact
+        before = fits.get(candidate.names[0])
+        if before is None or before.misfit > HOPELESS * min(fitted.misfit for fitted in fits.values()):
             return candidate
         evidence, there = self.evidence, replace(candidate, point=before.estimate)
         return linearise(there, evidence.clusters, evidence.numbers, self.source, "starts of the fit") or candidate
@@ -216,7 +217,7 @@ class Search:
             known = min(errors.values(), default=np.inf) <= enough
             fitted = see_all(refine(candidate, evidence) if known else self._fitted(candidate, evidence))
             self._fitted_before_contact[name] = fitted
-            errors[name] = float(np.mean(fitted.problem.errors(fitted.change)))
+            errors[name] = fitted.misfit
         best = min(errors.values(), default=np.inf)
         if best > 2.0 * enough:
             return set()
