@@ -1,4 +1,4 @@
-"""The impact map: ante-impact state in, post-impact state out (see :mod:`.problem`, and :mod:`.settled` for its end)."""
+"""The impact map: ante-impact state in, post-impact state out (:mod:`.problem`), or its end (:mod:`.settled`)."""
 
 from __future__ import annotations
 

@@ -13,16 +13,16 @@ With N a basis of the motions that J_p allows, u^+ = N z^+, that is an impact of
 
     N^T H N (z^+ - z^-) = N^T J_s^T L_s,        z^- = (N^T H N)^-1 N^T H u^-
 
-Without the support it is Gauss' principle of least constraint for velocities (Moreau 1988; Glocker 2001): of all motions
-in which pad and object go together, the nearest to u^- in kinetic energy,
+Without the support it is Gauss' principle of least constraint for velocities (Moreau 1988; Glocker 2001): of all
+motions in which pad and object go together, the nearest to u^- in kinetic energy,
 
     u^+ = u^- - H^-1 J_p^T (J_p H^-1 J_p^T)^+ J_p u^-
 
 Every such sequence ends there, because impulses between pad and object can make J_p u^+ = 0 in no other way; and where
-the first impact has ended like this already, the two maps agree. Restitution plays no part: what bounces comes back until
-it has lost that motion. Kinetic energy never rises, for L_p does no work in u^+, and the support takes some. The points
-of a face are redundant: of all L_p that mean the same the one of least norm is told, and single points of it may pull
-where the whole face pushes.
+the first impact has ended like this already, the two maps agree. Restitution plays no part: what bounces comes back
+until it has lost that motion. Kinetic energy never rises, for L_p does no work in u^+, and the support takes some. The
+points of a face are redundant: of all L_p that mean the same the one of least norm is told, and single points of it may
+pull where the whole face pushes.
 
 **Which contacts last.** Not every pad that touches holds on. With L_N = sum L_n over the m points of its face, a pad
 
@@ -163,7 +163,8 @@ class _Question:
         cls, system: System, faces: Mapping[str, Sequence[ContactPoint]], support: Sequence[ContactPoint]
     ) -> _Question:
         """The question with these points."""
-        rows, points = {}, []
+        rows: dict[str, slice] = {}
+        points: list[ContactPoint] = []
         for name, face in faces.items():
             rows[name] = slice(len(points), len(points) + len(face))
             points += [replace(point, gap=0.0) for point in face]  # aligned: the pad's point is the object's
@@ -265,7 +266,7 @@ class _Ties:
         added = np.einsum("pav,pa->v", question.pads, rubbing)
         momentum = system.inertia @ system.velocity + added
         jacobian = support.jacobian @ basis
-        response = np.linalg.solve(self.inertia, jacobian.T)
+        response = np.asarray(np.linalg.solve(self.inertia, jacobian.T), dtype=np.float64)
         reduced = replace(
             support,
             before=np.linalg.solve(self.inertia, basis.T @ momentum),

@@ -32,5 +32,5 @@ def test_the_prediction_is_the_mean_over_the_arms_along_the_measured_axis(scenar
 
 
 def test_both_engines_predict_the_same() -> None:
-    first, second = (predict(PUSH, "parcel", "case_1", engine) for engine in ("pinocchio", "bullet"))
+    first, second = (predict(PUSH, "parcel", "case_1", engine=engine) for engine in ("pinocchio", "bullet"))
     assert first == pytest.approx(second, abs=2e-3)
