@@ -1,42 +1,37 @@
-"""The impact carried on until the contact that lasts is closed: pads and object go on together.
+"""The impact carried on until the contact that lasts is closed: the pads have aligned with the faces that they hit.
 
 The impact map (:mod:`impact_rs_sim.impact_map.problem`) answers for the moment after the first simultaneous impact. A
-pad may then slide along the face that it hit, or stand off it with one edge. It comes back, hits again, and so on: a
-sequence of impacts whose members nobody knows. Its end is known all the same. Whatever pad and object do to each other
-on the way adds up to some impulses L_p at the points of the pad's face, so that
+pad may then stand off the face with one edge, or slide on it. It comes back, hits again, and so on: a sequence of
+impacts whose members nobody knows. Its end is known all the same: whatever pad and object do to each other on the way
+adds up to some impulses at the points of the pad's face, and in the end the face lies on the object and stays there,
 
-    H (u^+ - u^-) = J_p^T L_p + J_s^T L_s                           momentum balance over arms (M + B) and object
-    J_p u^+ = 0                                                     no point of a pad's face moves on the object
-    0 <= L_n  perpendicular to  J_n u^+ >= 0,   |L_t| <= mu L_n against J_t u^+              at the support, s
+    H (u^+ - u^-) = J_c^T (L + A n)                                momentum balance over arms (M + B) and object
+    J_n,i u^+ = J_n,j u^+,   sum A_i = 0                           a face stays aligned, by impulses A without resultant
+    0 <= L_n  perpendicular to  J_n u^+ >= 0                       pads and support, without restitution
+    |L_t| <= mu L_n, opposing the sliding velocity J_t u^+         Coulomb friction
 
-With N a basis of the motions that J_p allows, u^+ = N z^+, that is an impact of the support alone,
+for all points i and j of one pad. With N a basis of the motions that keep faces aligned, u^+ = N z^+, that is an impact
+map once more, with the inertia N^T H N and the Jacobian J_c N,
 
-    N^T H N (z^+ - z^-) = N^T J_s^T L_s,        z^- = (N^T H N)^-1 N^T H u^-
+    N^T H N (z^+ - z^-) = N^T J_c^T L,        z^- = (N^T H N)^-1 N^T H u^-
 
-Without the support it is Gauss' principle of least constraint for velocities (Moreau 1988; Glocker 2001): of all
-motions in which pad and object go together, the nearest to u^- in kinetic energy,
+solved as in :mod:`impact_rs_sim.impact_map.pinocchio`; A is the one of least norm. Where friction holds all pads and
+the support gets no impulse, pads and object go on together, J_p u^+ = 0, and it is Gauss' principle of least constraint
+for velocities (Moreau 1988; Glocker 2001): of all motions in which they do, the nearest to u^- in kinetic energy,
 
     u^+ = u^- - H^-1 J_p^T (J_p H^-1 J_p^T)^+ J_p u^-
 
-Every such sequence ends there, because impulses between pad and object can make J_p u^+ = 0 in no other way; and where
-the first impact has ended like this already, the two maps agree. Restitution plays no part: what bounces comes back
-until it has lost that motion. Kinetic energy never rises, for L_p does no work in u^+, and the support takes some. The
-points of a face are redundant: of all L_p that mean the same the one of least norm is told, and single points of it may
-pull where the whole face pushes.
+Every sequence that ends so ends there, because impulses between pad and object can make J_p u^+ = 0 in no other way.
+Where the first impact leaves the faces closed already, the two maps agree.
 
-**Which contacts last.** Not every pad that touches holds on. With L_N = sum L_n over the m points of its face, a pad
-
-    sticks     L_N >= 0,   sum |L_t| <= mu L_N               its points closed in all directions
-    slides     L_N >= 0,   L_t = -mu L_N / m  v_t / |v_t|    closed along the normal, friction evenly on them
-    leaves     J_n u^+ >= 0                                  no impulse
-
-and the first of these that obeys its laws is taken; for several pads, the combination that sticks most.
-
-**The support** takes part as in the first impact, but without restitution: what presses the object down while pads
-align is answered at once, with friction in proportion. Friction under the object's weight is finite, and no impulse.
-
-A pad aligns with the face if all of it is within ``REACH`` of the object; of a pad that comes with an edge or a corner
-only that closes, as a hinge or a ball joint.
+* Kinetic energy never rises: A does no work in u^+, normal impulses do none, and friction takes some.
+* Restitution plays no part: what bounces comes back until it has lost that motion.
+* A pad that does not press in the end, sum L_n = 0, leaves. It is not kept aligned, and touches as in the first impact.
+* Points of a face are redundant, and one of them may pull, L_n + A < 0, where the whole face pushes.
+* The support takes part as in the first impact: what presses the object down while pads align is answered at once, with
+  friction in proportion. Friction under the object's weight is finite, and no impulse.
+* A pad aligns as a whole if all of its face is within ``REACH`` of the object; of a pad that comes with an edge or a
+  corner only that lasts, as a hinge or a ball joint.
 """
 
 from __future__ import annotations
@@ -48,7 +43,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, contact_frame, find_contacts
+from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, find_contacts
 from impact_rs_sim.impact_map.pinocchio import PinocchioEngine, solve_contacts
 from impact_rs_sim.impact_map.problem import (
     ContactImpulse,
@@ -58,55 +53,45 @@ from impact_rs_sim.impact_map.problem import (
     Residual,
     check_problem,
 )
-from impact_rs_sim.impact_map.residual import SLIDING, ContactTerms
+from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.robot import Array
 
 REACH = 0.01  # m; points of a pad's face that are nearer than this close: a pad of 0.1 m that is tilted by 0.1 rad
-STICKS, SLIDES, LEAVES = MODES = ("sticks", "slides", "leaves")
 
 _RANK = 1e-9  # singular values below this share of the largest are none
-_NONE = 1e-7  # N s or m/s: what the solver leaves, beside impulses and velocities of an impact
-_TURNS = 200  # of the search for the direction of sliding
+_NOTHING = 1e-6  # m/s, impulse of a pad times the inverse mass of its points: what is left where nothing presses
 
 
 def settle(problem: ImpactProblem) -> ImpactResult:
-    """The velocities with which pads and object go on together.
+    """The velocities with which pads and object go on.
 
     Args:
         problem: The question; its restitution is not asked for.
 
     Returns:
-        The answer. Impulses are those of the whole sequence, at the points of the pads' faces and of the support; its
-        residual judges the laws above, penetration being any motion at a closed point.
+        The answer. Impulses are L + A n, those of the whole sequence, at the points of the pads' faces and of the
+        support. Its residual judges the laws above; penetration counts whatever turns a pad on its face.
 
     Raises:
         InputError: The question has no answer (see :func:`~impact_rs_sim.impact_map.problem.check_problem`).
-        ImpactMapError: No combination of sticking, sliding and leaving pads obeys the laws.
+        ImpactMapError: The answer breaks a law by more than the tolerance of the engine ``pinocchio``.
     """
     start = time.perf_counter()
     models = {name: problem.physics.robot_model(name) for name in problem.arms}
-    meetings = [meeting for meeting in check_problem(problem, models) if meeting.separation <= GAP_TOLERANCE]
+    touching = [meeting for meeting in check_problem(problem, models) if meeting.separation <= GAP_TOLERANCE]
     system = build_system(problem, models)
-    faces = {
-        meeting.partner: find_contacts(problem.physics, [meeting], REACH)
-        for meeting in meetings
-        if meeting.partner != SUPPORT
-    }
-    support = find_contacts(problem.physics, [meeting for meeting in meetings if meeting.partner == SUPPORT])
-    question = _Question.of(system, faces, support)
-    count = 0
-    for modes in _combinations(faces):
-        answer = question.answer(modes)
-        count += 1
-        if answer is not None and answer.residual.largest <= PinocchioEngine.tolerance:
-            break
-    else:
+    found = {meeting.partner: find_contacts(problem.physics, [meeting], REACH) for meeting in touching}
+    faces = {name: points for name, points in found.items() if name != SUPPORT and points}
+    support = find_contacts(problem.physics, [meeting for meeting in touching if meeting.partner == SUPPORT])
+    settled = close_contacts(system, faces, support)
+    if not settled.residual.largest <= PinocchioEngine.tolerance:
+        law, amount = settled.residual.worst
         raise ImpactMapError(
-            f"no contact that lasts was found: {', '.join(faces)} neither stick nor slide nor leave by the laws to "
-            f"{PinocchioEngine.tolerance:.3g} m/s"
+            f"the settled contact breaks {law} by {amount:.3g} m/s (accepted: {PinocchioEngine.tolerance:.3g} m/s) "
+            f"after {settled.iterations} iterations"
         )
-    joints, twists, twist = system.split(answer.velocity)
+    joints, twists, twist = system.split(settled.velocity)
     points = [*itertools.chain.from_iterable(faces.values()), *support]
     return ImpactResult(
         joint_velocity=joints,
@@ -114,181 +99,100 @@ def settle(problem: ImpactProblem) -> ImpactResult:
         object_twist=twist,
         contacts=tuple(
             ContactImpulse("object", point.partner, point.position, point.normal, impulse, point.gap)
-            for point, impulse in zip(points, answer.impulses, strict=True)
+            for point, impulse in zip(points, settled.impulses, strict=True)
         ),
-        residual=answer.residual,
+        residual=settled.residual,
         engine=PinocchioEngine.name,
-        iterations=count,
+        iterations=settled.iterations,
         elapsed=time.perf_counter() - start,
     )
 
 
-def _combinations(faces: Mapping[str, object]) -> list[dict[str, str]]:
-    """Modes by pad, most sticking first."""
-    ranked = sorted(itertools.product(range(len(MODES)), repeat=len(faces)), key=sum)
-    return [dict(zip(faces, (MODES[index] for index in choice), strict=True)) for choice in ranked]
-
-
 @dataclass(frozen=True)
-class _Settled:
-    """Impulses on the object at the points of pads and support ``(m, 3)`` [N s], u^+ ``(nv,)``, and how good it is."""
+class Settled:
+    """How pads and object go on.
 
+    Attributes:
+        lasting: Pads that press on the object in the end.
+        impulses: L + A n on the object at the points of the pads, then of the support, in axes of A, ``(m, 3)`` [N s].
+        velocity: u^+, ``(nv,)`` [rad/s, m/s].
+        residual: How well it obeys the laws.
+        iterations: Of the solver.
+    """
+
+    lasting: tuple[str, ...]
     impulses: Array
     velocity: Array
     residual: Residual
+    iterations: int
 
 
-@dataclass(frozen=True)
-class _Question:
-    """A problem with the points of the pads' faces, as if they were aligned, and of the support.
+def close_contacts(
+    system: System, faces: Mapping[str, Sequence[ContactPoint]], support: Sequence[ContactPoint]
+) -> Settled:
+    """The end of the sequence, of bodies whose terms are known; what it is worth stands in its residual.
 
-    Attributes:
-        system: Inertia and kinematics.
-        rows: Where the points of each pad stand among those of all pads.
-        frames: Two tangents and the normal of every pad point, ``(p, 3, 3)``.
-        friction: Coulomb coefficient of every pad point, ``(p,)`` [-].
-        pads: J_p in these frames, ``(p, 3, nv)``.
-        support: Terms of the support's points, with no restitution.
+    Args:
+        system: Inertia, kinematics and u^-.
+        faces: Points of the pads' faces by arm, as many as there are.
+        support: Points of the support.
     """
-
-    system: System
-    rows: dict[str, slice]
-    frames: Array
-    friction: Array
-    pads: Array
-    support: ContactTerms
-
-    @classmethod
-    def of(
-        cls, system: System, faces: Mapping[str, Sequence[ContactPoint]], support: Sequence[ContactPoint]
-    ) -> _Question:
-        """The question with these points."""
-        rows: dict[str, slice] = {}
-        points: list[ContactPoint] = []
-        for name, face in faces.items():
-            rows[name] = slice(len(points), len(points) + len(face))
-            points += [replace(point, gap=0.0) for point in face]  # aligned: the pad's point is the object's
-        frames = np.array([contact_frame(point.normal) for point in points]).reshape(-1, 3, 3)
-        return cls(
-            system=system,
-            rows=rows,
-            frames=frames,
-            friction=np.array([point.friction for point in points]),
-            pads=frames @ system.jacobian(points).reshape(len(points), 3, -1),
-            support=ContactTerms.of(system, support, 0.0),
-        )
-
-    def answer(self, modes: Mapping[str, str]) -> _Settled | None:
-        """The answer in which pads stick, slide or leave as stated; None where it breaks their laws."""
-        closed = np.zeros(self.pads.shape[:2], dtype=bool)
-        for name, mode in modes.items():
-            closed[self.rows[name]] = (mode == STICKS, mode == STICKS, mode != LEAVES)
-        ties = _Ties.of(self, closed)
-        rubbing = np.zeros(self.pads.shape[:2])  # impulses of friction at its limit
-        for _ in range(_TURNS):
-            answer = ties.answer(rubbing)
-            wanted = self._friction_of_sliding(modes, answer)
-            change = 0.5 * (wanted - rubbing)  # half of it: the direction of sliding answers to the friction
-            if np.max(np.abs(self._response(change)), initial=0.0) < _NONE:
-                return answer.settled if self._lawful(modes, answer) else None
-            rubbing = rubbing + change
-        return None
-
-    def _response(self, impulses: Array) -> Array:
-        """H^-1 J_p^T of impulses ``(p, 3)`` in the frames of their points, ``(nv,)``."""
-        return np.asarray(np.linalg.solve(self.system.inertia, np.einsum("pav,pa->v", self.pads, impulses)))
-
-    def _friction_of_sliding(self, modes: Mapping[str, str], answer: _Tied) -> Array:
-        """Friction at its limit where pads slide, evenly on the points of a face, ``(p, 3)`` [N s]."""
-        friction = np.zeros(self.pads.shape[:2])
-        for name, mode in modes.items():
-            if mode == SLIDES:
-                rows = self.rows[name]
-                carried = max(float(np.sum(answer.of_pads[rows, 2])), 0.0) / (rows.stop - rows.start)
-                sliding = (self.pads[rows] @ answer.settled.velocity)[:, :2]
-                speed = np.linalg.norm(sliding, axis=1, keepdims=True)
-                friction[rows, :2] = -self.friction[rows, None] * carried * sliding / np.maximum(speed, SLIDING)
-        return friction
-
-    def _lawful(self, modes: Mapping[str, str], answer: _Tied) -> bool:
-        """Whether every pad may do what it does."""
-        for name, mode in modes.items():
-            rows = self.rows[name]
-            pressing = float(np.sum(answer.of_pads[rows, 2]))
-            if mode == LEAVES:
-                if np.min((self.pads[rows] @ answer.settled.velocity)[:, 2], initial=0.0) < -_NONE:
-                    return False
-            elif pressing < -_NONE:
-                return False
-            elif mode == STICKS:
-                rubbing = np.linalg.norm(answer.of_pads[rows, :2], axis=1)
-                if np.sum(rubbing) > float(np.mean(self.friction[rows])) * pressing + _NONE:
-                    return False
-        return True
+    aligned = [replace(point, gap=0.0) for face in faces.values() for point in face]  # the pad's point is the object's
+    terms = ContactTerms.of(system, [*aligned, *support], 0.0)
+    ends = np.cumsum([0, *(len(face) for face in faces.values())])
+    rows = {name: slice(*pair) for name, pair in zip(faces, itertools.pairwise(ends), strict=True)}
+    lasting = tuple(faces)
+    iterations = 0
+    while True:
+        settled = _keep_aligned(system, terms, {name: rows[name] for name in lasting})
+        iterations += settled.iterations
+        normal, _ = terms.split(settled.impulses)
+        pressing = {name: np.sum(normal[where]) * np.mean(terms.inverse_mass[where]) for name, where in rows.items()}
+        pressed = tuple(name for name in lasting if pressing[name] > _NOTHING)
+        if pressed == lasting:
+            return replace(settled, iterations=iterations)
+        lasting = pressed
 
 
-@dataclass(frozen=True)
-class _Tied:
-    """An answer, and its impulses at the pads in the frames of their points, ``(p, 3)`` [N s]."""
+def _keep_aligned(system: System, terms: ContactTerms, rows: Mapping[str, slice]) -> Settled:
+    """The end of the sequence if these pads, whose points stand in ``rows``, stay aligned with the faces."""
+    count, size = len(terms.contacts), system.velocity.size
+    normal = np.einsum("mi,miv->mv", terms.normals, terms.jacobian.reshape(count, 3, size))  # J_n
+    centring = np.zeros((count, count))  # points of a pad to their differences from its mean
+    for where in rows.values():
+        number = where.stop - where.start
+        centring[where, where] = np.eye(number) - np.full((number, number), 1.0 / number)
+    turning = centring @ normal
+    basis = _free(turning)
+    inertia = basis.T @ system.inertia @ basis
+    jacobian = terms.jacobian @ basis
+    response = np.asarray(np.linalg.solve(inertia, jacobian.T), dtype=np.float64)
+    reduced = replace(
+        terms,
+        before=np.asarray(np.linalg.solve(inertia, basis.T @ system.inertia @ system.velocity), dtype=np.float64),
+        jacobian=jacobian,
+        response=response,
+        inverse_mass=np.einsum("ij,ji->i", jacobian, response).reshape(-1, 3).mean(axis=1),
+    )
+    impulses, iterations = solve_contacts(reduced)
+    moving = reduced.before + response @ impulses.ravel()
+    velocity = basis @ moving
+    missing = system.inertia @ (velocity - system.velocity) - terms.jacobian.T @ impulses.ravel()
+    aligning = centring @ np.linalg.lstsq(turning.T, missing, rcond=_RANK)[0]  # A
+    left = np.linalg.solve(system.inertia, missing - normal.T @ aligning)
+    laws = reduced.residual(impulses, moving)
+    turned = float(np.max(np.abs(turning @ velocity), initial=0.0))
+    residual = replace(
+        laws,
+        penetration_velocity=max(laws.penetration_velocity, turned),
+        momentum=max(laws.momentum, float(np.max(np.abs(left)))),
+    )
+    return Settled(tuple(rows), impulses + aligning[:, None] * terms.normals, velocity, residual, iterations)
 
-    settled: _Settled
-    of_pads: Array
 
-
-@dataclass(frozen=True)
-class _Ties:
-    """The reduced problem: what is left when some directions of the pads' points are closed.
-
-    Attributes:
-        question: The whole.
-        closed: Directions that are closed, ``(p, 3)``.
-        basis: N, motions that leave them closed, ``(nv, d)``.
-        inertia: N^T H N, ``(d, d)``.
-    """
-
-    question: _Question
-    closed: Array
-    basis: Array
-    inertia: Array
-
-    @classmethod
-    def of(cls, question: _Question, closed: Array) -> _Ties:
-        """With these directions closed, however redundant they are."""
-        _, values, motions = np.linalg.svd(question.pads[closed])
-        rank = int(np.sum(values > _RANK * np.max(values, initial=0.0)))
-        basis = motions[rank:].T
-        return cls(question, closed, basis, basis.T @ question.system.inertia @ basis)
-
-    def answer(self, rubbing: Array) -> _Tied:
-        """What happens with these further impulses at the points of the pads, ``(p, 3)`` in their frames [N s]."""
-        question, basis = self.question, self.basis
-        system, support = question.system, question.support
-        added = np.einsum("pav,pa->v", question.pads, rubbing)
-        momentum = system.inertia @ system.velocity + added
-        jacobian = support.jacobian @ basis
-        response = np.asarray(np.linalg.solve(self.inertia, jacobian.T), dtype=np.float64)
-        reduced = replace(
-            support,
-            before=np.linalg.solve(self.inertia, basis.T @ momentum),
-            jacobian=jacobian,
-            response=response,
-            inverse_mass=np.einsum("ij,ji->i", jacobian, response).reshape(-1, 3).mean(axis=1),
-        )
-        of_support, _ = solve_contacts(reduced)
-        moving = reduced.before + response @ of_support.ravel()
-        velocity = basis @ moving
-        missing = system.inertia @ velocity - momentum - support.jacobian.T @ of_support.ravel()
-        of_pads = rubbing.copy()
-        of_pads[self.closed] += np.linalg.lstsq(question.pads[self.closed].T, missing, rcond=_RANK)[0]
-        left = missing + added - np.einsum("pav,pa->v", question.pads, of_pads)
-        of_laws = reduced.residual(of_support, moving)
-        residual = replace(
-            of_laws,
-            penetration_velocity=max(
-                of_laws.penetration_velocity,
-                float(np.max(np.abs(question.pads[self.closed] @ velocity), initial=0.0)),
-            ),
-            momentum=float(np.max(np.abs(np.linalg.solve(system.inertia, left)))),
-        )
-        impulses = np.vstack((np.einsum("pai,pa->pi", question.frames, of_pads), of_support))
-        return _Tied(_Settled(impulses, velocity, residual), of_pads)
+def _free(rows: Array) -> Array:
+    """Basis of the motions that ``rows`` ``(k, nv)`` leave free, ``(nv, d)``, however redundant they are."""
+    if not len(rows):
+        return np.eye(rows.shape[1])
+    _, values, motions = np.linalg.svd(rows)
+    return np.asarray(motions[int(np.sum(values > _RANK * np.max(values))) :].T)
