@@ -7,21 +7,26 @@ from typing import Any
 
 import numpy as np
 
+from impact_rs_cli.arguments import add_contact
 from impact_rs_cli.terminal import Terminal, add_json, declare
-from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import ImpactProblem, predict_impact
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 
 TEXT = """\
-Predict the velocities just after the nominal impact of a scenario.
+Predict the velocities after the nominal impact of a scenario.
 
 Solves the rigid impact map: ante-impact configuration and velocities in, post-impact velocities of all joints and
 bodies and the contact impulses out. --motor-inertia says which inertia the motors have during the impact: 'reduced'
-(B_theta, what the robot's torque loop leaves of it), 'rotor' (B_rho, all of it) or 'zero'.
+(B_theta, what the robot's torque loop leaves of it), 'rotor' (B_rho, all of it) or 'zero'. --contact says when:
+'first', just after the first simultaneous impact, or 'settled', when pads that keep pushing have aligned and go on with
+the object.
 
 example:
   impact-rs map push cat_food case_2
   impact-rs map push cat_food 2 --motor-inertia rotor --json
+  impact-rs map grab cat_food 2 --contact settled
 
 Units: m/s and rad/s, impulses in N s, vectors in the axes of the world frame, SI throughout."""
 
@@ -35,8 +40,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--motor-inertia", choices=("reduced", "rotor", "zero"), default="reduced", help="default: %(default)s"
     )
+    add_contact(parser, "how far the impact is carried on")
     parser.add_argument(
-        "--engine", choices=("bullet", "pinocchio"), default="pinocchio", help="solver; default: %(default)s"
+        "--engine", choices=("bullet", "pinocchio"), help="solver of the first contact; default: pinocchio"
     )
     add_json(parser)
 
@@ -47,7 +53,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     scenario.object(args.object)
     scene = Scene.resolve(scenario, args.object, args.case)
     problem = ImpactProblem.at_nominal_impact(scene, args.motor_inertia)
-    result = compute_impact_map(problem, args.engine)
+    if args.contact == "settled" and args.engine == "bullet":
+        raise InputError("--engine bullet answers for the first contact only; leave it out with --contact settled")
+    result = predict_impact(problem, args.contact, args.engine or "pinocchio")
     before = {name: scene.models[name].jacobian(arm.position) @ arm.velocity for name, arm in scene.arms.items()}
     terminal.result(
         {
@@ -55,6 +63,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             "object": args.object,
             "case": scene.case_name,
             "motor_inertia": args.motor_inertia,
+            "contact": args.contact,
             "ante": {
                 "end_effector_twist": {name: twist.tolist() for name, twist in before.items()},
                 "joint_position": {name: arm.position.tolist() for name, arm in scene.arms.items()},
@@ -82,7 +91,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         }
     )
     labels = f"{scenario.object(args.object).label}, {scenario.case(args.case).label}"
-    terminal.say(f"{scenario.name}: {labels}, motor inertia '{args.motor_inertia}'")
+    terminal.say(f"{scenario.name}: {labels}, motor inertia '{args.motor_inertia}', contact '{args.contact}'")
     for name, twist in result.end_effector_twist.items():
         terminal.say(f"  {name:<8} v before {_vector(before[name][:3])} m/s, after {_vector(twist[:3])} m/s")
     terminal.say(f"  {'object':<8} v after  {_vector(result.object_twist[:3])} m/s")
