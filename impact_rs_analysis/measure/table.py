@@ -64,6 +64,10 @@ class Row:
     paper_errors: dict[str, float] | None
     signed: bool = True
 
+    def of_contact(self, contact: str) -> dict[str, float]:
+        """Mismatch by motor-inertia model for the ``first`` or the ``settled`` contact [%]."""
+        return {"first": self.errors, "settled": self.settled}[contact]
+
 
 def result_table(analysis: Analysis) -> list[Row]:
     """A row per set, then average error (bias) and absolute error (quality) of each scenario, and of all if several."""

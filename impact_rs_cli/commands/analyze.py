@@ -9,7 +9,7 @@ from rich.table import Table
 
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
 from impact_rs_analysis.measure.laboratory import jumps_of
-from impact_rs_analysis.measure.table import result_table
+from impact_rs_analysis.measure.table import Row, result_table
 from impact_rs_analysis.report import write_report
 from impact_rs_cli.arguments import add_contact, add_jobs, started
 from impact_rs_cli.measurements import read_experiment
@@ -52,7 +52,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--experiment", type=Path, metavar="FILE.yaml", help="DIR holds somebody else's runs: experiment file"
     )
-    add_contact(parser, "predictions that figures show, the table has both; with --experiment those of the table")
+    add_contact(parser, "predictions that figures show, there is a table of each; with --experiment those of its table")
     add_jobs(parser)
     add_json(parser)
 
@@ -115,30 +115,12 @@ def publish(analysis: Analysis, directory: Path, terminal: Terminal, contact: st
 
 
 def _show(analysis: Analysis, terminal: Terminal) -> None:
-    """Show the table, and what did not enter it."""
+    """Show the table of each contact, and what did not enter it."""
     rows = result_table(analysis)
-    if rows:
-        table = Table(title="Experimental estimate, and errors of the predictions [%]")
-        table.add_column("", no_wrap=True)
-        table.add_column("estimate [m/s]", justify="right")
-        for heading in ("first: B_θ", "B_ρ", "B = 0", "settled: B_θ", "B_ρ", "B = 0"):
-            table.add_column(heading, justify="right")
-        published = any(row.paper_errors for row in rows)
-        if published:
-            table.add_column("published B_θ", justify="right")
-        for row in rows:
-            estimate = "" if row.estimate is None else f"{row.estimate:.3f}"
-            if row.half_interval is not None:
-                estimate += f" ± {row.half_interval:.3f}"
-            form = "{:+.2f}" if row.signed else "{:.2f}"
-            cells = [form.format(error) for errors in (row.errors, row.settled) for error in errors.values()]
-            if published:
-                cells.append("" if row.paper_errors is None else form.format(row.paper_errors["reduced"]))
-            table.add_row(row.label, estimate, *cells)
-        terminal.say(table)
-        nearest = {contact: analysis.nearest(contact)["reduced"] for contact in CONTACTS}
-        told = ", ".join(f"{count} of {len(analysis.sets)} ({contact} contact)" for contact, count in nearest.items())
-        terminal.say(f"sets in which B_θ predicts best: {told}")
+    for contact in CONTACTS if rows else ():
+        terminal.say(_table(rows, contact))
+        count = analysis.nearest(contact)["reduced"]
+        terminal.say(f"{contact} contact: B_θ predicts best in {count} of {len(analysis.sets)} sets")
     for entry in analysis.incomplete:
         terminal.say(f"no estimate for {entry.object} {entry.case}: {entry.reason}")
     for bag in analysis.skipped:
@@ -152,3 +134,24 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
     if analysis.missing:
         shown = ", ".join(analysis.missing[:5]) + (", ..." if len(analysis.missing) > 5 else "")
         terminal.say(f"{len(analysis.missing)} trials of the manifest are missing: {shown}")
+
+
+def _table(rows: list[Row], contact: str) -> Table:
+    table = Table(title=f"Experimental estimate, and errors of the predictions, {contact} contact [%]")
+    table.add_column("", no_wrap=True)
+    table.add_column("estimate [m/s]", justify="right")
+    for heading in ("B_θ (nominal)", "B_ρ", "B = 0"):
+        table.add_column(heading, justify="right")
+    published = any(row.paper_errors for row in rows)
+    if published:
+        table.add_column("published B_θ", justify="right")
+    for row in rows:
+        estimate = "" if row.estimate is None else f"{row.estimate:.3f}"
+        if row.half_interval is not None:
+            estimate += f" ± {row.half_interval:.3f}"
+        form = "{:+.2f}" if row.signed else "{:.2f}"
+        cells = [form.format(error) for error in row.of_contact(contact).values()]
+        if published:
+            cells.append("" if row.paper_errors is None else form.format(row.paper_errors["reduced"]))
+        table.add_row(row.label, estimate, *cells)
+    return table

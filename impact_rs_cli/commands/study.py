@@ -34,7 +34,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="DIR", help="folder of the study")
     parser.add_argument("--trials", type=int, metavar="N", help="repeats of every reference; default: 5")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the study; default: 0")
-    add_contact(parser, "predictions that the figures show; tables have both")
+    add_contact(parser, "predictions that the figures show; there is a table of each")
     add_jobs(parser)
     add_json(parser)
     parser.set_defaults(resumable=True)

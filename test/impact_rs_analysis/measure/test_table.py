@@ -47,7 +47,8 @@ def test_bias_is_the_mean_with_sign_and_quality_the_mean_without() -> None:
 
 def test_the_settled_contact_has_a_table_of_its_own() -> None:
     *rows, bias, quality = result_table(analysis(FIRST, SECOND))
-    assert [row.settled["reduced"] for row in rows] == pytest.approx([1.0, -2.0])
+    assert [row.of_contact("settled")["reduced"] for row in rows] == pytest.approx([1.0, -2.0])
+    assert [row.of_contact("first")["reduced"] for row in rows] == pytest.approx([2.0, -4.0])
     assert bias.settled == pytest.approx({"reduced": -0.5, "rotor": 1.5, "zero": -2.0})
     assert quality.settled == pytest.approx({"reduced": 1.5, "rotor": 1.5, "zero": 2.0})
     found = analysis(FIRST, SECOND)
