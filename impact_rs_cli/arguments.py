@@ -11,6 +11,7 @@ from pathlib import Path
 
 from impact_rs_cli.terminal import Command, Terminal
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import CONTACTS
 from impact_rs_trials.store import is_url, local_copy
 from impact_rs_trials.workers import Map, Workforce, workers
 
@@ -50,6 +51,11 @@ def on_local_runs(run: Command) -> Command:
             return run(argparse.Namespace(**vars(args) | {"runs": directory}), terminal)
 
     return command
+
+
+def add_contact(parser: argparse.ArgumentParser, help: str) -> None:
+    """The option ``--contact``; ``help`` says what it decides."""
+    parser.add_argument("--contact", choices=CONTACTS, default="first", help=f"{help}; default: %(default)s")
 
 
 def add_model(parser: argparse.ArgumentParser) -> None:

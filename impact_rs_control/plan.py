@@ -17,7 +17,7 @@ from impact_rs_control.references import (
 from impact_rs_sim.clearance import check_clearance
 from impact_rs_sim.errors import InputError, UnreachablePose
 from impact_rs_sim.friction_compensation import TASKS
-from impact_rs_sim.impact_map import compute_impact_map
+from impact_rs_sim.impact_map import predict_impact
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.robot import Array
@@ -68,7 +68,8 @@ class TrialPlan:
         scene: Scenario, object and case.
         velocity_scale: Post-impact reference velocity over predicted velocity [-].
         motor_inertia: Motor-inertia model of the reference's impact map.
-        impact: The prediction the reference is made from; None where nothing is hit.
+        impact: The prediction the reference is made from, of the contact that the scenario names; None where nothing
+            is hit.
         arms: Plan by arm.
     """
 
@@ -122,7 +123,7 @@ def plan_trial(
         scene: Scenario, object and case.
         velocity_scale: Post-impact reference velocity over predicted velocity [-].
         motor_inertia: ``reduced``, ``rotor`` or ``zero``: the model behind the prediction.
-        engine: Engine of the impact map.
+        engine: Engine of the impact map; the settled contact has one solver.
 
     Raises:
         InputError: A scale or motor-inertia model that is none, or a friction compensation that was not identified for
@@ -137,7 +138,8 @@ def plan_trial(
         arms = {name: _plan_excursion(scene, name) for name in scene.arms}
         return TrialPlan(scene, velocity_scale, motor_inertia, None, arms)
     check_clearance(scene.models, {name: state.position for name, state in scene.arms.items()}, "at the impact")
-    impact = compute_impact_map(ImpactProblem.at_nominal_impact(scene, motor_inertia), engine)
+    problem = ImpactProblem.at_nominal_impact(scene, motor_inertia)
+    impact = predict_impact(problem, scene.scenario.control.reference_contact, engine)
     arms = {name: _plan_hit(scene, name, impact, velocity_scale) for name in scene.arms}
     check_clearance(scene.models, {name: arm.initial for name, arm in arms.items()}, "at the start")
     return TrialPlan(scene, velocity_scale, motor_inertia, impact, arms)

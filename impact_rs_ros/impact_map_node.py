@@ -21,7 +21,7 @@ from impact_msgs_py.conversions import (
 )
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_sim.errors import InputError, full_traceback
-from impact_rs_sim.impact_map import ImpactMapError, compute_impact_map
+from impact_rs_sim.impact_map import ImpactMapError, predict_impact
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, ObjectPhysics, Physics
@@ -52,14 +52,17 @@ class ImpactMapNode(NodeProgram):
     ) -> ComputeImpactMap.Response:
         started = time.perf_counter()
         engine = request.engine or self.parameter("engine")
+        contact = request.contact or self.parameter("contact")
         try:
             problem = self._problem(request)
             name = request.object_description.name if request.use_object_description else request.object_name
-            _fill(response, problem, compute_impact_map(problem, engine), name)
+            result = predict_impact(problem, contact, engine)
+            _fill(response, problem, result, name)
+            engine = result.engine  # the settled contact has one, whatever was asked for
             response.success = True
             response.message = uniqueness_of(problem).warning  # empty as ever where u^+ is unique
             self._answered += 1
-            self.log.info(f"answered {name}, case {request.case_name!r}, by engine {engine}")
+            self.log.info(f"answered {name}, case {request.case_name!r}, by engine {engine}, contact {contact}")
         except (InputError, ImpactMapError) as error:
             self.log.warning(f"refused: {error}")
             response.message = str(error)
@@ -69,6 +72,7 @@ class ImpactMapNode(NodeProgram):
             response.message = f"the impact map failed: {type(error).__name__}: {error}"
             self._refused += 1
         response.engine = engine
+        response.contact = contact
         response.elapsed = time.perf_counter() - started
         return response
 

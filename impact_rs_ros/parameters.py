@@ -70,6 +70,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
     "impact_map": (
         *COMMON,
         NodeParameter("engine", "bullet", "-", "Engine where a request names none: bullet or pinocchio"),
+        NodeParameter("contact", "first", "-", "Contact where a request names none: first or settled"),
     ),
     "controller": COMMON,
     "recorder": (

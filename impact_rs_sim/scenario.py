@@ -293,6 +293,19 @@ class Control(Schema):
         0.0, description="force with which every pad presses after the impact [N]; 0: the object is pushed, not held"
     )
     detection: Detection = Field(description="impact detection")
+    reference_contact: Literal["first", "settled"] = Field(
+        "first",
+        description="post-impact references follow the velocity just after the first simultaneous impact (first), or "
+        "when the contact that lasts is closed (settled)",
+    )
+
+    @model_serializer(mode="wrap")
+    def _without_the_default_contact(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Bags and digests of scenarios that follow the first impact read as they always did."""
+        data: dict[str, Any] = handler(self)
+        if self.reference_contact == "first":
+            data.pop("reference_contact", None)
+        return data
 
 
 class Sensors(Schema):

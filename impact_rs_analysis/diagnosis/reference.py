@@ -38,13 +38,11 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from impact_rs_analysis.diagnosis.thresholds import DRAWS, LEAST_FREEDOM
+from impact_rs_analysis.diagnosis.thresholds import DRAWS, LEAST_FREEDOM, LEAST_OWN, UNMEASURED
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
 
-# Of a simulator left out, the share of its differences that no sum of the others' is: 14 to 67 %, 34 % in the mean.
-UNMEASURED = 1.0 / 3.0
-LEAST_OWN = 0.01  # of a feature's squared scale that is not discrepancy, lest a direction without noise weighs all
+TINY = 1e-12  # lest the covariance of what has none has no root
 
 
 class Reference(ABC):
@@ -114,10 +112,10 @@ class Reference(ABC):
         return float(scipy.stats.t.ppf(0.5 + confidence / 2.0, max(self.freedom, 1)))
 
 
-def _patterns(item: Cluster) -> Array:
-    """What discrepancy does, partly along what was measured and partly feature by feature, ``(k, F)`` [-]."""
-    alone = np.diag(item.discrepancy)[item.discrepancy > 0.0]
-    return np.vstack((np.sqrt(1.0 - UNMEASURED) * item.moved_together, np.sqrt(UNMEASURED) * alone))
+def _discrepancy(item: Cluster) -> Array:
+    """Covariance of the discrepancy: partly along what was measured, partly feature by feature, ``(F, F)`` [-]."""
+    patterns = item.moved_together
+    return (1.0 - UNMEASURED) * patterns.T @ patterns + UNMEASURED * np.diag(np.square(item.discrepancy))
 
 
 def alike(item: Cluster) -> str:
@@ -252,7 +250,7 @@ class RotationReference(Reference):
                 continue
             contrasts = layout.products(jacobians, root)[:, layout.means :]
             total += self._noise(rng, layout).reshape(DRAWS, -1) @ contrasts.reshape(-1, root.shape[1])
-        shared = self._discrepancy_scores(jacobians) @ root
+        shared = np.asarray(np.linalg.qr(self._discrepancy_scores(jacobians) @ root, mode="r"))
         total += rng.standard_normal((DRAWS, shared.shape[0])) @ shared
         return np.asarray(np.einsum("bp,bp->b", total, total))
 
@@ -304,19 +302,18 @@ class RotationReference(Reference):
         contrasts = layout.rows[layout.means :]
         squares = np.zeros((DRAWS, len(members)))
         noise = self._noise(rng, layout) if layout.freedom else np.zeros((DRAWS, layout.means, 0))
-        amplitudes: dict[str, Array] = {}
-        seen: list[tuple[Array, Array]] = []  # by cluster: what is drawn, and what each of it does to the features
+        off: dict[str, Array] = {}
         for place, number in enumerate(layout.numbers):
             item = self.clusters[number]
-            patterns = np.sqrt(layout.counts[place]) * _patterns(item)
             name = alike(item)
-            if name not in amplitudes:
-                amplitudes[name] = rng.standard_normal((DRAWS, len(patterns)))
-            seen.append((np.hstack((noise[:, place], amplitudes[name])), np.vstack((contrasts, patterns))))
-        for number, (own, scale) in enumerate(zip(members, scales, strict=True)):
-            for drawn, basis in seen if scale.size else ():
-                scaled = basis[:, own] @ scale
-                squares[:, number] += np.einsum("bk,bk->b", drawn @ (scaled @ scaled.T), drawn)
+            if name not in off:
+                root = np.linalg.cholesky(_discrepancy(item) + TINY * np.eye(len(item.features)))
+                off[name] = rng.standard_normal((DRAWS, len(root))) @ root.T
+            drawn = noise[:, place] @ contrasts + np.sqrt(layout.counts[place]) * off[name]
+            for group, (own, scale) in enumerate(zip(members, scales, strict=True)):
+                if scale.size:
+                    seen = drawn[:, own] @ scale
+                    squares[:, group] += np.einsum("bf,bf->b", seen, seen)
         return squares
 
     def _even(self, layout: _Rows, members: NDArray[np.bool_]) -> Array:
@@ -328,11 +325,9 @@ class RotationReference(Reference):
         items = [self.clusters[number] for number in layout.numbers]
         both = np.zeros((np.count_nonzero(members),) * 2)
         for item in items:
-            patterns = _patterns(item)[:, members]
             alone = np.maximum(1.0 - np.square(item.discrepancy[members]), LEAST_OWN)
-            both += (np.diag(alone) + item.count * patterns.T @ patterns) / len(items)
-        values, vectors = np.linalg.eigh(both)
-        return np.asarray(vectors / np.sqrt(values))
+            both += (np.diag(alone) + item.count * _discrepancy(item)[np.ix_(members, members)]) / len(items)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(both)).T)
 
     def covariance(self, jacobians: Sequence[Array], change: Array, inverse: Array) -> Array:
         """See :meth:`Reference.covariance`; trials are independent of each other, their features are not."""

@@ -34,6 +34,7 @@ from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
 
 STEPS_OF_FOLD = 2  # of Gauss-Newton in the folds of the hold-out; the third changes the last digits
+ROUNDS = 4  # of fits with new sensitivities, where they are cheap
 PAIRS = 2  # tried where effects were found one by one
 AMONG = 10  # effects that pairs are made of
 
@@ -75,6 +76,7 @@ class Search:
         self._effects = tuple(effects)
         self.singles: dict[str, Candidate] = {}
         self._starts: dict[str, Candidate] = {}
+        self._fitted_before_contact: dict[str, Fit] = {}
         self.unmeasured: set[str] = set()
         self.ruled_out: set[str] = set()
 
@@ -108,21 +110,50 @@ class Search:
         return linearise(candidate, evidence.clusters, evidence.numbers, evidence.source, where=where)
 
     def _start(self, candidate: Candidate) -> Candidate:
-        """Where to begin to fit: of the starting values of shape parameters those that fit best, if trying is cheap."""
-        shapes = [index for index, scalar in enumerate(candidate.scalars) if scalar.grid]
-        if not (self.source.cheap and shapes):
+        """Where to begin to fit: of several values of shape parameters those that fit best.
+
+        Where trying them in contact is dear, they are fitted to the motion before it.
+        """
+        if not _bends(candidate):
             return candidate
+        if self.source.cheap:
+            return self._best_shape(candidate, self.evidence)
+        fits = self._fitted_before_contact
+        before = fits.get(candidate.names[0])
+        if before is None or before.misfit > HOPELESS * min(fitted.misfit for fitted in fits.values()):
+            return candidate
+        evidence, there = self.evidence, replace(candidate, point=before.estimate)
+        return linearise(there, evidence.clusters, evidence.numbers, self.source, "starts of the fit") or candidate
+
+    def _fitted(self, candidate: Candidate, evidence: Evidence) -> Fit:
+        """A fit where predictions are cheap: with a shape, which bends everything, from its best value and again."""
+        if not _bends(candidate):
+            return refine(candidate, evidence)
+        fitted = refine(self._best_shape(candidate, evidence), evidence)
+        for _ in range(ROUNDS):
+            there = replace(candidate, point=fitted.estimate)
+            moved = linearise(there, evidence.clusters, evidence.numbers, evidence.source, "sensitivities")
+            again = None if moved is None else refine(moved, evidence)
+            if again is None or again.misfit >= fitted.misfit:
+                break
+            done = again.misfit > (1.0 - LEAST_GAIN) * fitted.misfit
+            fitted = again
+            if done:
+                break
+        return fitted
+
+    @staticmethod
+    def _best_shape(candidate: Candidate, evidence: Evidence) -> Candidate:
+        shapes = [index for index, scalar in enumerate(candidate.scalars) if scalar.grid]
         tried = [candidate]
         for values in product(*(candidate.scalars[index].grid for index in shapes)):
             point = candidate.point.copy()
             point[shapes] = values
             # Where the effect is off its shape moves nothing, so the features are those of the nominal point.
-            moved = linearise(
-                replace(candidate, point=point), self.evidence.clusters, self.evidence.numbers, self.source
-            )
+            moved = linearise(replace(candidate, point=point), evidence.clusters, evidence.numbers, evidence.source)
             if moved is not None:
                 tried.append(moved)
-        return min(tried, key=lambda entry: Fit.of(entry, self.evidence).misfit)
+        return min(tried, key=lambda entry: Fit.of(entry, evidence).misfit)
 
     def _absent(self, effects: Sequence[Effect]) -> dict[str, Candidate]:
         """Effects that free motion there and back rules out, with their sensitivities there.
@@ -176,14 +207,17 @@ class Search:
         nothing = tuple(np.zeros(len(item.features)) for item in self.evidence.clusters)
         return replace(candidate, offsets=nothing, jacobians=tuple(jacobians))
 
-    @staticmethod
-    def _cannot_explain(candidates: dict[str, Candidate], evidence: Evidence) -> set[str]:
-        """Candidates that are far from explaining some clusters, where one of them does."""
+    def _cannot_explain(self, candidates: dict[str, Candidate], evidence: Evidence) -> set[str]:
+        """Candidates that are far from explaining the motion before contact, where one of them does."""
         enough = 2.0 * float(evidence.expected.mean())
         if evidence.excess(evidence.errors) < enough:
             return set()
-        fits = {name: see_all(refine(candidate, evidence)) for name, candidate in sorted(candidates.items())}
-        errors = {name: float(np.mean(fitted.problem.errors(fitted.change))) for name, fitted in fits.items()}
+        errors: dict[str, float] = {}
+        for name, candidate in sorted(candidates.items(), key=lambda entry: _bends(entry[1])):
+            known = min(errors.values(), default=np.inf) <= enough
+            fitted = see_all(refine(candidate, evidence) if known else self._fitted(candidate, evidence))
+            self._fitted_before_contact[name] = fitted
+            errors[name] = fitted.misfit
         best = min(errors.values(), default=np.inf)
         if best > 2.0 * enough:
             return set()
@@ -420,6 +454,11 @@ def tied_errors(own: Array, other: Array, floor: Array | float) -> bool:
     ratio = ratio[moved]
     spread = float(ratio.std(ddof=1) / math.sqrt(ratio.size)) if ratio.size > 1 else math.inf
     return float(ratio.mean()) < max(TIE, min(2.0 * spread, WIDE_TIE))
+
+
+def _bends(candidate: Candidate) -> bool:
+    """Whether a shape bends what the effect does, so that it has several places to begin from."""
+    return any(scalar.grid for scalar in candidate.scalars)
 
 
 def consistent(fitted: Fit, first: int = 0) -> bool:

@@ -18,6 +18,7 @@ from impact_rs_analysis.measure.fit import FitError, LineFit, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import TrialFeedback, net_feedback
 from impact_rs_analysis.measure.predictions import predict
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import CONTACTS
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.schema import load
 from impact_rs_trials.bags.reader import BagError, TrialBag
@@ -65,7 +66,8 @@ class ExperimentSet:
         label: Object and case in words.
         trials: Trials with impact.
         fit: The line and its zero crossing, signed along the axis.
-        predictions: Predictions by motor-inertia model, signed along the axis.
+        predictions: Predictions by motor-inertia model for the first contact, signed along the axis.
+        predictions_settled: The same for the settled contact.
     """
 
     scenario: str
@@ -76,6 +78,11 @@ class ExperimentSet:
     trials: tuple[TrialFeedback, ...]
     fit: LineFit
     predictions: dict[str, Prediction]
+    predictions_settled: dict[str, Prediction]
+
+    def of_contact(self, contact: str) -> dict[str, Prediction]:
+        """Predictions by motor-inertia model for the ``first`` or the ``settled`` contact."""
+        return {"first": self.predictions, "settled": self.predictions_settled}[contact]
 
     @property
     def sign(self) -> float:
@@ -106,10 +113,14 @@ class ExperimentSet:
             "ci95_m_s": None if self.interval is None else list(self.interval),
             "r_squared": self.fit.r_squared,
             "trials": self.fit.count,
-            "predictions": {
-                model: {"v_m_s": self.sign * prediction.velocity, "error_percent": prediction.error}
-                for model, prediction in self.predictions.items()
-            },
+            "predictions": self._told(self.predictions),
+            "predictions_settled": self._told(self.predictions_settled),
+        }
+
+    def _told(self, predictions: dict[str, Prediction]) -> dict[str, dict[str, float]]:
+        return {
+            model: {"v_m_s": self.sign * prediction.velocity, "error_percent": prediction.error}
+            for model, prediction in predictions.items()
         }
 
 
@@ -153,32 +164,61 @@ class Analysis:
     no_impact: tuple[str, ...]
     apart: tuple[tuple[str, float], ...] = ()
 
-    def errors(self, model: str) -> list[float]:
+    def errors(self, model: str, contact: str) -> list[float]:
         """Percentage mismatch of a model in every set [%]."""
-        return [entry.predictions[model].error for entry in self.sets]
+        return [entry.of_contact(contact)[model].error for entry in self.sets]
 
     @property
     def average_error(self) -> dict[str, float | None]:
-        """Mean of the percentage mismatch by model: the bias [%]; None without sets."""
-        return {model: _mean(self.errors(model)) for model in MOTOR_INERTIA_MODELS}
+        """Mean of the percentage mismatch by model, first contact: the bias [%]; None without sets."""
+        return self._average("first")
+
+    @property
+    def average_error_settled(self) -> dict[str, float | None]:
+        """The same for the settled contact [%]."""
+        return self._average("settled")
 
     @property
     def absolute_error(self) -> dict[str, float | None]:
-        """Mean of its absolute value by model: the quality [%]; None without sets."""
-        return {model: _mean([abs(error) for error in self.errors(model)]) for model in MOTOR_INERTIA_MODELS}
+        """Mean of its absolute value by model, first contact: the quality [%]; None without sets."""
+        return self._absolute("first")
+
+    @property
+    def absolute_error_settled(self) -> dict[str, float | None]:
+        """The same for the settled contact [%]."""
+        return self._absolute("settled")
+
+    def _average(self, contact: str) -> dict[str, float | None]:
+        return {model: _mean(self.errors(model, contact)) for model in MOTOR_INERTIA_MODELS}
+
+    def _absolute(self, contact: str) -> dict[str, float | None]:
+        return {model: _mean([abs(error) for error in self.errors(model, contact)]) for model in MOTOR_INERTIA_MODELS}
+
+    def nearest(self, contact: str) -> dict[str, int]:
+        """In how many sets each model is nearest to the estimate."""
+        found = Counter(_nearest(entry.of_contact(contact)) for entry in self.sets)
+        return {model: found[model] for model in MOTOR_INERTIA_MODELS}
 
     def to_json(self) -> dict[str, Any]:
         """The document that ``analyze --json`` prints."""
         return {
             "sets": [entry.to_json() for entry in self.sets],
             "average_error_percent": self.average_error,
+            "average_error_percent_settled": self.average_error_settled,
             "absolute_error_percent": self.absolute_error,
+            "absolute_error_percent_settled": self.absolute_error_settled,
+            "nearest_sets": self.nearest("first"),
+            "nearest_sets_settled": self.nearest("settled"),
             "incomplete": [vars(entry) for entry in self.incomplete],
             "skipped": [vars(entry) for entry in self.skipped],
             "missing": list(self.missing),
             "no_impact": list(self.no_impact),
             "apart": [{"trial": name, "between_impacts_s": spread} for name, spread in self.apart],
         }
+
+
+def _nearest(predictions: dict[str, Prediction]) -> str:
+    return min(MOTOR_INERTIA_MODELS, key=lambda model: abs(predictions[model].error))
 
 
 def _mean(values: list[float]) -> float | None:
@@ -287,7 +327,13 @@ def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedba
         np.array([trial.info.reference_post_velocity for trial in trials]), np.array([trial.net for trial in trials])
     )
     scenario = recorded_scenario(info.scenario_json, directory / example.name)
-    velocities = predict(scenario, info.object, info.case_name)
+    first, settled = (
+        {
+            model: Prediction(velocity, 100.0 * (velocity - fit.estimate) / fit.estimate)
+            for model, velocity in predict(scenario, info.object, info.case_name, contact).items()
+        }
+        for contact in CONTACTS
+    )
     return ExperimentSet(
         scenario=info.scenario,
         object=info.object,
@@ -296,10 +342,8 @@ def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedba
         label=f"{scenario.object(info.object).label}: {scenario.case(info.case_name).label}",
         trials=tuple(trials),
         fit=fit,
-        predictions={
-            model: Prediction(velocity, 100.0 * (velocity - fit.estimate) / fit.estimate)
-            for model, velocity in velocities.items()
-        },
+        predictions=first,
+        predictions_settled=settled,
     )
 
 

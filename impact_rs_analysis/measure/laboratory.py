@@ -26,7 +26,7 @@ from impact_rs_analysis.evidence.features import AXES, JUMP_BEFORE, JUMP_WINDOWS
 from impact_rs_analysis.evidence.measured import MeasuredRun
 from impact_rs_analysis.evidence.runs import Runs
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import ImpactMapError, compute_impact_map
+from impact_rs_sim.impact_map import ImpactMapError, predict_impact
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import STANDARD_GRAVITY
@@ -67,11 +67,13 @@ class LaboratoryJumps:
         jumps: By condition.
         errors: Mean absolute error of every motor inertia over the conditions [%].
         remarks: What could not be said.
+        contact: How far the impact map carries the impact on.
     """
 
     jumps: tuple[MeasuredJump, ...]
     errors: dict[str, float]
     remarks: tuple[str, ...]
+    contact: str = "first"
 
     @property
     def nearest(self) -> str:
@@ -93,14 +95,20 @@ class LaboratoryJumps:
                 }
                 for jump in self.jumps
             ],
+            "contact": self.contact,
             "mean_absolute_error_percent": self.errors,
             "nearest": self.nearest,
             "remarks": list(self.remarks),
         }
 
 
-def jumps_of(runs: Runs) -> LaboratoryJumps:
+def jumps_of(runs: Runs, contact: str = "first") -> LaboratoryJumps:
     """Measured and predicted jumps of every condition in which something is hit.
+
+    Args:
+        runs: The runs.
+        contact: ``first``: predictions just after the first simultaneous impact; ``settled``: when the contact that
+            lasts is closed.
 
     Raises:
         InputError: Nothing is hit in any run, or no impact map can be computed.
@@ -110,20 +118,22 @@ def jumps_of(runs: Runs) -> LaboratoryJumps:
         if not group[0].hit:
             continue
         try:
-            found.append(_jump_of(condition, group))
+            found.append(_jump_of(condition, group, contact))
         except (ImpactMapError, InputError) as error:
             remarks.append(f"impact map of {condition}: {error}")
     if not found:
         why = f": {remarks[-1]}" if remarks else ": nothing is hit in any run"
         raise InputError(f"no jump to analyse{why}", file=runs.directory)
     errors = {name: float(np.mean([abs(jump.errors[name]) for jump in found])) for name in MOTOR_INERTIA_MODELS}
-    return LaboratoryJumps(tuple(found), errors, tuple(remarks))
+    return LaboratoryJumps(tuple(found), errors, tuple(remarks), contact)
 
 
-def _jump_of(condition: str, group: Sequence[MeasuredRun]) -> MeasuredJump:
+def _jump_of(condition: str, group: Sequence[MeasuredRun], contact: str) -> MeasuredJump:
     hits = [(run, _ante_velocities(run)) for run in group]
     before, after = np.array([_speeds(run, ante) for run, ante in hits]).T
-    predicted = {name: np.array([_predicted(run, ante, name) for run, ante in hits]) for name in MOTOR_INERTIA_MODELS}
+    predicted = {
+        name: np.array([_predicted(run, ante, name, contact) for run, ante in hits]) for name in MOTOR_INERTIA_MODELS
+    }
     interval = None
     if len(group) > 1:
         half = float(scipy.stats.t.ppf(0.975, len(group) - 1) * after.std(ddof=1) / math.sqrt(len(group)))
@@ -178,9 +188,9 @@ def _baseline(run: MeasuredRun, name: str) -> Array:
     return np.asarray(np.mean(twists, axis=0))
 
 
-def _predicted(run: MeasuredRun, ante: dict[str, Array], motor_inertia: str) -> float:
+def _predicted(run: MeasuredRun, ante: dict[str, Array], motor_inertia: str, contact: str) -> float:
     """Speed 20 to 40 ms after the impact along the direction before it, mean over the arms [m/s]."""
-    result = compute_impact_map(problem_of(run, run.setup.physics, motor_inertia), ENGINE)
+    result = predict_impact(problem_of(run, run.setup.physics, motor_inertia), contact, ENGINE)
     return float(
         np.mean(
             [

@@ -48,7 +48,8 @@ class Row:
         label: Object and case, or what is averaged.
         estimate: Experimental estimate [m/s]; None in the rows of averages.
         half_interval: Larger half of the 95 % interval [m/s]; None where there is none.
-        errors: Mismatch by motor-inertia model [%].
+        errors: Mismatch by motor-inertia model, first contact [%].
+        settled: The same, settled contact [%].
         paper_estimate: The paper's estimate [m/s], if it has this row.
         paper_errors: The paper's mismatch by model [%], if it has this row.
         signed: Whether the mismatches have a sign; absolute errors have none.
@@ -58,9 +59,14 @@ class Row:
     estimate: float | None
     half_interval: float | None
     errors: dict[str, float]
+    settled: dict[str, float]
     paper_estimate: float | None
     paper_errors: dict[str, float] | None
     signed: bool = True
+
+    def of_contact(self, contact: str) -> dict[str, float]:
+        """Mismatch by motor-inertia model for the ``first`` or the ``settled`` contact [%]."""
+        return {"first": self.errors, "settled": self.settled}[contact]
 
 
 def result_table(analysis: Analysis) -> list[Row]:
@@ -85,13 +91,14 @@ def _row(entry: ExperimentSet) -> Row:
         estimate=entry.estimate,
         half_interval=None if entry.interval is None else max(abs(bound - entry.estimate) for bound in entry.interval),
         errors={model: entry.predictions[model].error for model in MOTOR_INERTIA_MODELS},
+        settled={model: entry.predictions_settled[model].error for model in MOTOR_INERTIA_MODELS},
         paper_estimate=None if paper is None else paper.estimate,
         paper_errors=None if paper is None else paper.errors,
     )
 
 
 def _averages(rows: list[Row], prefix: str) -> list[Row]:
-    ours = [row.errors for row in rows]
+    ours, settled = [row.errors for row in rows], [row.settled for row in rows]
     theirs = [row.paper_errors for row in rows if row.paper_errors is not None]
     words = (("average error", False), ("absolute error", True))
     return [
@@ -100,6 +107,7 @@ def _averages(rows: list[Row], prefix: str) -> list[Row]:
             None,
             None,
             _mean(ours, absolute),
+            _mean(settled, absolute),
             None,
             _mean(theirs, absolute) if theirs else None,
             not absolute,

@@ -22,11 +22,13 @@ class TableRow:
 
     Attributes:
         row: Its numbers.
-        best: Motor-inertia model with the smallest error.
+        best: Motor-inertia model with the smallest error, first contact.
+        best_settled: The same, settled contact.
     """
 
     row: Row
     best: str
+    best_settled: str
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,7 @@ class AnalysisPage:
         with_paper: Whether a row stands beside a published one.
         left_out: What did not enter the fits.
         sets: Sets with an estimate.
+        contact: Contact whose predictions the figures show.
     """
 
     title: str
@@ -76,10 +79,14 @@ class AnalysisPage:
     with_paper: bool
     left_out: tuple[Listing, ...]
     sets: tuple[SetPart, ...]
+    contact: str
 
 
 def write_analysis_report(
-    analysis: Analysis, directory: Path, progress: Callable[[int, int], None] | None = None
+    analysis: Analysis,
+    directory: Path,
+    progress: Callable[[int, int], None] | None = None,
+    contact: str = "first",
 ) -> list[Path]:
     """Write ``report.html``, ``analysis.json`` and a PNG per figure; files of an earlier report are replaced.
 
@@ -87,6 +94,7 @@ def write_analysis_report(
         analysis: What to report.
         directory: Where to; made if it does not exist.
         progress: Told how many of how many files are written.
+        contact: Contact whose predictions the figures show, ``first`` or ``settled``; the table has both.
 
     Returns:
         The files written, the HTML first.
@@ -94,10 +102,10 @@ def write_analysis_report(
     Raises:
         InputError: The folder cannot be written.
     """
-    figures = [(entry, figures_of(entry)) for entry in analysis.sets]
+    figures = [(entry, figures_of(entry, contact)) for entry in analysis.sets]
     drawn = [figure for _, own in figures for figure in own]
     data = json.dumps(analysis.to_json(), indent=2, allow_nan=False) + "\n"
-    page = render("analysis.html.j2", _page(analysis, figures))
+    page = render("analysis.html.j2", _page(analysis, figures, contact))
     written = write_files(directory, {"report.html": page, "analysis.json": data})
     for count in range(len(drawn) + 1):
         if progress is not None:
@@ -114,24 +122,25 @@ def _png(figure: Figure, directory: Path) -> Path:
         raise InputError(f"cannot be written: {error.strerror}", file=directory) from None
 
 
-def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure]]]) -> AnalysisPage:
+def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure]]], contact: str) -> AnalysisPage:
     rows = result_table(analysis)
     return AnalysisPage(
         title="Predicted and measured velocity jumps",
         campaign=analysis.directory.resolve().name,
         trials=sum(entry.fit.count for entry in analysis.sets),
-        rows=tuple(TableRow(row, _best(row)) for row in rows),
+        rows=tuple(TableRow(row, _best(row.errors), _best(row.settled)) for row in rows),
         with_paper=any(row.paper_errors is not None for row in rows),
         left_out=tuple(listing for listing in _left_out(analysis) if listing.items),
         sets=tuple(
             SetPart(entry, tuple(Plot(f.name, curves_plot(f), f.caption, zoom=True) for f in drawn))
             for entry, drawn in figures
         ),
+        contact=contact,
     )
 
 
-def _best(row: Row) -> str:
-    return min(row.errors, key=lambda model: abs(row.errors[model]))
+def _best(errors: dict[str, float]) -> str:
+    return min(errors, key=lambda model: abs(errors[model]))
 
 
 def _left_out(analysis: Analysis) -> list[Listing]:

@@ -106,9 +106,9 @@ class Figure:
     x_range: tuple[float, float] | None = None
 
 
-def figures_of(entry: ExperimentSet) -> list[Figure]:
-    """The paper's two figures for one set."""
-    return [signals_figure(entry), fit_figure(entry)]
+def figures_of(entry: ExperimentSet, contact: str = "first") -> list[Figure]:
+    """The paper's two figures for one set, with predictions for the ``first`` or the ``settled`` contact."""
+    return [signals_figure(entry), fit_figure(entry, contact)]
 
 
 def _stem(entry: ExperimentSet) -> str:
@@ -178,12 +178,13 @@ def signals_figure(entry: ExperimentSet) -> Figure:
     )
 
 
-def fit_figure(entry: ExperimentSet) -> Figure:
-    """Net feedback over post-impact reference velocity (paper fig. Fit_results_push)."""
+def fit_figure(entry: ExperimentSet, contact: str = "first") -> Figure:
+    """Net feedback over post-impact reference velocity (paper fig. Fit_results_push), with predictions of a contact."""
     axis, fit = entry.axis, entry.fit
     x = np.array([trial.info.reference_post_velocity for trial in entry.trials])
     y = np.array([trial.net for trial in entry.trials])
-    predicted = [entry.predictions[model].velocity for model in MOTOR_INERTIA_MODELS]
+    predictions = entry.of_contact(contact)
+    predicted = [predictions[model].velocity for model in MOTOR_INERTIA_MODELS]
     low, high = min(*x, *predicted, fit.estimate), max(*x, *predicted, fit.estimate)
     margin = 0.06 * (high - low)
     ends = np.array([low - margin, high + margin])
@@ -194,7 +195,7 @@ def fit_figure(entry: ExperimentSet) -> Figure:
     ]
     for model in MOTOR_INERTIA_MODELS:
         label, colour, marker = MODEL_STYLE[model]
-        prediction = entry.predictions[model]
+        prediction = predictions[model]
         curves.append(
             Curve(
                 f"{label}: {abs(prediction.velocity):.3f} m/s ({prediction.error:+.2f} %)".replace("-", "−"),
@@ -226,7 +227,7 @@ def fit_figure(entry: ExperimentSet) -> Figure:
         caption=(
             "Net feedback of every trial with impact. The line's zero crossing is the experimental estimate of the "
             "post-impact velocity; its 95 % interval follows from the scatter of the trials (Fieller). The closer a "
-            "prediction lies to it, the better its motor-inertia model."
+            f"prediction lies to it, the better its motor-inertia model. Predictions are for the {contact} contact."
         ),
         x_label=f"post-impact reference velocity v<sub>{axis}</sub> [m/s]",
         panels=(Panel(f"a<sub>fb,net,{axis}</sub> [m/s]", tuple(curves)),),

@@ -9,12 +9,13 @@ from rich.table import Table
 
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
 from impact_rs_analysis.measure.laboratory import jumps_of
-from impact_rs_analysis.measure.table import result_table
+from impact_rs_analysis.measure.table import Row, result_table
 from impact_rs_analysis.report import write_report
-from impact_rs_cli.arguments import add_jobs, started
+from impact_rs_cli.arguments import add_contact, add_jobs, started
 from impact_rs_cli.measurements import read_experiment
 from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import CONTACTS
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_trials.campaign import MANIFEST
 from impact_rs_trials.store import is_url, local_copy
@@ -24,8 +25,9 @@ Compare the impact map's predictions with what a folder of trials shows.
 
 For every object and case: the net feedback of each trial over its post-impact reference velocity, a line through them,
 and its zero crossing, which is the experimental estimate of the post-impact velocity, with a 95 % interval. Errors are
-(prediction - estimate) / estimate in percent, for three models of the motor inertia. Writes report.html, which opens
-offline and on a phone, analysis.json, and the figures as PNG.
+(prediction - estimate) / estimate in percent, for three models of the motor inertia, just after the first simultaneous
+impact and for the settled contact, when pads that keep pushing have aligned and go on with the object. Writes
+report.html, which opens offline and on a phone, analysis.json, and the figures as PNG.
 
 Damaged or foreign bags are named and left out; trials without impact never enter a fit.
 
@@ -50,6 +52,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--experiment", type=Path, metavar="FILE.yaml", help="DIR holds somebody else's runs: experiment file"
     )
+    add_contact(parser, "predictions that figures show, there is a table of each; with --experiment those of its table")
     add_jobs(parser)
     add_json(parser)
 
@@ -61,7 +64,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     if is_url(args.directory) and args.output is None:
         raise InputError("expected a folder for the report: -o REPORT_DIR", file=args.directory)
     with local_copy(args.directory, (MANIFEST,)) as directory:
-        return report_on(directory, args.output, terminal)[0]
+        return report_on(directory, args.output, terminal, args.contact)[0]
 
 
 def _laboratory(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -71,8 +74,10 @@ def _laboratory(args: argparse.Namespace, terminal: Terminal) -> int:
     with started(args) as map_tasks:
         runs = read_experiment(Path(args.directory), args.experiment, map_tasks, terminal)
     with terminal.progress("impact maps"):
-        found = jumps_of(runs)
-    table = Table(title="Speed after the impact along its direction, and errors of the predictions [%]")
+        found = jumps_of(runs, args.contact)
+    table = Table(
+        title=f"Speed after the impact along its direction, and errors of the predictions, {args.contact} contact [%]"
+    )
     table.add_column("", no_wrap=True)
     for heading in ("runs", "before [m/s]", "after [m/s]", "B_θ", "B_ρ", "B = 0"):
         table.add_column(heading, justify="right")
@@ -89,20 +94,20 @@ def _laboratory(args: argparse.Namespace, terminal: Terminal) -> int:
     return 0
 
 
-def report_on(directory: Path, output: Path | None, terminal: Terminal) -> tuple[int, Path]:
+def report_on(directory: Path, output: Path | None, terminal: Terminal, contact: str = "first") -> tuple[int, Path]:
     """Analyse, write the report and show the table; exit code and path of the report."""
     with terminal.progress("reading bags") as tell:
         analysis = analyze_campaign(directory, tell)
-    report = publish(analysis, output or directory / "report", terminal)
+    report = publish(analysis, output or directory / "report", terminal, contact)
     if not analysis.sets:
         terminal.warn("no set has enough trials for an estimate; see above what is missing")
     return (0 if analysis.sets else 1), report
 
 
-def publish(analysis: Analysis, directory: Path, terminal: Terminal) -> Path:
-    """Write the report and show what is in it; returns its page."""
+def publish(analysis: Analysis, directory: Path, terminal: Terminal, contact: str = "first") -> Path:
+    """Write the report, with figures of one contact, and show what is in it; returns its page."""
     with output_folder(directory) as folder, terminal.progress("report") as tell:
-        report = write_report(analysis, folder, tell)[0]
+        report = write_report(analysis, folder, tell, contact)[0]
     terminal.result(analysis.to_json())
     _show(analysis, terminal)
     terminal.say(f"report: {report.resolve()}")
@@ -110,27 +115,12 @@ def publish(analysis: Analysis, directory: Path, terminal: Terminal) -> Path:
 
 
 def _show(analysis: Analysis, terminal: Terminal) -> None:
-    """Show the table, and what did not enter it."""
+    """Show the table of each contact, and what did not enter it."""
     rows = result_table(analysis)
-    if rows:
-        table = Table(title="Experimental estimate, and errors of the predictions [%]")
-        table.add_column("", no_wrap=True)
-        table.add_column("estimate [m/s]", justify="right")
-        for heading in ("B_θ (nominal)", "B_ρ", "B = 0"):
-            table.add_column(heading, justify="right")
-        published = any(row.paper_errors for row in rows)
-        if published:
-            table.add_column("published B_θ", justify="right")
-        for row in rows:
-            estimate = "" if row.estimate is None else f"{row.estimate:.3f}"
-            if row.half_interval is not None:
-                estimate += f" ± {row.half_interval:.3f}"
-            form = "{:+.2f}" if row.signed else "{:.2f}"
-            cells = [form.format(error) for error in row.errors.values()]
-            if published:
-                cells.append("" if row.paper_errors is None else form.format(row.paper_errors["reduced"]))
-            table.add_row(row.label, estimate, *cells)
-        terminal.say(table)
+    for contact in CONTACTS if rows else ():
+        terminal.say(_table(rows, contact))
+        count = analysis.nearest(contact)["reduced"]
+        terminal.say(f"{contact} contact: B_θ predicts best in {count} of {len(analysis.sets)} sets")
     for entry in analysis.incomplete:
         terminal.say(f"no estimate for {entry.object} {entry.case}: {entry.reason}")
     for bag in analysis.skipped:
@@ -144,3 +134,24 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
     if analysis.missing:
         shown = ", ".join(analysis.missing[:5]) + (", ..." if len(analysis.missing) > 5 else "")
         terminal.say(f"{len(analysis.missing)} trials of the manifest are missing: {shown}")
+
+
+def _table(rows: list[Row], contact: str) -> Table:
+    table = Table(title=f"Experimental estimate, and errors of the predictions, {contact} contact [%]")
+    table.add_column("", no_wrap=True)
+    table.add_column("estimate [m/s]", justify="right")
+    for heading in ("B_θ (nominal)", "B_ρ", "B = 0"):
+        table.add_column(heading, justify="right")
+    published = any(row.paper_errors for row in rows)
+    if published:
+        table.add_column("published B_θ", justify="right")
+    for row in rows:
+        estimate = "" if row.estimate is None else f"{row.estimate:.3f}"
+        if row.half_interval is not None:
+            estimate += f" ± {row.half_interval:.3f}"
+        form = "{:+.2f}" if row.signed else "{:.2f}"
+        cells = [form.format(error) for error in row.of_contact(contact).values()]
+        if published:
+            cells.append("" if row.paper_errors is None else form.format(row.paper_errors["reduced"]))
+        table.add_row(row.label, estimate, *cells)
+    return table

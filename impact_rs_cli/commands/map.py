@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from impact_rs_cli.arguments import add_jobs, started
+from impact_rs_cli.arguments import add_contact, add_jobs, started
 from impact_rs_cli.terminal import Terminal, add_json, declare
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
+from impact_rs_sim.impact_map import ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, predict
-from impact_rs_sim.impact_map.uniqueness import CHOICE, uniqueness_of
+from impact_rs_sim.impact_map.uniqueness import CHOICE, Uniqueness, uniqueness_of
 from impact_rs_sim.physics import RESTITUTION_LAWS
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
@@ -22,16 +22,18 @@ from impact_rs_trials.map_table import answer_table, write_answers
 from impact_rs_trials.recordings.impact_table import read_impact_table
 
 TEXT = """\
-Predict the velocities just after the nominal impact of a scenario.
+Predict the velocities after the nominal impact of a scenario.
 
 Solves the rigid impact map: ante-impact configuration and velocities in, post-impact velocities of all joints and
 bodies and the contact impulses out, with how far answers that obey the same laws lie apart. --motor-inertia says
-which inertia the motors have during the impact: 'reduced'
-(B_theta, what the robot's torque loop leaves of it), 'rotor' (B_rho, all of it) or 'zero'.
+which inertia the motors have during the impact: 'reduced' (B_theta, what the robot's torque loop leaves of it), 'rotor'
+(B_rho, all of it) or 'zero'. --contact says when: 'first', just after the first simultaneous impact, or 'settled', when
+pads that keep pushing have aligned and go on with the object.
 
 example:
   impact-rs map push cat_food case_2
   impact-rs map push cat_food 2 --motor-inertia rotor --json
+  impact-rs map grab cat_food 2 --contact settled
   impact-rs map push cat_food 2 --uncertainty
   impact-rs map push --table problems.parquet -o answers.parquet
   impact-rs map --table tosses.csv -o answers.csv
@@ -51,8 +53,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--motor-inertia", choices=("reduced", "rotor", "zero"), default="reduced", help="default: %(default)s"
     )
+    add_contact(parser, "how far the impact is carried on")
     parser.add_argument(
-        "--engine", choices=("bullet", "pinocchio"), default="pinocchio", help="solver; default: %(default)s"
+        "--engine", choices=("bullet", "pinocchio"), help="solver of the first contact; default: pinocchio"
     )
     parser.add_argument(
         "--restitution-law", choices=RESTITUTION_LAWS, help="law of restitution; default: that of the scenario"
@@ -78,10 +81,15 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     scenario.object(args.object)
     scene = Scene.resolve(scenario, args.object, args.case)
     problem = ImpactProblem.at_nominal_impact(scene, args.motor_inertia)
+    if args.contact == "settled" and (args.engine == "bullet" or args.uncertainty or args.restitution_law):
+        raise InputError(
+            "--engine bullet, --uncertainty and --restitution-law are for the first contact only; leave them out with "
+            "--contact settled"
+        )
     if args.restitution_law:
         problem = replace(problem, restitution_law=args.restitution_law)
-    result = compute_impact_map(problem, args.engine)
-    several = uniqueness_of(problem, scene.models)
+    result = predict_impact(problem, args.contact, args.engine or "pinocchio")
+    several = uniqueness_of(problem, scene.models) if args.contact == "first" else None
     told = predict(problem, scenario.uncertainty, scene.models) if args.uncertainty else None
     before = {name: scene.models[name].jacobian(arm.position) @ arm.velocity for name, arm in scene.arms.items()}
     terminal.result(
@@ -90,6 +98,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             "object": args.object,
             "case": scene.case_name,
             "motor_inertia": args.motor_inertia,
+            "contact": args.contact,
             "ante": {
                 "end_effector_twist": {name: twist.tolist() for name, twist in before.items()},
                 "joint_position": {name: arm.position.tolist() for name, arm in scene.arms.items()},
@@ -110,13 +119,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
                 }
                 for contact in result.contacts
             ],
-            "uniqueness": {
-                "spread": several.spread,
-                "relative": several.relative,
-                "unique": several.unique,
-                "answers": several.answers,
-                "choice": CHOICE,
-            },
+            **({} if several is None else {"uniqueness": _uniqueness(several)}),
             **({} if told is None else {"uncertainty": _uncertainty(told)}),
             "residual": {name: float(value) for name, value in vars(result.residual).items()},
             "engine": result.engine,
@@ -125,7 +128,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         }
     )
     labels = f"{scenario.object(args.object).label}, {scenario.case(args.case).label}"
-    terminal.say(f"{scenario.name}: {labels}, motor inertia '{args.motor_inertia}'")
+    terminal.say(f"{scenario.name}: {labels}, motor inertia '{args.motor_inertia}', contact '{args.contact}'")
     for name, twist in result.end_effector_twist.items():
         terminal.say(f"  {name:<8} v before {_vector(before[name][:3])} m/s, after {_vector(twist[:3])} m/s")
     terminal.say(f"  {'object':<8} v after  {_vector(result.object_twist[:3])} m/s")
@@ -136,7 +139,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     )
     if told is not None:
         _say_uncertainty(told, terminal)
-    if several.warning:
+    if several is not None and several.warning:
         terminal.warn(several.warning)
     return 0
 
@@ -159,6 +162,17 @@ def _many(args: argparse.Namespace, terminal: Terminal) -> int:
     )
     terminal.say(f"{len(table.rows) - len(answers.messages)} of {len(table.rows)} rows answered: {args.output}")
     return 0
+
+
+def _uniqueness(several: Uniqueness) -> dict[str, Any]:
+    """How far lawful answers lie apart, as JSON."""
+    return {
+        "spread": several.spread,
+        "relative": several.relative,
+        "unique": several.unique,
+        "answers": several.answers,
+        "choice": CHOICE,
+    }
 
 
 def _uncertainty(told: UncertainPrediction) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from impact_rs_analysis.measure.study import analyze_study, study_manifests
-from impact_rs_cli.arguments import add_jobs, workforce_of
+from impact_rs_cli.arguments import add_contact, add_jobs, workforce_of
 from impact_rs_cli.commands.analyze import publish
 from impact_rs_cli.commands.campaign import follow
 from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
@@ -19,7 +19,7 @@ objects, three cases, five post-impact references, five repeats: 450 trials.
 
 A study that was interrupted goes on where it stopped when the same command is given again. Its two campaigns lie in
 DIR/push and DIR/grab, like any campaign; tables, averages and all figures are in DIR/report, beside the published
-numbers.
+numbers. Tables have the predictions for the first contact and for the settled one (see impact-rs map --help).
 
 example:
   impact-rs study -o study
@@ -34,6 +34,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="DIR", help="folder of the study")
     parser.add_argument("--trials", type=int, metavar="N", help="repeats of every reference; default: 5")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the study; default: 0")
+    add_contact(parser, "predictions that the figures show; there is a table of each")
     add_jobs(parser)
     add_json(parser)
     parser.set_defaults(resumable=True)
@@ -52,5 +53,5 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             terminal.say(f"{name}: {counted or 'all trials were there'}")
     with terminal.progress("reading bags") as tell:
         analysis = analyze_study(args.output, tell)
-    publish(analysis, args.output / "report", terminal)
+    publish(analysis, args.output / "report", terminal, args.contact)
     return 0 if analysis.sets and not failed and not analysis.missing else 1

@@ -1,4 +1,4 @@
-"""The impact map: ante-impact state in, post-impact state out (see :mod:`impact_rs_sim.impact_map.problem`)."""
+"""The impact map: ante-impact state in, post-impact state out (:mod:`.problem`), or its end (:mod:`.settled`)."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from impact_rs_sim.impact_map.problem import (
     check_problem,
     kinetic_energy,
 )
+from impact_rs_sim.impact_map.settled import settle
 
 __all__ = [
+    "CONTACTS",
     "ENGINES",
     "BulletEngine",
     "ContactImpulse",
@@ -32,9 +34,13 @@ __all__ = [
     "check_problem",
     "compute_impact_map",
     "kinetic_energy",
+    "predict_impact",
+    "settle",
 ]
 
 ENGINES: dict[str, type[Engine]] = {engine.name: engine for engine in (BulletEngine, PinocchioEngine)}
+
+CONTACTS = ("first", "settled")  # how far an impact is carried on
 
 _KEPT = 8  # engines kept warm; a Bullet world is a few MB
 _warm: OrderedDict[tuple[int, str], Engine] = OrderedDict()
@@ -66,3 +72,21 @@ def compute_impact_map(problem: ImpactProblem, engine: str = "bullet") -> Impact
         while len(_warm) > _KEPT:
             _warm.popitem(last=False)[1].close()
         return _warm[key].solve(problem)
+
+
+def predict_impact(problem: ImpactProblem, contact: str = "first", engine: str = "bullet") -> ImpactResult:
+    """The velocities after an impact.
+
+    Args:
+        problem: The question.
+        contact: ``first``: just after the first simultaneous impact, :func:`compute_impact_map`; ``settled``: when the
+            contact that lasts is closed, :func:`~impact_rs_sim.impact_map.settled.settle`.
+        engine: Engine of the first; the second has one solver.
+
+    Raises:
+        InputError: There is no such contact or engine, or the question has no answer.
+        ImpactMapError: The answer breaks a law by more than the engine's tolerance.
+    """
+    if contact not in CONTACTS:
+        raise InputError(f"no contact {contact!r}; known: {', '.join(CONTACTS)}")
+    return settle(problem) if contact == "settled" else compute_impact_map(problem, engine)

@@ -35,7 +35,7 @@ CLOSE = 1e-9  # m or rad, a step after which no other is made
 
 
 @dataclass(frozen=True)
-class Touch:
+class PadOnFace:
     """One hit, while pad and object touch.
 
     Attributes:
@@ -101,7 +101,7 @@ class ContactFrame:
         )
 
 
-def contact_frame(touches: Sequence[Touch], given: Array, given_yaw: float) -> ContactFrame:
+def contact_frame(touches: Sequence[PadOnFace], given: Array, given_yaw: float) -> ContactFrame:
     """Place the world of the motion capture so that all hits touch.
 
     Args:
@@ -158,7 +158,7 @@ def _untold(slopes: Array) -> Array | None:
     return np.asarray(direction * np.sign(direction[int(np.argmax(np.abs(direction)))]))
 
 
-def _first(touches: Sequence[Touch], given_yaw: float) -> Array:
+def _first(touches: Sequence[PadOnFace], given_yaw: float) -> Array:
     """x, y and yaw to start from: the ways of the objects are those of the pads, and every pad is amid its face."""
     yaw = given_yaw
     if sum(float(np.linalg.norm(touch.object_way)) for touch in touches) > PUSHED:
@@ -175,7 +175,7 @@ def _first(touches: Sequence[Touch], given_yaw: float) -> Array:
     return np.append(np.mean(places, axis=0)[:2], yaw)
 
 
-def _residuals(touches: Sequence[Touch], found: Array) -> tuple[Array, Array]:
+def _residuals(touches: Sequence[PadOnFace], found: Array) -> tuple[Array, Array]:
     """Distance [m] and angle [rad] of every hit in turn, ``(2 h,)``, and their slopes in x, y and yaw, ``(2 h, 3)``."""
     turn = pin.rpy.rpyToMatrix(0.0, 0.0, float(found[2]))
     values, slopes = [], []
@@ -196,7 +196,7 @@ def _residuals(touches: Sequence[Touch], found: Array) -> tuple[Array, Array]:
     return np.array(values), np.array(slopes)
 
 
-def _face(touch: Touch, turn: Array) -> tuple[Array, float]:
+def _face(touch: PadOnFace, turn: Array) -> tuple[Array, float]:
     """Outward normal of the face that the pad meets, in A, ``(k, 3)``, and half the size of the object along it [m]."""
     axes = turn @ touch.rotation
     towards = -np.einsum("kij,ki->kj", axes, touch.pad_normal)[0]  # of the object's axes, to the pad

@@ -33,7 +33,7 @@ from impact_rs_trials.recordings.clock import (
     grid_from,
     tell_gaps,
 )
-from impact_rs_trials.recordings.contact_frame import ContactFrame, Touch, contact_frame
+from impact_rs_trials.recordings.contact_frame import ContactFrame, PadOnFace, contact_frame
 from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, RunRow, read_runs
 from impact_rs_trials.recordings.mapping import REQUIRED, Mapping, SignalName
 from impact_rs_trials.recordings.plausibility import (
@@ -182,7 +182,7 @@ class Laboratory:
         """Nominal rigid-body model of the arm."""
         return Physics.nominal(self.scenario, next(iter(self.scenario.objects))).robot_model(self.arm)
 
-    def placed_by(self, touches: Sequence[Touch]) -> Laboratory:
+    def placed_by(self, touches: Sequence[PadOnFace]) -> Laboratory:
         """With the world of the motion capture where hits say it is.
 
         Raises:
@@ -513,7 +513,7 @@ def _with_weight(
 # ---- object ---------------------------------------------------------------------------------------------------------
 
 
-def touch_of(task: tuple[Laboratory, RunRow]) -> Touch | None:
+def touch_of(task: tuple[Laboratory, RunRow]) -> PadOnFace | None:
     """What a hit says of the world of the motion capture; None where it cannot be read, which is told when it is."""
     laboratory, run = task
     try:
@@ -523,7 +523,7 @@ def touch_of(task: tuple[Laboratory, RunRow]) -> Touch | None:
         return None
 
 
-def _touch(laboratory: Laboratory, run: RunRow) -> Touch:
+def _touch(laboratory: Laboratory, run: RunRow) -> PadOnFace:
     assert run.object is not None
     wanted: tuple[SignalName, ...] = ("position", "velocity", *OBJECT_SIGNALS)
     names = Names(object=run.object, arm=laboratory.arm, run=run.name)
@@ -545,7 +545,7 @@ def _touch(laboratory: Laboratory, run: RunRow) -> Touch:
     size = np.array(laboratory.scenario.object(run.object).size)
     ends = np.array([impact, min(impact + FOLLOWED, float(joints.time[-1]), float(seen.time[-1]))])
     way = np.diff([laboratory.model.placement(q).translation[:2] for q in joints.at(ends)], axis=0)[0]
-    return Touch(
+    return PadOnFace(
         run=run.name,
         pad=np.array([pad.translation for pad in pads]),
         pad_normal=np.array([pad.rotation[:, 2] for pad in pads]),

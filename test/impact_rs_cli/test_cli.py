@@ -39,6 +39,16 @@ def test_map_json_is_one_document(capfd: pytest.CaptureFixture, engine: str, ine
     assert document["elapsed_ms"] > 0.0
 
 
+def test_map_tells_the_settled_contact(capfd: pytest.CaptureFixture) -> None:
+    speeds = {}
+    for contact in ("first", "settled"):
+        assert main(["map", "grab", "cat_food", "2", "--contact", contact, "--json"]) == 0
+        document = json.loads(capfd.readouterr().out)
+        assert document["contact"] == contact
+        speeds[contact] = {name: twist[2] for name, twist in document["post"]["end_effector_twist"].items()}
+    assert all(speeds["settled"][name] > speeds["first"][name] for name in ("left", "right"))
+
+
 def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Path) -> None:
     """Libraries that print to the C-level standard output must not spoil it."""
     for arguments in (
@@ -63,6 +73,10 @@ def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Pat
         (["map", "push", "cat_food", "2", "--engin"], "expected one argument"),
         (["map", "push", "cat_food", "2", "--enginee", "bullet"], "did you mean '--engine'"),
         (["map", "push"], "required: OBJECT, CASE"),
+        (
+            ["map", "push", "juice", "1", "--contact", "settled", "--engine", "bullet"],
+            "answers for the first contact only",
+        ),
         (["anlyze", "x"], "did you mean 'analyze'"),
         ([], "required: COMMAND"),
         (["up", "pus"], "did you mean 'push'"),

@@ -10,7 +10,7 @@ import pytest
 
 from impact_rs_control.plan import TrialPlan, plan_trial, tick_times
 from impact_rs_sim.friction_compensation import TASKS, AccelerationSamples, ArmFriction, FrictionCompensation
-from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
+from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, settle
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
@@ -40,6 +40,18 @@ def excite() -> TrialPlan:
 def at_impact(plan: TrialPlan) -> int:
     timing = plan.scene.scenario.timing
     return round(timing.nominal_impact / timing.control_period)
+
+
+def test_references_follow_the_settled_contact_where_the_scenario_says_so(grab: TrialPlan) -> None:
+    scenario = GRAB.scenario
+    control = scenario.control.model_copy(update={"reference_contact": "settled"})
+    scene = Scene.resolve(scenario.model_copy(update={"control": control}), "juice", "case_1")
+    plan = plan_trial(scene, SCALE)
+    answer = settle(ImpactProblem.at_nominal_impact(scene))
+    for name, arm in plan.arms.items():
+        wanted = SCALE * answer.end_effector_twist[name][:3]
+        np.testing.assert_allclose(arm.post_position.velocity[at_impact(plan)], wanted, atol=1e-9)
+    assert abs(plan.predicted_post_velocity - grab.predicted_post_velocity) > 1e-3
 
 
 @pytest.mark.parametrize("scene", [PUSH, GRAB], ids=["push", "grab"])

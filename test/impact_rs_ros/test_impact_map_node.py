@@ -15,7 +15,7 @@ from impact_rs.srv import ComputeImpactMap
 
 from impact_msgs_py.conversions import pose_to_message, twist_from_message
 from impact_rs_ros.graph import Graph
-from impact_rs_sim.impact_map import ENGINES, compute_impact_map
+from impact_rs_sim.impact_map import ENGINES, compute_impact_map, settle
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenario import load_scenario
@@ -78,6 +78,17 @@ def test_the_answer_is_that_of_the_library(ask: Ask, scene: Scene, engine: str, 
     twist = twist_from_message(answer.end_effector_twists[0].twist)
     np.testing.assert_allclose(twist, expected.end_effector_twist["arm"], atol=1e-9)
     assert len(answer.contacts) == len(expected.contacts)
+    assert answer.contact == "first"
+
+
+def test_the_settled_contact_is_asked_for_by_name(ask: Ask) -> None:
+    scene = Scene.resolve(load_scenario("grab"), "cat_food", "2")
+    expected = settle(ImpactProblem.at_nominal_impact(scene))
+    answer = ask(scenario="grab", contact="settled")
+    assert answer.success, answer.message
+    assert (answer.contact, answer.engine) == ("settled", "pinocchio")
+    for post in answer.post:
+        np.testing.assert_allclose(post.joint_velocity, expected.joint_velocity[post.robot], atol=1e-9)
     assert answer.elapsed > 0.0
 
 
@@ -101,6 +112,7 @@ BAD: dict[str, tuple[Callable[[Scene], dict[str, object]], str]] = {
     "object": (lambda s: {"object_name": "piano"}, "no object 'piano'"),
     "case": (lambda s: {"case_name": "9"}, "no case '9'"),
     "engine": (lambda s: {"engine": "steam"}, "engine 'steam'"),
+    "contact": (lambda s: {"contact": "last"}, "no contact 'last'; known: first, settled"),
     "motor-inertia model": (lambda s: {"motor_inertia": "large"}, "motor-inertia model"),
     "robot": (lambda s: {"robots": [state(s, robot="leg")]}, "no robot 'leg'"),
     "non-finite position": (lambda s: {"robots": [state(s, joint_position=[math.nan] * 7)]}, "finite"),

@@ -91,3 +91,13 @@ def test_case_2_differs_in_velocity_only_and_case_3_in_configuration_only():
     assert velocity[1][1] == pytest.approx(-0.7)
     assert abs(one.arms["arm"].position[0] - three.arms["arm"].position[0]) > 0.2
     assert model.placement(one.arms["arm"].position).isApprox(model.placement(three.arms["arm"].position), 1e-7)
+
+
+def test_a_scenario_that_follows_the_first_impact_reads_as_it_always_did() -> None:
+    push = load_scenario("push")
+    assert push.control.reference_contact == "first"
+    assert "reference_contact" not in push.model_dump_json()
+    control = push.control.model_copy(update={"reference_contact": "settled"})
+    other = push.model_copy(update={"control": control})
+    assert other.digest != push.digest
+    assert Scenario.model_validate_json(other.model_dump_json()).control.reference_contact == "settled"

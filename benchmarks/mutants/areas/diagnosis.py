@@ -119,8 +119,8 @@ MUTANTS = [
     Mutant(
         name="discrepancy_counts_in_every_direction",
         file=REFERENCE,
-        original="return np.asarray(vectors / np.sqrt(values))",
-        mutated="return np.eye(values.size)",
+        original="return np.asarray(np.linalg.inv(np.linalg.cholesky(both)).T)",
+        mutated="return np.eye(len(both))",
         wrong="The directions in which simulators differ hide what lies across them.",
         tests=REFERENCES,
     ),
@@ -339,5 +339,21 @@ MUTANTS = [
         mutated="torque = torque + arm.friction.torque(motion.velocity)",
         wrong="Friction helps the motion in a torque balance.",
         tests=RECORDED,
+    ),
+    Mutant(
+        name="shape_from_where_it_stands",
+        file=SEARCH,
+        original="replace(candidate, point=before.estimate)",
+        mutated="replace(candidate, point=candidate.point)",
+        wrong="A shape is fitted from its nominal value, however far away it is.",
+        tests=SEARCHES,
+    ),
+    Mutant(
+        name="motion_before_a_hit_forgotten",
+        file=SEARCH,
+        original="        if free is None:",
+        mutated="        if True:",
+        wrong="Only what never hits anything can rule an effect out.",
+        tests=SEARCHES,
     ),
 ]

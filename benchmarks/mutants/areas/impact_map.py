@@ -13,6 +13,8 @@ CONTACT_TESTS = ("test/impact_rs_sim/test_impact_map_contacts.py",)
 LAWS = ("test/impact_rs_sim/test_impact_map_physics.py",)
 ENGINES = ("test/impact_rs_sim/test_impact_map_engines.py",)
 PROBLEM = "impact_rs_sim/impact_map/problem.py"
+SETTLED = "impact_rs_sim/impact_map/settled.py"
+SETTLED_TESTS = ("test/impact_rs_sim/test_impact_map_settled.py",)
 
 NEWTON = "impact_rs_sim/impact_map/newton.py"
 DERIVATIVES = "impact_rs_sim/impact_map/derivatives.py"
@@ -465,5 +467,93 @@ MUTANTS = [
         mutated="name: width for name",
         wrong="Intervals are twice as wide as what is stated.",
         tests=UNCERTAINTY_TESTS,
+    ),
+    Mutant(
+        name="settled_without_motor_inertia",
+        file=SETTLED,
+        original="inertia = basis.T @ system.inertia @ basis",
+        mutated="inertia = basis.T @ system.link_inertia @ basis",
+        wrong="The settled map has no motor inertia in the motions that it allows.",
+        tests=SETTLED_TESTS,
+    ),
+    Mutant(
+        name="settled_momentum_before",
+        file=SETTLED,
+        original="basis.T @ system.inertia @ system.velocity",
+        mutated="basis.T @ system.link_inertia @ system.velocity",
+        wrong="Motors bring no momentum into the settled map.",
+        tests=SETTLED_TESTS,
+    ),
+    Mutant(
+        name="faces_not_kept_aligned",
+        file=SETTLED,
+        original="    basis = _free(turning)\n",
+        mutated="    basis = _free(turning[:0])\n",
+        wrong="Pads may stand off the face with an edge in the end.",
+        tests=SETTLED_TESTS,
+    ),
+    Mutant(
+        name="aligned_along_the_tangent",
+        file=SETTLED,
+        original='normal = np.einsum("mi,miv->mv", terms.normals,',
+        mutated='normal = np.einsum("mi,miv->mv", terms.normals[:, [1, 2, 0]],',
+        wrong="Points of a face are kept together along a tangent.",
+        tests=SETTLED_TESTS,
+    ),
+    Mutant(
+        name="faces_closed_where_they_shall_be_free",
+        file=SETTLED,
+        original="motions[int(np.sum(values > _RANK * np.max(values))) :].T",
+        mutated="motions[: int(np.sum(values > _RANK * np.max(values)))].T",
+        wrong="Only what turns a pad on its face is left.",
+        tests=SETTLED_TESTS,
+    ),
+    Mutant(
+        name="settled_with_restitution",
+        file=SETTLED,
+        original="terms = ContactTerms.of(system, [*aligned, *support], 0.0)",
+        mutated="terms = ContactTerms.of(system, [*aligned, *support], 0.5)",
+        wrong="The contact that lasts bounces.",
+        tests=SETTLED_TESTS,
+    ),
+    Mutant(
+        name="aligning_impulses_sign",
+        file=SETTLED,
+        original="impulses + aligning[:, None] * terms.normals",
+        mutated="impulses - aligning[:, None] * terms.normals",
+        wrong="Impulses that align a face stand with the wrong sign in the answer.",
+        tests=SETTLED_TESTS,
+    ),
+    Mutant(
+        name="aligning_impulses_lost",
+        file=SETTLED,
+        original="impulses + aligning[:, None] * terms.normals, velocity",
+        mutated="impulses, velocity",
+        wrong="Impulses that align a face are not told.",
+        tests=SETTLED_TESTS,
+    ),
+    Mutant(
+        name="a_pad_that_left_pulls",
+        file=SETTLED,
+        original="pressed = tuple(name for name in lasting if pressing[name] > _NOTHING)",
+        mutated="pressed = lasting",
+        wrong="A pad that does not press is kept aligned with the face.",
+        tests=SETTLED_TESTS,
+    ),
+    Mutant(
+        name="pads_apart_by_their_gap",
+        file=SETTLED,
+        original="aligned = [replace(point, gap=0.0) for face",
+        mutated="aligned = [point for face",
+        wrong="A pad that aligns is levered about points off the face.",
+        tests=SETTLED_TESTS,
+    ),
+    Mutant(
+        name="settled_asks_for_the_first",
+        file="impact_rs_sim/impact_map/__init__.py",
+        original='return settle(problem) if contact == "settled" else compute_impact_map(problem, engine)',
+        mutated='return settle(problem) if contact == "first" else compute_impact_map(problem, engine)',
+        wrong="First and settled contact are exchanged.",
+        tests=SETTLED_TESTS,
     ),
 ]

@@ -168,9 +168,17 @@ MUTANTS = [
     Mutant(
         name="quality_with_sign",
         file=ANALYZE,
-        original="_mean([abs(error) for error in self.errors(model)])",
-        mutated="_mean(self.errors(model))",
+        original="_mean([abs(error) for error in self.errors(model, contact)])",
+        mutated="_mean(self.errors(model, contact))",
         wrong="The absolute error is the mean with sign.",
+        tests=ANALYZE_TESTS,
+    ),
+    Mutant(
+        name="settled_errors_of_the_first_contact",
+        file=ANALYZE,
+        original='return {"first": self.predictions, "settled": self.predictions_settled}[contact]',
+        mutated='return {"first": self.predictions, "settled": self.predictions}[contact]',
+        wrong="The settled contact is given the errors of the first.",
         tests=ANALYZE_TESTS,
     ),
     Mutant(

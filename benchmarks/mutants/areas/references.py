@@ -9,6 +9,14 @@ PLAN_TESTS = ("test/impact_rs_control/test_plan.py",)
 
 MUTANTS = [
     Mutant(
+        name="references_of_the_first_contact_always",
+        file=PLAN,
+        original="predict_impact(problem, scene.scenario.control.reference_contact, engine)",
+        mutated='predict_impact(problem, "first", engine)',
+        wrong="References follow the first contact, whatever the scenario says.",
+        tests=PLAN_TESTS,
+    ),
+    Mutant(
         name="approach_from_too_far",
         file=FILE,
         original="position - velocity * timing.approach / 2.0, rest, rest)",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -19,8 +20,10 @@ FLOOR = 0.3  # share of a feature's scale that nobody cares about
 PHYSICS = Physics.nominal(load_scenario("push"), "juice")  # for the number of joints alone
 
 
-def parameter(name: str, nominal: float = 0.0, shape: bool = False, lower: float = -50.0) -> Parameter:
-    return Parameter(name, "-", nominal, lower, 50.0, 1.0, name, shape=shape)
+def parameter(
+    name: str, nominal: float = 0.0, shape: bool = False, lower: float = -50.0, grid: tuple[float, ...] = ()
+) -> Parameter:
+    return Parameter(name, "-", nominal, lower, 50.0, 1.0, name, shape=shape, grid=grid)
 
 
 def effect(name: str, parameters: tuple[Parameter, ...], phases: tuple[str, ...] = ("free", "contact")) -> Effect:
@@ -37,6 +40,7 @@ EFFECTS = {
         effect("of_joints", tuple(parameter(f"joint{number}") for number in range(7))),
         effect("of_motors", tuple(parameter(f"motor{number}") for number in range(7))),
         effect("one_sided", (parameter("d", lower=0.0),)),
+        effect("fading", (parameter("e"), parameter("rate", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
     )
 }
 
@@ -61,6 +65,8 @@ def features(cluster: int, added: Added) -> Array:
             result += sum(value * direction(cluster, 10 + j) for j, value in enumerate(values))
         elif name == "of_motors":
             result += sum(value * direction(cluster, 20 + j) for j, value in enumerate(values))
+        elif name == "fading":
+            result += values[0] * np.exp(-values[1] * np.linspace(0.0, 3.0, FEATURES)) * (1.0 + 0.1 * cluster)
         elif name == "one_sided":
             result += values[0] * direction(cluster, 7)
         elif name == "outside":
@@ -134,6 +140,29 @@ class AnalyticSource(Source):
             replace(item, residuals=(self._measured[int(item.name)] - features(int(item.name), added)) / item.sigma)
             for item in like
         ]
+
+
+class BeforeTheHit(AnalyticSource):
+    """Clusters whose first half of features was measured before anything is hit; arguments as for the world."""
+
+    @property
+    def before(self) -> list[bool]:
+        """Which of the features these are."""
+        return [number < FEATURES // 2 for number in range(FEATURES)]
+
+    @property
+    def free_motion(self) -> AnalyticSource:
+        """These features alone; what is asked of them is not in ``asked``."""
+        found = copy.copy(self)
+        found.__class__ = _FirstHalf
+        found.asked = []
+        found.clusters = tuple(item.only(self.before, contact=False) for item in self.clusters)
+        return found
+
+
+class _FirstHalf(AnalyticSource):
+    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+        return [None if values is None else values[: FEATURES // 2] for values in super().predict(wanted, what)]
 
 
 def correlated(rank: int = 5, seed: int = 0) -> Array:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from analytic_world import EFFECTS, AnalyticSource, correlated
+from analytic_world import EFFECTS, AnalyticSource, BeforeTheHit, correlated
 from scipy.stats import binom
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, bounded, linearise
@@ -201,6 +201,42 @@ def test_where_one_effect_explains_free_motion_others_of_the_joints_are_not_trie
     assert {number for number, added in source.asked if added and added[0][0] == "of_motors"} == set(FREE)
     chosen = search.choose()
     assert chosen is not None and chosen.candidate.names == ("of_joints",)
+
+
+@pytest.mark.parametrize("rate", [0.15, 6.0, 20.0])
+def test_a_shape_far_from_its_start_is_found_in_the_motion_before_a_hit(rate: float) -> None:
+    """A rate up to twenty times its start, which no linear step leads to; the hit is asked from the place found."""
+    source = BeforeTheHit(1, (("fading", (12.0, rate)),))
+    search = searched(source, ("bent", "fading"))
+    asked = [values[1] for _, added in source.asked for name, values in added if name == "fading"]
+    assert any(value == pytest.approx(rate, rel=0.2) for value in asked)
+    chosen = search.choose()
+    assert chosen is not None and chosen.candidate.names == ("fading",)
+    np.testing.assert_allclose(chosen.estimate, (12.0, rate), rtol=0.15)
+
+
+def test_motion_before_a_hit_rules_out_as_well_and_the_hit_is_not_asked() -> None:
+    """No cluster is without a hit; what is told of the effect all the same is how little of it can be there."""
+    ruled_out = 0
+    for seed in range(8):
+        source = BeforeTheHit(seed)
+        search = searched(source, ("bent", "of_joints"))
+        asked = any(name == "of_joints" for _, added in source.asked for name, _ in added)
+        assert asked != ("of_joints" in search.ruled_out)
+        ruled_out += "of_joints" in search.ruled_out
+        if search.ruled_out:
+            for jacobian in search.singles["of_joints"].jacobians:
+                assert np.all(jacobian[~np.array(source.before)] == 0.0) and np.any(jacobian[source.before])
+    assert ruled_out >= 6
+
+
+def test_what_is_there_before_a_hit_is_found_in_all_that_was_measured() -> None:
+    values = tuple(0.6 * (-1.0) ** joint for joint in range(7))
+    search = searched(BeforeTheHit(2, (("of_joints", values),)), ("bent", "of_joints"))
+    assert not search.ruled_out
+    chosen = search.choose()
+    assert chosen is not None and chosen.candidate.names == ("of_joints",)
+    np.testing.assert_allclose(chosen.estimate, values, atol=0.3)
 
 
 def test_beside_an_effect_that_looks_much_like_it_p_of_nothing_is_still_uniform() -> None:

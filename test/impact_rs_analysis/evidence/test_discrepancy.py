@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impact_rs_analysis.diagnosis.reference import UNMEASURED
+from impact_rs_analysis.diagnosis.thresholds import UNMEASURED
 from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_analysis.evidence.discrepancy import (
     NO_DISCREPANCY,

@@ -183,6 +183,9 @@ def test_without_anything_hidden_the_reduced_inertia_predicts_the_speed_after_th
     assert jump.before == pytest.approx(0.7, abs=0.01)
     assert 0.4 < jump.after < 0.6
     assert jump.interval == pytest.approx((jump.after, jump.after))
+    settled = jumps_of(Runs.of(Path("here"), [MeasuredRun.of(light)]), "settled")
+    assert (found.to_json()["contact"], settled.to_json()["contact"]) == ("first", "settled")
+    assert settled.errors["reduced"] == pytest.approx(found.errors["reduced"], abs=0.5)  # the face was closed already
 
 
 def test_a_pad_that_comes_at_an_angle_takes_the_object_along_sideways() -> None:

@@ -41,6 +41,13 @@ def test_the_document_has_its_schema(push_campaign: Path) -> None:
         assert prediction["error_percent"] == pytest.approx(error, abs=1e-9)
         assert document["average_error_percent"][model] == pytest.approx(error)
         assert document["absolute_error_percent"][model] == pytest.approx(abs(error))
+    assert set(entry["predictions_settled"]) == MODELS
+    for model, prediction in entry["predictions_settled"].items():
+        error = 100.0 * (prediction["v_m_s"] / entry["estimate_m_s"] - 1.0)
+        assert prediction["error_percent"] == pytest.approx(error, abs=1e-9)
+        assert document["average_error_percent_settled"][model] == pytest.approx(error)
+        assert document["absolute_error_percent_settled"][model] == pytest.approx(abs(error))
+    assert sum(document["nearest_sets"].values()) == sum(document["nearest_sets_settled"].values()) == 1
 
 
 def test_a_plant_without_hidden_effect_agrees_with_the_nominal_prediction(push_campaign: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,8 @@ def experiment(scenario: str, thing: str, case: str, truth: float, errors: dict[
     velocity = truth * np.repeat([0.8, 1.0, 1.2], 3)
     fit = fit_zero_crossing(velocity, 1.1 * (velocity - truth) + 0.02 * rng.standard_normal(9))
     predictions = {name: Prediction(fit.estimate * (1.0 + error / 100.0), error) for name, error in errors.items()}
-    return ExperimentSet(scenario, thing, case, "y", f"{thing}: {case}", (), fit, predictions)
+    settled = {name: Prediction(fit.estimate * (1.0 + error / 200.0), error / 2.0) for name, error in errors.items()}
+    return ExperimentSet(scenario, thing, case, "y", f"{thing}: {case}", (), fit, predictions, settled)
 
 
 def analysis(*sets: ExperimentSet) -> Analysis:
@@ -41,6 +43,29 @@ def test_bias_is_the_mean_with_sign_and_quality_the_mean_without() -> None:
     found = analysis(FIRST, SECOND)
     assert found.average_error == pytest.approx(bias.errors)
     assert found.absolute_error == pytest.approx(quality.errors)
+
+
+def test_the_settled_contact_has_a_table_of_its_own() -> None:
+    *rows, bias, quality = result_table(analysis(FIRST, SECOND))
+    assert [row.of_contact("settled")["reduced"] for row in rows] == pytest.approx([1.0, -2.0])
+    assert [row.of_contact("first")["reduced"] for row in rows] == pytest.approx([2.0, -4.0])
+    assert bias.settled == pytest.approx({"reduced": -0.5, "rotor": 1.5, "zero": -2.0})
+    assert quality.settled == pytest.approx({"reduced": 1.5, "rotor": 1.5, "zero": 2.0})
+    found = analysis(FIRST, SECOND)
+    assert found.average_error_settled == pytest.approx(bias.settled)
+    assert found.absolute_error_settled == pytest.approx(quality.settled)
+    document = found.to_json()
+    assert document["absolute_error_percent_settled"] == pytest.approx(quality.settled)
+    assert document["absolute_error_percent"] == pytest.approx(quality.errors)
+    assert document["sets"][0]["predictions_settled"]["reduced"]["error_percent"] == pytest.approx(1.0)
+
+
+def test_the_nearest_model_of_a_set_is_counted_for_each_contact() -> None:
+    first = experiment("push", "juice", "case_1", 0.4, {"reduced": -4.0, "rotor": 1.0, "zero": -5.0})
+    settled = {name: Prediction(0.4, error) for name, error in {"reduced": 0.1, "rotor": 3.0, "zero": -2.0}.items()}
+    found = analysis(replace(first, predictions_settled=settled), FIRST)
+    assert found.nearest("first") == {"reduced": 1, "rotor": 1, "zero": 0}
+    assert found.nearest("settled") == {"reduced": 2, "rotor": 0, "zero": 0}
 
 
 def test_every_scenario_has_its_averages_and_all_sets_count_once_in_the_whole() -> None:

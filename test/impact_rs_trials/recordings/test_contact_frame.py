@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from impact_rs_sim.errors import InputError
-from impact_rs_trials.recordings.contact_frame import Touch, contact_frame
+from impact_rs_trials.recordings.contact_frame import PadOnFace, contact_frame
 
 from .conftest import ARM, LaboratoryFolder
 
@@ -18,7 +18,7 @@ WORLD = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, 2.4), np.array([1.3, -0.7, 0.25]))
 GIVEN, NO_YAW = np.zeros(3), 0.0
 
 
-def touch(direction: float, beside: float = 0.01, apart: float = 0.0, tilt: float = 0.0, number: int = 0) -> Touch:
+def touch(direction: float, beside: float = 0.01, apart: float = 0.0, tilt: float = 0.0, number: int = 0) -> PadOnFace:
     """A pad that goes in a direction [rad], beside the middle of the face and apart from it [m], and tilted [rad]."""
     turn = pin.rpy.rpyToMatrix(0.0, 0.0, direction)
     centre = np.array([0.4, -0.1, 0.48]) + turn @ [0.0, 0.05 * number, 0.0]
@@ -28,7 +28,7 @@ def touch(direction: float, beside: float = 0.01, apart: float = 0.0, tilt: floa
     seen = WORLD.inverse() * pin.SE3(axes, centre)
     way = 0.05 * turn[:2, 0]
     tilted = pin.rpy.rpyToMatrix(0.0, 0.0, tilt) @ normal
-    return Touch(
+    return PadOnFace(
         run=f"run_{number}",
         pad=np.tile(pad, (3, 1)),
         pad_normal=np.tile(tilted, (3, 1)),
