@@ -72,10 +72,10 @@ def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Pat
         (["map", "push", "cat_food", "2", "--json", "--motor-inertia", "rotro"], "did you mean 'rotor'"),
         (["map", "push", "cat_food", "2", "--engin"], "expected one argument"),
         (["map", "push", "cat_food", "2", "--enginee", "bullet"], "did you mean '--engine'"),
-        (["map", "push"], "required: OBJECT, CASE"),
+        (["map", "push"], "expected SCENARIO OBJECT CASE, or --table FILE -o FILE"),
         (
             ["map", "push", "juice", "1", "--contact", "settled", "--engine", "bullet"],
-            "answers for the first contact only",
+            "are for the first contact only",
         ),
         (["anlyze", "x"], "did you mean 'analyze'"),
         ([], "required: COMMAND"),
