@@ -49,6 +49,11 @@ class Evidence:
         return (RotationReference if self.source.repeated else BlockReference)(self.clusters)
 
     @cached_property
+    def lack_of_fit(self) -> float | None:
+        """p of the residuals being noise and discrepancy; None where nothing tells."""
+        return self.reference.lack_of_fit([item.mean for item in self.clusters])
+
+    @cached_property
     def errors(self) -> Array:
         """Mean square of the mean residual by cluster, ``(c,)`` [-]."""
         return np.array([item.error for item in self.clusters])

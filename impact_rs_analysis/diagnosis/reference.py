@@ -142,6 +142,15 @@ def smallest(observed: Array, null: Array) -> float:
     return float(np.count_nonzero(least <= least[0]) / least.size)
 
 
+def _even(both: Array) -> Array:
+    """Scaling in which noise and discrepancy together, ``both`` ``(F, F)``, are alike in every direction, ``(F, F)``.
+
+    Discrepancy moves many features at a time; where it is as large as the noise, a sum of squares would see little but
+    it.
+    """
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(both)).T)
+
+
 def _members(item: Cluster, groups: Sequence[tuple[str, str]]) -> NDArray[np.bool_]:
     """Which features belong to which group, the last of which is all, ``(G + 1, F)``."""
     own = [[feature.group[:2] == group for feature in item.features] for group in groups]
@@ -279,7 +288,8 @@ class RotationReference(Reference):
             rows = np.vstack((means, layout.rows[layout.means :]))
             frames = _frames(len(rows), layout.means, number)
             members = _members(self.clusters[layout.numbers[0]], groups)
-            scales = [self._even(layout, own) for own in members]
+            both = self._noise_and_discrepancy(layout)
+            scales = [_even(both[np.ix_(own, own)]) for own in members]
             for place, (own, scale) in enumerate(zip(members, scales, strict=True)):
                 if not scale.size:
                     continue
@@ -316,18 +326,14 @@ class RotationReference(Reference):
                     squares[:, group] += np.einsum("bf,bf->b", seen, seen)
         return squares
 
-    def _even(self, layout: _Rows, members: NDArray[np.bool_]) -> Array:
-        """Scaling of some features in which noise and discrepancy together are alike in every direction, ``(F, F)``.
-
-        Discrepancy moves many features at a time; where it is as large as the noise, a sum of squares would see little
-        but it.
-        """
+    def _noise_and_discrepancy(self, layout: _Rows) -> Array:
+        """Covariance of a mean row of a layout, noise taken for independent, ``(F, F)`` [-]."""
         items = [self.clusters[number] for number in layout.numbers]
-        both = np.zeros((np.count_nonzero(members),) * 2)
-        for item in items:
-            alone = np.maximum(1.0 - np.square(item.discrepancy[members]), LEAST_OWN)
-            both += (np.diag(alone) + item.count * _discrepancy(item)[np.ix_(members, members)]) / len(items)
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(both)).T)
+        alone = [np.maximum(1.0 - np.square(item.discrepancy), LEAST_OWN) for item in items]
+        return np.asarray(
+            sum(np.diag(own) + item.count * _discrepancy(item) for own, item in zip(alone, items, strict=True))
+            / len(items)
+        )
 
     def covariance(self, jacobians: Sequence[Array], change: Array, inverse: Array) -> Array:
         """See :meth:`Reference.covariance`; trials are independent of each other, their features are not."""

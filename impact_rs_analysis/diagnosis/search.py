@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import combinations, product
 
 import numpy as np
@@ -212,16 +211,14 @@ class Search:
         enough = 2.0 * float(evidence.expected.mean())
         if evidence.excess(evidence.errors) < enough:
             return set()
-        errors: dict[str, float] = {}
+        fits = self._fitted_before_contact
         for name, candidate in sorted(candidates.items(), key=lambda entry: _bends(entry[1])):
-            known = min(errors.values(), default=np.inf) <= enough
-            fitted = see_all(refine(candidate, evidence) if known else self._fitted(candidate, evidence))
-            self._fitted_before_contact[name] = fitted
-            errors[name] = fitted.misfit
-        best = min(errors.values(), default=np.inf)
+            known = min((fitted.misfit for fitted in fits.values()), default=np.inf) <= enough
+            fits[name] = see_all(refine(candidate, evidence) if known else self._fitted(candidate, evidence))
+        best = min((fitted.misfit for fitted in fits.values()), default=np.inf)
         if best > 2.0 * enough:
             return set()
-        return {name for name, error in errors.items() if error > HOPELESS * max(best, enough)}
+        return {name for name, fitted in fits.items() if fitted.misfit > HOPELESS * max(best, enough)}
 
     def _prefetch(self, effects: Sequence[Effect], where: Where, evidence: Evidence | None = None) -> None:
         """Make the predictions of the screening in one parallel batch."""
@@ -293,10 +290,10 @@ class Search:
             chosen = best if thrifty else measure_again(best)
         return chosen
 
-    @cached_property
+    @property
     def _lacking(self) -> bool:
         """Whether the model leaves more than noise and discrepancy; if not, what is too small to matter stays out."""
-        left = self.evidence.reference.lack_of_fit([item.mean for item in self.evidence.clusters])
+        left = self.evidence.lack_of_fit
         return left is None or left < SIGNIFICANT
 
     def beside(self, chosen: Fit | None, name: str) -> Fit:

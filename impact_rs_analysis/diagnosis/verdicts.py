@@ -202,7 +202,7 @@ class Headline:
 def headline(found: Findings) -> Headline:
     """The verdict over all."""
     evidence, chosen = found.evidence, found.chosen
-    before = evidence.reference.lack_of_fit([item.mean for item in evidence.clusters])
+    before = evidence.lack_of_fit
     after = before if chosen is None else chosen.lack_of_fit()
     errors = np.array([float(np.mean(np.square(rest))) for rest in found.unexplained])
     share = evidence.excess(errors) / max(evidence.excess(evidence.errors), 1e-300)
