@@ -229,7 +229,7 @@ def make(
         "size": size,
         "outside": outside,
         "outside_magnitude": strength,
-        "effects": [{"name": item.name, "magnitude": item.magnitude, "parameters": _named(item)} for item in hidden],
+        "effects": [{"name": item.name, "magnitude": item.magnitude, "parameters": named(item)} for item in hidden],
     }
     path = directory / TRUTH
     text = json.dumps(truth, indent=2) + "\n"
@@ -247,7 +247,8 @@ def _joint_count() -> int:
     return next(iter(load_scenario("push").robots.values())).robot_facts.joint_count
 
 
-def _named(item: Hidden) -> dict[str, Any]:
+def named(item: Hidden) -> dict[str, Any]:
+    """Parameters of a hidden effect with their units, as the truth says them."""
     scalars = library()[item.name].scalars(_joint_count())
     return {
         scalar.name: {"value": value, "unit": scalar.unit} for scalar, value in zip(scalars, item.values, strict=True)

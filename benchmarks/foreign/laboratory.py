@@ -40,7 +40,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.scene import BodyState, Scene
-from impact_rs_trials.blind import RUNS, TRUTH, draw_truth, hide
+from impact_rs_trials.blind import RUNS, TRUTH, draw_truth, hide, named
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.workers import Map, Workforce, workers
 
@@ -65,13 +65,10 @@ class Hit:
     speed: float
 
 
-def hits(name: str) -> dict[str, Hit]:
-    """The pushes of an object by condition."""
-    push = load_scenario("push")
-    return {
-        condition: Hit(Scene.resolve(oblique(push, case, *ASKEW[case]), name, case), speed)
-        for condition, (case, speed) in CONDITIONS.items()
-    }
+def hit_of(name: str, condition: str) -> Hit:
+    """The push of an object in a condition."""
+    case, speed = CONDITIONS[condition]
+    return Hit(Scene.resolve(oblique(load_scenario("push"), case, *ASKEW[case]), name, case), speed)
 
 
 def impedance(hit: Hit) -> tuple[Controller, Array, float]:
@@ -149,7 +146,7 @@ def record(task: RunTask) -> None:
         torque, duration = excursion(model, start, FREE[task.condition]), FREE_TIME
         far = BodyState(scene.object.position + [5.0, 5.0, 0.0], np.eye(3), np.zeros(6))
     else:
-        hit = hits(thing)[task.condition]
+        hit = hit_of(thing, task.condition)
         scene, far = hit.scene, hit.scene.object
         (name,) = scene.models
         torque, start, duration = impedance(hit)
@@ -195,17 +192,8 @@ def make(entry: Entry, directory: Path, map_tasks: Map) -> None:
         pass
     (folder / "runs.csv").write_text("\n".join(["bag,object,kind,condition", *(row for _, row in planned)]) + "\n")
     (folder / "experiment.yaml").write_text(EXPERIMENT)
-    joints = Physics.nominal(load_scenario("push"), "juice").joint_count
-    effects = [
-        {
-            "name": item.name,
-            "parameters": {
-                scalar.name: {"value": value, "unit": scalar.unit}
-                for scalar, value in zip(library()[item.name].scalars(joints), item.values, strict=True)
-            },
-        }
-        for item in draw_truth(entry.seed, entry.kind, entry.effect, entry.magnitude)
-    ]
+    hidden = draw_truth(entry.seed, entry.kind, entry.effect, entry.magnitude)
+    effects = [{"name": item.name, "parameters": named(item)} for item in hidden]
     outside = entry.effect if entry.kind == "outside" else None
     (directory / TRUTH).write_text(json.dumps({"kind": entry.kind, "outside": outside, "effects": effects}) + "\n")
 

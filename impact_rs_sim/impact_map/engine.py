@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map.contacts import Meeting
+from impact_rs_sim.impact_map.contacts import ContactPoint, Meeting
 from impact_rs_sim.impact_map.problem import (
     ContactImpulse,
     EnergyGain,
@@ -52,6 +52,44 @@ class Answer:
         """Kinetic energy with (M + B) after the impact minus before, ``(u^+ + u^-)^T J_c^T L / 2`` [J]."""
         passed = self.terms.jacobian @ (self.velocity + self.terms.before)
         return float(0.5 * passed @ self.impulses.ravel())
+
+
+def result_of(
+    system: System,
+    velocity: Array,
+    points: Sequence[ContactPoint],
+    impulses: Array,
+    residual: Residual,
+    engine: str,
+    iterations: int,
+    start: float,
+) -> ImpactResult:
+    """What is told of an answer.
+
+    Args:
+        system: Which entries of a velocity are whose.
+        velocity: u^+, ``(nv,)`` [rad/s, m/s].
+        points: Contact points of the object.
+        impulses: On the object there, in axes of A, ``(m, 3)`` [N s].
+        residual: How well it obeys the laws.
+        engine: Name of the engine.
+        iterations: Of its outer loop.
+        start: When the question came, by ``time.perf_counter`` [s].
+    """
+    joints, twists, twist = system.split(velocity)
+    return ImpactResult(
+        joint_velocity=joints,
+        end_effector_twist=twists,
+        object_twist=twist,
+        contacts=tuple(
+            ContactImpulse("object", point.partner, point.position, point.normal, impulse, point.gap)
+            for point, impulse in zip(points, impulses, strict=True)
+        ),
+        residual=residual,
+        engine=engine,
+        iterations=iterations,
+        elapsed=time.perf_counter() - start,
+    )
 
 
 class Engine(ABC):
@@ -96,20 +134,7 @@ class Engine(ABC):
                 f"with {len(contacts)} contact points after {iterations} iterations"
             )
         self._check_energy(problem, system, answer, residual)
-        joints, twists, twist = system.split(answer.velocity)
-        return ImpactResult(
-            joint_velocity=joints,
-            end_effector_twist=twists,
-            object_twist=twist,
-            contacts=tuple(
-                ContactImpulse("object", point.partner, point.position, point.normal, impulse, point.gap)
-                for point, impulse in zip(contacts, answer.impulses, strict=True)
-            ),
-            residual=residual,
-            engine=self.name,
-            iterations=iterations,
-            elapsed=time.perf_counter() - start,
-        )
+        return result_of(system, answer.velocity, contacts, answer.impulses, residual, self.name, iterations, start)
 
     @staticmethod
     def _check_energy(problem: ImpactProblem, system: System, answer: Answer, residual: Residual) -> None:

@@ -45,9 +45,9 @@ import numpy as np
 
 from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, find_contacts
+from impact_rs_sim.impact_map.engine import result_of
 from impact_rs_sim.impact_map.pinocchio import PinocchioEngine
 from impact_rs_sim.impact_map.problem import (
-    ContactImpulse,
     ImpactMapError,
     ImpactProblem,
     ImpactResult,
@@ -92,20 +92,15 @@ def settle(problem: ImpactProblem) -> ImpactResult:
             f"the settled contact breaks {law} by {amount:.3g} m/s (accepted: {PinocchioEngine.tolerance:.3g} m/s) "
             f"after {settled.iterations} iterations"
         )
-    joints, twists, twist = system.split(settled.velocity)
-    points = [*itertools.chain.from_iterable(faces.values()), *support]
-    return ImpactResult(
-        joint_velocity=joints,
-        end_effector_twist=twists,
-        object_twist=twist,
-        contacts=tuple(
-            ContactImpulse("object", point.partner, point.position, point.normal, impulse, point.gap)
-            for point, impulse in zip(points, settled.impulses, strict=True)
-        ),
-        residual=settled.residual,
-        engine=PinocchioEngine.name,
-        iterations=settled.iterations,
-        elapsed=time.perf_counter() - start,
+    return result_of(
+        system,
+        settled.velocity,
+        [*itertools.chain.from_iterable(faces.values()), *support],
+        settled.impulses,
+        settled.residual,
+        PinocchioEngine.name,
+        settled.iterations,
+        start,
     )
 
 
