@@ -4,11 +4,17 @@ Shared by the plant (many small steps with compliant pads) and the ``bullet`` im
 multiplies the friction coefficients of two bodies, so the object carries 1 and its partners the pair's value. Of two
 rolling frictions it takes the sum, each times the other body's friction coefficient: a lever that a partner alone
 carries is that of the pair. Of two compliances it takes the sum.
+
+Its friction cone weighs each of two fixed axes with the inverse mass along it, so that the friction of a box that slides
+on its support has Coulomb's size but not his direction: it opposes ``D^-1 v_t`` instead of the sliding velocity ``v_t``,
+13 degrees off at most for the boxes of the paper. A world that is stepped in small steps turns it back: at every corner
+that slid in the step before, an external force makes ``-mu N v_t / |v_t|`` of what Bullet gave there.
 """
 
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import sys
 import tempfile
@@ -51,6 +57,7 @@ with _quiet():
 
 FACE_CONTACT_POINTS = 4  # Bullet keeps four points of a face contact; each gets a quarter of the face's stiffness
 SUPPORT_DAMPING_RATIO = 0.5  # of the object on a compliant support
+SLOWEST_SLIDING = 2e-3  # m/s; what slides more slowly stops within a few steps, in a direction of no consequence
 
 
 class BulletWorld:
@@ -63,6 +70,7 @@ class BulletWorld:
         thing: Body of the object.
         support: Body of the support; None: there is none.
         shears: Shear of the pads that have any, by arm.
+        small_steps: Whether the friction of the support is turned, one step late.
     """
 
     def __init__(
@@ -73,6 +81,7 @@ class BulletWorld:
         thing: int,
         support: int | None,
         shears: dict[str, PadShear],
+        small_steps: bool,
     ) -> None:
         self.physics = physics
         self.client = client
@@ -84,6 +93,7 @@ class BulletWorld:
         self.object = thing
         self.support = support
         self._shears = shears
+        self._turns = small_steps and support is not None and physics.support_friction > 0.0
         self._models = {name: physics.robot_model(name) for name in shears}
         self._com_is_offset = bool(np.any(physics.object.com_offset))
         # Bound once: the wrapper's attribute look-up would cost more than some of the calls in the inner loop.
@@ -93,6 +103,7 @@ class BulletWorld:
         self._get_pose = client.getBasePositionAndOrientation
         self._get_velocity = client.getBaseVelocity
         self._get_contacts = client.getContactPoints
+        self._push = client.applyExternalForce
 
     @classmethod
     def load(
@@ -105,6 +116,7 @@ class BulletWorld:
         iterations: int,
         residual_threshold: float,
         contact_erp: float = 0.2,
+        small_steps: bool = True,
     ) -> BulletWorld:
         """A world with everything in it.
 
@@ -117,6 +129,8 @@ class BulletWorld:
             iterations: Largest number of solver iterations in a step.
             residual_threshold: The solver stops when the largest squared change of a row is below this.
             contact_erp: Share of a penetration that a rigid contact removes in one step.
+            small_steps: Whether many steps follow each other: what Bullet leaves out of a step is then made up for in
+                the next.
 
         Raises:
             NotABody: Mass and inertia of an end effector are those of no body; Bullet would go on with an inertia of
@@ -148,7 +162,7 @@ class BulletWorld:
         shears = _shears(physics, time_step) if compliant_pads else {}
         for name in shears:
             client.changeDynamics(arms[name], physics.arms[name].facts.joint_count, lateralFriction=0.0)
-        return cls(physics, client, arms, thing, support, shears)
+        return cls(physics, client, arms, thing, support, shears, small_steps)
 
     def close(self) -> None:
         """Give the connection back."""
@@ -207,7 +221,29 @@ class BulletWorld:
         """Advance by one step."""
         for name, shear in self._shears.items():
             self._shear(name, shear)
+        if self._turns:
+            self._turn_friction()
         self._step()
+
+    def _turn_friction(self) -> None:
+        """What turns the support's friction on the sliding object against the sliding, over the next step.
+
+        In plain numbers, along z of A, the normal of every support: with arrays it would cost more than Bullet's step.
+        """
+        (vx, vy, _), (wx, wy, wz) = self._get_velocity(self.object)
+        if max(abs(vx), abs(vy), abs(wz)) < SLOWEST_SLIDING:
+            return
+        cx, cy, cz = self._get_pose(self.object)[0]
+        for point in self._get_contacts(self.object, self.support):
+            place, first, second = point[5], point[11], point[13]
+            x, y, z = place[0] - cx, place[1] - cy, place[2] - cz
+            ux, uy = vx + wy * z - wz * y, vy + wz * x - wx * z
+            speed, radius = math.hypot(ux, uy), self.physics.support_friction * point[9]
+            given_x = point[10] * first[0] + point[12] * second[0]
+            given_y = point[10] * first[1] + point[12] * second[1]
+            if speed > SLOWEST_SLIDING and math.hypot(given_x, given_y) > 0.99 * radius:
+                force = (-radius * ux / speed - given_x, -radius * uy / speed - given_y, 0.0)
+                self._push(self.object, -1, force, place, pybullet.WORLD_FRAME)
 
     def _shear(self, name: str, shear: PadShear) -> None:
         """Friction of a pad that yields along its face, over the next step."""
@@ -227,7 +263,7 @@ class BulletWorld:
         forces = shear.step(touch, self._object_side(), pad, placement.rotation)
         for point, force in zip(touch.points.tolist(), forces, strict=True):
             for body, link, sign in ((self.object, -1, 1.0), (self.arms[name], self.end_effector_link[name], -1.0)):
-                self.client.applyExternalForce(body, link, (sign * force).tolist(), point, pybullet.WORLD_FRAME)
+                self._push(body, link, (sign * force).tolist(), point, pybullet.WORLD_FRAME)
 
     def _object_side(self) -> Side:
         """The object at its centre of mass."""

@@ -229,6 +229,7 @@ class _World:
             iterations=BulletEngine._EFFORTS[0].solver_iterations,
             residual_threshold=_SETTLED,
             contact_erp=0.0,
+            small_steps=False,
         )
         for name, body in bullet.arms.items():
             # A call of its own: next to some other arguments Bullet ignores the friction of a link without a word.

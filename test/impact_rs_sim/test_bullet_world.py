@@ -170,6 +170,21 @@ def test_an_object_slides_to_rest_on_its_support_with_mu_g(friction: float) -> N
     assert way == pytest.approx(0.8**2 / (2.0 * friction * GRAVITY), rel=0.02)
 
 
+@pytest.mark.parametrize("direction", [0.0, 20.0, 45.0, 70.0, 135.0, 250.0])
+def test_friction_of_a_sliding_box_opposes_its_sliding_whatever_the_direction(direction: float) -> None:
+    along = np.array([np.cos(np.radians(direction)), np.sin(np.radians(direction)), 0.0])
+    place = np.array([-0.7, -0.7, SCENE.object.position[2]])  # where the arm is not
+    start = BodyState(place, np.eye(3), np.append(0.6 * along, np.zeros(3)))
+    with world(SCENE.physics, step=2.5e-4) as made:
+        made.set_object(start)
+        for _ in range(300):
+            made.step()
+        state = made.object_state()
+    lost = (start.twist - state.twist)[:3]
+    assert lost @ along == pytest.approx(SCENE.physics.support_friction * GRAVITY * 0.075, rel=2e-3)
+    assert np.linalg.norm(lost - lost @ along * along) < 0.003 * np.linalg.norm(lost)  # 0.2 degrees
+
+
 def offset(com: tuple[float, float, float]) -> Physics:
     return free(object=ObjectPhysics(THING.mass, THING.size, THING.inertia, np.array(com)))
 

@@ -16,6 +16,22 @@ MODEL_TESTS = ("test/impact_rs_sim/test_robot_model.py",)
 
 MUTANTS = [
     Mutant(
+        name="support_friction_not_turned",
+        file=WORLD,
+        original="            self._turn_friction()\n",
+        mutated="            pass\n",
+        wrong="Friction of a sliding box is off in direction, as Bullet gives it.",
+        tests=WORLD_TESTS,
+    ),
+    Mutant(
+        name="support_friction_turned_the_other_way",
+        file=WORLD,
+        original="(-radius * ux / speed - given_x, -radius * uy / speed - given_y, 0.0)",
+        mutated="(radius * ux / speed + given_x, radius * uy / speed + given_y, 0.0)",
+        wrong="What turns the friction of a sliding box acts the other way.",
+        tests=WORLD_TESTS,
+    ),
+    Mutant(
         name="end_effector_load_sign",
         file=PHYSICS,
         original="on_links += jacobian.T @ force",
