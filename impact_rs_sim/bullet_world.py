@@ -5,10 +5,10 @@ multiplies the friction coefficients of two bodies, so the object carries 1 and 
 rolling frictions it takes the sum, each times the other body's friction coefficient: a lever that a partner alone
 carries is that of the pair. Of two compliances it takes the sum.
 
-Its friction cone weighs each of two fixed axes with the inverse mass along it, so that the friction of a box that slides
-on its support has Coulomb's size but not his direction: it opposes ``D^-1 v_t`` instead of the sliding velocity ``v_t``,
-13 degrees off at most for the boxes of the paper. A world that is stepped in small steps turns it back: at every corner
-that slid in the step before, an external force makes ``-mu N v_t / |v_t|`` of what Bullet gave there.
+Its friction cone weighs each of two fixed axes with the inverse mass along it, so that the friction of a box that
+slides on its support has Coulomb's size but not his direction: it opposes ``D^-1 v_t`` instead of the sliding velocity
+``v_t``, 13 degrees off at most for the boxes of the paper. A world that is stepped in small steps turns it back: at
+every corner that slid in the step before, an external force makes ``-mu N v_t / |v_t|`` of what Bullet gave there.
 """
 
 from __future__ import annotations
