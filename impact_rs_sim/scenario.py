@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -475,6 +476,28 @@ class Scenario(Schema):
         """When the arm is back [s]."""
         assert self.excursion is not None
         return self.excursion.begin + 2.0 * self.excursion_leg(robot) + self.excursion.rest
+
+    def with_settings(self, settings: Mapping[str, Any]) -> Scenario:
+        """The scenario with other values.
+
+        Args:
+            settings: Values by dotted key, as in ``control.clamp_force``; lists and mappings as in YAML.
+
+        Raises:
+            InputError: The scenario has no such key, or cannot have such a value.
+        """
+        if not settings:
+            return self
+        data = self.model_dump(mode="json")
+        for key, value in settings.items():
+            place: Any = data
+            *above, last = key.split(".")
+            for part in above:
+                place = place.setdefault(part, {})
+                if not isinstance(place, dict):
+                    raise InputError(f"{part!r} is a value and has no keys of its own", key=key)
+            place[last] = value
+        return validate(Scenario, data, f"scenario {self.name!r}")
 
     @property
     def digest(self) -> str:

@@ -11,10 +11,10 @@ import functools
 import logging
 import shutil
 import socket
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import yaml
 from pydantic import Field
@@ -49,6 +49,7 @@ class Manifest(Schema):
     trials: int = Field(ge=1, description="repeats of every scale")
     seed: int = Field(ge=0, description="seed of the campaign")
     motor_inertia: str = Field("reduced", description="motor-inertia model of the reference")
+    settings: dict[str, Any] = Field({}, description="values that the scenario has instead of its own, by dotted key")
 
     @property
     def keys(self) -> list[TrialKey]:
@@ -65,9 +66,10 @@ class Manifest(Schema):
         """One trial, with all that is needed to run it anywhere.
 
         Raises:
-            InputError: There is no such scenario (any more), or it has lost this object or case.
+            InputError: There is no such scenario (any more), or it has lost this object, case or setting.
         """
-        spec = TrialSpec.of(load_scenario(self.scenario), key.object, key.case, key.scale, self.motor_inertia)
+        scenario = load_scenario(self.scenario).with_settings(self.settings)
+        spec = TrialSpec.of(scenario, key.object, key.case, key.scale, self.motor_inertia)
         return Trial.of(spec, key.repeat, self.seed)
 
 
@@ -120,14 +122,15 @@ def make_manifest(
     scales: list[float] | None = None,
     trials: int | None = None,
     seed: int = 0,
+    settings: Mapping[str, Any] | None = None,
 ) -> Manifest:
     """A manifest with the scenario's own values where nothing is given.
 
     Raises:
-        InputError: Unknown scenario, object or case, a pose that cannot be reached, a set without friction compensation
-            where the scenario has one, a scale that is not positive, or fewer than one trial.
+        InputError: Unknown scenario, object, case or setting, a pose that cannot be reached, a set without friction
+            compensation where the scenario has one, a scale that is not positive, or fewer than one trial.
     """
-    scenario = load_scenario(scenario_name)
+    scenario = load_scenario(scenario_name).with_settings(settings or {})
     for name in objects or []:
         scenario.object(name)
     for scale in scales or []:
@@ -145,6 +148,7 @@ def make_manifest(
         trials=trials or scenario.trials,
         seed=seed,
         motor_inertia="reduced",
+        settings=dict(settings or {}),
     )
     for name in manifest.objects:
         for case in manifest.cases:
@@ -252,28 +256,53 @@ def run_campaign(
     """
     store = open_store(place)
     with owned(store):
-        todo = still_to_run(store, manifest)
-        workforce = (workforce or Workforce()).at_most(len(todo))
-        if workforce.in_process or not todo:
-            for key in open_campaign(store, manifest):
-                yield keep_failure(store, run_in(store, run, manifest.trial(key)))
-            return
-        with client_of(workforce) as client:
-            open_campaign(store, manifest)  # now that there are workers: without them nothing is left behind
-            for report in _run_on_cluster(client, store, run, map(manifest.trial, todo)):
-                yield keep_failure(store, report)
+        for _, report in run_campaigns({store: manifest}, workforce, run):
+            yield report
 
 
-def _run_on_cluster(client: Client, store: Store, run: TrialRunner, trials: Iterable[Trial]) -> Iterator[TrialReport]:
+def run_campaigns(
+    campaigns: Mapping[Store, Manifest], workforce: Workforce | None = None, run: TrialRunner = run_one
+) -> Iterator[tuple[Store, TrialReport]]:
+    """Run what is missing in several campaigns that the caller owns; yields place and report of a trial as it ends.
+
+    Raises:
+        InputError: As :func:`run_campaign`.
+        SchedulerLost: The scheduler went away.
+    """
+    todo = {store: still_to_run(store, manifest) for store, manifest in campaigns.items()}
+    count = sum(map(len, todo.values()))
+    workforce = (workforce or Workforce()).at_most(count)
+    tasks = ((store, campaigns[store].trial(key)) for store, keys in todo.items() for key in keys)
+    if workforce.in_process or not count:
+        for store, manifest in campaigns.items():
+            open_campaign(store, manifest)
+        for store, trial in tasks:
+            yield store, keep_failure(store, run_in(store, run, trial))
+        return
+    with client_of(workforce) as client:
+        for store, manifest in campaigns.items():  # now that there are workers: without them nothing is left behind
+            open_campaign(store, manifest)
+        for store, report in _run_on_cluster(client, run, tasks):
+            yield store, keep_failure(store, report)
+
+
+def _run_on_cluster(
+    client: Client, run: TrialRunner, tasks: Iterable[tuple[Store, Trial]]
+) -> Iterator[tuple[Store, TrialReport]]:
     """Run trials on a cluster; repeats of a trial follow each other and share their plan."""
     try:
-        for trial, report in as_they_end(client, functools.partial(run_in, store, run), trials):
+        for (store, trial), report in as_they_end(client, functools.partial(_run_task, run), tasks):
             if isinstance(report, TrialReport):
-                yield report
+                yield store, report
             else:
-                yield TrialReport(trial.key, "ABORTED", f"its worker process died, again and again ({report})")
+                told = f"its worker process died, again and again ({report})"
+                yield store, TrialReport(trial.key, "ABORTED", told)
     except SchedulerLost as error:
         raise SchedulerLost(f"{error}; the same command goes on where it stopped") from None
+
+
+def _run_task(run: TrialRunner, task: tuple[Store, Trial]) -> TrialReport:
+    return run_in(task[0], run, task[1])
 
 
 def run_in(store: Store, run: TrialRunner, trial: Trial) -> TrialReport:

@@ -7,7 +7,7 @@ are reported and never enter a fit, trials of the manifest that do not exist yet
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,12 +17,14 @@ import numpy as np
 from impact_rs_analysis.measure.fit import FitError, LineFit, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import TrialFeedback, net_feedback
 from impact_rs_analysis.measure.predictions import predict
+from impact_rs_analysis.measure.sensitivity import Sensitivity, sensitivity_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import CONTACTS
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.schema import load
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.campaign import MANIFEST, Manifest
+from impact_rs_trials.sensitivity import folder_name, varied_folders
 from impact_rs_trials.spec import recorded_scenario
 
 LARGEST_SPREAD = 0.05  # s between the impacts of two arms; later, velocity feedback fights the second one
@@ -154,6 +156,9 @@ class Analysis:
         no_impact: Trials in which nothing was hit.
         apart: Trials in which one arm hit long before another, with the time between [s] (``LARGEST_SPREAD``); they
             stay in the fit.
+        limited: Trials in which a joint was at its torque limit in the window, with its name and for how long [s]; they
+            stay in the fit.
+        sensitivity: How far the estimates move with settings; empty where none was varied.
     """
 
     directory: Path
@@ -163,6 +168,8 @@ class Analysis:
     missing: tuple[str, ...]
     no_impact: tuple[str, ...]
     apart: tuple[tuple[str, float], ...] = ()
+    limited: tuple[tuple[str, str, float], ...] = ()
+    sensitivity: Sensitivity = Sensitivity()
 
     def errors(self, model: str, contact: str) -> list[float]:
         """Percentage mismatch of a model in every set [%]."""
@@ -202,7 +209,11 @@ class Analysis:
     def to_json(self) -> dict[str, Any]:
         """The document that ``analyze --json`` prints."""
         return {
-            "sets": [entry.to_json() for entry in self.sets],
+            "sets": [
+                entry.to_json() | {"systematic_percent": self.sensitivity.band(entry.scenario, entry.object)}
+                for entry in self.sets
+            ],
+            "sensitivity": self.sensitivity.to_json(),
             "average_error_percent": self.average_error,
             "average_error_percent_settled": self.average_error_settled,
             "absolute_error_percent": self.absolute_error,
@@ -213,6 +224,7 @@ class Analysis:
             "skipped": [vars(entry) for entry in self.skipped],
             "missing": list(self.missing),
             "no_impact": list(self.no_impact),
+            "limited": [{"trial": name, "joint": joint, "time_s": time} for name, joint, time in self.limited],
             "apart": [{"trial": name, "between_impacts_s": spread} for name, spread in self.apart],
         }
 
@@ -258,19 +270,30 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
     bags = find_bags(directory)
     if not bags:
         raise InputError("this folder holds no trials (a trial is a subfolder that is a rosbag2 bag)", file=directory)
+    varied = {key: find_bags(directory / folder) for key, folder in varied_folders(directory).items()}
+    total = len(bags) + sum(map(len, varied.values()))
     skipped: list[SkippedBag] = []
-    measured: list[TrialFeedback] = []
-    for count, path in enumerate(bags, start=1):
-        try:
-            measured.append(net_feedback(TrialBag.open(path)))
-        except BagError as error:
-            skipped.append(SkippedBag(path.name, error.reason))
-        if progress is not None:
-            progress(count, len(bags))
+    count = 0
+
+    def read(paths: Sequence[Path], prefix: str = "") -> list[TrialFeedback]:
+        nonlocal count
+        found = []
+        for path in paths:
+            try:
+                found.append(net_feedback(TrialBag.open(path)))
+            except BagError as error:
+                skipped.append(SkippedBag(f"{prefix}{path.name}", error.reason))
+            count += 1
+            if progress is not None:
+                progress(count, total)
+        return found
+
+    measured = read(bags)
     if not measured:
         raise InputError(
             f"none of its {len(bags)} bags is a readable trial; {skipped[0].name}: {skipped[0].reason}", file=directory
         )
+    others = {key: read(paths, f"{folder_name(*key)}/") for key, paths in varied.items()}
     missing = _missing(directory, skipped)
     measured = _one_scenario_each(measured, skipped)
     sets, incomplete = [], []
@@ -290,6 +313,13 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
         missing=tuple(missing),
         no_impact=tuple(trial.name for trial in measured if not trial.impact),
         apart=tuple((trial.name, trial.spread) for trial in measured if trial.impact and trial.spread > LARGEST_SPREAD),
+        limited=tuple(
+            (prefix + trial.name, *entry)
+            for prefix, trials in [("", measured), *((f"{folder_name(*key)}/", found) for key, found in others.items())]
+            for trial in trials
+            for entry in trial.limited
+        ),
+        sensitivity=sensitivity_of(measured, others),
     )
 
 

@@ -10,15 +10,19 @@ sec. Dual-arm grabbing scenario).
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import AXES
-from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.bags.reader import BagError, ControllerColumns, TrialBag
 from impact_rs_trials.bags.trial_info import TrialInfo
+from impact_rs_trials.spec import recorded_scenario
 
+AT_LIMIT = 1e-3  # relative; a torque this near its limit is at it
+SHORTEST_LIMIT = 0.005  # s at a limit; less takes from the feedback what its noise does as well
 LARGEST_GAP = 0.02  # s; a hole this long in a 1 kHz signal hides more feedback than the measure resolves
 
 
@@ -37,6 +41,8 @@ class TrialFeedback:
         ante_reference: Velocity of the ante-impact reference, ``(k,)`` [m/s].
         post_reference: Velocity of the post-impact reference, ``(k,)`` [m/s].
         net: a_fb,net [m/s].
+        limited: Joints whose torque was at its limit within the window, with the time they were [s]: what the feedback
+            asked for was not delivered, so that its integral is no measure.
     """
 
     name: str
@@ -49,6 +55,7 @@ class TrialFeedback:
     ante_reference: Array
     post_reference: Array
     net: float
+    limited: tuple[tuple[str, float], ...] = ()
 
     @property
     def impact(self) -> bool:
@@ -122,7 +129,19 @@ def net_feedback(bag: TrialBag) -> TrialFeedback:
         ante_reference=mean["ante"],
         post_reference=mean["post"],
         net=net,
+        limited=tuple(entry for arm, state in columns.items() for entry in _limited(bag, arm, state)),
     )
+
+
+def _limited(bag: TrialBag, arm: str, state: ControllerColumns) -> Iterator[tuple[str, float]]:
+    """Joints of an arm at their torque limit within the window, with the time they were [s]."""
+    info = bag.info
+    limit = np.array(recorded_scenario(info.scenario_json, bag.path).robots[arm].robot_facts.limits.torque_Nm)
+    inside = (state.time >= info.window_start) & (state.time < info.window_end)
+    reached = np.abs(state.commanded_torque[inside]) >= (1.0 - AT_LIMIT) * limit
+    time = reached.sum(axis=0) * float(np.median(np.diff(state.time)))
+    for joint in np.flatnonzero(time > SHORTEST_LIMIT):
+        yield f"{arm} joint{joint + 1}", float(time[joint])
 
 
 def _check_coverage(bag: TrialBag, arm: str, time: Array) -> None:

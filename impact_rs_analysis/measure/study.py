@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
+from impact_rs_analysis.measure.sensitivity import Sensitivity
 from impact_rs_trials.campaign import Manifest, make_manifest
 
 SCENARIOS = ("push", "grab")
@@ -47,4 +48,6 @@ def analyze_study(directory: Path, progress: Callable[[int, int], None] | None =
         missing=tuple(f"{name}/{trial}" for name, part in parts.items() for trial in part.missing),
         no_impact=tuple(f"{name}/{trial}" for name, part in parts.items() for trial in part.no_impact),
         apart=tuple((f"{name}/{trial}", spread) for name, part in parts.items() for trial, spread in part.apart),
+        limited=tuple((f"{name}/{entry[0]}", *entry[1:]) for name, part in parts.items() for entry in part.limited),
+        sensitivity=sum((part.sensitivity for part in parts.values()), Sensitivity()),
     )

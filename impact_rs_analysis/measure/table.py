@@ -48,6 +48,7 @@ class Row:
         label: Object and case, or what is averaged.
         estimate: Experimental estimate [m/s]; None in the rows of averages.
         half_interval: Larger half of the 95 % interval [m/s]; None where there is none.
+        systematic: Systematic band about the estimate, low then high [%]; None where no setting was varied.
         errors: Mismatch by motor-inertia model, first contact [%].
         settled: The same, settled contact [%].
         paper_estimate: The paper's estimate [m/s], if it has this row.
@@ -58,6 +59,7 @@ class Row:
     label: str
     estimate: float | None
     half_interval: float | None
+    systematic: tuple[float, float] | None
     errors: dict[str, float]
     settled: dict[str, float]
     paper_estimate: float | None
@@ -73,7 +75,7 @@ def result_table(analysis: Analysis) -> list[Row]:
     """A row per set, then average error (bias) and absolute error (quality) of each scenario, and of all if several."""
     groups: dict[str, list[Row]] = {}
     for entry in analysis.sets:
-        groups.setdefault(entry.scenario, []).append(_row(entry))
+        groups.setdefault(entry.scenario, []).append(_row(entry, analysis))
     if len(groups) == 1:
         (rows,) = groups.values()
         return [*rows, *_averages(rows, "")]
@@ -84,12 +86,13 @@ def result_table(analysis: Analysis) -> list[Row]:
     return [*table, *_averages([row for rows in groups.values() for row in rows], "All: ")] if table else []
 
 
-def _row(entry: ExperimentSet) -> Row:
+def _row(entry: ExperimentSet, analysis: Analysis) -> Row:
     paper = paper_row(entry.scenario, entry.object, entry.case)
     return Row(
         label=entry.label,
         estimate=entry.estimate,
         half_interval=None if entry.interval is None else max(abs(bound - entry.estimate) for bound in entry.interval),
+        systematic=analysis.sensitivity.band(entry.scenario, entry.object),
         errors={model: entry.predictions[model].error for model in MOTOR_INERTIA_MODELS},
         settled={model: entry.predictions_settled[model].error for model in MOTOR_INERTIA_MODELS},
         paper_estimate=None if paper is None else paper.estimate,
@@ -104,6 +107,7 @@ def _averages(rows: list[Row], prefix: str) -> list[Row]:
     return [
         Row(
             f"{prefix}{label}" if prefix else label.capitalize(),
+            None,
             None,
             None,
             _mean(ours, absolute),

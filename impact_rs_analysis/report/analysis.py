@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from impact_rs_analysis.measure.analyze import Analysis, ExperimentSet
+from impact_rs_analysis.measure.sensitivity import setting_words
 from impact_rs_analysis.measure.table import Row, result_table
 from impact_rs_analysis.report.figures import Figure, figures_of
 from impact_rs_analysis.report.page import Plot, render, write_files
@@ -29,6 +30,21 @@ class TableRow:
     row: Row
     best: str
     best_settled: str
+
+
+@dataclass(frozen=True)
+class SensitivityRow:
+    """How far the estimates of one object move with the settings.
+
+    Attributes:
+        label: Scenario and object.
+        shifts: Change of the estimate by words for setting and factor [%].
+        band: Systematic band, low then high [%].
+    """
+
+    label: str
+    shifts: dict[str, float]
+    band: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -67,6 +83,7 @@ class AnalysisPage:
         trials: Number of trials in the fits.
         rows: The table of results; empty: no set has an estimate.
         with_paper: Whether a row stands beside a published one.
+        sensitivity: How far the estimates move with settings; no rows where none was varied.
         left_out: What did not enter the fits.
         sets: Sets with an estimate.
         contact: Contact whose predictions the figures show.
@@ -77,9 +94,15 @@ class AnalysisPage:
     trials: int
     rows: tuple[TableRow, ...]
     with_paper: bool
+    sensitivity: tuple[SensitivityRow, ...]
     left_out: tuple[Listing, ...]
     sets: tuple[SetPart, ...]
     contact: str
+
+    @property
+    def setting_words(self) -> list[str]:
+        """Rows of the table of settings."""
+        return list(dict.fromkeys(words for row in self.sensitivity for words in row.shifts))
 
 
 def write_analysis_report(
@@ -130,6 +153,7 @@ def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure
         trials=sum(entry.fit.count for entry in analysis.sets),
         rows=tuple(TableRow(row, _best(row.errors), _best(row.settled)) for row in rows),
         with_paper=any(row.paper_errors is not None for row in rows),
+        sensitivity=tuple(_sensitivity(analysis)),
         left_out=tuple(listing for listing in _left_out(analysis) if listing.items),
         sets=tuple(
             SetPart(entry, tuple(Plot(f.name, curves_plot(f), f.caption, zoom=True) for f in drawn))
@@ -137,6 +161,19 @@ def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure
         ),
         contact=contact,
     )
+
+
+def _sensitivity(analysis: Analysis) -> Iterator[SensitivityRow]:
+    found = analysis.sensitivity
+    for scenario, thing in dict.fromkeys((shift.scenario, shift.object) for shift in found.shifts):
+        shifts = {
+            setting_words(setting, factor): percent
+            for setting, values in found.of(scenario, thing).items()
+            for factor, percent in sorted(values.items())
+        }
+        band = found.band(scenario, thing)
+        assert band is not None
+        yield SensitivityRow(f"{scenario}: {thing}", shifts, band)
 
 
 def _best(errors: dict[str, float]) -> str:
@@ -151,6 +188,11 @@ def _left_out(analysis: Analysis) -> list[Listing]:
             "Trials in which one arm hit long before another",
             tuple((name, f"{1e3 * spread:.0f}\N{NO-BREAK SPACE}ms") for name, spread in analysis.apart),
         ),
+        Listing(
+            "Trials with a joint at its torque limit, which makes their feedback no measure",
+            tuple((name, f"{joint}, {1e3 * time:.0f}\N{NO-BREAK SPACE}ms") for name, joint, time in analysis.limited),
+        ),
+        Listing("Settings whose effect could not be told", analysis.sensitivity.missing),
         Listing("Bags skipped", tuple((s.name, s.reason) for s in analysis.skipped)),
         Listing("Trials of the manifest that are missing", tuple((name, "") for name in analysis.missing)),
     ]

@@ -29,6 +29,9 @@ and its zero crossing, which is the experimental estimate of the post-impact vel
 impact and for the settled contact, when pads that keep pushing have aligned and go on with the object. Writes
 report.html, which opens offline and on a phone, analysis.json, and the figures as PNG.
 
+Where settings were varied (impact-rs campaign --sensitivity, impact-rs study), every estimate also has a systematic
+band: how far it moves with settings that it should not depend on, which no number of trials makes smaller.
+
 Damaged or foreign bags are named and left out; trials without impact never enter a fit.
 
 Of a laboratory with a controller of its own there is no net feedback: with --experiment the speed 20 to 40 ms after the
@@ -131,26 +134,39 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
         terminal.say(
             f"{name}: {1e3 * spread:.0f} ms between its arms' impacts, so its feedback is not that of one impact"
         )
+    if analysis.limited:
+        trials = len({name for name, _, _ in analysis.limited})
+        name, joint, time = max(analysis.limited, key=lambda entry: entry[2])
+        terminal.warn(
+            f"torque at its limit in {trials} trials, longest in {name} ({joint}, {1e3 * time:.0f} ms): what the "
+            "feedback asked for was not delivered, and is no measure there"
+        )
     if analysis.missing:
         shown = ", ".join(analysis.missing[:5]) + (", ..." if len(analysis.missing) > 5 else "")
         terminal.say(f"{len(analysis.missing)} trials of the manifest are missing: {shown}")
 
 
 def _table(rows: list[Row], contact: str) -> Table:
-    table = Table(title=f"Experimental estimate, and errors of the predictions, {contact} contact [%]")
+    table = Table(title=f"Experimental estimate, and errors of the predictions, {contact} contact [%]", pad_edge=False)
     table.add_column("", no_wrap=True)
-    table.add_column("estimate [m/s]", justify="right")
-    for heading in ("B_θ (nominal)", "B_ρ", "B = 0"):
+    table.add_column("estimate [m/s]", justify="right", no_wrap=True)
+    banded = any(row.systematic for row in rows)
+    if banded:
+        table.add_column("band [%]", justify="right", no_wrap=True)
+    for heading in ("B_θ", "B_ρ", "B = 0"):
         table.add_column(heading, justify="right")
     published = any(row.paper_errors for row in rows)
     if published:
-        table.add_column("published B_θ", justify="right")
+        table.add_column("paper B_θ", justify="right")
     for row in rows:
         estimate = "" if row.estimate is None else f"{row.estimate:.3f}"
         if row.half_interval is not None:
             estimate += f" ± {row.half_interval:.3f}"
         form = "{:+.2f}" if row.signed else "{:.2f}"
         cells = [form.format(error) for error in row.of_contact(contact).values()]
+        if banded:
+            band = row.systematic
+            cells.insert(0, "" if band is None else f"{band[0]:+.1f} {band[1]:+.1f}")
         if published:
             cells.append("" if row.paper_errors is None else form.format(row.paper_errors["reduced"]))
         table.add_row(row.label, estimate, *cells)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import nullcontext
+from typing import Any
+
+import yaml
 
 from impact_rs_cli.arguments import add_jobs, workforce_of
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
@@ -16,10 +19,12 @@ from impact_rs_trials.campaign import (
     TrialReport,
     make_manifest,
     open_campaign,
-    run_campaign,
+    run_campaigns,
     still_to_run,
 )
+from impact_rs_trials.sensitivity import with_sensitivity
 from impact_rs_trials.store import Folder, Store, open_store, owned
+from impact_rs_trials.workers import Workforce
 
 TEXT = """\
 Run every trial of a scenario, or the part of it that you name, and record a bag of each.
@@ -31,6 +36,7 @@ The workers of a running dask scheduler do as well (--scheduler); DIR is then a 
 example:
   impact-rs campaign push -o campaigns/push
   impact-rs campaign push -o campaigns/quick --objects cat_food --cases 2 --scales 0.8 1.0 1.2 --trials 2
+  impact-rs campaign grab -o campaigns/firm --set control.clamp_force=120
   impact-rs campaign push -o s3://bucket/push --scheduler tcp://10.0.0.1:8786
   impact-rs analyze campaigns/push
 
@@ -47,6 +53,21 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scales", nargs="+", type=float, metavar="S", help="default: the scenario's [-]")
     parser.add_argument("--trials", type=int, metavar="N", help="repeats of every scale; default: the scenario's")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the campaign; default: 0")
+    parser.add_argument(
+        "--set",
+        dest="settings",
+        nargs="+",
+        type=_setting,
+        default=[],
+        metavar="KEY=VALUE",
+        help="values that the scenario has instead of its own, as in control.clamp_force=120",
+    )
+    parser.add_argument(
+        "--sensitivity",
+        action="store_true",
+        help="also halve and double, one at a time, settings that the estimate should not depend on (three scales of "
+        "the first case); analyze then tells a systematic band",
+    )
     add_jobs(parser)
     parser.add_argument(
         "--via",
@@ -58,16 +79,42 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(resumable=True)
 
 
+def _setting(text: str) -> tuple[str, Any]:
+    """Key and value of a setting.
+
+    Raises:
+        argparse.ArgumentTypeError: There is no key, or the value is no YAML.
+    """
+    key, equals, value = text.partition("=")
+    try:
+        read = yaml.safe_load(value)
+    except yaml.YAMLError:
+        raise argparse.ArgumentTypeError(f"{value!r} is not valid YAML") from None
+    if not (key and equals and value):
+        raise argparse.ArgumentTypeError(f"expected KEY=VALUE, as in control.clamp_force=120, got {text!r}")
+    return key, read
+
+
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
+    if args.via == "nodes" and (args.settings or args.sensitivity):
+        raise InputError("--set and --sensitivity are for --via inprocess: the nodes read the scenario's own file")
     if args.via == "nodes" and (args.jobs not in (None, 1) or args.scheduler is not None):
         raise InputError("--jobs and --scheduler are for --via inprocess: the nodes run one trial at a time")
     store = open_store(args.output)
     workforce = workforce_of(args)
-    manifest = make_manifest(args.scenario, args.objects, args.cases, args.scales, args.trials, args.seed)
+    manifest = make_manifest(
+        args.scenario, args.objects, args.cases, args.scales, args.trials, args.seed, dict(args.settings)
+    )
+    campaigns: Mapping[Store, Manifest] = {store: manifest}
+    if args.sensitivity:
+        if not isinstance(store, Folder):
+            raise InputError("--sensitivity needs a folder of this machine; expected a path", file=args.output)
+        campaigns = with_sensitivity(store, manifest)
     with output_folder(store.path) if isinstance(store, Folder) else nullcontext():
-        reports = through_nodes(store, manifest) if args.via == "nodes" else run_campaign(store, manifest, workforce)
-        outcomes, failures = follow(reports, manifest, store, terminal)
+        nodes = args.via == "nodes"
+        reports = through_nodes(store, manifest) if nodes else owned_campaigns(store, campaigns, workforce)
+        outcomes, failures = follow(reports, campaigns, terminal)
     done = len(manifest.keys) - len(still_to_run(store, manifest))
     terminal.result(
         {
@@ -86,8 +133,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     return 0 if done == len(manifest.keys) and not failures else 1
 
 
-def through_nodes(store: Store, manifest: Manifest) -> Iterator[TrialReport]:
-    """Run what is missing through the ROS 2 nodes.
+def through_nodes(store: Store, manifest: Manifest) -> Iterator[tuple[Store, TrialReport]]:
+    """Run what is missing through the ROS 2 nodes; yields as :func:`owned_campaigns`.
 
     Raises:
         InputError: The campaign does not lie in a folder, or another process works on it.
@@ -98,25 +145,40 @@ def through_nodes(store: Store, manifest: Manifest) -> Iterator[TrialReport]:
     if not isinstance(store, Folder):
         raise InputError("the nodes record in a folder of this machine; expected a path", file=str(store))
     with owned(store):
-        yield from run_trials_through_nodes(store.path, manifest, open_campaign(store, manifest))
+        for report in run_trials_through_nodes(store.path, manifest, open_campaign(store, manifest)):
+            yield store, report
+
+
+def owned_campaigns(
+    store: Store, campaigns: Mapping[Store, Manifest], workforce: Workforce
+) -> Iterator[tuple[Store, TrialReport]]:
+    """Run a campaign and what lies in its folder, which is kept from other processes meanwhile.
+
+    Raises:
+        InputError: As :func:`impact_rs_trials.campaign.run_campaigns`, or another process works on it.
+    """
+    with owned(store):
+        yield from run_campaigns(campaigns, workforce)
 
 
 def follow(
-    reports: Iterator[TrialReport], manifest: Manifest, store: Store, terminal: Terminal, what: str = "trials"
+    reports: Iterator[tuple[Store, TrialReport]],
+    campaigns: Mapping[Store, Manifest],
+    terminal: Terminal,
+    what: str = "trials",
 ) -> tuple[Counter[str], list[TrialReport]]:
     """Show progress while trials run; outcomes by number, and the trials that failed."""
     outcomes: Counter[str] = Counter()
     failures = []
-    total = len(still_to_run(store, manifest))
+    total = sum(len(still_to_run(store, manifest)) for store, manifest in campaigns.items())
     with terminal.progress(what) as tell:
         tell(0, total)
-        for number, report in enumerate(reports, start=1):
+        for number, (store, report) in enumerate(reports, start=1):
             outcomes[report.outcome] += 1
             if report.outcome == "ABORTED":
                 failures.append(report)
                 terminal.warn(f"{report.key.name}: {report.message or 'aborted'}")
+                terminal.warn(f"what went wrong, in full: {store}/{FAILURES}/{report.key.name}.txt")
                 terminal.trace(report.trace)
             tell(number, total)
-    if failures:
-        terminal.warn(f"what went wrong, in full: {store}/{FAILURES}")
     return outcomes, failures

@@ -8,14 +8,16 @@ from pathlib import Path
 from impact_rs_analysis.measure.study import analyze_study, study_manifests
 from impact_rs_cli.arguments import add_contact, add_jobs, workforce_of
 from impact_rs_cli.commands.analyze import publish
-from impact_rs_cli.commands.campaign import follow
+from impact_rs_cli.commands.campaign import follow, owned_campaigns
 from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
-from impact_rs_trials.campaign import run_campaign
-from impact_rs_trials.store import open_store
+from impact_rs_trials.campaign import Manifest
+from impact_rs_trials.sensitivity import with_sensitivity
+from impact_rs_trials.store import Folder, Store
 
 TEXT = """\
 Run the whole published study, analyse it and write one report: both scenarios (push with one arm, grab with two), three
-objects, three cases, five post-impact references, five repeats: 450 trials.
+objects, three cases, five post-impact references, five repeats: 450 trials. Then, for the systematic band of the
+estimates, 126 trials in which one setting at a time is halved or doubled that they should not depend on.
 
 A study that was interrupted goes on where it stopped when the same command is given again. Its two campaigns lie in
 DIR/push and DIR/grab, like any campaign; tables, averages and all figures are in DIR/report, beside the published
@@ -23,7 +25,7 @@ numbers. Tables have the predictions for the first contact and for the settled o
 
 example:
   impact-rs study -o study
-  impact-rs study -o study_small --trials 1     # 90 trials
+  impact-rs study -o study_small --trials 1 --no-sensitivity    # 90 trials
 
 Units: speeds in m/s along each scenario's axis (push y, grab z), errors in percent."""
 
@@ -34,6 +36,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="DIR", help="folder of the study")
     parser.add_argument("--trials", type=int, metavar="N", help="repeats of every reference; default: 5")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the study; default: 0")
+    parser.add_argument(
+        "--no-sensitivity",
+        dest="sensitivity",
+        action="store_false",
+        help="leave out the 126 trials that tell the systematic band of the estimates",
+    )
     add_contact(parser, "predictions that the figures show; there is a table of each")
     add_jobs(parser)
     add_json(parser)
@@ -45,9 +53,12 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     workforce, failed = workforce_of(args), 0
     with output_folder(args.output) as folder:
         for name, manifest in study_manifests(args.trials, args.seed).items():
-            store = open_store(folder / name)
-            reports = run_campaign(store, manifest, workforce)
-            outcomes, failures = follow(reports, manifest, store, terminal, f"{name}: trials")
+            store = Folder(folder / name)
+            campaigns: dict[Store, Manifest] = {store: manifest}
+            if args.sensitivity:
+                campaigns = with_sensitivity(store, manifest)
+            reports = owned_campaigns(store, campaigns, workforce)
+            outcomes, failures = follow(reports, campaigns, terminal, f"{name}: trials")
             failed += len(failures)
             counted = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items())
             terminal.say(f"{name}: {counted or 'all trials were there'}")

@@ -87,6 +87,13 @@ def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Pat
         (["campaign", "push", "-o", "{}/new/out", "--seed", "-1"], "seed = -1"),
         (["campaign", "push", "-o", "{}/new/out", "--jobs", "0"], "jobs = 0"),
         (["campaign", "push", "-o", "{}/new/out", "--jobs", "2", "--via", "nodes"], "--via inprocess"),
+        (["campaign", "push", "-o", "{}/new/out", "--sensitivity", "--via", "nodes"], "--via inprocess"),
+        (["campaign", "push", "-o", "memory://out", "--sensitivity"], "expected a path"),
+        (["campaign", "push", "-o", "{}/new/out", "--set", "control.clamp_forse=3"], "did you mean 'clamp_force'"),
+        (["campaign", "push", "-o", "{}/new/out", "--set", "control.clamp_force=-3"], "control.clamp_force"),
+        (["campaign", "push", "-o", "{}/new/out", "--set", "trials.many=3"], "is a value and has no keys"),
+        (["campaign", "push", "-o", "{}/new/out", "--set", "trials"], "expected KEY=VALUE"),
+        (["campaign", "push", "-o", "{}/new/out", "--set", "trials=[1"], "not valid YAML"),
         (["campaign", "push", "-o", "{}/new/out", "--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"], "--jobs is for"),
         (["campaign", "push", "-o", "{}/new/out", "--scheduler", "nonsense"], "expected tcp://host:port"),
         (["campaign", "push", "-o", "nowhere://out"], "this URL cannot be used"),
@@ -193,7 +200,7 @@ def test_an_interrupt_ends_with_130(
     def interrupt(*arguments: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("impact_rs_cli.commands.campaign.run_campaign", interrupt)
+    monkeypatch.setattr("impact_rs_cli.commands.campaign.run_campaigns", interrupt)
     assert main(["campaign", "push", "-o", str(tmp_path / "out")]) == 130
     assert "interrupted; the same command goes on where it stopped" in capfd.readouterr().err
     assert not (tmp_path / "out").exists()
@@ -245,7 +252,7 @@ def test_a_campaign_with_failures_is_no_success(
     def broken(*arguments: object) -> None:
         raise ZeroDivisionError("by nothing")
 
-    monkeypatch.setattr("impact_rs_trials.campaign.run_campaign.__defaults__", (None, broken))
+    monkeypatch.setattr("impact_rs_trials.campaign.run_campaigns.__defaults__", (None, broken))
     scope = ["--objects", "cat_food", "--cases", "2", "--trials", "1", "--scales", "1.0"]
     assert main(["campaign", "push", "-o", str(tmp_path / "out"), *scope]) == 1
     err = capfd.readouterr().err

@@ -101,3 +101,20 @@ def test_a_scenario_that_follows_the_first_impact_reads_as_it_always_did() -> No
     other = push.model_copy(update={"control": control})
     assert other.digest != push.digest
     assert Scenario.model_validate_json(other.model_dump_json()).control.reference_contact == "settled"
+
+
+def test_a_setting_takes_the_place_of_the_scenarios_own_value_and_of_nothing_else():
+    own = load_scenario("grab")
+    assert own.with_settings({}) is own
+    changed = own.with_settings({"control.clamp_force": 90.0, "objects.juice.size": [0.2, 0.1, 0.1]})
+    assert changed.control.clamp_force == 90.0
+    assert changed.objects["juice"].size == (0.2, 0.1, 0.1)
+    assert changed.with_settings({"control.clamp_force": 60.0, "objects.juice.size": own.objects["juice"].size}) == own
+
+
+def test_a_setting_that_files_leave_out_can_be_made():
+    changed = load_scenario("push").with_settings(
+        {"contact.restitution_law": "poisson", "uncertainty.object_mass": 0.1}
+    )
+    assert changed.contact.restitution_law == "poisson"
+    assert changed.uncertainty.object_mass == 0.1

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from impact_rs_analysis.measure.net_feedback import LARGEST_GAP, held_integral, net_feedback
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.reader import BagError, TrialBag
 
 
@@ -69,7 +70,13 @@ TIMES = np.arange(1801) * PERIOD
 def recorded(feedback: dict[str, np.ndarray], time: np.ndarray = TIMES, **changes: object) -> SimpleNamespace:
     """What the measure reads of a bag, made up: feedback ``(k, 3)`` [m/s^2] by arm."""
     info = SimpleNamespace(
-        scenario="grab", axis="z", robots=tuple(feedback), window_start=0.8, window_end=1.5, nominal_impact_time=0.9
+        scenario="grab",
+        axis="z",
+        robots=tuple(feedback),
+        window_start=0.8,
+        window_end=1.5,
+        nominal_impact_time=0.9,
+        scenario_json=load_scenario("push" if "arm" in feedback else "grab").model_dump_json(),
     )
     hits = {arm: 0.9 + 0.01 * number for number, arm in enumerate(feedback)}
     columns = {
@@ -79,6 +86,7 @@ def recorded(feedback: dict[str, np.ndarray], time: np.ndarray = TIMES, **change
             twist=np.column_stack((values + 10.0, values + 20.0)),
             ante_velocity=values + 30.0,
             post_velocity=values + 40.0,
+            commanded_torque=np.full((time.size, 7), 11.9),
         )
         for arm, values in feedback.items()
     }
@@ -186,3 +194,13 @@ def test_stamps_that_go_back_and_numbers_that_are_none_are_refused() -> None:
     bag.controller("arm").feedback_acceleration = broken
     with pytest.raises(BagError, match="feedback signal is not finite"):
         net_feedback(bag)
+
+
+@pytest.mark.parametrize(("start", "told"), [(1.0, 0.020), (1.496, 0.0), (0.2, 0.0)])
+def test_a_joint_at_its_torque_limit_within_the_window_is_told(start: float, told: float) -> None:
+    """20 ms at -12 N m: inside the window, less than 5 ms inside it, before it."""
+    bag = recorded({"left": constant(0.0, 0.0, 1.0), "right": constant(0.0, 0.0, 1.0)})
+    assert net_feedback(bag).limited == ()
+    first = round(1e3 * start)
+    bag.controller("right").commanded_torque[first : first + 20, 5] = -12.0
+    assert dict(net_feedback(bag).limited) == ({"right joint6": pytest.approx(told)} if told else {})

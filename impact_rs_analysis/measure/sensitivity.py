@@ -1,0 +1,154 @@
+"""The systematic band of an estimate: how far it moves with settings that it should not depend on.
+
+With x0 the zero crossing of some trials of a campaign, and x0(k) that of the same trials with setting k put to another
+value (:mod:`impact_rs_trials.sensitivity`, same seeds; the window is varied in the trials as they are),
+
+    s_k = (x0(k) - x0) / x0,    band = [-sqrt(sum over k of min(s_k, 0)^2), +sqrt(sum over k of max(s_k, 0)^2)]
+
+with the lowest and the highest s_k of every setting. Settings are chosen one by one, so their shifts add in squares. A
+band is no confidence interval: it says how far two laboratories that chose their settings otherwise may lie apart with
+one robot and one object.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from impact_rs_analysis.measure.fit import FitError, fit_zero_crossing
+from impact_rs_analysis.measure.net_feedback import TrialFeedback, held_integral
+from impact_rs_trials.sensitivity import SETTINGS
+
+WINDOW = "window"
+WINDOW_FACTORS = (2.0 / 3.0, 4.0 / 3.0)  # of the time after the nominal impact; twice would be longer than a trial
+LABELS = {setting.name: setting.label for setting in SETTINGS} | {WINDOW: "end of the window after the impact"}
+
+Set = tuple[str, str]  # scenario and object
+Key = tuple[str, str, str, float, int]  # scenario, object, case, scale and seed: the trial to hold a varied one against
+Point = tuple[float, float]  # reference velocity and net feedback [m/s]
+
+
+@dataclass(frozen=True)
+class Shift:
+    """What one other value of one setting does to the estimate of one object.
+
+    Attributes:
+        scenario: Name of the scenario.
+        object: Name of the object.
+        setting: Name of the setting.
+        factor: Its value over the campaign's [-].
+        percent: Change of the estimate [%].
+    """
+
+    scenario: str
+    object: str
+    setting: str
+    factor: float
+    percent: float
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Shifts of the estimates of a campaign.
+
+    Attributes:
+        shifts: One per object, setting and value.
+        missing: What could not be evaluated, and why.
+    """
+
+    shifts: tuple[Shift, ...] = ()
+    missing: tuple[tuple[str, str], ...] = ()
+
+    def __add__(self, other: Sensitivity) -> Sensitivity:
+        return Sensitivity(self.shifts + other.shifts, self.missing + other.missing)
+
+    def of(self, scenario: str, thing: str) -> dict[str, dict[float, float]]:
+        """s_k of an object, by setting and factor [%]."""
+        found: dict[str, dict[float, float]] = {}
+        for shift in self.shifts:
+            if (shift.scenario, shift.object) == (scenario, thing):
+                found.setdefault(shift.setting, {})[shift.factor] = shift.percent
+        return found
+
+    def band(self, scenario: str, thing: str) -> tuple[float, float] | None:
+        """Band about the estimates of an object, low then high [%]; None where nothing was varied."""
+        settings = self.of(scenario, thing).values()
+        if not settings:
+            return None
+        low, high = (
+            float(np.sqrt(sum(max(sign * value for value in (0.0, *values.values())) ** 2 for values in settings)))
+            for sign in (-1.0, 1.0)
+        )
+        return -low, high
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """The list ``sensitivity`` of ``analyze --json``."""
+        return [vars(shift) for shift in self.shifts]
+
+
+def sensitivity_of(
+    trials: Sequence[TrialFeedback], varied: Mapping[tuple[str, float], Sequence[TrialFeedback]]
+) -> Sensitivity:
+    """How far the estimates of a campaign move.
+
+    Args:
+        trials: The campaign.
+        varied: Trials with a setting at another value, by name of the setting and factor.
+    """
+    base = {_key(trial): trial for trial in trials if trial.impact}
+    held: dict[Set, dict[Key, TrialFeedback]] = defaultdict(dict)
+    comparisons: list[tuple[Set, str, float, list[Point], list[Point]]] = []
+    missing = []
+    for (setting, factor), others in varied.items():
+        pairs: dict[Set, list[Key]] = defaultdict(list)
+        found = {_key(trial): trial for trial in others if trial.impact}
+        for key in base:
+            if key in found:
+                pairs[key[:2]].append(key)
+                held[key[:2]][key] = base[key]
+        if not pairs:
+            missing.append((setting_words(setting, factor), "no trial with impact to hold it against"))
+        for where, keys in pairs.items():
+            before, after = ([_point(side[key]) for key in keys] for side in (base, found))
+            comparisons.append((where, setting, factor, before, after))
+    for where, trials_of in held.items():
+        points = [_point(trial) for trial in trials_of.values()]
+        for factor in WINDOW_FACTORS:
+            stretched = [(_point(trial)[0], _net(trial, factor)) for trial in trials_of.values()]
+            comparisons.append((where, WINDOW, factor, points, stretched))
+    shifts = []
+    for (scenario, thing), setting, factor, before, after in comparisons:
+        try:
+            shifts.append(Shift(scenario, thing, setting, factor, 100.0 * (_crossing(after) / _crossing(before) - 1.0)))
+        except FitError as error:
+            missing.append((f"{setting_words(setting, factor)}, {thing}", str(error)))
+    return Sensitivity(tuple(shifts), tuple(missing))
+
+
+def setting_words(setting: str, factor: float) -> str:
+    """A setting at another value, in words."""
+    return f"{LABELS.get(setting, setting)} × {factor:.3g}"
+
+
+def _key(trial: TrialFeedback) -> Key:
+    info = trial.info
+    return info.scenario, info.object, info.case_name, info.velocity_scale, info.seed
+
+
+def _point(trial: TrialFeedback) -> Point:
+    return trial.info.reference_post_velocity, trial.net
+
+
+def _crossing(points: Sequence[Point]) -> float:
+    return fit_zero_crossing(*np.array(points).T).estimate
+
+
+def _net(trial: TrialFeedback, factor: float) -> float:
+    """Net feedback in a window that ends earlier or later after the nominal impact [m/s]."""
+    info = trial.info
+    end = info.nominal_impact_time + factor * (info.window_end - info.nominal_impact_time)
+    return held_integral(trial.time, trial.feedback, info.window_start, min(end, info.duration))[1]

@@ -1,0 +1,108 @@
+"""Settings that an estimate should not depend on, each put to other values: campaigns beside a campaign.
+
+The zero crossing of the net feedback (paper sec. Experimental results) measures robot and object. That it also moves
+with how firmly the arms clamp or how long the interim mode lasts is an error that all trials share, and that no
+interval of their scatter covers. One setting at a time is halved and doubled; a varied trial has the seed of the trial
+that it is held against, so that noise and scatter cancel.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.campaign import Manifest
+from impact_rs_trials.store import Folder, Store
+
+FOLDER = "sensitivity"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A setting of the experiment, and where a scenario has it.
+
+    Attributes:
+        name: Name, as in names of folders.
+        label: What it is, in words.
+        keys: Dotted keys that are varied together; ``*`` stands for every arm.
+        factors: What it is multiplied by.
+    """
+
+    name: str
+    label: str
+    keys: tuple[str, ...]
+    factors: tuple[float, float] = (0.5, 2.0)
+
+    def varied(self, scenario: dict[str, Any], factor: float) -> dict[str, float]:
+        """Its keys in a scenario with their values times a factor; empty where the scenario does not use it."""
+        found: dict[str, float] = {}
+        for key in self.keys:
+            for name in scenario["robots"] if "*" in key else ("",):
+                full, value = key.replace("*", name), scenario
+                for part in full.split("."):
+                    value = value[part]
+                if value:
+                    found[full] = factor * float(value)  # type: ignore[arg-type]
+        return found
+
+
+SETTINGS = (
+    # Twice the force of grab, 120 N, takes joint 6 of a Franka to its 12 N m, and then no feedback is a measure.
+    Setting("clamp_force", "clamping force", ("control.clamp_force",), (0.5, 1.5)),
+    Setting("interim_duration", "length of the interim mode", ("control.interim_duration",)),
+    Setting(
+        "orientation_gain", "gain of the orientation", ("control.gains.orientation", "control.gains.orientation_post")
+    ),
+    Setting("pad_stiffness", "stiffness of the pads", ("robots.*.end_effector.pad.stiffness",)),
+)
+
+
+def sensitivity_manifests(manifest: Manifest) -> dict[tuple[str, float], Manifest]:
+    """Campaigns with one setting varied, by setting and factor: first case, three scales, one repeat, same seeds.
+
+    Raises:
+        InputError: There is no such scenario.
+    """
+    scenario = load_scenario(manifest.scenario).with_settings(manifest.settings).model_dump(mode="json")
+    scales = sorted(manifest.velocity_scales)
+    part = {
+        "cases": manifest.cases[:1],
+        "velocity_scales": tuple(dict.fromkeys((scales[0], scales[len(scales) // 2], scales[-1]))),
+        "trials": 1,
+    }
+    return {
+        (setting.name, factor): manifest.model_copy(update={**part, "settings": {**manifest.settings, **values}})
+        for setting in SETTINGS
+        for factor in setting.factors
+        if (values := setting.varied(scenario, factor))
+    }
+
+
+def folder_name(setting: str, factor: float) -> str:
+    """Folder of a varied campaign inside the campaign that it is held against."""
+    return f"{FOLDER}/{setting}_x{factor:g}"
+
+
+def varied_folders(directory: Path) -> dict[tuple[str, float], str]:
+    """Varied campaigns in the folder of a campaign: where they are, by setting and factor."""
+    found = {}
+    for path in sorted((directory / FOLDER).glob("*_x*")):
+        setting, _, factor = path.name.rpartition("_x")
+        with suppress(ValueError):
+            found[setting, float(factor)] = f"{FOLDER}/{path.name}"
+    return found
+
+
+def with_sensitivity(campaign: Folder, manifest: Manifest) -> dict[Store, Manifest]:
+    """A campaign, and inside its folder those with one setting varied.
+
+    Raises:
+        InputError: There is no such scenario.
+    """
+    campaigns: dict[Store, Manifest] = {campaign: manifest}
+    for key, varied in sensitivity_manifests(manifest).items():
+        campaigns[Folder(campaign.path / folder_name(*key))] = varied
+    return campaigns
