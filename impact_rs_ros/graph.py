@@ -197,8 +197,8 @@ class Graph:
             raise
         return answer
 
-    def call(self, kind: Any, name: str, request: Any) -> Any:
-        """Call a service of a node.
+    def call(self, kind: Any, name: str, request: Any, timeout: float = RESULT_TIMEOUT) -> Any:
+        """Call a service of a node, and wait at most ``timeout`` [s] for its answer.
 
         Raises:
             GraphError: It does not answer.
@@ -210,7 +210,7 @@ class Graph:
                 if time.monotonic() > deadline:
                     raise GraphError(f"there is no service {client.srv_name}")
                 self.spin(0.02)
-            return self._wait(client.call_async(request), RESULT_TIMEOUT)
+            return self._wait(client.call_async(request), timeout)
         finally:
             self.node.destroy_client(client)
 

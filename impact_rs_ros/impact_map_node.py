@@ -22,11 +22,13 @@ from impact_msgs_py.conversions import (
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.impact_map import ImpactMapError, predict_impact
+from impact_rs_sim.impact_map.derivatives import differentiate_safely, velocity_names
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
+from impact_rs_sim.impact_map.uncertainty import predict
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, ObjectPhysics, Physics
 from impact_rs_sim.robot import Array
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_trials.spec import TrialSpec
 
@@ -54,13 +56,18 @@ class ImpactMapNode(NodeProgram):
         engine = request.engine or self.parameter("engine")
         contact = request.contact or self.parameter("contact")
         try:
-            problem = self._problem(request)
+            scenario = load_scenario(request.scenario or self.parameter("scenario"))
+            problem = self._problem(request, scenario)
             name = request.object_description.name if request.use_object_description else request.object_name
             result = predict_impact(problem, contact, engine)
             _fill(response, problem, result, name)
+            if contact == "first":
+                several = uniqueness_of(problem)
+                response.spread = several.relative
+                response.message = several.warning  # empty as ever where u^+ is unique
+            _fill_more(response, request, problem, scenario, contact)
             engine = result.engine  # the settled contact has one, whatever was asked for
             response.success = True
-            response.message = uniqueness_of(problem).warning  # empty as ever where u^+ is unique
             self._answered += 1
             self.log.info(f"answered {name}, case {request.case_name!r}, by engine {engine}, contact {contact}")
         except (InputError, ImpactMapError) as error:
@@ -76,8 +83,7 @@ class ImpactMapNode(NodeProgram):
         response.elapsed = time.perf_counter() - started
         return response
 
-    def _problem(self, request: ComputeImpactMap.Request) -> ImpactProblem:
-        scenario = load_scenario(request.scenario or self.parameter("scenario"))
+    def _problem(self, request: ComputeImpactMap.Request, scenario: Scenario) -> ImpactProblem:
         known = request.object_name or (next(iter(scenario.objects)) if request.use_object_description else "")
         scene = TrialSpec.of(scenario, known, request.case_name).scene  # the same one every time: its engine stays warm
         physics, thing = scene.physics, scene.object
@@ -173,6 +179,31 @@ def _fill(response: ComputeImpactMap.Response, problem: ImpactProblem, result: I
         friction_cone=float(result.residual.friction_cone),
         momentum=float(result.residual.momentum),
     )
+
+
+def _fill_more(
+    response: ComputeImpactMap.Response,
+    request: ComputeImpactMap.Request,
+    problem: ImpactProblem,
+    scenario: Scenario,
+    contact: str,
+) -> None:
+    """Intervals and derivatives, where they are asked for."""
+    if not (request.uncertainty or request.derivatives):
+        return
+    if contact != "first":
+        raise InputError("intervals and derivatives are those of the first contact", key="contact", value=contact)
+    response.velocity_names = list(velocity_names(problem))
+    if request.uncertainty:
+        told = predict(problem, scenario.uncertainty)
+        response.velocity = told.nominal.tolist()
+        response.velocity_low, response.velocity_high = told.low.tolist(), told.high.tolist()
+    if request.derivatives:
+        found = differentiate_safely(problem)
+        response.velocity = found.velocities().tolist()
+        response.parameter_names = [parameter.name for parameter in found.parameters]
+        response.parameter_units = [parameter.unit for parameter in found.parameters]
+        response.derivatives = found.of_velocities().ravel().tolist()
 
 
 def _twist(body: str, twist: Any) -> RigidBodyTwist:

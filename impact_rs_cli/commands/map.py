@@ -13,6 +13,7 @@ from impact_rs_cli.arguments import add_contact, add_jobs, started
 from impact_rs_cli.terminal import Terminal, add_json, declare
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
+from impact_rs_sim.impact_map.derivatives import Derivatives, differentiate_safely, velocity_names
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, predict
 from impact_rs_sim.impact_map.uniqueness import CHOICE, Uniqueness, uniqueness_of
 from impact_rs_sim.physics import RESTITUTION_LAWS
@@ -35,6 +36,7 @@ example:
   impact-rs map push cat_food 2 --motor-inertia rotor --json
   impact-rs map grab cat_food 2 --contact settled
   impact-rs map push cat_food 2 --uncertainty
+  impact-rs map push cat_food 2 --derivatives
   impact-rs map push --table problems.parquet -o answers.parquet
   impact-rs map --table tosses.csv -o answers.csv
 
@@ -65,6 +67,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="interval of every velocity from the uncertainties that the scenario states, and who contributes what",
     )
+    parser.add_argument(
+        "--derivatives",
+        action="store_true",
+        help="how every velocity changes with masses, inertias, B, friction, restitution, poses and velocities before",
+    )
     parser.add_argument("--table", type=Path, metavar="FILE", help="many problems: a .csv or .parquet table of impacts")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="where the answers of --table go")
     add_jobs(parser)
@@ -81,16 +88,18 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     scenario.object(args.object)
     scene = Scene.resolve(scenario, args.object, args.case)
     problem = ImpactProblem.at_nominal_impact(scene, args.motor_inertia)
-    if args.contact == "settled" and (args.engine == "bullet" or args.uncertainty or args.restitution_law):
+    first_only = args.engine == "bullet" or args.uncertainty or args.derivatives or args.restitution_law
+    if args.contact == "settled" and first_only:
         raise InputError(
-            "--engine bullet, --uncertainty and --restitution-law are for the first contact only; leave them out with "
-            "--contact settled"
+            "--engine bullet, --uncertainty, --derivatives and --restitution-law are for the first contact only; leave "
+            "them out with --contact settled"
         )
     if args.restitution_law:
         problem = replace(problem, restitution_law=args.restitution_law)
     result = predict_impact(problem, args.contact, args.engine or "pinocchio")
     several = uniqueness_of(problem, scene.models) if args.contact == "first" else None
     told = predict(problem, scenario.uncertainty, scene.models) if args.uncertainty else None
+    slopes = differentiate_safely(problem, scene.models) if args.derivatives else None
     before = {name: scene.models[name].jacobian(arm.position) @ arm.velocity for name, arm in scene.arms.items()}
     terminal.result(
         {
@@ -121,6 +130,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             ],
             **({} if several is None else {"uniqueness": _uniqueness(several)}),
             **({} if told is None else {"uncertainty": _uncertainty(told)}),
+            **({} if slopes is None else {"derivatives": _derivatives(slopes, problem)}),
             "residual": {name: float(value) for name, value in vars(result.residual).items()},
             "engine": result.engine,
             "iterations": result.iterations,
@@ -139,6 +149,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     )
     if told is not None:
         _say_uncertainty(told, terminal)
+    if slopes is not None:
+        _say_derivatives(slopes, problem, f"{next(iter(scene.arms))}.velocity.{scenario.axis}", terminal)
     if several is not None and several.warning:
         terminal.warn(several.warning)
     return 0
@@ -148,7 +160,7 @@ def _many(args: argparse.Namespace, terminal: Terminal) -> int:
     """Answer a table."""
     if args.output is None:
         raise InputError("--table needs -o FILE, where the answers go (.csv or .parquet)")
-    if args.object is not None or args.uncertainty or args.restitution_law:
+    if args.object is not None or args.uncertainty or args.derivatives or args.restitution_law:
         raise InputError("--table goes with at most a SCENARIO; the rest stands in its columns")
     scenario = load_scenario(args.scenario) if args.scenario is not None else None
     table = read_impact_table(args.table, scenario, questions=True)
@@ -211,6 +223,34 @@ def _say_uncertainty(told: UncertainPrediction, terminal: Terminal) -> None:
         most = ", ".join(f"{source} {share:.0%}" for share, source in shares if share >= 0.01)
         low, high = told.low[index], told.high[index]
         terminal.say(f"    {name:<20} {told.nominal[index]:8.4f} m/s  [{low:.4f}, {high:.4f}]  {most}")
+
+
+def _derivatives(found: Derivatives, problem: ImpactProblem) -> dict[str, Any]:
+    """Derivatives as JSON, velocity by velocity and parameter by parameter."""
+    return {
+        "states": list(found.states),
+        "margin_m_s": None if np.isinf(found.margin) else found.margin,
+        "smooth": found.smooth,
+        "unit": {parameter.name: parameter.unit for parameter in found.parameters},
+        "of": {
+            name: dict(zip((parameter.name for parameter in found.parameters), row.tolist(), strict=True))
+            for name, row in zip(velocity_names(problem), found.of_velocities(), strict=True)
+        },
+    }
+
+
+def _say_derivatives(found: Derivatives, problem: ImpactProblem, name: str, terminal: Terminal) -> None:
+    """Derivatives of one velocity; all of them are in the JSON document."""
+    row = found.of_velocities()[velocity_names(problem).index(name)]
+    states = ", ".join(f"{found.states.count(state)} {state}" for state in dict.fromkeys(found.states))
+    terminal.say(
+        f"  derivatives of {name}, contacts as they are ({states or 'none'}; the nearest change of state is "
+        f"{found.margin:.2g} m/s away); of all velocities with --json:"
+    )
+    for parameter, value in zip(found.parameters, row, strict=True):
+        if abs(value) > 1e-7:
+            per = "" if parameter.unit == "-" else f" per {parameter.unit}"
+            terminal.say(f"    {parameter.name:<28} {value:+11.4g} m/s{per}")
 
 
 def _vector(values: Any) -> str:

@@ -37,6 +37,8 @@ from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 
+SOFTER = 1e-5  # rho of the derivatives where Newton's method fails at that of the map
+
 
 @dataclass(frozen=True)
 class Derivatives:
@@ -74,6 +76,26 @@ class Derivatives:
                 return np.asarray(self.jacobian[:, index])
         raise InputError(f"no parameter {name!r}; known: {', '.join(one.name for one in self.parameters)}")
 
+    def velocities(self) -> Array:
+        """The velocities of :func:`velocity_names`, ``(k,)`` [rad/s, m/s]."""
+        start, joints, twists = 0, [], []
+        for jacobian, _ in self.end_effector.values():
+            moving = self.velocity[start : start + jacobian.shape[1]]
+            joints.append(moving)
+            twists.append(jacobian @ moving)
+            start += jacobian.shape[1]
+        return np.concatenate((*joints, *twists, self.velocity[start:]))
+
+    def of_velocities(self) -> Array:
+        """Derivatives of every velocity of :func:`velocity_names`, ``(k, p)``."""
+        start, joints, twists = 0, [], []
+        for name, (jacobian, _) in self.end_effector.items():
+            where = slice(start, start + jacobian.shape[1])
+            joints.append(self.jacobian[where])
+            twists.append(self.end_effector_twist(name, where))
+            start = where.stop
+        return np.concatenate((*joints, *twists, self.jacobian[start:]))
+
     def end_effector_twist(self, arm: str, columns: slice) -> Array:
         """Derivative of an arm's twist of frame E, ``(6, p)``; ``columns`` are those of the arm in u."""
         jacobian, moved = self.end_effector[arm]
@@ -89,6 +111,28 @@ def output_names(problem: ImpactProblem) -> tuple[str, ...]:
     ]
     names += [f"object.{kind}.{axis}" for kind in ("velocity", "angular_velocity") for axis in AXES]
     return tuple(names)
+
+
+def velocity_names(problem: ImpactProblem) -> tuple[str, ...]:
+    """Names of all predicted velocities: those of the joints, ``ARM.velocity.x`` ... of frame E, and the object's."""
+    *joints, vx, vy, vz, wx, wy, wz = output_names(problem)
+    twists = [
+        f"{arm}.{kind}.{axis}" for arm in problem.arms for kind in ("velocity", "angular_velocity") for axis in AXES
+    ]
+    return (*joints, *twists, vx, vy, vz, wx, wy, wz)
+
+
+def differentiate_safely(problem: ImpactProblem, models: Mapping[str, RobotModel] | None = None) -> Derivatives:
+    """Derivatives with the compliance of the map, or with a softer one where Newton's method fails at that.
+
+    Raises:
+        InputError: As :func:`differentiate`.
+        ImpactMapError: No answer was found with either.
+    """
+    try:
+        return differentiate(problem, models)
+    except ImpactMapError:
+        return differentiate(problem, models, SOFTER)
 
 
 def differentiate(

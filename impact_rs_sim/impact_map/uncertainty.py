@@ -22,7 +22,7 @@ import numpy as np
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.cones import solve_contacts
-from impact_rs_sim.impact_map.derivatives import Derivatives, differentiate, output_names
+from impact_rs_sim.impact_map.derivatives import differentiate_safely, velocity_names
 from impact_rs_sim.impact_map.newton import states
 from impact_rs_sim.impact_map.parameters import AXES, change
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
@@ -34,7 +34,6 @@ SWITCHES = 0.02  # share of draws in other contact states from which the linear 
 DRAWS = 200  # the ends of an interval scatter by about a tenth of its width
 LEVEL = 0.95
 _NORMAL = 1.959964  # 97.5 % quantile of the normal distribution
-_SOFTER = 1e-5  # rho of the derivatives where Newton's method fails at that of the map
 _LAWFUL = 1e-5  # m/s, residual of a draw that counts
 
 
@@ -181,12 +180,9 @@ def predict(
         models = {name: problem.physics.robot_model(name) for name in problem.arms}
     check_problem(problem, models)
     sources = sources_of(problem, stated)
-    try:
-        found = differentiate(problem, models)
-    except ImpactMapError:
-        found = differentiate(problem, models, _SOFTER)
+    found = differentiate_safely(problem, models)
     nominal, usual = answer_of(problem, models, {})
-    slopes = dict(zip((one.name for one in found.parameters), _rows(found, problem).T, strict=True))
+    slopes = dict(zip((one.name for one in found.parameters), found.of_velocities().T, strict=True))
     rng = np.random.default_rng(seed)
     sample, switched, lost = _sample(problem, models, sources, draws, rng, usual)
     if len(sample) < 2:
@@ -223,15 +219,6 @@ def predict(
         draws=len(sample),
         without_answer=lost,
     )
-
-
-def velocity_names(problem: ImpactProblem) -> tuple[str, ...]:
-    """Names of the velocities of a :class:`UncertainPrediction`."""
-    *joints, vx, vy, vz, wx, wy, wz = output_names(problem)
-    twists = [
-        f"{arm}.{kind}.{axis}" for arm in problem.arms for kind in ("velocity", "angular_velocity") for axis in AXES
-    ]
-    return (*joints, *twists, vx, vy, vz, wx, wy, wz)
 
 
 def answer_of(
@@ -272,17 +259,6 @@ def _sample(
         sample.append(velocities)
         others += there != usual
     return np.array(sample), others / max(len(sample), 1), count - len(sample)
-
-
-def _rows(found: Derivatives, problem: ImpactProblem) -> Array:
-    """Derivatives of all velocities, ``(k, p)``."""
-    start, joints, twists = 0, [], []
-    for name, state in problem.arms.items():
-        where = slice(start, start + state.position.size)
-        joints.append(found.jacobian[where])
-        twists.append(found.end_effector_twist(name, where))
-        start = where.stop
-    return np.concatenate((*joints, *twists, found.jacobian[start:]))
 
 
 def _possible(problem: ImpactProblem, amounts: Mapping[str, float]) -> dict[str, float]:

@@ -16,7 +16,10 @@ from impact_rs.srv import ComputeImpactMap
 from impact_msgs_py.conversions import pose_to_message, twist_from_message
 from impact_rs_ros.graph import Graph
 from impact_rs_sim.impact_map import ENGINES, compute_impact_map, settle
+from impact_rs_sim.impact_map.derivatives import differentiate_safely, velocity_names
 from impact_rs_sim.impact_map.problem import ImpactProblem
+from impact_rs_sim.impact_map.uncertainty import predict
+from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
@@ -40,7 +43,8 @@ def ask(graph: Graph) -> Ask:
             "restitution": -1.0,
             "engine": "pinocchio",
         }
-        return graph.call(ComputeImpactMap, "compute_impact_map", ComputeImpactMap.Request(**values | changes))
+        request = ComputeImpactMap.Request(**values | changes)
+        return graph.call(ComputeImpactMap, "compute_impact_map", request, timeout=60.0)
 
     return call
 
@@ -90,6 +94,33 @@ def test_the_settled_contact_is_asked_for_by_name(ask: Ask) -> None:
     for post in answer.post:
         np.testing.assert_allclose(post.joint_velocity, expected.joint_velocity[post.robot], atol=1e-9)
     assert answer.elapsed > 0.0
+
+
+def test_intervals_and_derivatives_come_with_the_answer_where_they_are_asked_for(ask: Ask, scene: Scene) -> None:
+    problem = ImpactProblem.at_nominal_impact(scene)
+    plain, answer = ask(), ask(uncertainty=True, derivatives=True)
+    assert not (plain.velocity_names or plain.velocity or plain.velocity_low or plain.parameter_names)
+    assert plain.spread == answer.spread == pytest.approx(uniqueness_of(problem).relative, abs=1e-9)
+    assert tuple(answer.velocity_names) == velocity_names(problem)
+    expected = predict(problem, load_scenario("push").uncertainty)
+    np.testing.assert_allclose(answer.velocity_low, expected.low, atol=1e-9)
+    np.testing.assert_allclose(answer.velocity_high, expected.high, atol=1e-9)
+    assert np.all(np.array(answer.velocity_low) <= np.array(answer.velocity) + 1e-9)
+    found = differentiate_safely(problem)
+    assert list(zip(answer.parameter_names, answer.parameter_units, strict=True)) == [
+        (parameter.name, parameter.unit) for parameter in found.parameters
+    ]
+    table = np.reshape(answer.derivatives, (len(answer.velocity_names), -1))
+    np.testing.assert_allclose(table, found.of_velocities(), atol=1e-9)
+    twist = twist_from_message(answer.end_effector_twists[0].twist)
+    of_pad = [answer.velocity_names.index(f"arm.velocity.{axis}") for axis in "xyz"]
+    np.testing.assert_allclose(np.array(answer.velocity)[of_pad], twist[:3], atol=1e-4)
+
+
+def test_intervals_of_the_settled_contact_are_refused(ask: Ask) -> None:
+    answer = ask(contact="settled", uncertainty=True)
+    assert not answer.success
+    assert "first contact" in answer.message
 
 
 def test_explicit_values_give_the_same_answer_as_the_scenario(ask: Ask, scene: Scene) -> None:

@@ -12,7 +12,7 @@ from impact_map_cases import PUSH, nominal, one_point
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.cones import solve_contacts
-from impact_rs_sim.impact_map.derivatives import Derivatives, chain_derivative, differentiate
+from impact_rs_sim.impact_map.derivatives import Derivatives, chain_derivative, differentiate, velocity_names
 from impact_rs_sim.impact_map.newton import settle, states
 from impact_rs_sim.impact_map.parameters import change, parameters_of
 from impact_rs_sim.impact_map.problem import ImpactProblem
@@ -136,3 +136,29 @@ def test_unknown_parameter_is_refused() -> None:
         change(nominal(), {"object.weight": 1.0})
     with pytest.raises(InputError, match="no parameter"):
         differentiate(nominal()).of("gravity")
+
+
+def test_velocities_and_their_derivatives_are_told_in_one_order() -> None:
+    """Twists of frame E follow from joint velocities by J, and their derivatives from a small step."""
+    problem = nominal()
+    models = {"arm": problem.physics.robot_model("arm")}
+    found, names = differentiate(problem, models), velocity_names(problem)
+    told = dict(zip(names, found.velocities(), strict=True))
+    joints = np.array([told[f"arm.joint_velocity.{joint}"] for joint in range(1, 8)])
+    twist = models["arm"].jacobian(problem.arms["arm"].position) @ joints
+    kinds_ = [f"arm.{kind}.{axis}" for kind in ("velocity", "angular_velocity") for axis in "xyz"]
+    np.testing.assert_allclose([told[name] for name in kinds_], twist, atol=1e-12)
+    np.testing.assert_allclose([told[name] for name in found.outputs], found.velocity, atol=0.0)
+    table = dict(zip(names, found.of_velocities(), strict=True))
+    np.testing.assert_allclose([table[name] for name in found.outputs], found.jacobian, atol=0.0)
+    joint = [parameter.name for parameter in found.parameters].index("arm.position.4")
+    step, sides = 1e-4, []
+    turning = np.array([table[f"arm.joint_velocity.{k}"][joint] for k in range(1, 8)])
+    for sign in (1.0, -1.0):
+        moved = change(problem, {"arm.position.4": sign * step})
+        at = models["arm"].jacobian(moved.problem.arms["arm"].position)
+        sides.append(
+            at @ (joints + sign * step * np.array([table[f"arm.joint_velocity.{k}"][joint] for k in range(1, 8)]))
+        )
+    slopes = (sides[0] - sides[1]) / (2.0 * step)
+    np.testing.assert_allclose([table[name][joint] for name in kinds_], slopes, atol=1e-6)
