@@ -21,6 +21,7 @@ from impact_rs_sim.impact_map import (
     kinetic_energy,
 )
 from impact_rs_sim.impact_map.sampling import random_problem
+from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 
@@ -68,7 +69,7 @@ def reason(bullet: ImpactResult, pinocchio: ImpactResult) -> str:
 def agreement(problems: int, seed: int) -> None:
     """Disagreement, residuals, energy and times over random problems."""
     scenario = load_scenario("push")
-    percent, gains, failures = [], [], []
+    percent, unique, gains, failures = [], [], [], []
     residuals: dict[str, list[float]] = {"bullet": [], "pinocchio": []}
     times: dict[str, list[float]] = {"bullet": [], "pinocchio": []}
     outliers = Table("problem", "%", "e", "mu pad", "mu support", "why")
@@ -87,6 +88,7 @@ def agreement(problems: int, seed: int) -> None:
         state = problem.arms["arm"]
         speed = float(np.linalg.norm((engines[0].models["arm"].jacobian(state.position) @ state.velocity)[:3]))
         percent.append(100.0 * difference(bullet, pinocchio) / speed)
+        unique.append(uniqueness_of(problem).unique)
         gains.append(kinetic_energy(problem, pinocchio) / kinetic_energy(problem))
         for answer in answers:
             residuals[answer.engine].append(answer.residual.largest)
@@ -99,6 +101,8 @@ def agreement(problems: int, seed: int) -> None:
             )
     table = Table("over random problems", "median", "95 %", "max", title=f"{problems} problems, seed {seed}")
     table.add_row("disagreement, % of ante-impact speed", *spread(percent, ".4f"))
+    alone = [value for value, is_unique in zip(percent, unique, strict=True) if is_unique]
+    table.add_row(f"of these on the {len(alone)} with a unique answer", *spread(alone, ".4f"))
     for name in residuals:
         table.add_row(f"{name}: residual, m/s", *spread(residuals[name], ".1e"))
         table.add_row(f"{name}: warm call, ms", *spread(times[name], ".2f"))

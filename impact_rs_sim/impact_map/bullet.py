@@ -6,14 +6,12 @@ obeys the laws of :mod:`impact_rs_sim.impact_map.problem` if
     p = -(M + B - M') (u^+(p) - u^-) + J_t^T c(u^+(p)),
 
 solved by Newton's method for the inertial part, with the derivative at fixed contact modes, and by fixed-point
-iteration for c. With B = 0 and no sliding the first step is the answer, and it is plain Bullet. Its parts:
+iteration for c, from p = 0: with B = 0 and no sliding the first step is the answer, and it is plain Bullet. The parts:
 
 * **M'**: every link carries its rotor as a thin disc about the joint axis, which is M + B up to couplings between
   joints. With M' = M the iteration would be hopeless at the wrist, where B is a hundred times M.
 * **c**: Bullet's friction cone scales each of its two friction axes with the inverse mass along it, so that its
   friction opposes ``D^-1 v_t`` and not the sliding velocity ``v_t``. c turns it back; sticking points need none.
-* **First guess**: the conic solver of the other engine, on Bullet's contact points and to a coarse tolerance. It saves
-  iterations and decides nothing: the residual is judged on what Bullet answers.
 
 What is set on purpose, and why:
 
@@ -40,11 +38,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_rs_sim.bullet_world import BulletWorld
-from impact_rs_sim.impact_map.cones import solve_cones
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, Meeting
 from impact_rs_sim.impact_map.engine import Answer, Engine
 from impact_rs_sim.impact_map.problem import ImpactProblem
-from impact_rs_sim.impact_map.residual import SLIDING, ContactTerms
+from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import System
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
@@ -65,7 +62,6 @@ class _Effort:
         steps: Bullet's steps, at most.
         patience: Steps without progress that end it.
         damping: Share of a Newton step that is taken [-].
-        guess: Tolerance of the first guess [m/s].
         accepted: Residual above which the next effort follows [m/s].
     """
 
@@ -73,7 +69,6 @@ class _Effort:
     steps: int
     patience: int
     damping: float
-    guess: float
     accepted: float
 
 
@@ -85,8 +80,8 @@ class BulletEngine(Engine):
 
     _GOAL = 1e-5  # m/s, residual that ends the iteration
     _EFFORTS = (
-        _Effort(solver_iterations=200, steps=8, patience=3, damping=1.0, guess=1e-7, accepted=1e-4),
-        _Effort(solver_iterations=1000, steps=30, patience=10, damping=0.5, guess=1e-8, accepted=np.inf),
+        _Effort(solver_iterations=200, steps=16, patience=5, damping=1.0, accepted=1e-4),
+        _Effort(solver_iterations=1000, steps=60, patience=15, damping=0.5, accepted=np.inf),
     )
     _KEPT = 4  # worlds kept warm, one per motor inertia
 
@@ -138,15 +133,7 @@ class BulletEngine(Engine):
         terms, system = run.terms, run.system
         missing = system.inertia - run.inertia
         count, stalled = 0, 0
-        if not np.any(missing) and not np.isfinite(best.error):
-            best = run.judge(world, np.zeros(run.start.size), np.zeros((len(terms.contacts), 3)))[0]
-            count = 1
-            if best.error <= self._GOAL:
-                return best, count
-        total, _ = solve_cones(terms, effort.guess)
-        moved = terms.response @ total.ravel()
-        extra = total - _bullet_friction(terms, run.inertia, total, system.velocity + moved)
-        inertial = -missing @ moved
+        inertial, extra = np.zeros(run.start.size), np.zeros((len(terms.contacts), 3))
         while best.error > self._GOAL and stalled < effort.patience and count < effort.steps:
             count += 1
             answer, impulses = run.judge(world, inertial, extra)
@@ -340,21 +327,6 @@ def _coulomb(terms: ContactTerms, impulses: Array, extra: Array, velocity: Array
     return np.asarray(pressing[:, None] * terms.normals + np.where(slides[:, None], radius[:, None] * opposed, held))
 
 
-def _bullet_friction(terms: ContactTerms, inertia: Array, impulses: Array, velocity: Array) -> Array:
-    """``impulses`` with the friction that Bullet would give to points that slide, ``(m, 3)`` [N s]."""
-    pressing, _ = terms.split(impulses)
-    _, sliding = terms.split((terms.jacobian @ velocity).reshape(-1, 3))
-    axes = np.array([_friction_axes(normal) for normal in terms.normals])
-    rows = np.einsum("maj,mjv->mav", axes, terms.jacobian.reshape(len(axes), 3, -1))
-    mobility = np.einsum("mav,vw,maw->ma", rows, np.linalg.inv(inertia), rows, optimize=True)
-    along = np.einsum("maj,mj->ma", axes, sliding) / mobility
-    direction = np.einsum("ma,maj->mj", along, axes)
-    direction /= np.maximum(np.linalg.norm(direction, axis=1), 1e-300)[:, None]
-    skewed = pressing[:, None] * terms.normals - (terms.friction * pressing)[:, None] * direction
-    slides = np.linalg.norm(sliding, axis=1) > SLIDING
-    return np.asarray(np.where(slides[:, None], skewed, impulses))
-
-
 def _response(terms: ContactTerms, inertia: Array, impulses: Array, velocity: Array) -> Array:
     """du^+ / dp of Bullet's step while every contact point keeps its mode, ``(nv, nv)``.
 
@@ -379,13 +351,3 @@ def _response(terms: ContactTerms, inertia: Array, impulses: Array, velocity: Ar
     of_velocity, of_impulse = np.array(held) @ inverse, inverse @ np.array(holding).T
     held_by = np.linalg.pinv(np.array(held) @ of_impulse, rcond=1e-9)
     return np.asarray(inverse - of_impulse @ held_by @ of_velocity, dtype=float)
-
-
-def _friction_axes(normal: Array) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Bullet's two friction axes at a contact (its ``btPlaneSpace1``), up to their signs."""
-    x, y, z = (float(value) for value in normal)
-    if abs(z) > 0.5**0.5:
-        k = float(np.hypot(y, z))
-        return (0.0, -z / k, y / k), (k, -x * y / k, -x * z / k)
-    k = float(np.hypot(x, y))
-    return (-y / k, x / k, 0.0), (-z * x / k, -z * y / k, k)

@@ -287,9 +287,9 @@ MUTANTS = [
     Mutant(
         name="bullet_without_missing_inertia",
         file=BULLET,
-        original="        inertial = -missing @ moved\n",
-        mutated="        inertial = 0.0 * missing @ moved\n",
-        wrong="The iteration on Bullet begins without any inertial impulse, and does not get there in hard problems.",
+        original="defect = inertial + missing @ (moved",
+        mutated="defect = inertial + 0.0 * missing @ (moved",
+        wrong="What Bullet's links lack of M + B is not brought in.",
         tests=(*LAWS, *ENGINES),
     ),
     Mutant(
@@ -338,6 +338,14 @@ MUTANTS = [
         original="lateralFriction=physics.pad_friction",
         mutated="lateralFriction=physics.support_friction",
         wrong="Pads have the friction of the support in the engine on Bullet.",
+        tests=(*LAWS, *ENGINES),
+    ),
+    Mutant(
+        name="bullet_steps_on_from_an_earlier_friction",
+        file=BULLET,
+        original="            extra = extra + change\n",
+        mutated="            extra = change\n",
+        wrong="Friction that turns Bullet's is that of the last step alone.",
         tests=(*LAWS, *ENGINES),
     ),
     Mutant(
