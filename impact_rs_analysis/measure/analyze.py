@@ -16,7 +16,7 @@ import numpy as np
 
 from impact_rs_analysis.measure.fit import FitError, LineFit, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import TrialFeedback, net_feedback
-from impact_rs_analysis.measure.predictions import predict
+from impact_rs_analysis.measure.predictions import predict, prediction_interval
 from impact_rs_analysis.measure.sensitivity import Sensitivity, sensitivity_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import CONTACTS
@@ -70,6 +70,8 @@ class ExperimentSet:
         fit: The line and its zero crossing, signed along the axis.
         predictions: Predictions by motor-inertia model for the first contact, signed along the axis.
         predictions_settled: The same for the settled contact.
+        prediction_interval: 95 % interval of the nominal prediction (B_theta, first contact) from the uncertainties
+            that the scenario states, signed along the axis, low then high [m/s]; None where there is none.
     """
 
     scenario: str
@@ -81,6 +83,7 @@ class ExperimentSet:
     fit: LineFit
     predictions: dict[str, Prediction]
     predictions_settled: dict[str, Prediction]
+    prediction_interval: tuple[float, float] | None = None
 
     def of_contact(self, contact: str) -> dict[str, Prediction]:
         """Predictions by motor-inertia model for the ``first`` or the ``settled`` contact."""
@@ -99,10 +102,11 @@ class ExperimentSet:
     @property
     def interval(self) -> tuple[float, float] | None:
         """95 % interval of the estimate as speeds [m/s]."""
-        if self.fit.interval is None:
-            return None
-        low, high = sorted(self.sign * bound for bound in self.fit.interval)
-        return low, high
+        told = self._speeds(self.fit.interval)
+        return None if told is None else (told[0], told[1])
+
+    def _speeds(self, interval: tuple[float, float] | None) -> list[float] | None:
+        return None if interval is None else sorted(self.sign * bound for bound in interval)
 
     def to_json(self) -> dict[str, Any]:
         """One entry of ``sets``; speeds in m/s, errors in percent."""
@@ -116,6 +120,7 @@ class ExperimentSet:
             "r_squared": self.fit.r_squared,
             "trials": self.fit.count,
             "predictions": self._told(self.predictions),
+            "prediction_ci95_m_s": self._speeds(self.prediction_interval),
             "predictions_settled": self._told(self.predictions_settled),
         }
 
@@ -374,6 +379,7 @@ def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedba
         fit=fit,
         predictions=first,
         predictions_settled=settled,
+        prediction_interval=prediction_interval(info.scenario_json, info.object, info.case_name),
     )
 
 

@@ -125,7 +125,10 @@ def write_analysis_report(
     Raises:
         InputError: The folder cannot be written.
     """
-    figures = [(entry, figures_of(entry, contact)) for entry in analysis.sets]
+    figures = [
+        (entry, figures_of(entry, contact, analysis.sensitivity.band(entry.scenario, entry.object)))
+        for entry in analysis.sets
+    ]
     drawn = [figure for _, own in figures for figure in own]
     data = json.dumps(analysis.to_json(), indent=2, allow_nan=False) + "\n"
     page = render("analysis.html.j2", _page(analysis, figures, contact))

@@ -106,9 +106,15 @@ class Figure:
     x_range: tuple[float, float] | None = None
 
 
-def figures_of(entry: ExperimentSet, contact: str = "first") -> list[Figure]:
-    """The paper's two figures for one set, with predictions for the ``first`` or the ``settled`` contact."""
-    return [signals_figure(entry), fit_figure(entry, contact)]
+def figures_of(entry: ExperimentSet, contact: str = "first", band: tuple[float, float] | None = None) -> list[Figure]:
+    """The paper's two figures for one set.
+
+    Args:
+        entry: The set.
+        contact: Predictions that are shown: for the ``first`` or the ``settled`` contact.
+        band: Systematic band about the estimate, low then high [%].
+    """
+    return [signals_figure(entry), fit_figure(entry, contact, band)]
 
 
 def _stem(entry: ExperimentSet) -> str:
@@ -178,8 +184,8 @@ def signals_figure(entry: ExperimentSet) -> Figure:
     )
 
 
-def fit_figure(entry: ExperimentSet, contact: str = "first") -> Figure:
-    """Net feedback over post-impact reference velocity (paper fig. Fit_results_push), with predictions of a contact."""
+def fit_figure(entry: ExperimentSet, contact: str = "first", band: tuple[float, float] | None = None) -> Figure:
+    """Net feedback over post-impact reference velocity (paper fig. Fit_results_push); arguments as above."""
     axis, fit = entry.axis, entry.fit
     x = np.array([trial.info.reference_post_velocity for trial in entry.trials])
     y = np.array([trial.net for trial in entry.trials])
@@ -206,6 +212,15 @@ def fit_figure(entry: ExperimentSet, contact: str = "first") -> Figure:
                 marker=marker,  # type: ignore[arg-type]
             )
         )
+    # Below the zero line, where the fitted line is far: on it, markers would hide them.
+    depth = -0.08 * (np.max(y) - np.min(y)) * np.ones(2)
+    if contact == "first" and entry.prediction_interval is not None:
+        left, right = entry.prediction_interval
+        label = "B<sub>θ</sub>, 95 %: {:.3f} to {:.3f} m/s".format(*sorted((abs(left), abs(right))))
+        curves.append(Curve(label, np.array([left, right]), depth, BLUE))
+    if band is not None:
+        label = f"Systematic band: {band[0]:+.1f} % to {band[1]:+.1f} %".replace("-", "−")
+        curves.append(Curve(label, fit.estimate * (1.0 + np.array(band) / 100.0), 1.5 * depth, BLACK))
     error, interval = None, "no 95 % interval"
     if fit.interval is not None:
         error = (fit.estimate - fit.interval[0], fit.interval[1] - fit.estimate)
@@ -227,7 +242,12 @@ def fit_figure(entry: ExperimentSet, contact: str = "first") -> Figure:
         caption=(
             "Net feedback of every trial with impact. The line's zero crossing is the experimental estimate of the "
             "post-impact velocity; its 95 % interval follows from the scatter of the trials (Fieller). The closer a "
-            f"prediction lies to it, the better its motor-inertia model. Predictions are for the {contact} contact."
+            f"prediction lies to it, the better its motor-inertia model. Predictions are for the {contact} contact"
+            + (
+                "; that of B<sub>θ</sub> with the 95 % interval of the scenario's stated uncertainties."
+                if contact == "first" and entry.prediction_interval is not None
+                else "."
+            )
         ),
         x_label=f"post-impact reference velocity v<sub>{axis}</sub> [m/s]",
         panels=(Panel(f"a<sub>fb,net,{axis}</sub> [m/s]", tuple(curves)),),

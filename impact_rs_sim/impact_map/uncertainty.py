@@ -33,6 +33,7 @@ from impact_rs_sim.scenario import Uncertainties
 SWITCHES = 0.02  # share of draws in other contact states from which the linear interval is not taken
 DRAWS = 200  # the ends of an interval scatter by about a tenth of its width
 LEVEL = 0.95
+_TAILS = ((1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0)
 _NORMAL = 1.959964  # 97.5 % quantile of the normal distribution
 _LAWFUL = 1e-5  # m/s, residual of a draw that counts
 
@@ -65,6 +66,8 @@ class UncertainPrediction:
         switched: Share of draws in other contact states [-].
         draws: Draws that have an answer.
         without_answer: Draws that have none.
+        factors: What one standard deviation of every independent part does, ``(k, p)``.
+        sample: Velocities of the draws, ``(draws, k)``.
     """
 
     names: tuple[str, ...]
@@ -77,6 +80,18 @@ class UncertainPrediction:
     switched: float
     draws: int
     without_answer: int
+    factors: Array
+    sample: Array
+
+    def interval_of(self, weights: Mapping[str, float]) -> tuple[float, float]:
+        """Interval at ``LEVEL`` of a weighted sum of velocities, by their names."""
+        weight = np.array([weights.get(name, 0.0) for name in self.names])
+        if self.method == "linear":
+            half = _NORMAL * float(np.linalg.norm(weight @ self.factors))
+            value = float(weight @ self.nominal)
+            return value - half, value + half
+        low, high = np.quantile(self.sample @ weight, _TAILS)
+        return float(low), float(high)
 
 
 def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[UncertaintySource, ...]:
@@ -187,21 +202,17 @@ def predict(
     sample, switched, lost = _sample(problem, models, sources, draws, rng, usual)
     if len(sample) < 2:
         raise ImpactMapError(f"of {draws} draws from the stated uncertainties {lost} have no answer")
-    variances = {
-        source.name: np.sum(
-            [np.square(sum(slopes[name] * sigma for name, sigma in part.items())) for part in source.deviations], axis=0
-        )
-        if source.deviations
-        else np.zeros_like(nominal)
+    parts = {
+        source.name: np.array([sum(slopes[name] * sigma for name, sigma in part.items()) for part in source.deviations])
         for source in sources
     }
+    variances = {name: np.sum(np.square(rows.reshape(-1, nominal.size)), axis=0) for name, rows in parts.items()}
     method = "linear" if found.smooth and switched <= SWITCHES else "monte_carlo"
     if method == "linear":
         deviation = np.sqrt(np.sum(list(variances.values()), axis=0))
         low, high = nominal - _NORMAL * deviation, nominal + _NORMAL * deviation
     else:
-        tail = (1.0 - LEVEL) / 2.0
-        low, high = np.quantile(sample, (tail, 1.0 - tail), axis=0)
+        low, high = np.quantile(sample, _TAILS, axis=0)
         deviation = np.std(sample, axis=0)
         for source in sources:
             alone, _, _ = _sample(problem, models, (source,), max(draws // 4, 2), rng, usual)
@@ -218,6 +229,8 @@ def predict(
         switched=switched,
         draws=len(sample),
         without_answer=lost,
+        factors=np.concatenate([rows.reshape(-1, nominal.size) for rows in parts.values()]).T,
+        sample=sample,
     )
 
 

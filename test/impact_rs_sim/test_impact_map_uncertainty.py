@@ -74,3 +74,27 @@ def test_every_velocity_has_a_name() -> None:
     assert len(told.names) == len(told.nominal) == 7 + 6 + 6
     assert told.names == velocity_names(PROBLEM)
     np.testing.assert_array_equal(told.low, told.high)
+
+
+def test_the_interval_of_a_combination_is_that_of_its_parts_and_of_their_common_ups_and_downs() -> None:
+    found = predict(PROBLEM, Uncertainties(**NONE | {"object_mass": 0.02}), MODELS, draws=8)
+    assert found.method == "linear"
+    for index, name in enumerate(found.names):
+        assert found.interval_of({name: 1.0}) == pytest.approx((found.low[index], found.high[index]), abs=1e-12)
+    one, other = "arm.velocity.y", "object.velocity.y"
+    # One source alone moves both, so that the widths of a sum add, and those of a difference cancel.
+    widths = {name: np.diff(found.interval_of({name: 1.0}))[0] for name in (one, other)}
+    sum_ = np.diff(found.interval_of({one: 1.0, other: 1.0}))[0]
+    difference = np.diff(found.interval_of({one: 1.0, other: -1.0}))[0]
+    assert sum_ == pytest.approx(widths[one] + widths[other], rel=1e-6)
+    assert difference == pytest.approx(abs(widths[one] - widths[other]), abs=1e-9)
+
+
+def test_the_interval_of_a_combination_of_draws_is_theirs() -> None:
+    found = predict(PROBLEM, Uncertainties(**NONE | {"object_yaw": 0.012}), MODELS, draws=24)
+    assert found.method == "monte_carlo"
+    sum_ = (
+        found.sample[:, found.names.index("arm.velocity.y")] + found.sample[:, found.names.index("object.velocity.y")]
+    )
+    expected = np.quantile(sum_, [0.025, 0.975])
+    assert found.interval_of({"arm.velocity.y": 1.0, "object.velocity.y": 1.0}) == pytest.approx(expected)

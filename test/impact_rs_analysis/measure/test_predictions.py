@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from impact_rs_analysis.measure.predictions import predict
+from impact_rs_analysis.measure.predictions import predict, prediction_interval
 from impact_rs_sim.impact_map import CONTACTS, ImpactProblem, compute_impact_map, settle
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.scenario import load_scenario
@@ -44,3 +44,19 @@ def test_the_settled_contact_is_predicted_when_it_is_asked_for() -> None:
 def test_both_engines_predict_the_same() -> None:
     first, second = (predict(PUSH, "parcel", "case_1", engine=engine) for engine in ("pinocchio", "bullet"))
     assert first == pytest.approx(second, abs=2e-3)
+
+
+def test_the_interval_of_a_prediction_holds_it_and_shrinks_with_what_is_stated() -> None:
+    scenario = load_scenario("push")
+    nominal = predict(scenario, "cat_food", "case_2")["reduced"]
+    low, high = prediction_interval(scenario.model_dump_json(), "cat_food", "case_2")
+    assert low < nominal < high
+    sure = scenario.with_settings({f"uncertainty.{name}": 0.0 for name, _ in scenario.uncertainty})
+    sure = sure.with_settings({"uncertainty.motor_inertia": 0.1})
+    inner = prediction_interval(sure.model_dump_json(), "cat_food", "case_2")
+    assert low < inner[0] < nominal < inner[1] < high
+
+
+def test_a_law_without_intervals_gives_none() -> None:
+    poisson = load_scenario("push").with_settings({"contact.restitution_law": "poisson", "contact.restitution": 0.2})
+    assert prediction_interval(poisson.model_dump_json(), "cat_food", "case_2") is None
