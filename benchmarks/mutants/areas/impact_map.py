@@ -564,4 +564,20 @@ MUTANTS = [
         wrong="First and settled contact are exchanged.",
         tests=SETTLED_TESTS,
     ),
+    Mutant(
+        name="twist_derivative_without_the_change_of_the_jacobian",
+        file="impact_rs_sim/impact_map/derivatives.py",
+        original="return np.asarray(jacobian @ self.jacobian[columns] + moved)",
+        mutated="return np.asarray(jacobian @ self.jacobian[columns])",
+        wrong="The derivative of a pad's velocity forgets that J depends on q.",
+        tests=("test/impact_rs_sim/test_impact_map_derivatives.py",),
+    ),
+    Mutant(
+        name="combination_of_velocities_as_if_independent",
+        file="impact_rs_sim/impact_map/uncertainty.py",
+        original="half = _NORMAL * float(np.linalg.norm(weight @ self.factors))",
+        mutated="half = _NORMAL * float(np.linalg.norm(weight[:, None] * self.factors))",
+        wrong="Velocities that move together are taken for independent.",
+        tests=("test/impact_rs_sim/test_impact_map_uncertainty.py",),
+    ),
 ]

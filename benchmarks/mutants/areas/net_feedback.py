@@ -11,6 +11,8 @@ ANALYZED = "test/impact_rs_analysis/measure/test_analyze.py"
 ANALYZE_TESTS = (*TABLE_TESTS, f"{ANALYZED}::test_the_document_has_its_schema")
 PREDICTIONS = "impact_rs_analysis/measure/predictions.py"
 PREDICTION_TESTS = ("test/impact_rs_analysis/measure/test_predictions.py",)
+SENSITIVITY = "impact_rs_analysis/measure/sensitivity.py"
+SENSITIVITY_TESTS = ("test/impact_rs_analysis/measure/test_sensitivity.py",)
 
 MUTANTS = [
     Mutant(
@@ -184,8 +186,8 @@ MUTANTS = [
     Mutant(
         name="interval_of_speeds_turned_round",
         file=ANALYZE,
-        original="low, high = sorted(self.sign * bound for bound in self.fit.interval)",
-        mutated="low, high = (self.sign * bound for bound in self.fit.interval)",
+        original="else sorted(self.sign * bound for bound in interval)",
+        mutated="else [self.sign * bound for bound in interval]",
         wrong="For motions along a negative axis the interval's ends are swapped.",
         tests=ANALYZE_TESTS,
     ),
@@ -204,5 +206,53 @@ MUTANTS = [
         mutated='words = (("average error", True), ("absolute error", False))',
         wrong="Bias and quality are swapped in the table.",
         tests=TABLE_TESTS,
+    ),
+    Mutant(
+        name="torque_limit_counts_outside_the_window",
+        file=FILE,
+        original="inside = (state.time >= info.window_start) & (state.time < info.window_end)\n    reached",
+        mutated="inside = state.time >= 0.0\n    reached",
+        wrong="A torque at its limit long before the impact spoils a trial.",
+        tests=TESTS,
+    ),
+    Mutant(
+        name="torque_limit_one_sided",
+        file=FILE,
+        original="reached = np.abs(state.commanded_torque[inside])",
+        mutated="reached = state.commanded_torque[inside]",
+        wrong="Only positive torques have a limit.",
+        tests=TESTS,
+    ),
+    Mutant(
+        name="shift_of_the_wrong_sign",
+        file=SENSITIVITY,
+        original="_crossing(after) / _crossing(before) - 1.0",
+        mutated="_crossing(before) / _crossing(after) - 1.0",
+        wrong="The estimate moves the other way with a setting.",
+        tests=SENSITIVITY_TESTS,
+    ),
+    Mutant(
+        name="band_adds_linearly",
+        file=SENSITIVITY,
+        original="for value in (0.0, *values.values())) ** 2 for values in settings)))",
+        mutated="for value in (0.0, *values.values())) ** 1 for values in settings)) ** 2)",
+        wrong="Shifts of independent settings add linearly.",
+        tests=SENSITIVITY_TESTS,
+    ),
+    Mutant(
+        name="window_stretched_about_its_start",
+        file=SENSITIVITY,
+        original="end = info.nominal_impact_time + factor * (info.window_end - info.nominal_impact_time)",
+        mutated="end = info.window_end",
+        wrong="The window is not varied.",
+        tests=SENSITIVITY_TESTS,
+    ),
+    Mutant(
+        name="varied_trials_with_seeds_of_their_own",
+        file="impact_rs_trials/sensitivity.py",
+        original='"cases": manifest.cases[:1],',
+        mutated='"cases": manifest.cases[:1],\n        "seed": manifest.seed + 1,',
+        wrong="Noise and scatter do not cancel in a shift.",
+        tests=("test/impact_rs_trials/test_sensitivity.py",),
     ),
 ]
