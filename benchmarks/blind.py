@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from impact_rs_analysis.diagnosis.compare import score_of
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import read_document, write_document
 from impact_rs_analysis.diagnosis.scoring import score
@@ -23,9 +24,9 @@ from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_analysis.evidence.runs import read_runs
 from impact_rs_analysis.evidence.store import ReplayStore
 from impact_rs_sim.effects import library
-from impact_rs_sim.model import load_model
+from impact_rs_sim.model import ModelEffect, ParameterValue, load_model
 from impact_rs_sim.unmodelled import OUTSIDE
-from impact_rs_trials.blind import RUNS, make
+from impact_rs_trials.blind import RUNS, TRUTH, make
 from impact_rs_trials.workers import Map, Workforce, workers
 
 MAGNITUDES = (3.0, 8.0, 1.0)  # parameter scales: clear, gross, barely noticeable
@@ -76,6 +77,7 @@ def run(entry: Entry, directory: Path, size: str, map_tasks: Map) -> dict[str, A
     read = read_document(document)
     scored = score(directory, read, document)
     excess = read.held_out_error_before**2 - read.noise_floor**2
+    partners = _partners(directory, map_tasks) if entry.kind == "pair" else {}
     content = asdict(scored) | {
         "name": entry.name,
         "seconds": elapsed,
@@ -83,10 +85,36 @@ def run(entry: Entry, directory: Path, size: str, map_tasks: Map) -> dict[str, A
         "more": bool(scored.also_named),
         "before": read.held_out_error_before,
         "noise": read.noise_floor,
+        "alone": partners,
         "removed": (read.held_out_error_before**2 - read.held_out_error_after**2) / max(excess, 1e-9),
     }
     result.write_text(json.dumps(content, default=list) + "\n")
     return content
+
+
+def _partners(directory: Path, map_tasks: Map) -> dict[str, float]:
+    """Of every effect of a pair: the error that is left where the model has the other one at its true size.
+
+    In multiples of what repetition alone gives, as the error before a diagnosis of a single effect is.
+    """
+    truth = json.loads((directory / TRUTH).read_text())["effects"]
+    runs, store = read_runs(directory / RUNS, map_tasks), ReplayStore(map_tasks)
+    found = {}
+    for own in truth:
+        others = [
+            ModelEffect(
+                name=other["name"],
+                parameters={
+                    name: ParameterValue(estimate=number["value"], unit=number["unit"])
+                    for name, number in other["parameters"].items()
+                },
+            )
+            for other in truth
+            if other is not own
+        ]
+        model = load_model("nominal").model_copy(update={"effects": tuple(others)})
+        found[own["name"]] = score_of(ReplaySource.of(runs, model, store).clusters)
+    return found
 
 
 def share(rows: list[dict[str, Any]], key: str) -> str:
@@ -106,12 +134,14 @@ def scoreboard(rows: list[dict[str, Any]]) -> str:
     of = {kind: [row for row in rows if row["kind"] == kind] for kind in ("single", "pair", "null", "outside")}
     seen = [row for row in of["single"] if row["before"] > 2.0 * row["noise"]]
     plain = [row for row in of["outside"] if row["before"] > 2.0 * row["noise"]]
+    both = [row for row in of["pair"] if row.get("alone") and min(row["alone"].values()) > 2.0]
     lines = [
         f"single above twice the noise, right or confusable {share(seen, 'correct')}",
         f"single above twice the noise, by its own name {share(seen, 'by_own_name')}",
         f"single, all, right or confusable             {share(of['single'], 'correct')}",
         f"single, all, headline is the effect alone    {share(of['single'], 'headline')}",
-        f"pairs, both named                            {share(of['pair'], 'correct')}",
+        f"pairs, each above twice the noise, both named {share(both, 'correct')}",
+        f"pairs, all, both named                       {share(of['pair'], 'correct')}",
         f"null, NOTHING-MISSING                        {share(of['null'], 'correct')}",
         f"outside, NONE-EXPLAINS or honestly marked    {share(of['outside'], 'correct')}",
         f"outside above twice the noise, the same      {share(plain, 'correct')}",
