@@ -274,7 +274,8 @@ class ImpactTableSource(Source):
         """u^+ of one row as a feature, ``(nv,)``; what the map does not depend on makes no new question."""
         key = (number, _what_the_map_knows(physics))
         if key not in self._known:
-            velocity, _ = solve_measured(physics, self.table.rows[number].impact, self._robots(physics))
+            impact = self.table.rows[number].impact
+            velocity, _ = solve_measured(physics, impact, self._robots(physics), may_gain_energy=True)
             self._known[key] = _turned(velocity, self._axes[number])
         return self._known[key]
 

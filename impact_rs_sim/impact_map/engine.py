@@ -92,6 +92,30 @@ def result_of(
     )
 
 
+def check_energy(system: System, answer: Answer, residual: Residual, restitution: float, law: str = "newton") -> None:
+    """Refuse an answer with more energy than there was, beyond what its residual can account for.
+
+    Args:
+        system: Inertia and velocity before.
+        answer: The answer.
+        residual: How well it obeys its laws.
+        restitution: e [-].
+        law: Law of restitution.
+
+    Raises:
+        EnergyGain: It gains energy.
+    """
+    before = 0.5 * float(system.velocity @ system.inertia @ system.velocity)
+    gain = answer.energy_gain
+    slack = ENERGY_TOLERANCE * before + 2.0 * residual.largest * float(np.sum(np.abs(answer.impulses)))
+    if gain > slack:
+        hint = "'poisson' sets impulses instead" if law == "newton" else "a smaller e does not"
+        raise EnergyGain(
+            f"the impact gains {gain:.3g} J, {gain / before:.2%} of the kinetic energy there was: restitution e = "
+            f"{restitution:g} by the law of {law!r} with friction and several contacts can; restitution_law {hint}"
+        )
+
+
 class Engine(ABC):
     """Solves impact problems that share one :class:`Physics`.
 
@@ -133,22 +157,8 @@ class Engine(ABC):
                 f"engine {self.name!r} breaks {law} by {amount:.3g} m/s (accepted: {self.tolerance:.3g} m/s) "
                 f"with {len(contacts)} contact points after {iterations} iterations"
             )
-        self._check_energy(problem, system, answer, residual)
+        check_energy(system, answer, residual, problem.restitution, problem.restitution_law)
         return result_of(system, answer.velocity, contacts, answer.impulses, residual, self.name, iterations, start)
-
-    @staticmethod
-    def _check_energy(problem: ImpactProblem, system: System, answer: Answer, residual: Residual) -> None:
-        """Refuse an answer with more energy than there was, beyond what its residual can account for."""
-        before = 0.5 * float(system.velocity @ system.inertia @ system.velocity)
-        gain = answer.energy_gain
-        slack = ENERGY_TOLERANCE * before + 2.0 * residual.largest * float(np.sum(np.abs(answer.impulses)))
-        if gain > slack:
-            hint = "'poisson' sets impulses instead" if problem.restitution_law == "newton" else "a smaller e does not"
-            raise EnergyGain(
-                f"the impact gains {gain:.3g} J, {gain / before:.2%} of the kinetic energy there was: restitution e = "
-                f"{problem.restitution:g} by the law of {problem.restitution_law!r} with friction and several contacts "
-                f"can; restitution_law {hint}"
-            )
 
     def close(self) -> None:
         """Give back what the engine holds outside Python; nothing by default."""

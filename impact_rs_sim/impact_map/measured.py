@@ -29,6 +29,7 @@ from impact_rs_sim.impact_map.contacts import (
     find_contacts,
     meetings,
 )
+from impact_rs_sim.impact_map.engine import Answer, check_energy
 from impact_rs_sim.impact_map.pinocchio import PinocchioEngine
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
 from impact_rs_sim.impact_map.residual import ContactTerms
@@ -84,7 +85,10 @@ def restitution_of(physics: Physics) -> float:
 
 
 def solve_measured(
-    physics: Physics, impact: MeasuredImpact, models: Mapping[str, RobotModel] | None = None
+    physics: Physics,
+    impact: MeasuredImpact,
+    models: Mapping[str, RobotModel] | None = None,
+    may_gain_energy: bool = False,
 ) -> tuple[Array, System]:
     """Post-impact velocity of a measured impact.
 
@@ -92,11 +96,13 @@ def solve_measured(
         physics: Friction, restitution, object, motor inertia.
         impact: State just before, and contact points.
         models: Rigid-body models by arm under these physics, where the caller has them already.
+        may_gain_energy: Whether an answer with more energy than there was is given: a fit passes such on its way.
 
     Returns:
         u^+, ``(nv,)`` [rad/s, m/s], and the terms of the system.
 
     Raises:
+        EnergyGain: The answer gains energy.
         ImpactMapError: The answer breaks a law by more than the engine's tolerance.
     """
     if models is None:
@@ -104,12 +110,15 @@ def solve_measured(
     system = impact.system(physics, models)
     points = [replace(point, friction=_friction(physics, point)) for point in impact.points]
     terms = ContactTerms.of(system, points, restitution_of(physics))
-    impulses, _ = solve_contacts(terms)
+    impulses, iterations = solve_contacts(terms)
     velocity = np.asarray(system.velocity + terms.response @ impulses.ravel())
     residual = terms.residual(impulses, velocity)
     if not residual.largest <= PinocchioEngine.tolerance:
         law, amount = residual.worst
         raise ImpactMapError(f"the impact map breaks {law} by {amount:.3g} m/s with {len(points)} contact points")
+    if not may_gain_energy:
+        answer = Answer(terms, impulses, velocity, iterations)
+        check_energy(system, answer, residual, restitution_of(physics))
     return velocity, system
 
 

@@ -21,6 +21,7 @@ from impact_rs_sim.impact_map.measured import (
     restitution_of,
     solve_measured,
 )
+from impact_rs_sim.impact_map.problem import EnergyGain
 from impact_rs_sim.scene import BodyState
 
 INERTIA = MASS * 0.01 / 6.0  # kg m^2
@@ -42,6 +43,17 @@ def energy(velocity: np.ndarray, inertia: np.ndarray) -> float:
 def test_a_central_impact_throws_back_with_minus_e_times_the_speed(restitution: float) -> None:
     after, _ = solve_measured(cube(0.7, restitution), on_its_middle([0.0, 0.0, -1.3, 0.0, 0.0, 0.0]))
     assert after == pytest.approx([0.0, 0.0, 1.3 * restitution, 0.0, 0.0, 0.0], abs=1e-6)
+
+
+def test_a_measured_impact_that_gains_energy_is_refused_unless_a_fit_asks() -> None:
+    """Newton's law with e = 0.9 on a corner that sticks: Kane's paradox, of one free body."""
+    body = BodyState(np.array([0.0, 0.0, 0.0845]), np.eye(3), np.array([0.2, 0.0, 0.04, 0.0, -25.0, 0.0]))
+    impact = MeasuredImpact({}, body, points_on_plane([body.position + np.array([-0.0984, 0.0, -0.0845])], UP))
+    after, system = solve_measured(cube(2.0, 0.9), impact, may_gain_energy=True)
+    assert energy(after, system.inertia) > energy(system.velocity, system.inertia)
+    with pytest.raises(EnergyGain, match="restitution e = 0.9"):
+        solve_measured(cube(2.0, 0.9), impact)
+    solve_measured(cube(2.0, 0.0), impact)
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.4])
