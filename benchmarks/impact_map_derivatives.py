@@ -83,7 +83,7 @@ def main() -> None:
     for index in range(options.problems):
         rng = np.random.default_rng([options.seed, index])
         problem = random_problem(scenario, rng)
-        models = {name: problem.physics.robot_model(name) for name in problem.arms}
+        models = problem.physics.robot_models()
         start = time.perf_counter()
         try:
             found = differentiate(problem, models, options.compliance)

@@ -44,7 +44,7 @@ def main() -> None:
     for index in range(options.problems):
         rng = np.random.default_rng([options.seed, index])
         problem = random_problem(scenario, rng)
-        models = {name: problem.physics.robot_model(name) for name in problem.arms}
+        models = problem.physics.robot_models()
         placements = {name: models[name].placement(arm.position) for name, arm in problem.arms.items()}
         contacts = find_contacts(problem.physics, meetings(problem.physics, problem.object, placements))
         system = build_system(problem, models)

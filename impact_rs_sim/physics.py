@@ -271,6 +271,10 @@ class Physics:
         physics = self.arms[arm]
         return RobotModel(physics.facts, physics.end_effector, physics.base, self.gravity)
 
+    def robot_models(self) -> dict[str, RobotModel]:
+        """Rigid-body models of all arms, by name."""
+        return {name: self.robot_model(name) for name in self.arms}
+
     def load_torques(
         self, arm: str, model: RobotModel, time: float, position: Array, velocity: Array
     ) -> tuple[Array, Array]:

@@ -94,7 +94,7 @@ def align(run: MeasuredRun, model: Model, added: Added = ()) -> AlignedRun:
     """
     setup = run.setup
     replayed = setup.replayed(with_effects(model, setup.physics, added))
-    models = {name: setup.physics.robot_model(name) for name in setup.physics.arms}
+    models = setup.physics.robot_models()
     sizes = [window.time.size for window in setup.windows]
     return AlignedRun(
         run=run,

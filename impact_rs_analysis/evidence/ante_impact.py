@@ -37,7 +37,7 @@ def obliqueness(run: MeasuredRun) -> float:
     """How far a hit is from face on face along the normal: the largest angle of pad or velocity against it [rad]."""
     physics, thing = run.setup.physics, run.setup.windows[-1].object
     states = ante_impact_state(run)
-    models = {name: physics.robot_model(name) for name in states}
+    models = physics.robot_models()
     placements = {name: models[name].placement(state.position) for name, state in states.items()}
     angles = []
     for meeting in meetings(physics, thing, placements):
@@ -77,7 +77,7 @@ def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced
         motor_inertia: Motor-inertia model: ``reduced``, ``rotor`` or ``zero``.
     """
     thing = run.setup.windows[-1].object
-    models = {name: physics.robot_model(name) for name in physics.arms}
+    models = physics.robot_models()
     arms = {name: _face_on_face(state, models[name], thing) for name, state in ante_impact_state(run).items()}
     placements = {name: models[name].placement(state.position) for name, state in arms.items()}
     shifts = [

@@ -282,7 +282,7 @@ class ImpactTableSource(Source):
     def _robots(self, physics: Physics) -> dict[str, RobotModel]:
         """Rigid-body models; kept with physics that are kept, so an id cannot come to mean another."""
         if id(physics) not in self._models:
-            self._models[id(physics)] = {name: physics.robot_model(name) for name in physics.arms}
+            self._models[id(physics)] = physics.robot_models()
         return self._models[id(physics)]
 
     def _clusters(self) -> tuple[Cluster, ...]:

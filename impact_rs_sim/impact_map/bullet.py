@@ -195,7 +195,7 @@ class _World:
 
     def __init__(self, bullet: BulletWorld) -> None:
         self.bullet = bullet
-        self._models = {name: bullet.physics.robot_model(name) for name in bullet.physics.arms}
+        self._models = bullet.physics.robot_models()
         self._places: dict[str, _Place] = {}
 
     @classmethod

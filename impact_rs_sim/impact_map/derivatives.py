@@ -150,7 +150,7 @@ def differentiate(
         ImpactMapError: Newton's method does not converge, so that there are no contact states to hold.
     """
     if models is None:
-        models = {name: problem.physics.robot_model(name) for name in problem.arms}
+        models = problem.physics.robot_models()
     found = check_problem(problem, models)
     system = build_system(problem, models)
     contacts = find_contacts(problem.physics, found)

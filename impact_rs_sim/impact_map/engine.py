@@ -129,7 +129,7 @@ class Engine(ABC):
 
     def __init__(self, physics: Physics) -> None:
         self.physics = physics
-        self.models: Mapping[str, RobotModel] = {name: physics.robot_model(name) for name in physics.arms}
+        self.models: Mapping[str, RobotModel] = physics.robot_models()
 
     def solve(self, problem: ImpactProblem) -> ImpactResult:
         """The post-impact state of ``problem``.

@@ -106,7 +106,7 @@ def solve_measured(
         ImpactMapError: The answer breaks a law by more than the engine's tolerance.
     """
     if models is None:
-        models = {name: physics.robot_model(name) for name in physics.arms}
+        models = physics.robot_models()
     system = impact.system(physics, models)
     points = [replace(point, friction=_friction(physics, point)) for point in impact.points]
     terms = ContactTerms.of(system, points, restitution_of(physics))

@@ -212,7 +212,7 @@ def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
     if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > 1e-6 or np.linalg.det(rotation) < 0.0:
         raise InputError("expected a rotation matrix: orthonormal, determinant +1 [-]", key="object.rotation")
     if models is None:
-        models = {name: physics.robot_model(name) for name in problem.arms}
+        models = physics.robot_models()
     placements = {name: models[name].placement(state.position) for name, state in problem.arms.items()}
     found = meetings(physics, body, placements)
     for meeting in found:

@@ -79,7 +79,7 @@ def settle(problem: ImpactProblem) -> ImpactResult:
         ImpactMapError: The answer breaks a law by more than the tolerance of the engine ``pinocchio``.
     """
     start = time.perf_counter()
-    models = {name: problem.physics.robot_model(name) for name in problem.arms}
+    models = problem.physics.robot_models()
     touching = [meeting for meeting in check_problem(problem, models) if meeting.separation <= GAP_TOLERANCE]
     system = build_system(problem, models)
     found = {meeting.partner: find_contacts(problem.physics, [meeting], REACH) for meeting in touching}

@@ -192,7 +192,7 @@ def predict(
     if problem.restitution_law != "newton":
         raise InputError("intervals are those of Newton's law", key="restitution_law", value=problem.restitution_law)
     if models is None:
-        models = {name: problem.physics.robot_model(name) for name in problem.arms}
+        models = problem.physics.robot_models()
     check_problem(problem, models)
     sources = sources_of(problem, stated)
     found = differentiate_safely(problem, models)

@@ -78,7 +78,7 @@ def uniqueness_of(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
         InputError: The question has no answer (see :func:`check_problem`).
     """
     if models is None:
-        models = {name: problem.physics.robot_model(name) for name in problem.arms}
+        models = problem.physics.robot_models()
     found = check_problem(problem, models)
     system = build_system(problem, models)
     restitution = problem.restitution if problem.restitution_law == "newton" else 0.0

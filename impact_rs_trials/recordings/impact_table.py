@@ -508,7 +508,7 @@ class _Reader:
         key = (thing, *own.items(), *motors.items())
         if key not in self._physics:
             physics = self._free(own) if self.scenario is None else self._of_scene(thing, own, motors)
-            self._physics[key] = physics, {name: physics.robot_model(name) for name in physics.arms}
+            self._physics[key] = physics, physics.robot_models()
         return self._physics[key]
 
     @staticmethod

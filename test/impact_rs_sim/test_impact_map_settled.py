@@ -197,7 +197,7 @@ def test_pads_that_grab_move_on_the_box_at_first_and_not_in_the_end() -> None:
 
 def test_the_end_is_the_nearest_motion_in_kinetic_energy() -> None:
     problem = grab()
-    system = build_system(problem, {name: problem.physics.robot_model(name) for name in problem.arms})
+    system = build_system(problem, problem.physics.robot_models())
     found = of_result(problem, settle(problem))
     rows = []
     for name in problem.arms:  # six velocity components of each pad, in place of its points
