@@ -156,7 +156,7 @@ def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure
         trials=sum(entry.fit.count for entry in analysis.sets),
         rows=tuple(TableRow(row, _best(row.errors), _best(row.settled)) for row in rows),
         with_paper=any(row.paper_errors is not None for row in rows),
-        sensitivity=tuple(_sensitivity(analysis)),
+        sensitivity=tuple(sensitivity_rows(analysis)),
         left_out=tuple(listing for listing in _left_out(analysis) if listing.items),
         sets=tuple(
             SetPart(entry, tuple(Plot(f.name, curves_plot(f), f.caption, zoom=True) for f in drawn))
@@ -166,7 +166,8 @@ def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure
     )
 
 
-def _sensitivity(analysis: Analysis) -> Iterator[SensitivityRow]:
+def sensitivity_rows(analysis: Analysis) -> Iterator[SensitivityRow]:
+    """One row per object whose estimate was taken with other settings."""
     found = analysis.sensitivity
     for scenario, thing in dict.fromkeys((shift.scenario, shift.object) for shift in found.shifts):
         shifts = {

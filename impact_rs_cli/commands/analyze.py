@@ -11,6 +11,7 @@ from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
 from impact_rs_analysis.measure.laboratory import jumps_of
 from impact_rs_analysis.measure.table import Row, result_table
 from impact_rs_analysis.report import write_report
+from impact_rs_analysis.report.analysis import sensitivity_rows
 from impact_rs_cli.arguments import add_contact, add_jobs, started
 from impact_rs_cli.measurements import read_experiment
 from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
@@ -124,6 +125,8 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
         terminal.say(_table(rows, contact))
         count = analysis.nearest(contact)["reduced"]
         terminal.say(f"{contact} contact: B_θ predicts best in {count} of {len(analysis.sets)} sets")
+    if analysis.sensitivity.shifts:
+        terminal.say(_bands(analysis))
     for entry in analysis.incomplete:
         terminal.say(f"no estimate for {entry.object} {entry.case}: {entry.reason}")
     for bag in analysis.skipped:
@@ -146,27 +149,32 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
         terminal.say(f"{len(analysis.missing)} trials of the manifest are missing: {shown}")
 
 
+def _bands(analysis: Analysis) -> Table:
+    """How far the estimates move with settings."""
+    table = Table(title="Systematic band of the estimates, and the setting that moves them most")
+    for heading in ("", "band [%]", "most [%]", "with"):
+        table.add_column(heading, justify="left" if heading in ("", "with") else "right")
+    for row in sensitivity_rows(analysis):
+        words, most = max(row.shifts.items(), key=lambda item: abs(item[1]))
+        table.add_row(row.label, f"{row.band[0]:+.1f} to {row.band[1]:+.1f}", f"{most:+.2f}", words)
+    return table
+
+
 def _table(rows: list[Row], contact: str) -> Table:
-    table = Table(title=f"Experimental estimate, and errors of the predictions, {contact} contact [%]", pad_edge=False)
+    table = Table(title=f"Experimental estimate, and errors of the predictions, {contact} contact [%]")
     table.add_column("", no_wrap=True)
     table.add_column("estimate [m/s]", justify="right", no_wrap=True)
-    banded = any(row.systematic for row in rows)
-    if banded:
-        table.add_column("band [%]", justify="right", no_wrap=True)
-    for heading in ("B_θ", "B_ρ", "B = 0"):
+    for heading in ("B_θ (nominal)", "B_ρ", "B = 0"):
         table.add_column(heading, justify="right")
     published = any(row.paper_errors for row in rows)
     if published:
-        table.add_column("paper B_θ", justify="right")
+        table.add_column("published B_θ", justify="right")
     for row in rows:
         estimate = "" if row.estimate is None else f"{row.estimate:.3f}"
         if row.half_interval is not None:
             estimate += f" ± {row.half_interval:.3f}"
         form = "{:+.2f}" if row.signed else "{:.2f}"
         cells = [form.format(error) for error in row.of_contact(contact).values()]
-        if banded:
-            band = row.systematic
-            cells.insert(0, "" if band is None else f"{band[0]:+.1f} {band[1]:+.1f}")
         if published:
             cells.append("" if row.paper_errors is None else form.format(row.paper_errors["reduced"]))
         table.add_row(row.label, estimate, *cells)
