@@ -23,6 +23,7 @@ from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import Scene
 
+STANDS = 1e-3  # m/s; what is referred to move more slowly than this is about to stand
 REFERENCE_ENGINE = "pinocchio"
 LARGEST_SCALE = 3.0  # a reference far beyond the prediction is no test of it, and soon beyond the arm
 
@@ -250,16 +251,40 @@ def _wrench(scene: Scene, name: str, post: SampledPath) -> Array:
     """Wrench of one arm on the object that keeps it on the reference, ``(ticks + 1, 6)`` [N, N m].
 
     The paper asks the desired wrench to apply a normal contact force and to "compensate for the external forces exerted
-    on the end effectors through interaction with the object" (sec. Post-impact mode). Pushed: along the pad's normal n
-    these are mu m g and m a_d . n. Held: the clamping force along n, and this arm's share of m (a_d - g).
+    on the end effectors through interaction with the object", friction due to sliding among them (sec. Post-impact
+    mode). Held: the clamping force along the pad's normal n, and this arm's share of m (a_d - g).
     """
     physics, scenario = scene.physics, scene.scenario
+    if scenario.control.clamp_force <= 0.0:
+        return _pushing_wrench(scene, name, post)
     normal = np.array(scenario.robots[name].impact.pad_normal)
-    mass, gravity = physics.object.mass, np.asarray(physics.gravity)
-    if scenario.control.clamp_force > 0.0:
-        force = scenario.control.clamp_force * normal + mass / len(scene.arms) * (post.acceleration - gravity)
-    else:
-        weight = mass * float(np.linalg.norm(gravity))
-        friction = physics.support_friction * weight if physics.support_height is not None else 0.0
-        force = np.outer(np.maximum(friction + mass * (post.acceleration @ normal), 0.0), normal)
+    share = physics.object.mass / len(scene.arms) * (post.acceleration - np.asarray(physics.gravity))
+    force = scenario.control.clamp_force * normal + share
     return np.hstack((force, np.zeros_like(force)))
+
+
+def _pushing_wrench(scene: Scene, name: str, post: SampledPath) -> Array:
+    """Wrench that a pushed object needs to follow the reference across its support.
+
+    In the plane of the support m a_d + mu m g v_d / |v_d|: the object slides where the reference goes, also across n,
+    and friction opposes that. Across n no more than the pad's friction can pass on; nothing where the object would have
+    to be pulled. The force acts at E and the object does not turn, so its moment about the object's centre of mass is
+    made up for, as far as it is one about the vertical: tipping is kept by the support.
+    """
+    physics, mass = scene.physics, scene.physics.object.mass
+    normal = np.array(scene.scenario.robots[name].impact.pad_normal)
+    gravity = np.asarray(physics.gravity, dtype=float)
+    weight = mass * float(np.linalg.norm(gravity))
+    up = -gravity / np.linalg.norm(gravity) if weight > 0.0 else np.array([0.0, 0.0, 1.0])
+    level = np.eye(3) - np.outer(up, up)
+    friction = physics.support_friction * weight if physics.support_height is not None else 0.0
+    speed = np.linalg.norm(post.velocity @ level, axis=1, keepdims=True)
+    force = (mass * post.acceleration + friction * post.velocity / np.maximum(speed, STANDS)) @ level
+    pressing = np.maximum(force @ normal, 0.0)
+    across = force - np.outer(force @ normal, normal)
+    size = np.linalg.norm(across, axis=1)
+    passed = np.minimum(1.0, physics.pad_friction * pressing / np.maximum(size, 1e-12))
+    force = np.outer(pressing, normal) + passed[:, None] * across
+    centre = scene.object.position + scene.object.rotation @ physics.object.com_offset
+    lever = centre - scene.scenario.impact_placement(name, scene.object_name).translation
+    return np.hstack((force, np.outer(np.cross(lever, force) @ up, up)))

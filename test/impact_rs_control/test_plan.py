@@ -79,15 +79,33 @@ def test_references_jump_at_the_impact_as_the_impact_map_says_times_the_scale(sc
 
 
 def test_a_pushed_box_gets_the_friction_of_its_support_and_its_own_inertial_force(push: TrialPlan) -> None:
-    """f_d = (mu m g + m a_d . n) n: what the box needs to follow the reference across the table, and never a pull."""
+    """f_d = m a_d + mu m g v_d / |v_d| in the plane: what the box needs to follow the reference across the table."""
     arm, thing = push.arms["arm"], PUSH.physics.object
-    normal = np.array([0.0, -1.0, 0.0])
-    needed = PUSH.physics.support_friction * thing.mass * GRAVITY + thing.mass * (
-        arm.post_position.acceleration @ normal
-    )
-    assert needed.min() > 0.0
-    np.testing.assert_allclose(arm.wrench[:, :3], np.outer(needed, normal), atol=1e-9)
-    np.testing.assert_array_equal(arm.wrench[:, 3:], 0.0)
+    plane = np.array([1.0, 1.0, 0.0])
+    velocity, acceleration = arm.post_position.velocity * plane, arm.post_position.acceleration * plane
+    moving = np.linalg.norm(velocity, axis=1) > 1e-3
+    direction = velocity[moving] / np.linalg.norm(velocity[moving], axis=1, keepdims=True)
+    needed = thing.mass * acceleration[moving] + PUSH.physics.support_friction * thing.mass * GRAVITY * direction
+    assert (-needed[:, 1]).min() > 0.0
+    assert np.abs(needed[:, 0]).max() > 0.1  # the predicted velocity has a part across the normal
+    np.testing.assert_allclose(arm.wrench[moving, :3], needed, atol=1e-9)
+
+
+def test_the_force_on_a_pushed_box_does_not_turn_it(push: TrialPlan) -> None:
+    """Moments cancel about the vertical through the centre of mass; tipping is kept by the support."""
+    arm = push.arms["arm"]
+    place = PUSH.scenario.impact_placement("arm", PUSH.object_name).translation
+    about_centre = arm.wrench[:, 3:] + np.cross(place - PUSH.object.position, arm.wrench[:, :3])
+    assert np.abs(arm.wrench[:, 5]).max() > 0.01
+    np.testing.assert_allclose(about_centre[:, 2], 0.0, atol=1e-9)
+    np.testing.assert_array_equal(arm.wrench[:, 3:5], 0.0)
+
+
+def test_a_pad_passes_on_no_more_than_its_friction() -> None:
+    physics: Physics = replace(PUSH.physics, pad_friction=0.02)
+    wrench = plan_trial(replace(PUSH, physics=physics), SCALE).arms["arm"].wrench
+    assert np.all(np.abs(wrench[:, 0]) <= 0.02 * -wrench[:, 1] + 1e-12)
+    assert np.any(np.abs(wrench[:, 0]) > 0.99 * 0.02 * -wrench[:, 1])
 
 
 def test_nothing_rubs_a_box_that_hangs_free_and_a_box_that_slows_down_is_not_pulled() -> None:
