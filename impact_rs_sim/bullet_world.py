@@ -28,7 +28,7 @@ import pinocchio as pin
 from impact_rs_sim.errors import NotABody
 from impact_rs_sim.pad_shear import PadShear, Side, Touch
 from impact_rs_sim.physics import ObjectPhysics, Physics
-from impact_rs_sim.robot import Array, EndEffector
+from impact_rs_sim.robot import Array, EndEffector, RobotFacts
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.urdf import joint_names, write_urdf
 
@@ -308,18 +308,38 @@ def _give_back(client: BulletClient) -> None:
     client._client = -1
 
 
-def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool) -> int:
-    physics = scene.arms[name]
+def mass_matrices(facts: RobotFacts, end_effector: EndEffector, positions: Array) -> Array:
+    """Bullet's mass matrices of an arm that is alone in the world, ``(k, n, n)`` [kg m^2].
+
+    Args:
+        facts: Kinematics, inertials and limits.
+        end_effector: What is on its flange.
+        positions: Joint positions, ``(k, n)`` [rad].
+    """
+    client = _connected()
+    body = _load_urdf(client, facts, end_effector, pin.SE3.Identity())
+    found = np.array([client.calculateMassMatrix(body, row) for row in positions.tolist()])
+    _give_back(client)
+    return found
+
+
+def _load_urdf(client: BulletClient, facts: RobotFacts, end_effector: EndEffector, base: pin.SE3) -> int:
     with tempfile.TemporaryDirectory(prefix="impact_rs_") as folder:
         path = Path(folder) / "arm.urdf"
-        path.write_text(write_urdf(physics.facts, physics.end_effector), encoding="utf-8")
+        path.write_text(write_urdf(facts, end_effector), encoding="utf-8")
         body = client.loadURDF(
             str(path),
-            basePosition=physics.base.translation.tolist(),
-            baseOrientation=_quaternion(physics.base.rotation),
+            basePosition=base.translation.tolist(),
+            baseOrientation=_quaternion(base.rotation),
             useFixedBase=1,
             flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
         )
+    return int(body)
+
+
+def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool) -> int:
+    physics = scene.arms[name]
+    body = _load_urdf(client, physics.facts, physics.end_effector, physics.base)
     joints = list(range(len(joint_names(physics.facts))))
     client.setJointMotorControlArray(body, joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(joints))
     for link in range(-1, client.getNumJoints(body)):
@@ -348,7 +368,7 @@ def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool) 
             contactStiffness=physics.pad_stiffness / FACE_CONTACT_POINTS,
             contactDamping=physics.pad_damping / FACE_CONTACT_POINTS,
         )
-    return int(body)
+    return body
 
 
 def _make_object(client: BulletClient, thing: ObjectPhysics) -> int:

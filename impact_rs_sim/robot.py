@@ -5,12 +5,12 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
@@ -27,9 +27,23 @@ class JointOrigin(Schema):
 
 
 class Flange(Schema):
-    """Placement of the flange in the last link."""
+    """Placement of the flange in the last link; the end effector stands on its +z."""
 
     xyz: Vector3 = Field(description="origin of the flange in the last link [m]")
+    rpy: Vector3 = Field((0.0, 0.0, 0.0), description="roll, pitch, yaw of the flange in the last link [rad]")
+
+    @property
+    def rotation(self) -> Array:
+        """Axes of the flange in the last link, ``(3, 3)``."""
+        return np.asarray(pin.rpy.rpyToMatrix(*self.rpy))
+
+    @model_serializer(mode="wrap")
+    def _without_the_usual_axes(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """A flange with the axes of the last link reads as it always did."""
+        data: dict[str, Any] = handler(self)
+        if not any(self.rpy):
+            data.pop("rpy", None)
+        return data
 
 
 class Link(Schema):

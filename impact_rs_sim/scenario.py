@@ -124,7 +124,10 @@ class ImpactPose(Schema):
 class Robot(Schema):
     """One arm of the scene."""
 
-    facts: str = Field(description="name of the robot in config/robots")
+    facts: str | RobotFacts = Field(
+        description="name of the robot in config/robots, or a path, seen from the scenario file's folder, to a YAML "
+        "file of your own. That file has these keys"
+    )
     base: Base = Field(description="mounting of the arm")
     end_effector: EndEffectorSpec = Field(description="end effector")
     drive: DriveSettings = Field(description="motor side")
@@ -140,13 +143,18 @@ class Robot(Schema):
         if len(self.impact.joint_guess) != count:
             raise ValueError(f"impact.joint_guess must have one entry per joint ({count}) [rad]")
         if self.drive.friction == "identified" and self.robot_facts.friction is None:
-            raise ValueError(f"drive.friction is 'identified', but {self.facts} has none in its facts")
+            raise ValueError(f"drive.friction is 'identified', but {self.facts_name} has none in its facts")
         return self
 
     @property
     def robot_facts(self) -> RobotFacts:
         """Kinematics, inertials and limits."""
-        return load_facts(self.facts)
+        return load_facts(self.facts) if isinstance(self.facts, str) else self.facts
+
+    @property
+    def facts_name(self) -> str:
+        """What an error calls the robot: its name in config/robots, or where its facts come from."""
+        return self.facts if isinstance(self.facts, str) else self.facts.source
 
 
 class ObjectSpec(Schema):
@@ -567,6 +575,15 @@ def _check_compensation(compensation: FrictionCompensation, scenario: Scenario) 
     compensation.check(scenario.name, scenario.digest, sets, scenario.timing.duration)
 
 
+def _read_robot_files(data: dict[str, Any], directory: Path) -> None:
+    """Put facts of robots in the place of paths to them, so that bags carry them wherever they are read."""
+    robots = data.get("robots")
+    for robot in robots.values() if isinstance(robots, dict) else ():
+        facts = robot.get("facts") if isinstance(robot, dict) else None
+        if isinstance(facts, str) and facts.endswith((".yaml", ".yml")):
+            robot["facts"] = load(RobotFacts, directory / facts).model_dump()
+
+
 @functools.lru_cache(maxsize=32)
 def _load_cached(path: Path, modified: int) -> tuple[Scenario, Path | None]:
     """The scenario as its file says it, and the file of its friction compensation."""
@@ -575,6 +592,7 @@ def _load_cached(path: Path, modified: int) -> tuple[Scenario, Path | None]:
     named = data.get("friction_compensation")
     if isinstance(named, str):
         del data["friction_compensation"]
+    _read_robot_files(data, path.parent)
     return validate(Scenario, data, path), path.parent / named if isinstance(named, str) else None
 
 

@@ -42,6 +42,10 @@ def _key(name: str, annotation: Any) -> tuple[str, type[Schema] | None]:
     for candidate in _alternatives(annotation):
         if get_origin(candidate) is dict:
             return _key(f"{name}.NAME", get_args(candidate)[1])
+        if get_origin(candidate) is tuple and get_args(candidate)[1:] == (...,):
+            key, below = _key(f"{name}[N]", get_args(candidate)[0])
+            if below is not None:
+                return key, below
         if isinstance(candidate, type) and issubclass(candidate, Schema):
             return name, candidate
     return name, None

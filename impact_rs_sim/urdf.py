@@ -49,6 +49,14 @@ def _visual(link: Xml.Element, start: Array, end: Array, radius: float, colour: 
     Xml.SubElement(material, "color", rgba=colour)
 
 
+def _mount_rpy(facts: RobotFacts, end_effector: EndEffector) -> Array:
+    """Roll, pitch, yaw of E in the last link, ``(3,)`` [rad]."""
+    if not any(facts.flange.rpy):
+        return np.array([0.0, 0.0, end_effector.mount_yaw])  # to the last bit, which a matrix would not keep
+    yaw = pin.rpy.rpyToMatrix(0.0, 0.0, end_effector.mount_yaw)
+    return np.asarray(pin.rpy.matrixToRpy(facts.flange.rotation @ yaw))
+
+
 def write_urdf(facts: RobotFacts, end_effector: EndEffector, name: str = "arm", prefix: str = "") -> str:
     """URDF of an arm with its end effector.
 
@@ -91,8 +99,8 @@ def write_urdf(facts: RobotFacts, end_effector: EndEffector, name: str = "arm", 
     mount = Xml.SubElement(robot, "joint", name="end_effector_mount", type="fixed")
     Xml.SubElement(mount, "parent", link=f"{prefix}{previous}")
     Xml.SubElement(mount, "child", link=f"{prefix}end_effector")
-    origin_e = np.array(facts.flange.xyz) + np.array([0.0, 0.0, end_effector.length])
-    Xml.SubElement(mount, "origin", xyz=_text(origin_e), rpy=_text((0.0, 0.0, end_effector.mount_yaw)))
+    origin_e = np.array(facts.flange.xyz) + facts.flange.rotation @ np.array([0.0, 0.0, end_effector.length])
+    Xml.SubElement(mount, "origin", xyz=_text(origin_e), rpy=_text(_mount_rpy(facts, end_effector)))
     link = Xml.SubElement(robot, "link", name=f"{prefix}end_effector")
     _inertial(link, end_effector.mass, end_effector.com, end_effector.inertia)
     thickness = end_effector.pad_size[2]

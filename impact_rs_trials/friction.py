@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -107,6 +108,15 @@ def prepare_output(scenario_name: str, path: Path) -> Path:
     return copy
 
 
+def _with_paths_from(folder: Path, text: str, old_folder: Path) -> str:
+    """The scenario's text for a file in ``folder``: paths of robot facts lead to the same files."""
+
+    def rewritten(found: re.Match[str]) -> str:
+        return found[1] + os.path.relpath(old_folder.resolve() / found[2], folder.resolve())
+
+    return re.sub(r"(\bfacts:\s*['\"]?)([^\s'\",}#]+\.ya?ml)\b", rewritten, text)
+
+
 def write_compensation(compensation: FrictionCompensation, scenario_name: str, path: Path) -> Path:
     """Write the compensation, and beside it a copy of the scenario that names it.
 
@@ -119,6 +129,7 @@ def write_compensation(compensation: FrictionCompensation, scenario_name: str, p
     copy = prepare_output(scenario_name, path)
     text = scenario_path(scenario_name).read_text(encoding="utf-8")
     text = re.sub(rf"^{KEY}:.*\n?", "", text, flags=re.MULTILINE)
+    text = _with_paths_from(path.parent, text, scenario_path(scenario_name).parent)
     try:
         path.write_text(
             yaml.safe_dump(compensation.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=120),

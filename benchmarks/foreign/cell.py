@@ -443,8 +443,8 @@ def _add_links(spec: mujoco.MjSpec, name: str, arm: ArmPhysics) -> mujoco.MjsBod
         parent.add_joint(name=f"{name}/joint{index + 1}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0])
     body = parent.add_body(
         name=f"{name}/end_effector",
-        pos=np.array(facts.flange.xyz) + [0.0, 0.0, hand.length],
-        quat=_quaternion(pin.rpy.rpyToMatrix(0.0, 0.0, hand.mount_yaw)),
+        pos=np.array(facts.flange.xyz) + facts.flange.rotation @ [0.0, 0.0, hand.length],
+        quat=_quaternion(facts.flange.rotation @ pin.rpy.rpyToMatrix(0.0, 0.0, hand.mount_yaw)),
         mass=hand.mass,
         ipos=hand.com,
         fullinertia=[*np.diag(hand.inertia), hand.inertia[0, 1], hand.inertia[0, 2], hand.inertia[1, 2]],

@@ -162,7 +162,7 @@ class Laboratory:
         if robot.robot_facts != mapping.facts:
             raise InputError(
                 f"the mapping is for robot {mapping.robot!r}, arm {arm!r} of scenario {scenario.name!r} is "
-                f"{robot.facts!r}; expected the same",
+                f"{robot.facts_name!r}; expected the same",
                 file=experiment.file,
                 key="mapping",
                 value=experiment.mapping,

@@ -10,7 +10,7 @@ import yaml
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import Link, load_facts
+from impact_rs_sim.robot import Flange, Link, load_facts
 
 FER = config_directory() / "robots" / "franka_fer.yaml"
 
@@ -51,3 +51,11 @@ def test_an_entry_too_few_is_told_with_the_number_of_joints(tmp_path: Path, key:
 def test_a_robot_that_is_not_there_is_answered_with_those_that_are() -> None:
     with pytest.raises(InputError, match="known robots: .*franka_fer"):
         load_facts("panda9")
+
+
+def test_a_flange_along_the_last_link_reads_as_it_always_did() -> None:
+    facts = load_facts("franka_fer")
+    assert facts.model_dump()["flange"] == {"xyz": (0.0, 0.0, 0.107)}
+    askew = facts.flange.model_copy(update={"rpy": (0.0, 0.5, 0.0)})
+    assert askew.model_dump()["rpy"] == (0.0, 0.5, 0.0)
+    assert Flange.model_validate_json(askew.model_dump_json()) == askew

@@ -1,14 +1,20 @@
 """What a user reads after a slip of the pen in a scenario file."""
 
 import copy
+import shutil
+from pathlib import Path
 
 import pytest
 import yaml
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.robot import load_facts
 from impact_rs_sim.scenario import Scenario, load_scenario, scenario_path
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import validate
+
+PUSH = config_directory() / "scenarios" / "push.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -118,3 +124,42 @@ def test_a_setting_that_files_leave_out_can_be_made():
     )
     assert changed.contact.restitution_law == "poisson"
     assert changed.uncertainty.object_mass == 0.1
+
+
+def scenario_with_a_robot_beside_it(folder: Path, facts: str = "robots/mine.yaml") -> Path:
+    """The scenario push, with its robot's facts in a file of the user's own."""
+    folder.mkdir(parents=True, exist_ok=True)
+    robot = folder / "robots" / "mine.yaml"
+    robot.parent.mkdir()
+    robot.write_text((config_directory() / "robots" / "franka_fer.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    path = folder / "mine.yaml"
+    path.write_text(PUSH.read_text(encoding="utf-8").replace("facts: franka_fer", f"facts: {facts}"), encoding="utf-8")
+    return path
+
+
+def test_robot_facts_given_as_a_path_are_found_from_the_scenario_and_travel_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = scenario_with_a_robot_beside_it(tmp_path / "laboratory")
+    monkeypatch.chdir(tmp_path)
+    scenario = load_scenario("laboratory/mine.yaml")
+    assert scenario.robots["arm"].robot_facts == load_facts("franka_fer")
+    recorded = scenario.model_dump_json()
+    shutil.rmtree(path.parent)
+    assert Scenario.model_validate_json(recorded) == scenario
+    assert Scenario.model_validate_json(recorded).robots["arm"].robot_facts == load_facts("franka_fer")
+
+
+def test_a_robot_file_that_is_not_there_or_wrong_is_told_by_its_own_name(tmp_path: Path) -> None:
+    path = scenario_with_a_robot_beside_it(tmp_path / "one", "robots/other.yaml")
+    with pytest.raises(InputError, match="other.yaml: cannot be read"):
+        load_scenario(str(path))
+    path = scenario_with_a_robot_beside_it(tmp_path / "two")
+    robot = path.parent / "robots" / "mine.yaml"
+    robot.write_text(robot.read_text(encoding="utf-8").replace("mass: 4.970684", "mass: -1"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"mine.yaml: links.0.mass = -1"):
+        load_scenario(str(path))
+
+
+def test_a_robot_by_name_is_written_by_its_name() -> None:
+    assert load_scenario("push").model_dump()["robots"]["arm"]["facts"] == "franka_fer"

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from impact_rs_sim.robot import Flange
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.urdf import joint_names, write_scene_urdf, write_urdf
 
@@ -41,6 +42,15 @@ def test_the_last_link_carries_the_end_effector_where_the_flange_is(model: pin.M
     assert found.mass == pytest.approx(expected.mass)
     np.testing.assert_allclose(found.lever, expected.lever, atol=1e-12)
     np.testing.assert_allclose(found.inertia, expected.inertia, atol=1e-12)
+
+
+def test_a_flange_askew_carries_the_end_effector_on_its_own_z() -> None:
+    flange = Flange(xyz=(0.01, 0.02, 0.1), rpy=(0.4, -0.3, 0.2))
+    model = pin.buildModelFromXML(write_urdf(FACTS.model_copy(update={"flange": flange}), EFFECTOR))
+    found = model.frames[model.getFrameId("end_effector")].placement
+    rotation = pin.rpy.rpyToMatrix(0.4, -0.3, 0.2)
+    np.testing.assert_allclose(found.translation, [0.01, 0.02, 0.1] + EFFECTOR.length * rotation[:, 2], atol=1e-12)
+    np.testing.assert_allclose(found.rotation, rotation @ pin.rpy.rpyToMatrix(0.0, 0.0, EFFECTOR.mount_yaw), atol=1e-12)
 
 
 def test_joints_stand_where_the_facts_say_and_turn_about_their_own_z(model: pin.Model) -> None:

@@ -8,6 +8,7 @@ import pytest
 from impact_rs_cli.main import main
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.friction_compensation import FrictionCompensation
+from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenario import load_scenario, scenario_path
 from impact_rs_trials.campaign import make_manifest
 from impact_rs_trials.friction import identify, write_compensation
@@ -53,6 +54,16 @@ def test_the_command_writes_a_compensation_and_a_scenario_that_uses_it(
     assert main(arguments) == 2
     assert "exists already" in capsys.readouterr().err
     assert output.read_bytes() == before
+
+
+def test_the_copy_in_another_folder_finds_the_robot_beside_the_scenario(brief: Path) -> None:
+    robot = (config_directory() / "robots" / "franka_fer.yaml").read_text(encoding="utf-8")
+    brief.with_name("mine.yaml").write_text(robot, encoding="utf-8")
+    text = brief.read_text(encoding="utf-8")
+    brief.write_text(text.replace("facts: franka_fer", "facts: mine.yaml"), encoding="utf-8")
+    copy = write_compensation(found_on(brief), str(brief), brief.parent / "new" / "friction.yaml")
+    assert "facts: ../mine.yaml" in copy.read_text(encoding="utf-8")
+    assert load_scenario(str(copy)).robots == load_scenario(str(brief)).robots
 
 
 def test_identifying_again_starts_from_the_uncompensated_plant(brief: Path) -> None:

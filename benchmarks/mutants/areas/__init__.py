@@ -14,6 +14,7 @@ from areas import (
     plant,
     references,
     replay,
+    robots,
 )
 
 AREAS: dict[str, list[Mutant]] = {
@@ -28,4 +29,5 @@ AREAS: dict[str, list[Mutant]] = {
     "fit": fit.MUTANTS,
     "diagnosis": diagnosis.MUTANTS,
     "replay": replay.MUTANTS,
+    "robots": robots.MUTANTS,
 }

@@ -1,0 +1,161 @@
+"""Checks of robot facts before anything is simulated with them.
+
+Each check is one line: what was looked at, whether it is in order, and the number behind it. What would make a
+simulation wrong fails; what is only unusual is a warning.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from impact_rs_sim.bullet_world import mass_matrices
+from impact_rs_sim.drive_stability import JointStability, inverse_link_inertia, joint_stability, spectral_radius
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array, EndEffector, RobotFacts
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import Robot, Scenario
+
+Outcome = Literal["ok", "warning", "failed"]
+
+CONFIGURATIONS = 100
+SEED = 0
+ENGINES_AGREE = 1e-6  # of the largest entry of M; Bullet reads a URDF in single precision here and there
+ROUNDING = 1e-3  # by which published, rounded moments may miss the triangle inequality
+MARGINAL = 1e-9  # of a spectral radius: without damping it is 1 up to rounding
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check.
+
+    Attributes:
+        name: What was looked at.
+        outcome: Whether it is in order.
+        found: What was found, with units.
+    """
+
+    name: str
+    outcome: Outcome
+    found: str
+
+
+def check_facts(facts: RobotFacts) -> list[Check]:
+    """Checks of a robot with an empty flange."""
+    checks = [_check_inertias(facts), _check_limits(facts)]
+    if any(check.outcome == "failed" for check in checks):
+        return checks  # engines make something of their own of what is no body
+    model = RobotModel(facts, empty_flange())
+    positions = random_positions(model)
+    return [*checks, _check_engines(model, positions), _check_gravity(model, positions)]
+
+
+def check_drives(facts: RobotFacts, scenario: Scenario) -> list[Check]:
+    """Checks of the drives of those arms of a scenario that are this robot, with their end effectors.
+
+    Raises:
+        InputError: No arm is.
+    """
+    checks = []
+    for name, robot in scenario.robots.items():
+        if robot.robot_facts == facts:
+            checks += _check_drive(name, robot, scenario.timing.drive_period)
+    if not checks:
+        raise InputError(f"no arm of scenario {scenario.name!r} is this robot; its arms: {', '.join(scenario.robots)}")
+    return checks
+
+
+def empty_flange() -> EndEffector:
+    """A milligram on the flange, because a body without any mass is no body."""
+    return EndEffector(
+        mass=1e-6,
+        com=np.zeros(3),
+        inertia=1e-12 * np.eye(3),
+        length=0.0,
+        mount_yaw=0.0,
+        pad_size=(0.001, 0.001, 0.001),
+    )
+
+
+def random_positions(model: RobotModel) -> Array:
+    """Joint positions within the limits, the same at every call, ``(k, n)`` [rad]."""
+    rng = np.random.default_rng(SEED)
+    return rng.uniform(model.position_min, model.position_max, (CONFIGURATIONS, model.joint_count))
+
+
+def _check_inertias(facts: RobotFacts) -> Check:
+    """Moments of a body are positive, and none is larger than the sum of the other two."""
+    name, worst = "inertias are those of bodies", 0.0
+    for number, link in enumerate(facts.links, start=1):
+        smallest, middle, largest = np.linalg.eigvalsh(link.inertia_matrix)
+        if smallest <= 0.0:
+            return Check(name, "failed", f"link {number}: principal moment {smallest:.3g} kg m^2, expected > 0")
+        ratio = largest / (smallest + middle)
+        if ratio > 1.0 + ROUNDING:
+            found = f"link {number}: largest principal moment is {ratio:.3g} of the sum of the others, expected <= 1"
+            return Check(name, "failed", found)
+        worst = max(worst, ratio)
+    return Check(name, "ok", f"largest principal moment at most {worst:.3g} of the sum of the others")
+
+
+def _check_limits(facts: RobotFacts) -> Check:
+    name, limits = "limits are sane", facts.limits
+    for number, (lower, upper) in enumerate(zip(limits.position_min_rad, limits.position_max_rad, strict=True), 1):
+        if lower >= upper:
+            found = f"joint {number}: position from {lower:g} to {upper:g} rad, expected lower < upper"
+            return Check(name, "failed", found)
+    span = np.subtract(limits.position_max_rad, limits.position_min_rad)
+    return Check(name, "ok", f"joints turn by {span.min():.3g} to {span.max():.3g} rad")
+
+
+def _check_engines(model: RobotModel, positions: Array) -> Check:
+    ours = np.array([model.mass_matrix(q) for q in positions])
+    theirs = mass_matrices(model.facts, model.end_effector, positions)
+    scale = np.abs(ours).max(axis=(1, 2))
+    worst = float((np.abs(ours - theirs).max(axis=(1, 2)) / scale).max())
+    outcome: Outcome = "ok" if worst <= ENGINES_AGREE else "failed"
+    return Check("Pinocchio and Bullet see the same arm", outcome, f"mass matrices differ by {worst:.1e} of M")
+
+
+def _check_gravity(model: RobotModel, positions: Array) -> Check:
+    name = "the joints carry the arm"
+    share = np.abs([model.gravity_torque(q) for q in positions]) / model.torque_max
+    joint = int(share.max(axis=0).argmax())
+    found = f"joint {joint + 1}: gravity takes up to {100.0 * share.max():.3g} % of the torque limit"
+    return Check(name, "warning" if share.max() > 1.0 else "ok", found)
+
+
+def _check_drive(arm: str, robot: Robot, period: float) -> list[Check]:
+    drive = robot.drive
+    model = RobotModel(robot.robot_facts, robot.end_effector.build())
+    inverses = inverse_link_inertia(np.array([model.mass_matrix(q) for q in random_positions(model)]))
+    lightest = 1.0 / np.diagonal(inverses, axis1=1, axis2=2).max(axis=0)
+    checks = []
+    for joint, link_inertia in enumerate(lightest):
+        values = drive.motor_inertia_reduced[joint], drive.stiffness[joint], drive.damping[joint]
+        found = joint_stability(float(link_inertia), *values, period)
+        if found.spectral_radius >= 1.0 - MARGINAL:
+            checks.append(_unstable(arm, joint, found, drive.damping[joint], period))
+    motors, stiffness, damping = (
+        np.array(values) for values in (drive.motor_inertia_reduced, drive.stiffness, drive.damping)
+    )
+    radius = max(spectral_radius(inverse + np.diag(1.0 / motors), stiffness, damping, period) for inverse in inverses)
+    outcome: Outcome = "ok" if radius < 1.0 - MARGINAL else "warning" if radius <= 1.0 + MARGINAL else "failed"
+    found_all = f"spectral radius of all joints together {radius:.6g} at {1e3 * period:g} ms, expected < 1"
+    return [*checks, Check(f"drive of {arm} is stable", outcome, found_all)]
+
+
+def _unstable(arm: str, joint: int, found: JointStability, damping: float, period: float) -> Check:
+    """What is wrong with one joint, and what would do."""
+    name = f"drive of {arm}, joint {joint + 1}"
+    radius = f"spectral radius {found.spectral_radius:.6g} with {found.link_inertia:.3g} kg m^2 on the link"
+    if damping == 0.0:
+        return Check(name, "failed" if found.spectral_radius > 1.0 + MARGINAL else "warning", f"{radius}: no damping")
+    remedies = [f"timing.drive_period < {found.period_below:.3g} s (now {period:g})"]
+    if found.damping_below > 0.0:
+        remedies.insert(0, f"drive.damping < {found.damping_below:.3g} N m s/rad (now {damping:g})")
+    if found.stiffness_below > 0.0:
+        remedies.insert(0, f"drive.stiffness < {found.stiffness_below:.3g} N m/rad")
+    return Check(name, "failed", f"{radius}; what would do: {', or '.join(remedies)}")

@@ -1,0 +1,252 @@
+"""Robot facts from a URDF.
+
+Our facts say that every joint turns about its own +z. A URDF says it of any axis a_i, in the frame of the link that the
+joint carries. With a rotation R_i that takes z to a_i, the frame of that link is written anew:
+
+    T'_i = (R_{i-1}^T, 0) T_i (R_i, 0)          Rot(a_i, q) R_i = R_i Rot(z, q)
+    c'_i = R_i^T c_i                            I'_i = R_i^T I_i R_i
+
+so that every point of the arm moves as it did, and the dynamics are exactly those of the URDF. R_i is the smallest such
+rotation, and none where the axis is z. Pinocchio reads placements and inertias, and merges what is fixed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array, Flange, JointOrigin, Limits, Link, RobotFacts
+from impact_rs_sim.schema import parse_yaml, validate
+from impact_rs_sim.urdf_chain import Chain, UrdfTree
+
+FULL_TURN = 2.0 * math.pi  # rad; what a joint without position limits gets to either side
+INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
+@dataclass(frozen=True)
+class ImportedRobot:
+    """Facts, and what became of the rest of the URDF.
+
+    Attributes:
+        facts: The facts.
+        joints: Names of the joints in the URDF, base to tip.
+        notes: What a reader should know: links that were merged or left out, limits that were made up.
+    """
+
+    facts: RobotFacts
+    joints: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def import_urdf(
+    file: Path, base: str | None = None, tip: str | None = None, source: str | None = None
+) -> ImportedRobot:
+    """Facts of the arm from link ``base`` to link ``tip`` of a URDF.
+
+    Args:
+        file: The URDF; its meshes need not be there.
+        base: Link that the arm is mounted with; None: the root.
+        tip: Link whose frame is the flange; None: the only one there is.
+        source: Where the numbers come from; None: the file's name.
+
+    Raises:
+        InputError: The file is no URDF, has no such chain, or lacks a number that is needed.
+    """
+    tree = UrdfTree(file)
+    chain = tree.chain(base, tip)
+    _check_inertials(tree, chain)
+    try:
+        model = pin.buildModelFromXML(chain.urdf)
+    except ValueError as error:
+        raise InputError(f"Pinocchio does not read it: {error}", file=file) from None
+    joints, links, limits = [], [], []
+    before = np.eye(3)
+    for index, joint in enumerate(chain.joints, start=1):
+        turn = frame_of_axis(np.array(_axis(tree, joint)))
+        placement, body = model.jointPlacements[index], model.inertias[index]
+        link = joint.find("child")
+        if body.mass <= 0.0:
+            raise InputError(
+                "expected an <inertial> with a mass > 0 [kg], in it or in a link that is fixed to it",
+                file=file,
+                key=f"link {'' if link is None else link.get('link')}",
+            )
+        joints.append(_origin(before.T @ placement.translation, before.T @ placement.rotation @ turn))
+        links.append(_link(body, turn))
+        limits.append(_limits(tree, joint))
+        before = turn
+    frame = model.frames[model.getFrameId(chain.tip, pin.FrameType.BODY)].placement
+    flange = _origin(before.T @ frame.translation, before.T @ frame.rotation)
+    columns = [tuple(column) for column in zip(*limits, strict=True)]
+    facts = RobotFacts(
+        source=source or f"imported from {file.name}",
+        joints=tuple(joints),
+        flange=Flange(xyz=flange.xyz, rpy=flange.rpy),
+        limits=Limits(**dict(zip(Limits.model_fields, columns, strict=True))),
+        links=tuple(links),
+    )
+    return ImportedRobot(facts, tuple(joint.get("name", "") for joint in chain.joints), tuple(_notes(chain)))
+
+
+def frame_of_axis(axis: Array) -> Array:
+    """Smallest rotation that takes z to the unit vector ``axis`` ``(3,)``; half a turn about x for -z, ``(3, 3)``."""
+    half_turn = np.diag([1.0, -1.0, -1.0])
+    if axis[2] < 0.0:  # from -z, because from z the formula ends there
+        return _smallest_rotation(np.array([0.0, 0.0, -1.0]), axis) @ half_turn
+    return _smallest_rotation(np.array([0.0, 0.0, 1.0]), axis)
+
+
+def _smallest_rotation(start: Array, end: Array) -> Array:
+    """Rodrigues: I + [v] + [v]^2 / (1 + c) with v = start x end and c = start . end."""
+    cross = pin.skew(np.cross(start, end))
+    return np.asarray(np.eye(3) + cross + cross @ cross / (1.0 + start @ end))
+
+
+def facts_text(robot: ImportedRobot, title: str) -> str:
+    """The YAML file of the facts, with comments on what a URDF does not hold.
+
+    Args:
+        robot: What was imported.
+        title: First comment line.
+    """
+    facts, limits = robot.facts, robot.facts.limits
+    lines = [f"# {title}"]
+    lines += [f"# {note}" for note in robot.notes]
+    lines += [
+        "# A URDF does not say how the joints are driven. A scenario does, with one entry per joint:",
+        "#   robots.NAME.drive.motor_inertia_rotor    B_rho, rotor inertia times gear ratio squared [kg m^2]",
+        "#   robots.NAME.drive.motor_inertia_reduced  B_theta, what the torque loop leaves of it; B_rho without one",
+        "#   robots.NAME.drive.stiffness, .damping    of the joints [N m/rad, N m s/rad]",
+        "#   robots.NAME.drive.friction               none, or identified with a section friction: in this file",
+        f"source: {json.dumps(facts.source, ensure_ascii=False)}",
+        "joints:   # origin of joint i in link i-1 [m], roll-pitch-yaw [rad]; every axis is +z",
+    ]
+    lines += [
+        f"  - {{xyz: {_row(origin.xyz)}, rpy: {_row(origin.rpy)}}}  # {name}"
+        for origin, name in zip(facts.joints, robot.joints, strict=True)
+    ]
+    rpy = f", rpy: {_row(facts.flange.rpy)}" if any(facts.flange.rpy) else ""
+    lines += [f"flange: {{xyz: {_row(facts.flange.xyz)}{rpy}}}", "limits:"]
+    lines += [f"  {name}: {_row(getattr(limits, name))}" for name in Limits.model_fields]
+    lines.append("links:    # mass [kg], com [m], inertia [ixx, ixy, ixz, iyy, iyz, izz] [kg m^2]")
+    lines += [
+        f"  - {{mass: {_number(link.mass)}, com: {_row(link.com)}, inertia: {_row(link.inertia)}}}"
+        for link in facts.links
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def save_facts(robot: ImportedRobot, title: str, path: Path) -> None:
+    """Write the facts into a new file that :func:`impact_rs_sim.robot.load_facts` reads back.
+
+    Raises:
+        InputError: The file exists, cannot be written, or is not called ``.yaml``.
+    """
+    if path.suffix != ".yaml":
+        raise InputError("expected a name that ends in .yaml, as scenarios name it", file=path)
+    text = facts_text(robot, title)
+    validate(RobotFacts, parse_yaml(text, path), path)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        unfinished.write_text(text, encoding="utf-8")
+        os.link(unfinished, path)  # whole or not at all, and never over another file
+    except FileExistsError:
+        raise InputError("this file exists already; robot facts are never overwritten", file=path) from None
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", file=path) from None
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def _check_inertials(tree: UrdfTree, chain: Chain) -> None:
+    """Refuse what Pinocchio would read as something else: half an <inertial>, or numbers that are none."""
+    robot = Xml.fromstring(chain.urdf)
+    for link in robot.findall("link"):
+        key = f"link {link.get('name')}"
+        inertial = link.find("inertial")
+        if inertial is None:
+            continue
+        mass = tree.numbers(inertial.find("mass"), "value", 1, None, f"{key}: inertial mass")
+        if mass[0] < 0.0:
+            raise InputError(f"expected >= 0 [kg], found {mass[0]:g}", file=tree.file, key=f"{key}: inertial mass")
+        for entry in INERTIA:
+            tree.numbers(inertial.find("inertia"), entry, 1, None, f"{key}: inertia {entry}")
+    for element in robot:
+        for origin in element.iter("origin"):
+            for attribute in ("xyz", "rpy"):
+                key = f"{element.tag} {element.get('name')}: origin {attribute}"
+                tree.numbers(origin, attribute, 3, "0 0 0", key)
+
+
+def _axis(tree: UrdfTree, joint: Xml.Element) -> Array:
+    key = f"joint {joint.get('name')}: axis"
+    axis = np.array(tree.numbers(joint.find("axis"), "xyz", 3, "1 0 0", key))  # the default of the URDF format
+    length = float(np.linalg.norm(axis))
+    if length < 1e-6:
+        raise InputError("expected a direction, found a vector of length 0", file=tree.file, key=key)
+    return np.asarray(axis / length)
+
+
+def _limits(tree: UrdfTree, joint: Xml.Element) -> tuple[float, float, float, float]:
+    """Lowest and highest position [rad], velocity [rad/s] and torque [N m]."""
+    limit, key = joint.find("limit"), f"joint {joint.get('name')}: limit"
+    if joint.get("type") == "continuous":
+        lower, upper = -FULL_TURN, FULL_TURN
+    else:
+        (lower,), (upper,) = (tree.numbers(limit, name, 1, "0", f"{key} {name}") for name in ("lower", "upper"))
+        if lower >= upper:
+            raise InputError(f"expected lower < upper [rad], found {lower:g} and {upper:g}", file=tree.file, key=key)
+    (velocity,), (effort,) = (tree.numbers(limit, name, 1, None, f"{key} {name}") for name in ("velocity", "effort"))
+    for name, value, unit in (("velocity", velocity, "rad/s"), ("effort", effort, "N m")):
+        if value <= 0.0:
+            raise InputError(f"expected > 0 [{unit}], found {value:g}", file=tree.file, key=f"{key} {name}")
+    return lower, upper, velocity, effort
+
+
+def _origin(translation: Array, rotation: Array) -> JointOrigin:
+    return JointOrigin(xyz=_clean(translation), rpy=_clean(pin.rpy.matrixToRpy(rotation)))
+
+
+def _link(body: pin.Inertia, turn: Array) -> Link:
+    inertia = turn.T @ body.inertia @ turn
+    entries = _clean(inertia[np.triu_indices(3)])
+    return Link(mass=float(body.mass), com=_clean(turn.T @ body.lever), inertia=entries)
+
+
+def _clean(values: Iterable[float]) -> tuple[float, ...]:
+    """The numbers without the noise of a multiplication: 0.3 for 0.30000000000000004, and no -0."""
+    short = [(float(value), round(float(value), 12) + 0.0) for value in values]
+    return tuple(brief if abs(brief - value) <= 1e-15 * max(1.0, abs(value)) else value for value, brief in short)
+
+
+def _number(value: float) -> str:
+    text = repr(int(value)) if value == int(value) else repr(value)
+    return text if "e" not in text or "." in text else text.replace("e", ".0e")  # YAML takes 1e-05 for a word
+
+
+def _row(values: Sequence[float]) -> str:
+    return f"[{', '.join(_number(value) for value in values)}]"
+
+
+def _notes(chain: Chain) -> Iterable[str]:
+    yield f"Links {chain.base} (base) to {chain.tip} (flange) of {chain.file.name}."
+    endless = [joint.get("name", "") for joint in chain.joints if joint.get("type") == "continuous"]
+    if endless:
+        yield f"Continuous, without position limits in the URDF; here a full turn to either side: {', '.join(endless)}."
+    if chain.merged:
+        yield f"Links that are fixed to the chain and part of its links here: {', '.join(chain.merged)}."
+    if chain.left_out:
+        left = ", ".join(chain.left_out)
+        yield f"Links beyond the flange are left out; a scenario's end_effector says what is there: {left}."
+    if chain.dynamics:
+        yield f"Damping and friction of the URDF are left out (a simulator's, as a rule): {', '.join(chain.dynamics)}."

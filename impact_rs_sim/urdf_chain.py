@@ -1,0 +1,262 @@
+"""The serial chain of a foreign URDF: which joints move, what is fixed to which link, and what is left out.
+
+A URDF is a tree of links. An arm is the way from its base to its tip. Links that are fixed beside this way ride on it
+and belong to it; links beyond the tip do not, for they are what a scenario calls the end effector. Nothing is locked in
+silence: a joint that moves beside the way is refused.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+from xml.etree import ElementTree as Xml
+
+from impact_rs_sim.errors import InputError, did_you_mean
+
+TURNING = ("revolute", "continuous")
+TYPES = (*TURNING, "fixed", "prismatic", "planar", "floating")
+XACRO = "xacro {file} > robot.urdf"
+KEPT = ("origin", "parent", "child", "axis", "inertial")  # what rigid-body dynamics need; no meshes
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The way from base to tip.
+
+    Attributes:
+        file: The URDF.
+        base: Link that the arm is mounted with.
+        tip: Link that the flange is the frame of.
+        joints: Joints that move, base to tip, as in the file.
+        merged: Links with a mass that are fixed to a moving link, on the way or beside it.
+        left_out: Links beyond the tip.
+        dynamics: Joints that the file says damping or friction of.
+        urdf: A URDF of base, way and merged links, without shapes; every joint that moves is revolute.
+    """
+
+    file: Path
+    base: str
+    tip: str
+    joints: tuple[Xml.Element, ...]
+    merged: tuple[str, ...]
+    left_out: tuple[str, ...]
+    dynamics: tuple[str, ...]
+    urdf: str
+
+
+class UrdfTree:
+    """Links and joints of a URDF file.
+
+    Args:
+        file: The URDF.
+
+    Raises:
+        InputError: The file cannot be read, is xacro, or is no URDF of one tree.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        robot = _parse(file)
+        self.links = self._named(robot, "link")
+        joints = self._named(robot, "joint")
+        if not self.links:
+            self._fail("there is no link in it")
+        self.above: dict[str, Xml.Element] = {}  # the joint that carries a link
+        self.below: dict[str, list[Xml.Element]] = {name: [] for name in self.links}
+        for name, joint in joints.items():
+            if joint.get("type") not in TYPES:
+                self._fail(f"unknown type {joint.get('type')!r}; expected one of {', '.join(TYPES)}", f"joint {name}")
+            parent, child = self._end(joint, "parent"), self._end(joint, "child")
+            if child in self.above:
+                self._fail(f"link {child!r} hangs on joint {self.above[child].get('name')!r} as well", f"joint {name}")
+            self.above[child] = joint
+            self.below[parent].append(joint)
+        roots = [name for name in self.links if name not in self.above]
+        if len(roots) != 1:
+            self._fail(f"expected one tree of links; links that hang on no joint: {', '.join(roots) or 'none'}")
+        (self.root,) = roots
+        astray = sorted(set(self.links) - {self.root, *self._everything_below(self.root)})
+        if astray:
+            self._fail(f"expected one tree of links; these hang on each other in a ring: {', '.join(astray)}")
+
+    def chain(self, base: str | None = None, tip: str | None = None) -> Chain:
+        """The way from ``base`` (default: the root) to ``tip`` (default: the only one there is).
+
+        Raises:
+            InputError: There is no such way, several tips, or a joint on it that is not a plain revolute one.
+        """
+        start = self.root if base is None else self._link(base, "--base")
+        end = self._only_tip(start) if tip is None else self._link(tip, "--tip")
+        way = self._way(start, end)
+        joints = tuple(joint for joint in way if joint.get("type") != "fixed")
+        for joint in joints:
+            self._check(joint)
+        if not joints:
+            self._fail(f"no joint moves between {start!r} and {end!r}; expected at least one revolute joint")
+        moved = way[way.index(joints[0]) :]
+        beside = [joint for carrier in moved[:-1] for joint in self._beside(_child(carrier), way)]
+        fixed = (_child(joint) for joint in (*moved, *beside) if joint.get("type") == "fixed")
+        return Chain(
+            file=self.file,
+            base=start,
+            tip=end,
+            joints=joints,
+            merged=tuple(link for link in fixed if self.links[link].find("inertial") is not None),
+            left_out=tuple(self._everything_below(end)),
+            dynamics=tuple(_name(joint) for joint in joints if _has_losses(joint)),
+            urdf=self._pruned(start, [*way, *beside]),
+        )
+
+    def numbers(
+        self, element: Xml.Element | None, attribute: str, count: int, default: str | None, key: str
+    ) -> list[float]:
+        """Numbers in an attribute.
+
+        Args:
+            element: Where it is; None: the element is absent.
+            attribute: Its name.
+            count: How many numbers there must be.
+            default: What stands for an absent attribute; None: it must be there.
+            key: What an error names.
+
+        Raises:
+            InputError: It is absent, or holds something else than so many finite numbers.
+        """
+        text = default if element is None else element.get(attribute, default)
+        if text is None:
+            self._fail("this is missing in the URDF, expected a number", key)
+        try:
+            values = [float(word) for word in text.split()]
+        except ValueError:
+            values = []
+        if len(values) != count or not all(map(math.isfinite, values)):
+            self._fail(f"expected {count} finite number{'s' if count > 1 else ''}, found {text!r}", key)
+        return values
+
+    def _fail(self, message: str, key: str | None = None) -> NoReturn:
+        raise InputError(message, file=self.file, key=key)
+
+    def _named(self, robot: Xml.Element, kind: str) -> dict[str, Xml.Element]:
+        found: dict[str, Xml.Element] = {}
+        for element in robot.findall(kind):
+            name = element.get("name")
+            if not name:
+                self._fail(f"a {kind} has no name")
+            if name in found:
+                self._fail(f"there are two {kind}s of this name", f"{kind} {name}")
+            found[name] = element
+        return found
+
+    def _end(self, joint: Xml.Element, which: str) -> str:
+        element = joint.find(which)
+        link = None if element is None else element.get("link")
+        if link is None or link not in self.links:
+            self._fail(f"its {which} is {link!r}, expected a link of this file", f"joint {_name(joint)}")
+        return link
+
+    def _link(self, name: str, option: str) -> str:
+        if name not in self.links:
+            known = ", ".join(self.links)
+            self._fail(f"no link {name!r} for {option}{did_you_mean(name, self.links)}; it has: {known}")
+        return name
+
+    def _only_tip(self, base: str) -> str:
+        tips = list(self._tips(base, moves=False))
+        if not tips:
+            self._fail(f"no joint moves below {base!r}; expected at least one revolute joint")
+        if len(tips) > 1:
+            self._fail(f"the tree has several tips; expected one of them with --tip: {', '.join(tips)}")
+        return tips[0]
+
+    def _tips(self, link: str, moves: bool) -> Iterator[str]:
+        """Links without further ones below them that move against ``link``."""
+        if moves and not self.below[link]:
+            yield link
+        for joint in self.below[link]:
+            yield from self._tips(_child(joint), moves or joint.get("type") != "fixed")
+
+    def _way(self, base: str, tip: str) -> list[Xml.Element]:
+        way: list[Xml.Element] = []
+        link = tip
+        while link != base:
+            if link not in self.above:
+                self._fail(f"no way leads from {base!r} out to {tip!r}; expected a tip that hangs on the base")
+            way.insert(0, self.above[link])
+            link = self._end(self.above[link], "parent")
+        return way
+
+    def _check(self, joint: Xml.Element) -> None:
+        key = f"joint {_name(joint)}"
+        kind = joint.get("type")
+        if kind not in TURNING:
+            self._fail(
+                f"this joint of the chain is {kind}; expected revolute or continuous, no other is known yet", key
+            )
+        if joint.find("mimic") is not None:
+            self._fail("this joint of the chain mimics another; expected joints that move by themselves", key)
+
+    def _beside(self, link: str, way: list[Xml.Element]) -> Iterator[Xml.Element]:
+        """Joints that fix something to ``link``, and to what is fixed there, beside the way."""
+        for joint in self.below[link]:
+            if joint in way:
+                continue
+            if joint.get("type") != "fixed":
+                self._fail(
+                    f"this {joint.get('type')} joint moves beside the chain, on link {link!r}; "
+                    "expected fixed, or another --tip",
+                    f"joint {_name(joint)}",
+                )
+            yield joint
+            yield from self._beside(_child(joint), way)
+
+    def _everything_below(self, link: str) -> Iterator[str]:
+        for joint in self.below[link]:
+            yield _child(joint)
+            yield from self._everything_below(_child(joint))
+
+    def _pruned(self, base: str, joints: list[Xml.Element]) -> str:
+        robot = Xml.Element("robot", name="arm")
+        for name in (base, *(_child(joint) for joint in joints)):
+            link = Xml.SubElement(robot, "link", name=name)
+            link.extend(copy.deepcopy(part) for part in self.links[name] if part.tag in KEPT)
+        for joint in joints:
+            moves = joint.get("type") != "fixed"
+            kept = Xml.SubElement(robot, "joint", name=_name(joint), type="revolute" if moves else "fixed")
+            kept.extend(copy.deepcopy(part) for part in joint if part.tag in KEPT)
+            if moves:  # the real limits are read elsewhere; without any the joint would have two coordinates
+                Xml.SubElement(kept, "limit", lower="-1", upper="1", velocity="1", effort="1")
+        return Xml.tostring(robot, encoding="unicode")
+
+
+def _parse(file: Path) -> Xml.Element:
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read: {error}", file=file) from None
+    if file.suffix == ".xacro" or "<xacro:" in text or "${" in text:
+        raise InputError(f"this is xacro, expected URDF; expand it first: {XACRO.format(file=file.name)}", file=file)
+    try:
+        robot = Xml.fromstring(text)
+    except Xml.ParseError as error:
+        raise InputError(f"not valid XML: {error}", file=file) from None
+    if robot.tag != "robot":
+        raise InputError(f"the outermost element is <{robot.tag}>, expected <robot>", file=file)
+    return robot
+
+
+def _name(element: Xml.Element) -> str:
+    return element.get("name", "")
+
+
+def _child(joint: Xml.Element) -> str:
+    child = joint.find("child")
+    return "" if child is None else child.get("link", "")
+
+
+def _has_losses(joint: Xml.Element) -> bool:
+    dynamics = joint.find("dynamics")
+    return dynamics is not None and any(dynamics.get(name, "0").strip("0.") for name in ("damping", "friction"))

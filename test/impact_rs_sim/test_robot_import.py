@@ -1,0 +1,285 @@
+"""A foreign URDF and the facts made from it are the same arm; what cannot be read is refused in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from impact_rs_sim.bullet_world import mass_matrices
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import EndEffector, load_facts
+from impact_rs_sim.robot_import import FULL_TURN, facts_text, frame_of_axis, import_urdf, save_facts
+from impact_rs_sim.robot_model import RobotModel
+
+LIMIT = '<limit lower="-2" upper="1.5" velocity="3" effort="40"/>'
+BODY = """<inertial><origin xyz="0.1 0.02 0.03" rpy="0.1 0.2 0.3"/><mass value="2"/>
+<inertia ixx="0.02" ixy="0.001" ixz="0.002" iyy="0.03" iyz="0.003" izz="0.025"/></inertial>"""
+
+
+def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: str = LIMIT, xyz: str = "0 0 0.2") -> str:
+    origin = f'<origin xyz="{xyz}" rpy="0.3 -0.2 0.1"/>'
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{origin}{inside}</joint>'
+    )
+
+
+def link(name: str, inside: str = BODY) -> str:
+    return f'<link name="{name}">{inside}</link>'
+
+
+ARM = (link("base"), link("upper"), link("fore"), joint("shoulder", "base", "upper"), joint("elbow", "upper", "fore"))
+
+
+def write(folder: Path, *parts: str) -> Path:
+    file = folder / "arm.urdf"
+    file.write_text(f'<robot name="arm">{"".join(parts)}</robot>', encoding="utf-8")
+    return file
+
+
+def weightless() -> EndEffector:
+    """So little on the flange that no test sees it."""
+    return EndEffector(1e-15, np.zeros(3), 1e-18 * np.eye(3), 0.0, 0.0, (0.01, 0.01, 0.01))
+
+
+def random_chain(rng: np.random.Generator, count: int) -> str:
+    """A URDF with random axes, placements and bodies, a link fixed beside each moving one, and a flange askew."""
+
+    def numbers(values: np.ndarray) -> str:
+        return " ".join(repr(float(value)) for value in values)
+
+    def placement() -> str:
+        return f'<origin xyz="{numbers(rng.uniform(-0.4, 0.4, 3))}" rpy="{numbers(rng.uniform(-3, 3, 3))}"/>'
+
+    def body() -> str:
+        points = rng.standard_normal((6, 3)) * 0.1  # a cloud of points is a body
+        inertia = sum(np.dot(p, p) * np.eye(3) - np.outer(p, p) for p in points - points.mean(axis=0))
+        entries = zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), inertia[np.triu_indices(3)], strict=True)
+        told = " ".join(f'{name}="{float(value)!r}"' for name, value in entries)
+        return f'<inertial>{placement()}<mass value="{rng.uniform(0.2, 6)!r}"/><inertia {told}/></inertial>'
+
+    named = ["0 0 1", "0 0 -1", "0 1 0", "-1 0 0"]
+    parts, before = [link("base", "")], "base"
+    for index in range(count):
+        axis = named[rng.integers(4)] if rng.random() < 0.3 else numbers(rng.standard_normal(3))
+        inside = f'<axis xyz="{axis}"/>{LIMIT}'
+        name, beside = f"link_{index}", f"beside_{index}"
+        parts += [link(name, body()), link(beside, body())]
+        for child, kind, what in ((name, "revolute", inside), (beside, "fixed", "")):
+            parent = before if child == name else name
+            parts.append(
+                f'<joint name="to_{child}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+                f"{placement()}{what}</joint>"
+            )
+        before = name
+    parts += [link("tool", ""), f'<joint name="mount" type="fixed"><parent link="{before}"/><child link="tool"/>']
+    return f'<robot name="arm">{"".join(parts)}{placement()}</joint></robot>'
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 8))
+def test_the_facts_of_any_chain_have_the_dynamics_of_its_urdf(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, count: int
+) -> None:
+    """M, g and J of the flange, through the written file, as Pinocchio has them of the URDF; Bullet's M as well."""
+    rng = np.random.default_rng(seed)
+    text = random_chain(rng, count)
+    folder = tmp_path_factory.mktemp("chain")
+    (folder / "arm.urdf").write_text(text, encoding="utf-8")
+    save_facts(import_urdf(folder / "arm.urdf", tip="tool"), "An arm.", folder / "arm.yaml")
+    facts = load_facts(str(folder / "arm.yaml"))
+    ours = RobotModel(facts, weightless())
+    theirs = pin.buildModelFromXML(text)
+    data, frame = theirs.createData(), theirs.getFrameId("tool", pin.FrameType.BODY)
+    positions = rng.uniform(-2.0, 1.5, (3, count))
+    for q in positions:
+        mass = np.triu(pin.crba(theirs, data, q))
+        mass += np.triu(mass, 1).T
+        np.testing.assert_allclose(ours.mass_matrix(q), mass, atol=1e-9 * np.abs(mass).max())
+        gravity = pin.computeGeneralizedGravity(theirs, data, q)
+        np.testing.assert_allclose(ours.gravity_torque(q), gravity, atol=1e-9 * max(1.0, np.abs(gravity).max()))
+        jacobian = pin.computeFrameJacobian(theirs, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
+        np.testing.assert_allclose(ours.jacobian(q), jacobian, atol=1e-9)
+        pin.framesForwardKinematics(theirs, data, q)
+        np.testing.assert_allclose(ours.placement(q).homogeneous, data.oMf[frame].homogeneous, atol=1e-9)
+    bullet = mass_matrices(facts, weightless(), positions)
+    for q, matrix in zip(positions, bullet, strict=True):
+        np.testing.assert_allclose(matrix, ours.mass_matrix(q), atol=1e-6 * np.abs(matrix).max())
+
+
+@pytest.mark.parametrize("axis", [(0, 0, 1), (0, 0, -1), (0, 1, 0), (0.6, 0, -0.8), (1e-9, 0, -1)])
+def test_the_frame_of_an_axis_is_a_rotation_that_takes_z_there(axis: tuple[float, float, float]) -> None:
+    rotation = frame_of_axis(np.array(axis) / np.linalg.norm(axis))
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-15)
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    np.testing.assert_allclose(rotation[:, 2], np.array(axis) / np.linalg.norm(axis), atol=1e-15)
+
+
+def test_an_arm_that_turns_about_z_keeps_its_numbers(tmp_path: Path) -> None:
+    parts = [part.replace("<limit", '<axis xyz="0 0 1"/><limit') for part in ARM]
+    facts = import_urdf(write(tmp_path, *parts)).facts
+    assert facts.joints[1].xyz == (0.0, 0.0, 0.2)
+    assert facts.joints[1].rpy == pytest.approx((0.3, -0.2, 0.1), abs=1e-15)
+    assert facts.links[0].com == (0.1, 0.02, 0.03)
+    assert facts.limits.position_min_rad == (-2.0, -2.0)
+    assert facts.limits.position_max_rad == (1.5, 1.5)
+    assert facts.limits.velocity_rad_s == (3.0, 3.0)
+    assert facts.limits.torque_Nm == (40.0, 40.0)
+    assert facts.flange.rpy == (0.0, 0.0, 0.0)
+
+
+def test_a_continuous_joint_turns_a_full_turn_to_either_side_and_the_file_says_so(tmp_path: Path) -> None:
+    endless = joint("elbow", "upper", "fore", "continuous", '<limit velocity="3" effort="40"/>')
+    robot = import_urdf(write(tmp_path, *ARM[:4], endless))
+    assert robot.facts.limits.position_min_rad == (-2.0, -FULL_TURN)
+    assert robot.facts.limits.position_max_rad == (1.5, FULL_TURN)
+    assert any("elbow" in note and "full turn" in note for note in robot.notes)
+    assert "elbow" in facts_text(robot, "An arm.").split("source:")[0]
+
+
+def test_what_is_fixed_to_the_chain_is_part_of_it_and_what_is_beyond_the_flange_is_not(tmp_path: Path) -> None:
+    camera, hand = joint("screws", "upper", "camera", "fixed", ""), joint("mount", "fore", "hand", "fixed", "")
+    fingers = joint("grip", "hand", "finger", "prismatic")
+    robot = import_urdf(
+        write(tmp_path, *ARM, link("camera"), camera, link("hand"), hand, link("finger"), fingers), tip="fore"
+    )
+    assert [body.mass for body in robot.facts.links] == [4.0, 2.0]
+    notes = " ".join(robot.notes)
+    assert "camera" in notes and "hand, finger" in notes
+
+
+def test_a_base_further_out_leaves_the_rest_behind(tmp_path: Path) -> None:
+    robot = import_urdf(write(tmp_path, *ARM), base="upper")
+    assert robot.joints == ("elbow",)
+
+
+def test_the_meshes_need_not_be_there(tmp_path: Path) -> None:
+    mesh = '<visual><geometry><mesh filename="package://nowhere/at_all.stl"/></geometry></visual>'
+    assert import_urdf(write(tmp_path, link("base"), link("upper", BODY + mesh), *ARM[2:])).facts.joint_count == 2
+
+
+def test_the_file_tells_what_a_urdf_does_not_hold(tmp_path: Path) -> None:
+    text = facts_text(import_urdf(write(tmp_path, *ARM), source='a "maker", BSD'), "An arm.")
+    for key in ("motor_inertia_rotor", "motor_inertia_reduced", "stiffness", "damping", "friction"):
+        assert key in text.split("source:")[0]
+    path = tmp_path / "arm.yaml"
+    path.write_text(text, encoding="utf-8")
+    assert load_facts(str(path)).source == 'a "maker", BSD'
+
+
+REFUSED = {
+    "prismatic": (
+        [*ARM[:4], joint("elbow", "upper", "fore", "prismatic")],
+        "joint elbow: this joint of the chain is prismatic; expected revolute",
+    ),
+    "mimic": ([*ARM[:4], joint("elbow", "upper", "fore", inside=f'{LIMIT}<mimic joint="shoulder"/>')], "mimics"),
+    "several tips": (
+        [*ARM, link("other"), joint("third", "upper", "other")],
+        "several tips; expected one of them with --tip: fore, other",
+    ),
+    "no inertial": ([link("base"), link("upper", ""), *ARM[2:]], "link upper: expected an <inertial> with a mass > 0"),
+    "half an inertial": (
+        [link("base"), link("upper", '<inertial><mass value="1"/></inertial>'), *ARM[2:]],
+        "link upper: inertia ixx: this is missing",
+    ),
+    "no effort": (
+        [*ARM[:4], joint("elbow", "upper", "fore", inside='<limit lower="-1" upper="1" velocity="3"/>')],
+        "joint elbow: limit effort: this is missing",
+    ),
+    "no limit": (
+        [*ARM[:4], joint("elbow", "upper", "fore", "continuous", "")],
+        "joint elbow: limit velocity: this is missing",
+    ),
+    "no torque": (
+        [*ARM[:4], joint("elbow", "upper", "fore", inside=LIMIT.replace("40", "0"))],
+        r"joint elbow: limit effort: expected > 0 \[N m\], found 0",
+    ),
+    "no range": (
+        [*ARM[:4], joint("elbow", "upper", "fore", inside=LIMIT.replace("1.5", "-2"))],
+        "joint elbow: limit: expected lower < upper",
+    ),
+    "a word": (
+        [*ARM[:4], joint("elbow", "upper", "fore", xyz="0 0 high")],
+        "joint elbow: origin xyz: expected 3 finite numbers, found '0 0 high'",
+    ),
+    "no axis": ([*ARM[:4], joint("elbow", "upper", "fore", inside='<axis xyz="0 0 0"/>' + LIMIT)], "length 0"),
+    "nothing moves": ([link("base"), link("upper"), joint("weld", "base", "upper", "fixed")], "no joint moves below"),
+    "two trees": ([*ARM, link("astray")], "links that hang on no joint: base, astray"),
+    "a ring": ([*ARM, link("a"), link("b"), joint("ab", "a", "b"), joint("ba", "b", "a")], "in a ring: a, b"),
+    "two parents": ([*ARM, joint("again", "base", "fore")], "link 'fore' hangs on joint 'elbow' as well"),
+    "no such parent": ([*ARM[:4], joint("elbow", "uper", "fore")], "its parent is 'uper'"),
+    "twice": ([*ARM, link("fore")], "link fore: there are two links of this name"),
+    "unknown type": ([*ARM[:4], joint("elbow", "upper", "fore", "hinge")], "unknown type 'hinge'"),
+    "no links": ([], "no link"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_is_no_arm_is_refused_in_one_line(tmp_path: Path, case: str) -> None:
+    parts, message = REFUSED[case]
+    with pytest.raises(InputError, match=message) as told:
+        import_urdf(write(tmp_path, *parts))
+    assert str(told.value).startswith(str(tmp_path / "arm.urdf")) and "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("base", "tip", "message"),
+    [
+        (None, "for", "no link 'for' for --tip; did you mean 'fore'"),
+        ("bas", None, "no link 'bas' for --base; did you mean 'base'"),
+        ("fore", "upper", "no way leads from 'fore' out to 'upper'"),
+        ("base", "base", "no joint moves between"),
+    ],
+)
+def test_a_way_that_is_none_is_refused(tmp_path: Path, base: str | None, tip: str | None, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        import_urdf(write(tmp_path, *ARM), base, tip)
+
+
+def test_nothing_that_moves_beside_the_chain_is_locked(tmp_path: Path) -> None:
+    file = write(tmp_path, *ARM, link("finger"), joint("grip", "upper", "finger", "prismatic"))
+    with pytest.raises(InputError, match="joint grip: this prismatic joint moves beside the chain, on link 'upper'"):
+        import_urdf(file, tip="fore")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("arm.urdf.xacro", "<robot/>", "expand it first: xacro arm.urdf.xacro > robot.urdf"),
+        ("arm.urdf", '<robot xmlns:xacro="x"><xacro:arm/></robot>', "this is xacro"),
+        ("arm.urdf", '<robot><link name="${name}"/></robot>', "this is xacro"),
+        ("arm.urdf", "<robot><link></robot>", "not valid XML"),
+        ("arm.urdf", "<sdf/>", "the outermost element is <sdf>, expected <robot>"),
+    ],
+)
+def test_a_file_that_is_no_urdf_is_refused(tmp_path: Path, name: str, text: str, message: str) -> None:
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        import_urdf(tmp_path / name)
+
+
+def test_a_urdf_that_xacro_made_is_taken(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text(f'<robot name="arm" xmlns:xacro="http://ros.org/wiki/xacro">{"".join(ARM)}</robot>')
+    assert import_urdf(file).facts.joint_count == 2
+
+
+def test_a_file_that_is_not_there_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        import_urdf(tmp_path / "nothing.urdf")
+
+
+def test_facts_are_never_overwritten_and_never_half_written(tmp_path: Path) -> None:
+    robot = import_urdf(write(tmp_path, *ARM))
+    target = tmp_path / "arm.yaml"
+    target.write_text("mine")
+    with pytest.raises(InputError, match="never overwritten"):
+        save_facts(robot, "An arm.", target)
+    with pytest.raises(InputError, match="ends in .yaml"):
+        save_facts(robot, "An arm.", tmp_path / "arm.txt")
+    assert target.read_text() == "mine"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["arm.urdf", "arm.yaml"]
