@@ -10,7 +10,8 @@ import pytest
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import RobotFacts, load_facts
-from impact_rs_sim.robot_check import Check, check_drives, check_facts
+from impact_rs_sim.robot_check import Check, check_drives, check_facts, random_positions
+from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario, load_scenario
 
 SHIPPED = sorted(path.stem for path in (config_directory() / "robots").glob("*.yaml"))
@@ -101,6 +102,17 @@ def test_the_damping_that_is_told_does() -> None:
         )
         unstable = {check.name for check in check_drives(facts, scenario) if "joint" in check.name}
         assert unstable & {"drive of arm, joint 7"} == name
+
+
+def test_a_joint_is_checked_with_the_lightest_inertia_that_its_link_can_have() -> None:
+    """Not with that of one pose: the first joint of a stretched arm carries many times that of a folded one."""
+    scenario = load_scenario("push").with_settings({"robots.arm.drive.damping": [1e4] * 7})
+    (told, *_) = check_drives(load_facts("franka_fer"), scenario)
+    robot = scenario.robots["arm"]
+    model = RobotModel(robot.robot_facts, robot.end_effector.build())
+    inertias = [1.0 / np.linalg.inv(model.mass_matrix(q))[0, 0] for q in random_positions(model)]
+    assert max(inertias) > 2.0 * min(inertias)
+    assert told.name == "drive of arm, joint 1" and f"with {min(inertias):.3g} kg m^2 on the link" in told.found
 
 
 def test_a_drive_without_damping_is_a_warning() -> None:
