@@ -177,7 +177,7 @@ def test_without_anything_hidden_the_reduced_inertia_predicts_the_speed_after_th
     """Frictionless plant: some tenths of a percent to some percent, and nearer than without the torque loop."""
     light = replace(hit, spec=None)
     found = jumps_of(Runs.of(Path("here"), [MeasuredRun.of(light), MeasuredRun.of(light)]))
-    assert abs(found.errors["reduced"]) < 4.0
+    assert abs(found.errors["reduced"]) < 4.5
     assert found.errors["reduced"] < found.errors["rotor"]
     (jump,) = found.jumps
     assert jump.before == pytest.approx(0.7, abs=0.01)
