@@ -36,7 +36,7 @@ The workers of a running dask scheduler do as well (--scheduler); DIR is then a 
 example:
   impact-rs campaign push -o campaigns/push
   impact-rs campaign push -o campaigns/quick --objects cat_food --cases 2 --scales 0.8 1.0 1.2 --trials 2
-  impact-rs campaign grab -o campaigns/firm --set control.clamp_force=120
+  impact-rs campaign grab -o campaigns/firm --set control.clamp_force=90
   impact-rs campaign push -o s3://bucket/push --scheduler tcp://10.0.0.1:8786
   impact-rs analyze campaigns/push
 
@@ -60,7 +60,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         type=_setting,
         default=[],
         metavar="KEY=VALUE",
-        help="values that the scenario has instead of its own, as in control.clamp_force=120",
+        help="values that the scenario has instead of its own, as in control.clamp_force=90",
     )
     parser.add_argument(
         "--sensitivity",
@@ -91,7 +91,7 @@ def _setting(text: str) -> tuple[str, Any]:
     except yaml.YAMLError:
         raise argparse.ArgumentTypeError(f"{value!r} is not valid YAML") from None
     if not (key and equals and value):
-        raise argparse.ArgumentTypeError(f"expected KEY=VALUE, as in control.clamp_force=120, got {text!r}")
+        raise argparse.ArgumentTypeError(f"expected KEY=VALUE, as in control.clamp_force=90, got {text!r}")
     return key, read
 
 
