@@ -22,6 +22,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import BodyState
 
 SUPPORT = "support"  # name of the support among the object's partners
+ALIGNED = 1e-9  # m; separations that differ by less are those of parallel faces
 GAP_TOLERANCE = 1e-3  # m; points closer than this take part in the impact
 SUPPORT_THICKNESS = 0.1  # m, of the box that stands for the support; only its upper face is ever touched
 
@@ -136,7 +137,10 @@ def contact_frame(normal: Array) -> Array:
 
 
 def _separating_face(partner: Box, thing: Box) -> tuple[float, Array, bool]:
-    """The face direction that separates two boxes best.
+    """The face direction that separates two boxes best; of aligned faces the one that does so after a tilt as well.
+
+    A tilt by dphi costs the direction of a face the extent of the other box along that face, times dphi: of two faces
+    that lie on each other, that of the larger box keeps the normal on either side.
 
     Returns:
         Separation along it (negative: overlap) [m]; unit normal from ``partner`` into ``thing``, ``(3,)``; whether the
@@ -146,9 +150,16 @@ def _separating_face(partner: Box, thing: Box) -> tuple[float, Array, bool]:
     distance = axes @ (thing.centre - partner.centre)
     reach = np.abs(axes @ partner.rotation) @ partner.half + np.abs(axes @ thing.rotation) @ thing.half
     separation = np.abs(distance) - reach
-    best = int(np.argmax(separation))
+    as_good = np.flatnonzero(separation >= separation.max() - ALIGNED)
+    best = int(min(as_good, key=lambda index: _extent(partner if index >= 3 else thing, axes[index])))
     sign = 1.0 if distance[best] >= 0.0 else -1.0
     return float(separation[best]), sign * axes[best], best >= 3
+
+
+def _extent(box: Box, axis: Array) -> float:
+    """Half the diagonal of a box's face across an axis [m]."""
+    along = int(np.argmax(np.abs(box.rotation.T @ axis)))
+    return float(np.linalg.norm(np.delete(box.half, along)))
 
 
 def _touching(meeting: Meeting, tolerance: float) -> list[tuple[Array, float]]:

@@ -18,6 +18,8 @@ from impact_rs_sim.impact_map.parameters import change, parameters_of
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import Scene
 
 COMPLIANCE = 1e-5  # so that rounding leaves room for a small step; the derivatives are the same code
 
@@ -160,3 +162,15 @@ def test_velocities_and_their_derivatives_are_told_in_one_order() -> None:
         sides.append(at @ (joints + sign * step * turning))
     slopes = (sides[0] - sides[1]) / (2.0 * step)
     np.testing.assert_allclose([table[name][joint] for name in kinds_], slopes, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["object.mass", "left.position.4", "right.position.6", "object.rotation.z"])
+def test_two_pads_on_aligned_faces_have_the_derivatives_of_either_side(name: str) -> None:
+    """A planned impact: whose face gives the normal must not be decided by rounding."""
+    problem = ImpactProblem.at_nominal_impact(Scene.resolve(load_scenario("grab"), "juice", "case_1"))
+    models = problem.physics.robot_models()
+    column, step = differentiate(problem, models, COMPLIANCE).of(name), 1e-5
+    high, here, low = (answer(problem, models, {name: x})[0] for x in (step, 0.0, -step))
+    for slope in ((high - here) / step, (here - low) / step):
+        np.testing.assert_allclose(slope, column, atol=1e-3 * np.abs(column).max())
+    np.testing.assert_allclose((high - low) / (2.0 * step), column, atol=1e-5 * np.abs(column).max())

@@ -580,4 +580,12 @@ MUTANTS = [
         wrong="Velocities that move together are taken for independent.",
         tests=("test/impact_rs_sim/test_impact_map_uncertainty.py",),
     ),
+    Mutant(
+        name="normal_of_the_smaller_face",
+        file=CONTACTS,
+        original="_extent(partner if index >= 3 else thing, axes[index])",
+        mutated="-_extent(partner if index >= 3 else thing, axes[index])",
+        wrong="Of aligned faces the smaller one gives the normal, which no tilt does.",
+        tests=("test/impact_rs_sim/test_impact_map_derivatives.py",),
+    ),
 ]
