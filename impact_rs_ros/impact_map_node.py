@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -28,6 +29,7 @@ from impact_rs_sim.impact_map.uncertainty import predict
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, ObjectPhysics, Physics
 from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_trials.spec import TrialSpec
@@ -57,15 +59,15 @@ class ImpactMapNode(NodeProgram):
         contact = request.contact or self.parameter("contact")
         try:
             scenario = load_scenario(request.scenario or self.parameter("scenario"))
-            problem = self._problem(request, scenario)
+            problem, models = self._problem(request, scenario)
             name = request.object_description.name if request.use_object_description else request.object_name
             result = predict_impact(problem, contact, engine)
             _fill(response, problem, result, name)
             if contact == "first":
-                several = uniqueness_of(problem)
+                several = uniqueness_of(problem, models)
                 response.spread = several.relative
                 response.message = several.warning  # empty as ever where u^+ is unique
-            _fill_more(response, request, problem, scenario, contact)
+            _fill_more(response, request, problem, scenario, models, contact)
             engine = result.engine  # the settled contact has one, whatever was asked for
             response.success = True
             self._answered += 1
@@ -83,7 +85,10 @@ class ImpactMapNode(NodeProgram):
         response.elapsed = time.perf_counter() - started
         return response
 
-    def _problem(self, request: ComputeImpactMap.Request, scenario: Scenario) -> ImpactProblem:
+    def _problem(
+        self, request: ComputeImpactMap.Request, scenario: Scenario
+    ) -> tuple[ImpactProblem, Mapping[str, RobotModel]]:
+        """The question, and the scene's models of its arms, which no request changes."""
         known = request.object_name or (next(iter(scenario.objects)) if request.use_object_description else "")
         scene = TrialSpec.of(scenario, known, request.case_name).scene  # the same one every time: its engine stays warm
         physics, thing = scene.physics, scene.object
@@ -104,7 +109,7 @@ class ImpactMapNode(NodeProgram):
                     )
             arms[state.robot] = ArmState(np.array(state.joint_position), np.array(state.joint_velocity))
         restitution = physics.restitution if request.restitution < 0.0 else request.restitution
-        return ImpactProblem(physics, arms, thing, _motor_inertia(request, physics), restitution)
+        return ImpactProblem(physics, arms, thing, _motor_inertia(request, physics), restitution), scene.models
 
 
 def _described(physics: Physics, described: ObjectDescription) -> tuple[Physics, BodyState]:
@@ -186,6 +191,7 @@ def _fill_more(
     request: ComputeImpactMap.Request,
     problem: ImpactProblem,
     scenario: Scenario,
+    models: Mapping[str, RobotModel],
     contact: str,
 ) -> None:
     """Intervals and derivatives, where they are asked for."""
@@ -195,11 +201,11 @@ def _fill_more(
         raise InputError("intervals and derivatives are those of the first contact", key="contact", value=contact)
     response.velocity_names = list(velocity_names(problem))
     if request.uncertainty:
-        told = predict(problem, scenario.uncertainty)
+        told = predict(problem, scenario.uncertainty, models)
         response.velocity = told.nominal.tolist()
         response.velocity_low, response.velocity_high = told.low.tolist(), told.high.tolist()
     if request.derivatives:
-        found = differentiate_safely(problem)
+        found = differentiate_safely(problem, models)
         response.velocity = found.velocities().tolist()
         response.parameter_names = [parameter.name for parameter in found.parameters]
         response.parameter_units = [parameter.unit for parameter in found.parameters]

@@ -24,7 +24,7 @@ from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.schema import load
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.campaign import MANIFEST, Manifest
-from impact_rs_trials.sensitivity import folder_name, varied_folders
+from impact_rs_trials.sensitivity import varied_folders
 from impact_rs_trials.spec import recorded_scenario
 
 LARGEST_SPREAD = 0.05  # s between the impacts of two arms; later, velocity feedback fights the second one
@@ -275,7 +275,8 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
     bags = find_bags(directory)
     if not bags:
         raise InputError("this folder holds no trials (a trial is a subfolder that is a rosbag2 bag)", file=directory)
-    varied = {key: find_bags(directory / folder) for key, folder in varied_folders(directory).items()}
+    folders = varied_folders(directory)
+    varied = {key: find_bags(directory / folder) for key, folder in folders.items()}
     total = len(bags) + sum(map(len, varied.values()))
     skipped: list[SkippedBag] = []
     count = 0
@@ -298,7 +299,7 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
         raise InputError(
             f"none of its {len(bags)} bags is a readable trial; {skipped[0].name}: {skipped[0].reason}", file=directory
         )
-    others = {key: read(paths, f"{folder_name(*key)}/") for key, paths in varied.items()}
+    others = {key: read(paths, f"{folders[key]}/") for key, paths in varied.items()}
     missing = _missing(directory, skipped)
     measured = _one_scenario_each(measured, skipped)
     sets, incomplete = [], []
@@ -320,7 +321,7 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
         apart=tuple((trial.name, trial.spread) for trial in measured if trial.impact and trial.spread > LARGEST_SPREAD),
         limited=tuple(
             (prefix + trial.name, *entry)
-            for prefix, trials in [("", measured), *((f"{folder_name(*key)}/", found) for key, found in others.items())]
+            for prefix, trials in [("", measured), *((f"{folders[key]}/", found) for key, found in others.items())]
             for trial in trials
             for entry in trial.limited
         ),

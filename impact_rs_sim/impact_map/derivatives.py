@@ -78,28 +78,20 @@ class Derivatives:
 
     def velocities(self) -> Array:
         """The velocities of :func:`velocity_names`, ``(k,)`` [rad/s, m/s]."""
-        start, joints, twists = 0, [], []
-        for jacobian, _ in self.end_effector.values():
-            moving = self.velocity[start : start + jacobian.shape[1]]
-            joints.append(moving)
-            twists.append(jacobian @ moving)
-            start += jacobian.shape[1]
-        return np.concatenate((*joints, *twists, self.velocity[start:]))
+        return self._with_twists(self.velocity, {arm: 0.0 for arm in self.end_effector})
 
     def of_velocities(self) -> Array:
         """Derivatives of every velocity of :func:`velocity_names`, ``(k, p)``."""
-        start, joints, twists = 0, [], []
-        for name, (jacobian, _) in self.end_effector.items():
-            where = slice(start, start + jacobian.shape[1])
-            joints.append(self.jacobian[where])
-            twists.append(self.end_effector_twist(name, where))
-            start = where.stop
-        return np.concatenate((*joints, *twists, self.jacobian[start:]))
+        return self._with_twists(self.jacobian, {arm: moved for arm, (_, moved) in self.end_effector.items()})
 
-    def end_effector_twist(self, arm: str, columns: slice) -> Array:
-        """Derivative of an arm's twist of frame E, ``(6, p)``; ``columns`` are those of the arm in u."""
-        jacobian, moved = self.end_effector[arm]
-        return np.asarray(jacobian @ self.jacobian[columns] + moved)
+    def _with_twists(self, rows: Array, moved: Mapping[str, Array | float]) -> Array:
+        """Rows of u, and between joints and object J times those of every arm plus what its J does by itself."""
+        start, twists = 0, []
+        for arm, (jacobian, _) in self.end_effector.items():
+            end = start + jacobian.shape[1]
+            twists.append(jacobian @ rows[start:end] + moved[arm])
+            start = end
+        return np.concatenate((rows[:start], *twists, rows[start:]))
 
 
 def output_names(problem: ImpactProblem) -> tuple[str, ...]:

@@ -567,8 +567,8 @@ MUTANTS = [
     Mutant(
         name="twist_derivative_without_the_change_of_the_jacobian",
         file="impact_rs_sim/impact_map/derivatives.py",
-        original="return np.asarray(jacobian @ self.jacobian[columns] + moved)",
-        mutated="return np.asarray(jacobian @ self.jacobian[columns])",
+        original="twists.append(jacobian @ rows[start:end] + moved[arm])",
+        mutated="twists.append(jacobian @ rows[start:end])",
         wrong="The derivative of a pad's velocity forgets that J depends on q.",
         tests=("test/impact_rs_sim/test_impact_map_derivatives.py",),
     ),
