@@ -93,6 +93,7 @@ class BulletWorld:
         self.object = thing
         self.support = support
         self._shears = shears
+        self._support_friction = physics.support_friction
         self._turns = small_steps and support is not None and physics.support_friction > 0.0
         self._models = {name: physics.robot_model(name) for name in shears}
         self._com_is_offset = bool(np.any(physics.object.com_offset))
@@ -217,6 +218,11 @@ class BulletWorld:
         """Joint torque of an arm over the next step, ``(n,)`` [N m]."""
         self._set_torques(self.arms[name], self.joints[name], pybullet.TORQUE_CONTROL, forces=torque.tolist())
 
+    def set_support_friction(self, coefficient: float) -> None:
+        """Give the support another friction coefficient, from the next step on; for extensions of a plant."""
+        self._support_friction = coefficient
+        self.client.changeDynamics(self.support, -1, lateralFriction=coefficient)
+
     def step(self) -> None:
         """Advance by one step."""
         for name, shear in self._shears.items():
@@ -238,7 +244,7 @@ class BulletWorld:
             place, first, second = point[5], point[11], point[13]
             x, y, z = place[0] - cx, place[1] - cy, place[2] - cz
             ux, uy = vx + wy * z - wz * y, vy + wz * x - wx * z
-            speed, radius = math.hypot(ux, uy), self.physics.support_friction * point[9]
+            speed, radius = math.hypot(ux, uy), self._support_friction * point[9]
             given_x = point[10] * first[0] + point[12] * second[0]
             given_y = point[10] * first[1] + point[12] * second[1]
             if speed > SLOWEST_SLIDING and math.hypot(given_x, given_y) > 0.99 * radius:

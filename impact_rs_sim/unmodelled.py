@@ -43,10 +43,10 @@ class LooseContents(PlantExtension):
 
 
 class FlexibleBase(PlantExtension):
-    """The base gives way along y like a spring-mounted mass and shakes the arm."""
+    """The base gives way along y like a table on legs, 60 kg over the magnitude at 4 Hz, and shakes the arm."""
 
     def __init__(self, magnitude: float, repeat: int) -> None:
-        self._mass, self._frequency, self._ratio = 60.0, 2.0 * np.pi * 9.0, 0.03
+        self._mass, self._frequency, self._ratio = 60.0, 2.0 * np.pi * 4.0, 0.03
         self._gain = magnitude
         self._position = self._velocity = 0.0
         self._momentum: float | None = None
@@ -106,30 +106,29 @@ class Backlash(PlantExtension):
         drive.elastic_torque = stiffness * passed
 
 
-class VelocityDependentPadFriction(PlantExtension):
-    """The pad slips more easily the faster it slides across the object, and it sticks out of the way when slow."""
+class LubricatedSupport(PlantExtension):
+    """The support's friction grows with the speed of the object's sliding, as on a film of oil or water."""
 
     def __init__(self, magnitude: float, repeat: int) -> None:
-        self._magnitude = magnitude
-        self._model: RobotModel | None = None
+        self._slope = 0.5 * magnitude  # s/m, of the friction coefficient over its value at rest
 
     def joint_torque(self, plant: Plant, arm: str) -> Array | None:
-        """Set the pad's friction for the next period; and drag of the silicone along the direction of sliding."""
-        world = plant.world
-        if not np.any(world.pad_force(arm)):
-            return None
-        if self._model is None:
-            self._model = plant.physics.robot_model(arm)
-        model = self._model
-        link = plant.link_state(arm)
-        jacobian = model.jacobian(link.position)[:3]
-        relative = jacobian @ link.velocity - world.object_state().twist[:3]
-        normal = plant.physics.arms[arm].base.rotation @ np.array([0.0, -1.0, 0.0])
-        sliding = relative - normal * (normal @ relative)
-        speed = float(np.linalg.norm(sliding))
-        friction = plant.physics.pad_friction * (1.0 + 3.0 * self._magnitude * np.exp(-speed / 0.01))
-        world.client.changeDynamics(world.arms[arm], world.end_effector_link[arm], lateralFriction=friction)
-        return np.asarray(jacobian.T @ (-40.0 * self._magnitude * sliding))
+        """Set the support's friction for the next period; the links feel nothing of it themselves."""
+        speed = float(np.linalg.norm(plant.world.object_state().twist[:2]))
+        plant.world.set_support_friction(plant.physics.support_friction * (1.0 + self._slope * speed))
+        return None
+
+
+class TorqueRipple(PlantExtension):
+    """Torque of the motors that comes and goes with their angle, as cogging and harmonic drives have it."""
+
+    def __init__(self, magnitude: float, repeat: int) -> None:
+        self._amplitude = 0.1 * magnitude  # N m
+        self._periods = 60.0  # along one turn of the joint
+
+    def joint_torque(self, plant: Plant, arm: str) -> Array | None:
+        """Torque on the links; the motors turn with them, but for the springs."""
+        return np.asarray(self._amplitude * np.sin(self._periods * plant.link_state(arm).position))
 
 
 OUTSIDE: dict[str, Callable[[float, int], PlantExtension]] = {
@@ -137,5 +136,6 @@ OUTSIDE: dict[str, Callable[[float, int], PlantExtension]] = {
     "flexible_base": FlexibleBase,
     "drifting_friction": DriftingFriction,
     "backlash": Backlash,
-    "velocity_dependent_pad_friction": VelocityDependentPadFriction,
+    "lubricated_support": LubricatedSupport,
+    "torque_ripple": TorqueRipple,
 }

@@ -25,8 +25,8 @@ from impact_rs_trials.workers import Map, Workforce, workers
 
 
 def flexible_base(physics: Physics, magnitude: float) -> Modification:
-    """The table of the arm gives way along y: 60 kg over the magnitude on springs, 9 Hz, 3 % of critical damping."""
-    mass, rate, ratio = 60.0 / magnitude, 2.0 * np.pi * 9.0, 0.03
+    """The table of the arm gives way along y: 60 kg over the magnitude on springs, 4 Hz, 3 % of critical damping."""
+    mass, rate, ratio = 60.0 / magnitude, 2.0 * np.pi * 4.0, 0.03
 
     def modify(spec: mujoco.MjSpec) -> None:
         for name in physics.arms:

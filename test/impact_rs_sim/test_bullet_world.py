@@ -185,6 +185,22 @@ def test_friction_of_a_sliding_box_opposes_its_sliding_whatever_the_direction(di
     assert np.linalg.norm(lost - lost @ along * along) < 0.003 * np.linalg.norm(lost)  # 0.2 degrees
 
 
+def test_a_support_that_gets_another_friction_brakes_a_sliding_box_by_it() -> None:
+    """Half of it from halfway on: two slopes of the velocity, mu g each."""
+    place = np.array([-0.7, -0.7, SCENE.object.position[2]])
+    start = BodyState(place, np.eye(3), np.array([0.5, 0.4, 0.0, 0.0, 0.0, 0.0]))
+    with world(SCENE.physics, step=2.5e-4) as made:
+        made.set_object(start)
+        speeds = [np.linalg.norm(start.twist)]
+        for share in (1.0, 0.5):
+            made.set_support_friction(share * SCENE.physics.support_friction)
+            for _ in range(200):
+                made.step()
+            speeds.append(np.linalg.norm(made.object_state().twist))
+    whole = SCENE.physics.support_friction * GRAVITY * 0.05
+    np.testing.assert_allclose(-np.diff(speeds), [whole, 0.5 * whole], rtol=7e-3)  # one step of 200 is late
+
+
 def offset(com: tuple[float, float, float]) -> Physics:
     return free(object=ObjectPhysics(THING.mass, THING.size, THING.inertia, np.array(com)))
 

@@ -13,7 +13,7 @@ from impact_rs_sim.drive import Drive
 from impact_rs_sim.plant import Plant, PlantExtension
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import ArmState, Scene
-from impact_rs_sim.unmodelled import OUTSIDE, Backlash, DriftingFriction
+from impact_rs_sim.unmodelled import OUTSIDE, Backlash, DriftingFriction, TorqueRipple
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +57,37 @@ def test_drifting_friction_opposes_the_motion_and_grows_with_time_and_repeat(pla
     assert torque(1.0, 0.0, 2) - torque(1.0, 0.0, 0) == pytest.approx(-0.3)
     assert torque(1.0, 0.0, 0, 2.0) == pytest.approx(2.0 * torque(1.0, 0.0, 0))
     assert torque(0.0, 1.0, 1) == 0.0
+
+
+def test_torque_ripple_comes_back_sixty_times_a_turn_and_does_no_work_over_one(plan: TrialPlan) -> None:
+    def torque(ahead: float) -> float:
+        posed = Posed(plan, 0.3)
+        posed._state = ArmState(np.full(7, ahead), np.zeros(7))
+        return float(TorqueRipple(2.0, 0).joint_torque(posed, "arm")[0])
+
+    period = 2.0 * np.pi / 60.0
+    assert torque(0.7 + period) == pytest.approx(torque(0.7))
+    found = [torque(ahead) for ahead in np.linspace(0.0, period, 200, endpoint=False)]
+    assert max(found) == pytest.approx(0.2, rel=1e-3)
+    assert np.mean(found) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_lubricated_support_brakes_more_the_faster_the_object_slides(plan: TrialPlan) -> None:
+    """dv/dt = -mu g (1 + s v) from v0: (1 + s v) falls as exp(-s mu g t), in closed form."""
+    slope, duration = 0.5 * 4.0, 0.1
+    extension = OUTSIDE["lubricated_support"](4.0, 0)
+    plant = make_plant(plan, 0, extension=extension)
+    state = plant.world.object_state()
+    plant.world.set_object(
+        replace(state, position=state.position - [0.7, 0.5, 0.0], twist=np.array([0.8, 0.6, 0.0, 0.0, 0.0, 0.0]))
+    )
+    hold = plan.scene.models["arm"].gravity_torque(plan.arms["arm"].initial)
+    for _ in range(round(duration / 0.001)):
+        plant.step({"arm": hold})
+    left = float(np.linalg.norm(plant.world.object_state().twist[:2]))
+    braking = slope * plant.physics.support_friction * 9.81 * duration
+    assert left == pytest.approx(((1.0 + slope) * np.exp(-braking) - 1.0) / slope, rel=0.02)
+    plant.close()
 
 
 def settled(plan: TrialPlan, extension: PlantExtension | None) -> Plant:
