@@ -151,8 +151,12 @@ class Candidate:
         return replace(self, offsets=offsets, jacobians=tuple(frozen))
 
     def split(self, vector: Array) -> Added:
-        """Effect names with their own parameter values."""
-        return tuple((effect.name, tuple(float(value) for value in vector[part])) for effect, part in self.parts)
+        """Effect names with their own parameter values; without those that do nothing, so that replays are shared."""
+        return tuple(
+            (effect.name, tuple(float(value) for value in vector[part]))
+            for effect, part in self.parts
+            if np.any(vector[part] != self.nominal[part])
+        )
 
     def beside(self, other: Candidate) -> Candidate:
         """Both together, each linearised where it was: exact for small effects, a start for large ones."""
@@ -186,9 +190,7 @@ def wanted(candidate: Candidate, numbers: Sequence[int], source: Source, where: 
             ):
                 moved = candidate.point.copy()
                 moved[index] += step
-                parts = candidate.split(moved)
-                # Where the other effects do nothing they are left out, so that results are shared.
-                result.append((number, tuple(p for p in parts if not at_nominal or p[0] == effect.name)))
+                result.append((number, candidate.split(moved)))
     return result
 
 

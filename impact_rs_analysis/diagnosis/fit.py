@@ -31,17 +31,19 @@ class Evidence:
         source: Where they come from, and what predicts them.
         numbers: Their numbers in the source.
         clusters: Residuals.
+        thrifty: Whether one repeat of every condition tells what a change does to all of them.
     """
 
     source: Source
     numbers: tuple[int, ...]
     clusters: tuple[Cluster, ...]
+    thrifty: bool = False
 
     @staticmethod
-    def of(source: Source, numbers: Sequence[int] | None = None) -> Evidence:
+    def of(source: Source, numbers: Sequence[int] | None = None, thrifty: bool = False) -> Evidence:
         """Residuals of the model; None: in all clusters."""
         chosen = tuple(range(len(source.clusters)) if numbers is None else numbers)
-        return Evidence(source, chosen, tuple(source.clusters[number] for number in chosen))
+        return Evidence(source, chosen, tuple(source.clusters[number] for number in chosen), thrifty)
 
     @cached_property
     def reference(self) -> Reference:
@@ -81,10 +83,10 @@ class Evidence:
 
     def only(self, positions: Sequence[int]) -> Evidence:
         """The same in some of the clusters, by position."""
-        return Evidence(
-            self.source,
-            tuple(self.numbers[position] for position in positions),
-            tuple(self.clusters[position] for position in positions),
+        return replace(
+            self,
+            numbers=tuple(self.numbers[position] for position in positions),
+            clusters=tuple(self.clusters[position] for position in positions),
         )
 
     def excess(self, errors: Array) -> float:
@@ -105,7 +107,7 @@ class Evidence:
             replace(item, residuals=item.residuals - change)
             for item, change in zip(self.clusters, changes, strict=True)
         )
-        return Evidence(self.source, self.numbers, clusters)
+        return replace(self, clusters=clusters)
 
 
 @dataclass(frozen=True)
@@ -248,7 +250,7 @@ def measure_again(fitted: Fit) -> Fit:
         clusters = like.source.measure_again(added, [like.source.clusters[number] for number in like.numbers])
         if clusters is None:
             return fitted
-        evidence = Evidence(like.source, like.numbers, tuple(clusters))
+        evidence = replace(like, clusters=tuple(clusters))
         nothing = tuple(np.zeros_like(item.sigma) for item in clusters)
         fresh = replace(candidate, point=point, origin=added, offsets=nothing)
         if look == 0:
@@ -262,7 +264,7 @@ def measure_again(fitted: Fit) -> Fit:
 def evaluate_at(candidate: Candidate, point: Array, evidence: Evidence) -> Candidate | None:
     """The candidate with its features evaluated at another point, sensitivities kept."""
     # Joints are smooth: what many parameters do is the same in all repeats, and a bounce has few.
-    every = candidate.point.size <= FEW
+    every = candidate.point.size <= FEW and not evidence.thrifty
     changes = evidence.source.differences(
         evidence.numbers, candidate.origin, candidate.split(point), "fit of the shortlist", every
     )

@@ -89,7 +89,7 @@ def hold_out(source: Source, effects: Sequence[Effect]) -> HoldOut | None:
     rest: dict[int, Array] = {}
     names = []
     for fold in folds:
-        evidence = Evidence.of(source, fold.training)
+        evidence = Evidence.of(source, fold.training, thrifty=True)
         search = Search.screened(effects, evidence, SHORTLIST_OF_FOLD)
         found = search.choose(thrifty=True)
         if found is not None and source.cheap:

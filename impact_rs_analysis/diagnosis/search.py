@@ -190,7 +190,7 @@ class Search:
         free = self.source.free_motion
         if free is None:
             return self.evidence.only([n for n, item in enumerate(self.evidence.clusters) if not item.contact])
-        return Evidence.of(free, self.evidence.numbers)
+        return Evidence.of(free, self.evidence.numbers, self.evidence.thrifty)
 
     def _as_seen_in(self, candidate: Candidate, evidence: Evidence) -> Candidate:
         """A candidate that was looked at in some clusters or features, beside all others: there it does nothing."""
@@ -212,9 +212,17 @@ class Search:
         if evidence.excess(evidence.errors) < enough:
             return set()
         fits = self._fitted_before_contact
-        for name, candidate in sorted(candidates.items(), key=lambda entry: _bends(entry[1])):
-            known = min((fitted.misfit for fitted in fits.values()), default=np.inf) <= enough
-            fits[name] = see_all(refine(candidate, evidence) if known else self._fitted(candidate, evidence))
+        linear = {name: Fit.of(candidate, evidence) for name, candidate in candidates.items()}
+        far, steps = HOPELESS**2 * enough, STEPS_OF_FOLD if evidence.thrifty else STEPS
+        for name in sorted(candidates, key=lambda entry: (_bends(candidates[entry]), linear[entry].misfit)):
+            candidate = candidates[name]
+            if min((fitted.misfit for fitted in fits.values()), default=np.inf) > enough:
+                fits[name] = see_all(self._fitted(candidate, evidence))
+                continue
+            bent = linear[name].misfit <= far or _bends(candidate)
+            fits[name] = refine(candidate, evidence, far, steps) if bent else linear[name]
+            if fits[name].misfit <= far:
+                fits[name] = see_all(fits[name])
         best = min((fitted.misfit for fitted in fits.values()), default=np.inf)
         if best > 2.0 * enough:
             return set()
