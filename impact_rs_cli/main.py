@@ -28,6 +28,7 @@ COMMANDS = {  # name: module of impact_rs_cli.commands, imported when the comman
     "blind": ("blind", "make a campaign with a hidden effect, or score a diagnosis"),
     "friction": ("friction", "identify the friction compensation of a scenario"),
     "robot": ("robot", "bring a robot of your own: import its URDF, check it"),
+    "scenario": ("scenario", "write a scenario to start from, for any robot"),
     "paper": ("paper", "what a motor-inertia scale explains in the published rows"),
     "up": ("up", "start the ROS 2 nodes"),
 }

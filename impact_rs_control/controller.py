@@ -26,6 +26,8 @@ from impact_rs_sim.robot_model import RigidTerms, RobotModel
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.sensors import ArmMeasurement
 
+IDLE_WEIGHT = 1e-4  # of standing still, in joints that no task needs, against that of the tasks
+
 
 class Mode(IntEnum):
     """Control modes; values as in ``ControllerState.mode``."""
@@ -77,7 +79,7 @@ class ArmCommand:
         gamma: Weight of velocity feedback [-].
         position: Measured position of E in A, ``(3,)`` [m].
         twist: Measured twist of E in E[A], ``(6,)`` [m/s, rad/s].
-        task_feedback: Feedback of position and orientation of E and of joint 1, ``(7,)`` [m/s^2, rad/s^2].
+        task_feedback: Feedback of position and orientation of E and of the posture, ``(6 + k,)`` [m/s^2, rad/s^2].
         net_feedback: Its integral since t1, up to t2, ``(3,)`` [m/s].
         wrench: Estimated external wrench at E, in E[A], ``(6,)`` [N, N m].
         qp_status: How the QP was solved.
@@ -131,14 +133,19 @@ class ArmController:
         self._orientation_gains = (gains.orientation, gains.orientation_post)
         self._posture_gain = gains.posture
         self._posture_rate = 2.0 * math.sqrt(gains.posture)
-        self._weights = np.array([gains.position_weight] * 3 + [gains.orientation_weight] * 3 + [gains.posture_weight])
+        held = len(plan.posture)
+        # Where joints are left over, nothing but this keeps them from drifting.
+        self._idle = model.joint_count if 6 + held < model.joint_count else 0
+        weights = (gains.position_weight, gains.orientation_weight, gains.posture_weight, IDLE_WEIGHT)
+        self._weights = np.repeat(weights, (3, 3, held, self._idle))
         self._motor_inertia = np.diag(motor_inertia)
         limits = JointLimits(model.position_min, model.position_max, model.velocity_max, model.torque_max)
         self._qp = AccelerationQp(limits, timing.control_period)
         self._detector = ImpactDetector(model, control.detection, plan.approach_direction, timing.control_period)
-        self._tasks = np.zeros((7, model.joint_count))
-        self._tasks[6, 0] = 1.0
-        self._targets = np.zeros(7)
+        self._posture = list(plan.posture)
+        self._tasks = np.zeros((self._weights.size, model.joint_count))
+        self._tasks[6:] = np.eye(model.joint_count)[[*self._posture, *range(self._idle)]]
+        self._targets = np.zeros(self._weights.size)
         self._net = np.zeros(3)
         self.detection: ImpactDetection | None = None
 
@@ -171,19 +178,21 @@ class ArmController:
         friction = plan.post_friction if after else plan.ante_friction
 
         twist = terms.twist
-        feedback = np.empty(7)
+        feedback = np.empty(6 + len(self._posture))
         feedback[:3] = self._position_rate * gamma * (position_path.velocity[index] - twist[:3])
         feedback[:3] += self._position_gain * (position_path.position[index] - terms.position)
         k_theta = self._orientation_gains[int(after)]
         tilt = terms.rotation @ pin.log3(terms.rotation.T @ plan.orientation[index])
         spin = plan.pad_normal * plan.rotation.velocity[index, 0]
         feedback[3:6] = k_theta * tilt + 2.0 * math.sqrt(k_theta) * gamma * (spin - twist[3:])
-        feedback[6] = self._posture_rate * gamma * (posture_path.velocity[index, 0] - dq[0])
-        feedback[6] += self._posture_gain * (posture_path.position[index, 0] - q[0])
-        targets = self._targets
+        held = self._posture
+        feedback[6:] = self._posture_rate * gamma * (posture_path.velocity[index] - dq[held])
+        feedback[6:] += self._posture_gain * (posture_path.position[index] - q[held])
+        everything = self._targets
+        targets = everything[: feedback.size]
         targets[:3] = position_path.acceleration[index]
         targets[3:6] = plan.pad_normal * plan.rotation.acceleration[index, 0]
-        targets[6] = posture_path.acceleration[index, 0]
+        targets[6:] = posture_path.acceleration[index]
         targets += feedback
         targets += friction[index]
         inertia = terms.mass_matrix + self._motor_inertia
@@ -191,10 +200,14 @@ class ArmController:
         if after:
             push = scipy.linalg.lapack.dposv(inertia, jacobian.T @ plan.wrench[index])[1]
             targets[:6] += jacobian @ push  # paper eq. a_p_f
-            targets[6] += push[0]  # the same torque moves joint 1 as well: no posture feedback shall fight it
+            targets[6:] += push[held]  # the same torque moves these joints as well: no posture feedback shall fight it
         targets[:6] -= terms.drift
         self._tasks[:6] = jacobian
-        solution = self._qp.solve(AccelerationProblem(self._tasks, targets, self._weights, inertia, terms.bias, q, dq))
+        if self._idle:
+            everything[feedback.size :] = -self._posture_rate * dq
+        solution = self._qp.solve(
+            AccelerationProblem(self._tasks, everything, self._weights, inertia, terms.bias, q, dq)
+        )
         torque = inertia @ solution.acceleration + terms.bias
         if solution.status is not QpStatus.SOLVED:
             torque = np.clip(torque, -self._model.torque_max, self._model.torque_max)

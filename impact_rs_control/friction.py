@@ -57,6 +57,12 @@ def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | 
         raise InputError(
             f"scenario {scene.scenario.name!r} hits nothing: it has no net feedback that friction could spoil"
         )
+    held = scene.scenario.cases[scene.case_name].robots[arm].held
+    if list(held) != [0]:
+        raise InputError(
+            f"arm {arm!r}: friction is identified with the posture task of joint 1 alone, which cases."
+            f"{scene.case_name} has not; give joint_1 [rad]"
+        )
     if runs < 1:
         raise InputError(f"runs = {runs}: expected at least 1")
     scene = replace(scene, scenario=scene.scenario.model_copy(update={"friction_compensation": None}))
@@ -127,7 +133,7 @@ def _free_motion(plan: TrialPlan, arm: str, phase: Phase) -> TrialPlan:
             post_position=position,
             post_posture=posture,
             wrench=np.zeros_like(own.wrench),
-            initial=initial_position(scene, arm, own.orientation[0], position, posture),
+            initial=initial_position(scene, arm, own.orientation[0], position, own.posture, posture),
         )
     away = replace(scene.object, position=scene.object.position + OUT_OF_REACH)
     return replace(plan, scene=replace(scene, object=away), arms={arm: own})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,6 @@ from impact_rs_control.references import (
 )
 from impact_rs_sim.clearance import check_clearance
 from impact_rs_sim.errors import InputError, UnreachablePose
-from impact_rs_sim.friction_compensation import TASKS
 from impact_rs_sim.impact_map import predict_impact
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
@@ -35,20 +35,23 @@ class ArmPlan:
     Attributes:
         ante_position: Ante-impact position reference of E.
         post_position: Post-impact position reference of E.
-        ante_posture: Ante-impact reference of joint 1.
-        post_posture: Post-impact reference of joint 1.
+        posture: Joints of the posture task, counted from 0; k of them.
+        ante_posture: Ante-impact reference of these joints.
+        post_posture: Post-impact reference of these joints.
         orientation: Desired orientation R_d of E per tick, ``(ticks + 1, 3, 3)``; constant in a hit.
         rotation: Desired rotation about the pad's normal that ``orientation`` holds, ``(ticks + 1, 1)`` [rad].
         pad_normal: The pad's normal in A, ``(3,)``; it keeps its direction.
         wrench: Desired wrench f_d of the arm on the object per tick, at E in E[A], ``(ticks + 1, 6)`` [N, N m].
-        ante_friction: Friction compensation of the ante mode per tick, ``(ticks + 1, 7)`` [m/s^2, rad/s^2]; see TASKS.
-        post_friction: Friction compensation of interim and post mode, ``(ticks + 1, 7)`` [m/s^2, rad/s^2].
+        ante_friction: Friction compensation of the ante mode per tick, ``(ticks + 1, 6 + k)`` [m/s^2, rad/s^2]; see
+            TASKS.
+        post_friction: Friction compensation of interim and post mode, ``(ticks + 1, 6 + k)`` [m/s^2, rad/s^2].
         approach_direction: Direction of the ante-impact velocity, ``(3,)``.
         initial: Initial joint positions, ``(n,)`` [rad].
     """
 
     ante_position: SampledPath
     post_position: SampledPath
+    posture: tuple[int, ...]
     ante_posture: SampledPath
     post_posture: SampledPath
     orientation: Array
@@ -158,18 +161,19 @@ def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> Ar
     pose = scenario.impact_placement(name, scene.object_name)
     normal = np.array(scenario.robots[name].impact.pad_normal)
     velocity = model.jacobian(state.position)[:3] @ state.velocity
-    joint_1, joint_1_velocity = state.position[:1], state.velocity[:1]
+    held = posture_of(scene, name)
     ante_position = ante_impact_path(timing, pose.translation, velocity, times)
-    ante_posture = ante_impact_path(timing, joint_1, joint_1_velocity, times)
+    ante_posture = ante_impact_path(timing, state.position[held], state.velocity[held], times)
     after = scale * impact.end_effector_twist[name][:3]
     common = scale * np.mean([twist[:3] for twist in impact.end_effector_twist.values()], axis=0)
     post_position = carry_path(timing, pose.translation, after, common, np.eye(3)[scenario.axis_index], normal, times)
-    post_posture = post_impact_path(timing, joint_1, scale * impact.joint_velocity[name][:1], times)
+    post_posture = post_impact_path(timing, state.position[held], scale * impact.joint_velocity[name][held], times)
     still = np.zeros((times.size, 1))
     ante_friction, post_friction = _friction(scene, name, times)
     return ArmPlan(
         ante_position=ante_position,
         post_position=post_position,
+        posture=tuple(held),
         ante_posture=ante_posture,
         post_posture=post_posture,
         orientation=np.broadcast_to(pose.rotation, (times.size, 3, 3)),
@@ -179,7 +183,7 @@ def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> Ar
         ante_friction=ante_friction,
         post_friction=post_friction,
         approach_direction=velocity / np.linalg.norm(velocity),
-        initial=initial_position(scene, name, pose.rotation, ante_position, ante_posture),
+        initial=initial_position(scene, name, pose.rotation, ante_position, held, ante_posture),
     )
 
 
@@ -197,13 +201,16 @@ def _plan_excursion(scene: Scene, name: str) -> ArmPlan:
         return there_and_back_path(excursion.begin, leg, excursion.rest, start, end, times)
 
     position = path(pose.translation + np.array(excursion.start), pose.translation + np.array(excursion.end))
-    posture = path(state.position[:1], state.position[:1] + excursion.joint_1)
+    held = posture_of(scene, name)
+    moved = np.array([excursion.joint_1 if joint == 0 else 0.0 for joint in held])
+    posture = path(state.position[held], state.position[held] + moved)
     rotation = path(np.zeros(1), np.array([excursion.twist]))
     turned = np.array([pose.rotation @ pin.exp3(np.array([0.0, 0.0, angle])) for angle in rotation.position[:, 0]])
     ante_friction, post_friction = _friction(scene, name, times)
     return ArmPlan(
         ante_position=position,
         post_position=position,
+        posture=tuple(held),
         ante_posture=posture,
         post_posture=posture,
         orientation=turned,
@@ -213,11 +220,18 @@ def _plan_excursion(scene: Scene, name: str) -> ArmPlan:
         ante_friction=ante_friction,
         post_friction=post_friction,
         approach_direction=np.array(robot.ante_velocity) / np.linalg.norm(robot.ante_velocity),
-        initial=initial_position(scene, name, pose.rotation, position, posture),
+        initial=initial_position(scene, name, pose.rotation, position, held, posture),
     )
 
 
-def initial_position(scene: Scene, name: str, rotation: Array, position: SampledPath, posture: SampledPath) -> Array:
+def posture_of(scene: Scene, name: str) -> list[int]:
+    """Joints of the posture task of an arm, counted from 0."""
+    return list(scene.scenario.cases[scene.case_name].robots[name].held)
+
+
+def initial_position(
+    scene: Scene, name: str, rotation: Array, position: SampledPath, held: Sequence[int], posture: SampledPath
+) -> Array:
     """Joint positions of an arm at the start of its motion, ``(n,)`` [rad].
 
     Args:
@@ -225,23 +239,25 @@ def initial_position(scene: Scene, name: str, rotation: Array, position: Sampled
         name: Name of the arm.
         rotation: Orientation of E, ``(3, 3)``.
         position: Path of E.
-        posture: Path of joint 1.
+        held: Joints of the posture task, counted from 0.
+        posture: Their path.
 
     Raises:
         UnreachablePose: The start cannot be reached.
     """
     start = pin.SE3(rotation, position.position[0])
     try:
-        return scene.models[name].inverse_kinematics(start, float(posture.position[0, 0]), scene.arms[name].position)
+        there = dict(zip(held, posture.position[0].tolist(), strict=True))
+        return scene.models[name].inverse_kinematics(start, there, scene.arms[name].position)
     except UnreachablePose as error:
         raise UnreachablePose(f"arm {name!r}, start of the motion: {error}") from None
 
 
 def _friction(scene: Scene, name: str, times: Array) -> tuple[Array, Array]:
-    """Friction compensation of the ante mode and of the modes after it, ``(ticks + 1, 7)`` each; see TASKS."""
+    """Friction compensation of the ante mode and of the modes after it, ``(ticks + 1, 6 + k)`` each; see TASKS."""
     compensation = scene.scenario.friction_compensation
     if compensation is None:
-        none = np.zeros((times.size, len(TASKS)))
+        none = np.zeros((times.size, 6 + len(posture_of(scene, name))))
         return none, none
     arm = compensation.arms(scene.object_name, scene.case_name)[name]
     return arm.ante.at(times, compensation.period), arm.post.at(times, compensation.period)

@@ -226,7 +226,7 @@ class Physics:
                 base=robot.base.placement,
                 end_effector=robot.end_effector.build(),
                 motor_inertia_rotor=np.array(drive.motor_inertia_rotor),
-                motor_inertia_reduced=np.array(drive.motor_inertia_reduced),
+                motor_inertia_reduced=np.array(drive.behind_the_links),
                 stiffness=np.array(drive.stiffness),
                 damping=np.array(drive.damping),
                 friction=friction,

@@ -94,6 +94,17 @@ class RobotFacts(Schema):
     joint_stiffness_typical_Nm_per_rad: PositiveVector | None = Field(
         None, description="order of magnitude of the joint stiffness [N m/rad]"
     )
+    joint_torque_loop: bool = Field(
+        True, description="whether the joints have torque sensors and a loop about them; without: drive.type rigid"
+    )
+
+    @model_serializer(mode="wrap")
+    def _without_the_usual_loop(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Bags of robots with a torque loop read as they always did."""
+        data: dict[str, Any] = handler(self)
+        if self.joint_torque_loop:
+            data.pop("joint_torque_loop", None)
+        return data
 
     @model_validator(mode="after")
     def _same_length_everywhere(self) -> Self:

@@ -134,12 +134,12 @@ def _check_drive(arm: str, robot: Robot, period: float) -> list[Check]:
     lightest = 1.0 / np.diagonal(inverses, axis1=1, axis2=2).max(axis=0)
     checks = []
     for joint, link_inertia in enumerate(lightest):
-        values = drive.motor_inertia_reduced[joint], drive.stiffness[joint], drive.damping[joint]
+        values = drive.behind_the_links[joint], drive.stiffness[joint], drive.damping[joint]
         found = joint_stability(float(link_inertia), *values, period)
         if found.spectral_radius >= 1.0 - MARGINAL:
             checks.append(_unstable(arm, joint, found, drive.damping[joint], period))
     motors, stiffness, damping = (
-        np.array(values) for values in (drive.motor_inertia_reduced, drive.stiffness, drive.damping)
+        np.array(values) for values in (drive.behind_the_links, drive.stiffness, drive.damping)
     )
     radius = max(spectral_radius(inverse + np.diag(1.0 / motors), stiffness, damping, period) for inverse in inverses)
     outcome: Outcome = "ok" if radius < 1.0 - MARGINAL else "warning" if radius <= 1.0 + MARGINAL else "failed"

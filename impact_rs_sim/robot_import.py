@@ -124,10 +124,11 @@ def facts_text(robot: ImportedRobot, title: str) -> str:
     lines += [
         "# A URDF does not say how the joints are driven. A scenario does, with one entry per joint:",
         "#   robots.NAME.drive.motor_inertia_rotor    B_rho, rotor inertia times gear ratio squared [kg m^2]",
-        "#   robots.NAME.drive.motor_inertia_reduced  B_theta, what the torque loop leaves of it; B_rho without one",
+        "#   robots.NAME.drive.motor_inertia_reduced  B_theta that a torque loop leaves; not for drive.type rigid",
         "#   robots.NAME.drive.stiffness, .damping    of the joints [N m/rad, N m s/rad]",
         "#   robots.NAME.drive.friction               none, or identified with a section friction: in this file",
         f"source: {json.dumps(facts.source, ensure_ascii=False)}",
+        "joint_torque_loop: true   # a URDF does not say; false where joints have no torque sensors (drive.type rigid)",
         "joints:   # origin of joint i in link i-1 [m], roll-pitch-yaw [rad]; every axis is +z",
     ]
     lines += [

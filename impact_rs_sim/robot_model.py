@@ -8,6 +8,7 @@ frame A; rows 0..2 are linear, rows 3..5 angular.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,7 @@ from impact_rs_sim.robot import Array, EndEffector, RobotFacts
 from impact_rs_sim.urdf import write_urdf
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s^2
+FURTHER_STARTS = 30  # of inverse kinematics, where the guess leads nowhere
 
 
 @dataclass
@@ -129,40 +131,65 @@ class RobotModel:
         """M ddq + h, ``(n,)`` [N m], a copy."""
         return np.array(pin.rnea(self.pinocchio, self.data, q, dq, ddq))
 
-    def inverse_kinematics(self, target: pin.SE3, joint_1: float, guess: Array, tolerance: float = 1e-9) -> Array:
-        """Joint positions that reach ``target`` with frame E while joint 1 stands at ``joint_1`` [rad].
+    def inverse_kinematics(
+        self,
+        target: pin.SE3,
+        held: Mapping[int, float],
+        guess: Array,
+        tolerance: float = 1e-9,
+        further_starts: int = FURTHER_STARTS,
+    ) -> Array:
+        """Joint positions that reach ``target`` with frame E while some joints stand where they shall.
+
+        Where the guess leads nowhere, others are tried; of what they find the nearest to the guess counts.
 
         Args:
             target: Wanted placement of E in A.
-            joint_1: Position of the first joint, which resolves the redundancy (paper sec. Reference generation).
+            held: Positions of the joints of the posture task, which resolve the redundancy, by number from 0 [rad]
+                (paper sec. Reference generation).
             guess: Where to start, ``(n,)`` [rad].
             tolerance: Largest accepted residual [m, rad].
+            further_starts: How many others are tried where the guess leads nowhere.
 
         Raises:
             UnreachablePose: The pose cannot be reached within the joint limits.
         """
-
-        def error(rest: Array) -> Array:
-            placement = self.placement(np.concatenate(([joint_1], rest)))
-            rotation = pin.log3(placement.rotation.T @ target.rotation)
-            return np.concatenate((target.translation - placement.translation, rotation))
-
         lower, upper = self.position_min, self.position_max
-        if not lower[0] <= joint_1 <= upper[0]:
-            raise UnreachablePose(
-                f"joint 1 at {joint_1:.4g} rad is outside its limits [{lower[0]:.4g}, {upper[0]:.4g}] rad"
+        for joint, position in held.items():
+            if not lower[joint] <= position <= upper[joint]:
+                raise UnreachablePose(
+                    f"joint {joint + 1} at {position:.4g} rad is outside its limits "
+                    f"[{lower[joint]:.4g}, {upper[joint]:.4g}] rad"
+                )
+        free = np.array([joint for joint in range(self.joint_count) if joint not in held], dtype=int)
+        q = np.array(guess, dtype=float)
+        q[list(held)] = list(held.values())
+
+        def error(angles: Array) -> Array:
+            q[free] = angles
+            placement = self.placement(q)
+            return np.concatenate(
+                (target.translation - placement.translation, pin.log3(placement.rotation.T @ target.rotation))
             )
-        start = np.clip(guess, lower + 1e-6, upper - 1e-6)[1:]
-        solution = scipy.optimize.least_squares(
-            error, start, bounds=(lower[1:], upper[1:]), xtol=1e-15, ftol=1e-15, gtol=1e-15
-        )
-        residual = float(np.max(np.abs(solution.fun)))
-        if residual > tolerance:
-            raise UnreachablePose(
-                f"pose {np.round(target.translation, 4).tolist()} m with joint 1 at {joint_1:.4g} rad is unreachable: "
-                f"nearest miss {residual:.3g} (m or rad)"
+
+        inside = np.clip(q, lower + 1e-6, upper - 1e-6)[free]
+        bounds = (lower[free], upper[free])
+        best = _least(error, inside, bounds)
+        if np.max(np.abs(best.fun)) > tolerance:
+            rng = np.random.default_rng(0)
+            others = [_least(error, rng.uniform(*bounds), bounds) for _ in range(further_starts)]
+            reached = [found for found in others if np.max(np.abs(found.fun)) <= tolerance]
+            best = min(reached, key=lambda found: float(np.linalg.norm(found.x - inside)), default=None) or min(
+                [best, *others], key=lambda found: float(found.cost)
             )
-        return np.concatenate(([joint_1], solution.x))
+        if np.max(np.abs(best.fun)) > tolerance:
+            told = "".join(f", joint {joint + 1} at {position:.4g} rad" for joint, position in held.items())
+            raise UnreachablePose(
+                f"E cannot be at {np.round(target.translation, 4).tolist()} m{told}: the nearest pose is "
+                f"{np.linalg.norm(best.fun[:3]):.3g} m and {np.linalg.norm(best.fun[3:]):.3g} rad off"
+            )
+        q[free] = best.x
+        return q
 
     def effective_mass(self, q: Array, direction: Array, motor_inertia: Array) -> float:
         """Mass felt along ``direction`` at E: ``1 / (n^T J (M + B)^-1 J^T n)`` [kg].
@@ -175,3 +202,7 @@ class RobotModel:
         row = np.asarray(direction) @ self.jacobian(q)[:3]
         inertia = self.mass_matrix(q) + np.diag(motor_inertia)
         return float(1.0 / (row @ np.linalg.solve(inertia, row)))
+
+
+def _least(error: Callable[[Array], Array], start: Array, bounds: tuple[Array, Array]) -> scipy.optimize.OptimizeResult:
+    return scipy.optimize.least_squares(error, start, bounds=bounds, xtol=1e-15, ftol=1e-15, gtol=1e-15)

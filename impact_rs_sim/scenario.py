@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -84,16 +85,50 @@ class EndEffectorSpec(Schema):
 class DriveSettings(Schema):
     """Motor side of the joints (paper eqs. EOM_motor, torque_control_law)."""
 
-    motor_inertia_rotor: PositiveVector = Field(description="B_rho, reflected motor inertia per joint [kg m^2]")
-    motor_inertia_reduced: PositiveVector = Field(
-        description="B_theta, motor inertia that the torque loop leaves, per joint [kg m^2]"
+    type: Literal["torque_loop", "rigid"] = Field(
+        "torque_loop",
+        description="torque_loop: a loop about the joint torque shapes the motor's inertia to B_theta; rigid: there is "
+        "none, and the links carry B_rho whole, whatever the motor is asked",
     )
-    stiffness: PositiveVector = Field(description="K, joint stiffness per joint [N m/rad]")
+    motor_inertia_rotor: PositiveVector = Field(
+        description="B_rho, rotor inertia times the square of the gear ratio, per joint [kg m^2]"
+    )
+    motor_inertia_reduced: PositiveVector | None = Field(
+        None,
+        description="B_theta, motor inertia that the torque loop leaves, per joint [kg m^2]; required for torque_loop, "
+        "absent for rigid, where it is B_rho",
+    )
+    stiffness: PositiveVector = Field(
+        description="K, joint stiffness per joint, of the gear where it is rigid [N m/rad]"
+    )
     damping: NonNegativeVector = Field(description="D, joint damping per joint [N m s/rad]")
     friction: Literal["none", "identified"] = Field(
         "none", description="joint friction in the plant: none, or the robot's identified friction"
     )
     actuation_delay: NonNegative = Field(0.0, description="delay of the desired torque [s]")
+
+    @model_serializer(mode="wrap")
+    def _without_the_usual_type(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Bags of robots with a torque loop read as they always did."""
+        data: dict[str, Any] = handler(self)
+        data.pop("type" if self.type == "torque_loop" else "motor_inertia_reduced", None)
+        return data
+
+    @model_validator(mode="after")
+    def _inertia_of_its_type(self) -> Self:
+        if self.type == "torque_loop" and self.motor_inertia_reduced is None:
+            raise ValueError(
+                "motor_inertia_reduced (B_theta) is required for type torque_loop [kg m^2]; without a torque loop say "
+                "type: rigid"
+            )
+        if self.type == "rigid" and self.motor_inertia_reduced is not None:
+            raise ValueError("motor_inertia_reduced is what a torque loop leaves; type rigid has none: leave it out")
+        return self
+
+    @property
+    def behind_the_links(self) -> tuple[float, ...]:
+        """Motor inertia per joint that the links feel: B_theta with a torque loop, else B_rho [kg m^2]."""
+        return self.motor_inertia_rotor if self.motor_inertia_reduced is None else self.motor_inertia_reduced
 
 
 class ImpactPose(Schema):
@@ -137,11 +172,14 @@ class Robot(Schema):
     def _one_entry_per_joint(self) -> Self:
         count = self.robot_facts.joint_count
         for name in ("motor_inertia_rotor", "motor_inertia_reduced", "stiffness", "damping"):
-            found = len(getattr(self.drive, name))
+            values = getattr(self.drive, name)
+            found = count if values is None else len(values)
             if found != count:
                 raise ValueError(f"drive.{name} has {found} entries, expected one per joint ({count})")
         if len(self.impact.joint_guess) != count:
             raise ValueError(f"impact.joint_guess must have one entry per joint ({count}) [rad]")
+        if self.drive.type == "torque_loop" and not self.robot_facts.joint_torque_loop:
+            raise ValueError(f"{self.facts_name} has no torque loop that could shape its inertia: drive.type: rigid")
         if self.drive.friction == "identified" and self.robot_facts.friction is None:
             raise ValueError(f"drive.friction is 'identified', but {self.facts_name} has none in its facts")
         return self
@@ -205,10 +243,44 @@ class CaseRobot(Schema):
     """What one arm does in one case."""
 
     ante_velocity: Vector3 = Field(description="end-effector velocity just before impact [m/s]")
-    joint_1: float = Field(description="position of joint 1 at impact, resolves redundancy [rad]")
+    joint_1: float | None = Field(
+        None,
+        description="position of joint 1 at impact, the posture task that resolves the redundancy of seven joints "
+        "[rad]; absent: free, as for six joints",
+    )
     joint_1_velocity: float | None = Field(
         None, description="velocity of joint 1 at impact [rad/s]; absent: least-norm joint velocity"
     )
+    posture: dict[str, float] = Field(
+        {}, description="the same for further joints, or others: position at impact by joint, as in joint_3: 0.2 [rad]"
+    )
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_usual(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Bags of scenarios whose posture task is joint 1 read as they always did."""
+        data: dict[str, Any] = handler(self)
+        if not self.posture:
+            data.pop("posture", None)
+        return data
+
+    @model_validator(mode="after")
+    def _a_posture_of_joints(self) -> Self:
+        for name in self.posture:
+            if re.fullmatch(r"joint_[1-9]\d*", name) is None:
+                raise ValueError(f"posture names {name!r}, expected joint_N with N counted from 1 at the base")
+        if self.joint_1 is not None and "joint_1" in self.posture:
+            raise ValueError("joint_1 stands in posture as well; give it once [rad]")
+        if self.joint_1_velocity is not None and 0 not in self.held:
+            raise ValueError("joint_1_velocity needs a position joint_1 [rad]")
+        return self
+
+    @property
+    def held(self) -> dict[int, float]:
+        """Joints of the posture task, counted from 0, in order, with their positions at impact [rad]."""
+        positions = {int(name.removeprefix("joint_")) - 1: value for name, value in self.posture.items()}
+        if self.joint_1 is not None:
+            positions[0] = self.joint_1
+        return dict(sorted(positions.items()))
 
 
 class Case(Schema):
@@ -223,7 +295,9 @@ class Excursion(Schema):
 
     start: Vector3 = Field(description="start of frame E from its pose at impact [m]")
     end: Vector3 = Field(description="turning point of frame E from its pose at impact [m]")
-    joint_1: float = Field(description="change of joint 1 from start to turning point [rad]")
+    joint_1: float = Field(
+        0.0, description="change of joint 1, where the posture task holds it, from start to turning point [rad]"
+    )
     twist: float = Field(description="rotation of E about the pad's normal from start to turning point [rad]")
     begin: Positive = Field(description="when the motion begins [s]")
     rest: Annotated[float, Field(ge=0.0, description="rest at the turning point [s]")]
@@ -436,6 +510,11 @@ class Scenario(Schema):
                 raise ValueError(
                     f"cases.{case_name}.robots names {sorted(case.robots)}, expected {sorted(self.robots)}"
                 )
+            for name, robot in case.robots.items():
+                count = self.robots[name].robot_facts.joint_count
+                if beyond := [joint + 1 for joint in robot.held if joint >= count]:
+                    place = f"cases.{case_name}.robots.{name}.posture"
+                    raise ValueError(f"{place} names joint_{beyond[0]}, but the arm has {count} joints")
         return self
 
     @model_validator(mode="after")
@@ -452,6 +531,8 @@ class Scenario(Schema):
             raise ValueError("an excursion is a motion without contact: object_gap must be > 0 [m]")
         for name, case in self.cases.items():
             for robot in case.robots.values():
+                if self.excursion.joint_1 != 0.0 and 0 not in robot.held:
+                    raise ValueError(f"excursion.joint_1 moves joint 1, which cases.{name} does not hold: give joint_1")
                 end = self.excursion_end(robot)
                 if end > self.timing.duration:
                     raise ValueError(

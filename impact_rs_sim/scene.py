@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from impact_rs_sim.errors import Infeasible
+from impact_rs_sim.errors import Infeasible, UnreachablePose
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -83,8 +83,13 @@ class Scene:
             wanted = case.robots[name]
             model = physics.robot_model(name)
             placement = scenario.impact_placement(name, object_name)
-            q = model.inverse_kinematics(placement, wanted.joint_1, np.array(robot.impact.joint_guess))
-            dq = _impact_velocity(model, q, np.array(wanted.ante_velocity), wanted.joint_1_velocity)
+            try:
+                q = model.inverse_kinematics(placement, wanted.held, np.array(robot.impact.joint_guess))
+                dq = _impact_velocity(model, q, np.array(wanted.ante_velocity), wanted.joint_1_velocity)
+            except UnreachablePose as error:
+                raise UnreachablePose(
+                    f"cases.{case_name}, robots.{name}.impact of scenario {scenario.name!r}: {error}"
+                ) from None
             if np.any(np.abs(dq) > model.velocity_max):
                 joint = int(np.argmax(np.abs(dq) / model.velocity_max))
                 raise Infeasible(
@@ -105,14 +110,22 @@ class Scene:
 
 
 def _impact_velocity(model: RobotModel, q: Array, linear: Array, joint_1: float | None) -> Array:
-    """Joint velocity with the wanted end-effector velocity, no rotation, and joint 1 as asked."""
-    jacobian = model.jacobian(q)
-    task = np.concatenate((linear, np.zeros(3)))
-    if joint_1 is None:
-        return np.asarray(np.linalg.pinv(jacobian) @ task)
-    selector = np.zeros((1, model.joint_count))
-    selector[0, 0] = 1.0
-    return np.linalg.solve(np.vstack((jacobian, selector)), np.append(task, joint_1))
+    """The least joint velocity with the wanted end-effector velocity, no rotation, and joint 1 as asked.
+
+    Raises:
+        UnreachablePose: There is none: too few joints, or a singular pose.
+    """
+    tasks, wanted = model.jacobian(q), np.concatenate((linear, np.zeros(3)))
+    if joint_1 is not None:
+        tasks, wanted = np.vstack((tasks, np.eye(model.joint_count)[:1])), np.append(wanted, joint_1)
+    dq = np.linalg.pinv(tasks) @ wanted
+    missed = float(np.abs(tasks @ dq - wanted).max())
+    if missed > 1e-6 * max(1.0, float(np.abs(wanted).max())):
+        raise UnreachablePose(
+            f"ante_velocity {linear.tolist()} m/s without rotation is beyond these joints: the nearest velocity is off "
+            f"by {missed:.3g} (m/s or rad/s)"
+        )
+    return np.asarray(dq)
 
 
 def resting_pose(scenario: Scenario, object_name: str) -> BodyState:

@@ -79,7 +79,7 @@ def impedance(hit: Hit) -> tuple[Controller, Array, float]:
     velocity = hit.speed * (model.jacobian(at_impact.position) @ at_impact.velocity)[:3]
     direction = velocity / np.linalg.norm(velocity)
     first = pin.SE3(goal.rotation, goal.translation - RUN_UP * direction)
-    start = model.inverse_kinematics(first, float(at_impact.position[0]), at_impact.position)
+    start = model.inverse_kinematics(first, {0: float(at_impact.position[0])}, at_impact.position)
     speed = float(np.linalg.norm(velocity))
 
     def wanted(now: float) -> tuple[Array, Array]:

@@ -182,14 +182,14 @@ def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf, st
         candidate: Where to start, linearised.
         evidence: What to explain.
         give_up: After its first step a fit whose held-out error is larger than this ends.
-        steps: Most of them.
+        steps: Most of them; as long as a step halves what is left, there is another.
     """
     best = Fit.of(candidate, evidence)
     nothing = np.zeros_like(best.change)
     best_error = float(np.mean(best.problem.errors(nothing)))
-    point, fraction = best.estimate, 1.0
-    for number in range(steps):
-        if number >= 1 and best_error > give_up:
+    point, fraction, halved = best.estimate, 1.0, False
+    for number in range(STEPS):
+        if (number >= 1 and best_error > give_up) or (number >= steps and not halved):
             break
         step = fraction * (point - candidate.point)
         if np.max(np.abs(step / candidate.scale)) < 1e-6:
@@ -201,6 +201,7 @@ def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf, st
             continue
         tried = Fit.of(_broyden(candidate, moved), evidence)
         error = float(np.mean(tried.problem.errors(nothing)))
+        halved = error < 0.5 * best_error
         if error < best_error:
             gained = best_error - error
             if gained < STRAIGHT * expected and candidate.point.size <= FEW:

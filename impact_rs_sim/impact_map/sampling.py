@@ -56,8 +56,10 @@ def _sample(
     target = pin.SE3(
         turn @ robot.impact.placement.rotation, robot.impact.placement.translation + rng.uniform(-0.08, 0.08, 3)
     )
-    joint_1 = robot.impact.joint_guess[0] + rng.uniform(-0.4, 0.4)
-    q = model.inverse_kinematics(target, joint_1, np.array(robot.impact.joint_guess))
+    shift = rng.uniform(-0.4, 0.4)
+    held = next(iter(scenario.cases.values())).robots[name].held
+    near = {joint: robot.impact.joint_guess[joint] + shift for joint in held}
+    q = model.inverse_kinematics(target, near, np.array(robot.impact.joint_guess))
     normal = target.rotation[:, 2]
     speed = rng.uniform(0.2, 1.0)
     twist = np.concatenate((speed * (normal + rng.uniform(-0.3, 0.3, 3)), rng.uniform(-0.3, 0.3, 3)))

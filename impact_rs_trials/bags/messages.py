@@ -212,7 +212,7 @@ def _xyz(values: Array) -> dict[str, float]:
 
 
 def reference_columns(arm: ArmPlan) -> dict[str, Array]:
-    """Fields of ControllerState that the plan alone decides, one row per tick."""
+    """Fields of ControllerState that the plan alone decides, one row per tick; of the posture its first joint."""
     columns = {}
     for phase, position, posture in (
         ("ante", arm.ante_position, arm.ante_posture),
@@ -221,5 +221,6 @@ def reference_columns(arm: ArmPlan) -> dict[str, Array]:
         columns[f"{phase}_position"] = position.position
         columns[f"{phase}_velocity"] = position.velocity
         columns[f"{phase}_acceleration"] = position.acceleration
-        columns[f"{phase}_posture"] = np.hstack((posture.position, posture.velocity, posture.acceleration))
+        rows = np.hstack([part[:, :1] for part in (posture.position, posture.velocity, posture.acceleration)])
+        columns[f"{phase}_posture"] = rows if rows.size else np.zeros((len(rows), 3))
     return columns

@@ -92,7 +92,7 @@ def test_a_known_torque_offset_is_identified_as_the_acceleration_it_causes(smoot
         (found.post.rows, arm.post_position, arm.post_posture),
     ):
         end = pin.SE3(arm.orientation[-1], path.position[-1])
-        at_end = robot.inverse_kinematics(end, float(posture.position[-1, 0]), at_impact)
+        at_end = robot.inverse_kinematics(end, {0: float(posture.position[-1, 0])}, at_impact)
         for samples, q in ((rows[88:93], at_impact), (rows[-12:], at_end)):
             for task in (slice(3), slice(3, 6), slice(6, 7)):
                 tolerance = 0.04 * np.linalg.norm(expected(q)[task]) + 0.02

@@ -79,7 +79,7 @@ def test_inverse_kinematics_reaches_the_pose_with_joint_1_where_it_shall_be(scen
     model = scene.models["arm"]
     target = scene.scenario.robots["arm"].impact.placement
     for joint_1 in (-0.4, 0.0, 0.5):
-        q = model.inverse_kinematics(target, joint_1, scene.arms["arm"].position)
+        q = model.inverse_kinematics(target, {0: joint_1}, scene.arms["arm"].position)
         assert q[0] == joint_1
         assert np.linalg.norm(pin.log6(model.placement(q).actInv(target)).vector) < 1e-8
         assert np.all(q >= model.position_min) and np.all(q <= model.position_max)
@@ -88,7 +88,9 @@ def test_inverse_kinematics_reaches_the_pose_with_joint_1_where_it_shall_be(scen
 def test_unreachable_pose_says_so(scene):
     model = scene.models["arm"]
     far = pin.SE3(np.eye(3), np.array([2.0, 0.0, 0.5]))
-    with pytest.raises(UnreachablePose, match="unreachable"):
-        model.inverse_kinematics(far, 0.0, scene.arms["arm"].position)
+    with pytest.raises(
+        UnreachablePose, match=r"cannot be at \[2.0, 0.0, 0.5\] m, joint 1 at 0 rad: the nearest pose is 1.\d+ m and"
+    ):
+        model.inverse_kinematics(far, {0: 0.0}, scene.arms["arm"].position)
     with pytest.raises(UnreachablePose, match="limits"):
-        model.inverse_kinematics(far, 4.0, scene.arms["arm"].position)
+        model.inverse_kinematics(far, {0: 4.0}, scene.arms["arm"].position)

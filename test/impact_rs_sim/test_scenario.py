@@ -9,6 +9,7 @@ import yaml
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.scenario import Scenario, load_scenario, scenario_path
 from impact_rs_sim.scene import Scene
@@ -51,6 +52,11 @@ def broken(text, key, value):
         ("timing.window_after", 5.0, ["window ends after the trial", "[s]"]),
         ("axis", "w", ["axis = 'w'", "'x', 'y' or 'z'"]),
         ("robots.arm.facts", "panda9", ["panda9", "known robots: franka_fer"]),
+        ("robots.arm.drive.type", "rigid", ["motor_inertia_reduced", "rigid", "leave it out"]),
+        ("robots.arm.drive.motor_inertia_reduced", None, ["motor_inertia_reduced", "required", "[kg m^2]", "rigid"]),
+        ("cases.case_1.robots.arm.posture", {"joint_8": 0.1}, ["joint_8", "7 joints"]),
+        ("cases.case_1.robots.arm.posture", {"elbow": 0.1}, ["elbow", "joint_N"]),
+        ("cases.case_1.robots.arm.posture", {"joint_1": 0.1}, ["joint_1", "once"]),
     ],
 )
 def test_error_names_file_key_value_and_what_was_expected(text, key, value, expected):
@@ -60,6 +66,35 @@ def test_error_names_file_key_value_and_what_was_expected(text, key, value, expe
     assert "\n" not in message
     for part in ["my_push.yaml", *expected]:
         assert part in message
+
+
+def test_joints_of_the_posture_task_are_told_in_the_order_of_the_arm(text):
+    data = broken(text, "cases.case_1.robots.arm.posture", {"joint_6": 1.4, "joint_3": 0.5})
+    held = validate(Scenario, data, PUSH).cases["case_1"].robots["arm"].held
+    assert list(held.items()) == [(0, -0.277), (2, 0.5), (5, 1.4)]
+    free = validate(Scenario, broken(text, "cases.case_1.robots.arm.joint_1", None), PUSH)
+    assert free.cases["case_1"].robots["arm"].held == {}
+
+
+def test_a_robot_without_torque_sensors_has_no_torque_loop(text):
+    facts = load_facts("franka_fer").model_copy(update={"joint_torque_loop": False}).model_dump()
+    with pytest.raises(InputError, match=r"has no torque loop that could shape its inertia: drive.type: rigid"):
+        validate(Scenario, broken(text, "robots.arm.facts", facts), PUSH)
+
+
+def test_without_a_torque_loop_the_links_carry_the_rotor_inertia(text):
+    data = broken(broken(text, "robots.arm.drive.motor_inertia_reduced", None), "robots.arm.drive.type", "rigid")
+    scenario = validate(Scenario, data, PUSH)
+    arm = Physics.nominal(scenario, "juice").arms["arm"]
+    assert arm.motor_inertia_reduced.tolist() == list(scenario.robots["arm"].drive.motor_inertia_rotor)
+    again = Scenario.model_validate_json(scenario.model_dump_json())
+    assert again == scenario
+
+
+def test_a_bag_of_a_scenario_without_new_keys_reads_as_it_always_did(text):
+    written = validate(Scenario, text, PUSH).model_dump(mode="json")
+    assert "type" not in written["robots"]["arm"]["drive"]
+    assert "posture" not in written["cases"]["case_1"]["robots"]["arm"]
 
 
 def test_key_that_stands_twice_is_refused(tmp_path):

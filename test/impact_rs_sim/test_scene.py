@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenario import Scenario, load_scenario
-from impact_rs_sim.scene import BodyState, Scene
+from impact_rs_sim.scenario import CaseRobot, Scenario, load_scenario
+from impact_rs_sim.scene import BodyState, Scene, _impact_velocity
 
 PUSH, GRAB, EXCITE = (load_scenario(name) for name in ("push", "grab", "excite"))
 
@@ -42,6 +44,42 @@ def test_a_velocity_of_joint_1_is_kept_beside_that_of_the_end_effector() -> None
     assert state.velocity[0] == pytest.approx(0.2)
     twist = scene.models["arm"].jacobian(state.position) @ state.velocity
     np.testing.assert_allclose(twist, [*robot.ante_velocity, 0.0, 0.0, 0.0], atol=1e-9)
+
+
+def with_case(scenario: Scenario, **changes: object) -> Scenario:
+    """The scenario with one case of its only arm changed."""
+    case = scenario.cases["case_1"]
+    robot = CaseRobot(**(case.robots["arm"].model_dump() | changes))
+    return scenario.model_copy(update={"cases": {"case_1": case.model_copy(update={"robots": {"arm": robot}})}})
+
+
+def test_any_joint_may_resolve_the_redundancy_or_none() -> None:
+    wanted = PUSH.robots["arm"].impact.placement
+    other = with_case(PUSH, joint_1=None, posture={"joint_3": 0.4})
+    free = with_case(PUSH, joint_1=None)
+    for scenario, held in ((other, {2: 0.4}), (free, {})):
+        scene = Scene.resolve(scenario, "juice", "case_1")
+        q = scene.arms["arm"].position
+        assert all(q[joint] == position for joint, position in held.items())
+        found = scene.models["arm"].placement(q)
+        np.testing.assert_allclose(found.translation, wanted.translation, atol=1e-9)
+        np.testing.assert_allclose(found.rotation, wanted.rotation, atol=1e-9)
+
+
+def test_a_pose_that_is_out_of_reach_is_told_with_its_keys_and_by_how_far() -> None:
+    impact = PUSH.robots["arm"].impact.model_copy(update={"position": (0.43, -2.0, 0.485)})
+    robot = PUSH.robots["arm"].model_copy(update={"impact": impact})
+    far = PUSH.model_copy(update={"robots": {"arm": robot}})
+    with pytest.raises(InputError, match=r"cases.case_1, robots.arm.impact .* nearest pose is 1\.\d+ m and .* rad off"):
+        Scene.resolve(far, "juice", "case_1")
+
+
+def test_a_velocity_that_the_joints_cannot_make_is_told_by_how_much_it_is_missed() -> None:
+    """Two joints that slide along x and y, asked to move along z as well."""
+    slides = SimpleNamespace(jacobian=lambda q: np.eye(6)[:, :2], joint_count=2)
+    np.testing.assert_allclose(_impact_velocity(slides, np.zeros(2), np.array([0.3, -0.4, 0.0]), None), [0.3, -0.4])
+    with pytest.raises(InputError, match=r"beyond these joints: the nearest velocity is off by 0\.5"):
+        _impact_velocity(slides, np.zeros(2), np.array([0.3, -0.4, 0.5]), None)
 
 
 @pytest.mark.parametrize("thing", PUSH.objects)

@@ -1,0 +1,385 @@
+"""A scenario to start from, for any arm: drive, pose and support are found, the rest is that of a shipped scenario.
+
+A pose is searched among random ones of the arm. In each the end effector is led along its whole way by the least joint
+velocity; what counts is how far the joints stay from their limits, how far the Jacobian stays from losing rank, and
+what share of speed and torque is used. The best are tried in the simulator, one after the other, until one works.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.drive_stability import joint_stability
+from impact_rs_sim.errors import Infeasible, InputError
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.robot import Array, EndEffector, RobotFacts
+from impact_rs_sim.robot_check import check_drives, random_positions
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.schema import parse_yaml, validate
+from impact_rs_trials.bags.record import record_trial
+from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
+from impact_rs_trials.spec import TrialSpec
+
+Report = Callable[[str, int, int], None]
+Kind = Literal["push", "grab", "excite"]
+KINDS: tuple[Kind, ...] = ("push", "grab", "excite")
+
+# Of a Franka arm: B_rho and K over the torque limit of its large joints, B_theta over B_rho.
+ROTOR_INERTIA = 0.6 / 87.0  # kg m^2 / (N m)
+STIFFNESS = 14000.0 / 87.0  # N m/rad / (N m)
+REDUCED = 1.0 / 3.0
+STIFFEST = 14000.0  # N m/rad; gears of stronger joints are not much stiffer
+DAMPING = 12.0 / 14000.0  # s, of the stiffness
+STABLE = 0.25  # of the damping with which the torque loop would lose its stability
+
+POSES = 150  # that are looked at
+BEST = 6  # that are simulated
+SEED = 0
+STEP = 0.02  # m, along the way
+COMFORTABLE = 0.3  # rad from a limit; more is no better
+REGULAR = 0.1  # smallest singular value of the Jacobian (m, rad); more is no better
+SPEEDS = (1.0, 0.8, 0.6, 0.45)  # of the shipped scenario's, until the joints are fast enough
+NORMAL, UP = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where an arm hits.
+
+    Attributes:
+        position: Of E, ``(3,)`` [m].
+        q: Joint positions, ``(n,)`` [rad].
+        score: 0: a limit is reached on the way; 1: far from all.
+    """
+
+    position: Array
+    q: Array
+    score: float
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A scenario that works.
+
+    Attributes:
+        text: YAML with comments.
+        scenario: The same, read.
+        speed: Share of the shipped scenario's speeds.
+        tried: Poses that were simulated before this one worked.
+    """
+
+    text: str
+    scenario: Scenario
+    speed: float
+    tried: int
+
+
+def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambda *_: None) -> Draft:
+    """A working scenario with a box or two for an arm.
+
+    Args:
+        facts_name: What the scenario shall call the robot: a name in ``config/robots`` or a path.
+        facts: The robot.
+        kind: Which shipped scenario it is made like.
+        report: Called with (what, done, total).
+
+    Raises:
+        InputError: An arm with fewer than six joints, which cannot hold a pad upright wherever it goes.
+        Infeasible: No pose works.
+    """
+    if facts.joint_count < 6:
+        raise InputError(
+            f"{facts_name} has {facts.joint_count} joints: a pad that keeps its orientation on its way needs six; "
+            "write a scenario by hand, or use the arm in recordings"
+        )
+    shipped = load_scenario(kind)
+    effector = next(iter(shipped.robots.values())).end_effector
+    model = RobotModel(facts, replace(effector.build(), mount_yaw=0.0))
+    rng = np.random.default_rng(SEED)
+    reach = _reach(model)
+    starts = []
+    for number in range(POSES):
+        report("poses", number, POSES)
+        if (start := _random_pose(model, reach, rng)) is not None:
+            starts.append(start)
+    failures: list[str] = []
+    for round_, speed in enumerate(SPEEDS):
+        rated = sorted((_rated(model, start, shipped, speed) for start in starts), key=lambda pose: -pose.score)
+        for number, pose in enumerate([pose for pose in rated if pose.score > 0.0][:BEST]):
+            report("trials of poses", round_ * BEST + number, len(SPEEDS) * BEST)
+            text = scenario_text(facts_name, facts, kind, model, pose, speed)
+            try:
+                scenario = _read(text, facts)
+                _try(scenario)
+            except (InputError, Infeasible) as error:
+                failures.append(str(error))
+                continue
+            return Draft(text, scenario, speed, len(failures))
+    why = f"; the last that was simulated: {failures[-1]}" if failures else ""
+    raise Infeasible(f"no pose of {facts_name} among {POSES} works for a {kind}{why}")
+
+
+def _reach(model: RobotModel) -> float:
+    """How far E gets from joint 2, where the arm begins to stretch [m]."""
+    shoulder = model.link_placements(np.zeros(model.joint_count))["link2"].translation
+    return max(float(np.linalg.norm(model.placement(q).translation - shoulder)) for q in random_positions(model))
+
+
+def _random_pose(model: RobotModel, reach: float, rng: np.random.Generator) -> Pose | None:
+    """A pose with the pad upright and its normal along -y, or None where a random place is out of reach."""
+    shoulder = model.link_placements(np.zeros(model.joint_count))["link2"].translation[2]
+    distance, azimuth = reach * rng.uniform(0.4, 0.85), rng.uniform(-0.5, 0.5)
+    height = max(shoulder + reach * rng.uniform(-0.35, 0.35), 0.25)
+    middle = 0.5 * (model.position_min + model.position_max)
+    guess = middle + 0.5 * (model.position_max - middle) * rng.uniform(-1.0, 1.0, model.joint_count)
+    position = np.array([distance * np.cos(azimuth), distance * np.sin(azimuth), height])
+    target = pin.SE3(np.column_stack((np.cross(UP, NORMAL), UP, NORMAL)), position)
+    try:
+        q = model.inverse_kinematics(target, {}, guess, further_starts=0)
+    except Infeasible:
+        return None
+    return Pose(position, q, 0.0)
+
+
+def _rated(model: RobotModel, pose: Pose, scenario: Scenario, share: float) -> Pose:
+    """A pose with its score for the way of the fastest case."""
+    velocities = [share * np.array(next(iter(case.robots.values())).ante_velocity) for case in scenario.cases.values()]
+    fastest = max(velocities, key=lambda velocity: float(np.linalg.norm(velocity)))
+    timing = scenario.timing
+    if scenario.excursion is not None:
+        ways = [np.array(scenario.excursion.start), np.array(scenario.excursion.end)]
+    else:
+        after = fastest[scenario.axis_index] * np.eye(3)[scenario.axis_index]
+        ways = [-0.5 * timing.approach * fastest, 0.5 * timing.push * max(scenario.velocity_scales) * after]
+    return replace(pose, score=min(_along(model, pose.q, way, float(np.linalg.norm(fastest))) for way in ways))
+
+
+def _along(model: RobotModel, start: Array, way: Array, speed: float) -> float:
+    """The least of all scores on a straight way of E, which the joints follow as little as they can."""
+    length = float(np.linalg.norm(way))
+    direction = np.append(way / length, np.zeros(3))
+    target, q, worst = model.placement(start), start.copy(), 1.0
+    for travelled in np.arange(0.0, length + STEP, STEP):
+        jacobian = model.jacobian(q)
+        inverse = np.linalg.pinv(jacobian)
+        margin = float(np.minimum(q - model.position_min, model.position_max - q).min())
+        regular = float(np.linalg.svd(jacobian, compute_uv=False)[5])
+        fast = float((np.abs(inverse @ direction) * speed / model.velocity_max).max())
+        loaded = float((np.abs(model.gravity_torque(q)) / model.torque_max).max())
+        shares = (margin / COMFORTABLE, regular / REGULAR, 2.0 * (1.0 - fast), 2.0 * (1.0 - loaded))
+        worst = min(worst, float(np.prod(np.clip(shares, 0.0, 1.0))))
+        if worst == 0.0:
+            break
+        placement = model.placement(q)
+        wanted = target.translation + direction[:3] * (travelled + STEP)
+        error = np.append(
+            wanted - placement.translation, placement.rotation @ pin.log3(placement.rotation.T @ target.rotation)
+        )
+        q = q + inverse @ error
+    return worst
+
+
+def drive_values(facts: RobotFacts, end_effector: EndEffector, period: float) -> dict[str, list[float]]:
+    """Motor inertia, stiffness and damping per joint: as published, else scaled from a Franka arm, and stable.
+
+    Args:
+        facts: The robot.
+        end_effector: What it carries.
+        period: Of the torque loop [s].
+    """
+    torque = np.array(facts.limits.torque_Nm)
+    rotor = np.array(facts.reflected_rotor_inertia_other_source_kg_m2 or np.maximum(ROTOR_INERTIA * torque, 0.05))
+    reduced = REDUCED * rotor if facts.joint_torque_loop else rotor
+    stiffness = np.minimum(STIFFNESS * torque, STIFFEST)
+    model = RobotModel(facts, end_effector)
+    inverses = np.linalg.inv(np.array([model.mass_matrix(q) for q in random_positions(model)]))
+    lightest = 1.0 / np.diagonal(inverses, axis1=1, axis2=2).max(axis=0)
+    damping = np.empty_like(stiffness)
+    for joint, inertia in enumerate(lightest):
+        limits = joint_stability(float(inertia), float(reduced[joint]), 1.0, 0.0, period)
+        stiffness[joint] = min(stiffness[joint], STABLE * limits.stiffness_below)
+        limits = joint_stability(float(inertia), float(reduced[joint]), float(stiffness[joint]), 1.0, period)
+        damping[joint] = min(DAMPING * stiffness[joint], STABLE * limits.damping_below)
+    values = {
+        "motor_inertia_rotor": rotor,
+        "motor_inertia_reduced": reduced,
+        "stiffness": stiffness,
+        "damping": damping,
+    }
+    if not facts.joint_torque_loop:
+        del values["motor_inertia_reduced"]
+    return {name: [float(f"{value:.3g}") for value in row] for name, row in values.items()}
+
+
+def scenario_text(facts_name: str, facts: RobotFacts, kind: Kind, model: RobotModel, pose: Pose, speed: float) -> str:
+    """The scenario file.
+
+    Args:
+        facts_name: What it shall call the robot.
+        facts: The robot.
+        kind: Which shipped scenario it is made like; what does not depend on the arm is taken from it, word for word.
+        model: The arm with its end effector.
+        pose: Where it hits.
+        speed: Share of the shipped scenario's speeds.
+    """
+    shipped = (config_directory() / "scenarios" / f"{kind}.yaml").read_text(encoding="utf-8")
+    plain = parse_yaml(shipped, f"{kind}.yaml")
+    before, objects, support, cases, rest = _sections(shipped, ("objects:", "support:", "cases:", "velocity_scales:"))
+    head = before[before.index("name:") : before.index("robots:")]
+    head = head.replace(f"name: {kind}", f"name: {kind}_{re.sub(r'[^A-Za-z0-9_-]', '_', Path(facts_name).stem)}", 1)
+    height = float(pose.position[2]) - 0.5 * max(item["size"][2] for item in plain["objects"].values())
+    support = support.replace(f"height: {plain['support']['height']}", f"height: {height:.3f}")
+    mirrored = pose.position + NORMAL * 0.5 * float(plain["objects"]["parcel"]["size"][1]) if kind == "grab" else None
+    if kind == "excite" and facts.joint_count == 6:
+        head = "".join(line for line in head.splitlines(keepends=True) if "joint_1:" not in line)
+    if mirrored is not None:
+        first = head.index("object_position:")
+        line = head[first : head.index("\n", first)]
+        head = head.replace(line, f"object_position: [{mirrored[0]:.4f}, {mirrored[1]:.4f}]  # m")
+    names = list(plain["robots"])
+    lines = [
+        f"# Made by impact-rs scenario new for {facts_name}: pose and drive were found, the rest is that of {kind}.",
+        "# SI units everywhere; the inertial frame has z up (REP-103).",
+        "# The drive is an assumption, scaled from a Franka arm: replace it by the numbers of your robot, then run",
+        f"# impact-rs robot check {facts_name} --scenario THIS_FILE",
+        head.rstrip(),
+        "",
+        "robots:",
+    ]
+    for number, name in enumerate(names):
+        lines += _robot_lines(name, facts_name, facts, plain["robots"][name], model, pose, mirrored if number else None)
+    return "\n".join(
+        [
+            *lines,
+            "",
+            objects.rstrip(),
+            "",
+            support.rstrip(),
+            "",
+            *_case_lines(plain["cases"], facts, pose, speed),
+            "",
+            rest.rstrip(),
+            "",
+        ]
+    )
+
+
+def _sections(text: str, starts: Sequence[str]) -> list[str]:
+    """A YAML file cut before the lines of some of its keys."""
+    places = [0, *(text.index(f"\n{start}") + 1 for start in starts), len(text)]
+    return [text[place:until] for place, until in zip(places, places[1:], strict=False)]
+
+
+def _robot_lines(
+    name: str,
+    facts_name: str,
+    facts: RobotFacts,
+    shipped: dict[str, Any],
+    model: RobotModel,
+    pose: Pose,
+    mirrored: Array | None,
+) -> list[str]:
+    effector, pad = shipped["end_effector"], shipped["end_effector"]["pad"]
+    drive = drive_values(facts, model.end_effector, 2.5e-4)
+    sign, base, yaw, position = 1.0, np.zeros(3), 0.0, pose.position
+    if mirrored is not None:  # the same arm, turned by half a turn about the middle of the object
+        sign, yaw = -1.0, np.pi
+        base = 2.0 * mirrored * [1.0, 1.0, 0.0]
+        position = 2.0 * mirrored - pose.position
+        position[2] = pose.position[2]
+    reduced = drive.get("motor_inertia_reduced")
+    return [
+        f"  {name}:",
+        f"    facts: {facts_name}",
+        "    base:",
+        f"      position: {_row(base)}   # m",
+        f"      yaw: {yaw:.6g}   # rad",
+        "    end_effector:",
+        f"      mass: {effector['mass']}   # kg",
+        f"      com: {effector['com']}   # m, in frame E (middle of the pad's face, +z outwards)",
+        f"      inertia: {effector['inertia']}   # kg m^2",
+        f"      length: {effector['length']}   # m, flange to pad face",
+        "      pad:",
+        f"        size: {pad['size']}   # m",
+        f"        stiffness: {float(pad['stiffness'])}   # N/m, whole face",
+        f"        damping: {float(pad['damping'])}   # N s/m, whole face",
+        "    drive:",
+        *([] if facts.joint_torque_loop else ["      type: rigid   # no torque loop: the links carry B_rho"]),
+        f"      motor_inertia_rotor: {drive['motor_inertia_rotor']}   # kg m^2, B_rho",
+        *([] if reduced is None else [f"      motor_inertia_reduced: {reduced}   # kg m^2, B_theta"]),
+        f"      stiffness: {drive['stiffness']}   # N m/rad, K",
+        f"      damping: {drive['damping']}   # N m s/rad, D",
+        "    impact:",
+        f"      position: {_row(position)}   # m",
+        f"      pad_normal: {_row(sign * NORMAL)}",
+        f"      pad_up: {_row(UP)}",
+        f"      joint_guess: {_row(pose.q)}   # rad",
+    ]
+
+
+def _case_lines(cases: dict[str, Any], facts: RobotFacts, pose: Pose, speed: float) -> list[str]:
+    """Cases with speeds that the arm can reach; where joints are left over, joint 1 is held as the shipped cases do."""
+    lines = ["cases:"]
+    seen: list[list[str]] = []
+    first = next(iter(next(iter(cases.values()))["robots"]))
+    usual = float(next(iter(cases.values()))["robots"][first]["joint_1"])
+    for name, case in cases.items():
+        # A second arm is the first one turned, not mirrored: its joint 1 goes the same way.
+        joint_1 = pose.q[0] + float(case["robots"][first]["joint_1"]) - usual
+        held = f", joint_1: {joint_1:.6g}" if facts.joint_count > 6 else ""
+        own = []
+        for arm, wanted in case["robots"].items():
+            velocity = (speed * np.array(wanted["ante_velocity"], dtype=float)).round(4)
+            own.append(f"      {arm}: {{ante_velocity: {_row(velocity)}{held}}}   # m/s, rad")
+        if own not in seen:
+            lines += [f"  {name}:", f"    label: {case['label']}", "    robots:", *own]
+            seen.append(own)
+    return lines
+
+
+def _read(text: str, facts: RobotFacts) -> Scenario:
+    """The scenario of a text, whose robots are ``facts``.
+
+    Raises:
+        InputError: It breaks the schema.
+    """
+    data = parse_yaml(text, "the new scenario")
+    for robot in data["robots"].values():
+        robot["facts"] = facts.model_dump()
+    return validate(Scenario, data, "the new scenario")
+
+
+def _try(scenario: Scenario) -> None:
+    """Run every case with the heaviest object, and the first one with the lightest.
+
+    Raises:
+        Infeasible: A drive is unstable, a pose cannot be reached, or a trial does not end well.
+    """
+    facts = next(iter(scenario.robots.values())).robot_facts
+    for check in check_drives(facts, scenario):
+        if check.outcome == "failed":
+            raise Infeasible(f"{check.name}: {check.found}")
+    lightest, *_, heaviest = sorted(
+        (scenario.object(name).mass, name) for name in (*scenario.objects, *scenario.objects)
+    )
+    sets = [(heaviest[1], case) for case in scenario.cases] + [(lightest[1], next(iter(scenario.cases)))]
+    with tempfile.TemporaryDirectory() as directory:
+        for object_name, case in dict.fromkeys(sets):
+            plan = TrialSpec.of(scenario, object_name, case).plan
+            key = TrialKey(object_name, case, 1.0, 0)
+            outcome, _ = record_trial(plan, TrialInfo.of(plan, key, SEED, ""), Path(directory) / key.name)
+            if outcome != "OK":
+                raise Infeasible(f"{object_name} {case}: {outcome}")
+
+
+def _row(values: Array) -> str:
+    return f"[{', '.join(f'{value:.6g}' for value in values + 0.0)}]"

@@ -1,0 +1,100 @@
+"""A drafted scenario is that of its robot, stable, reachable, and its trials end well."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from impact_rs_control.closed_loop import make_plant, run_closed_loop
+from impact_rs_sim.drive_stability import spectral_radius
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import RobotFacts, load_facts
+from impact_rs_sim.robot_check import check_drives, empty_flange
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials import scenario_draft
+from impact_rs_trials.scenario_draft import Draft, Pose, draft, drive_values, scenario_text
+from impact_rs_trials.spec import TrialSpec
+
+UR5E, FR3, FER = (load_facts(name) for name in ("ur5e", "franka_fr3", "franka_fer"))
+PERIOD = 2.5e-4
+
+
+@pytest.fixture(scope="module")
+def six_joints() -> Draft:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scenario_draft, "POSES", 40)
+        return draft("ur5e", UR5E, "push")
+
+
+def test_a_scenario_for_six_joints_is_one_that_a_file_can_hold_and_whose_trials_were_run(six_joints: Draft, tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(six_joints.text)
+    scenario = load_scenario(str(path))
+    assert scenario.name == "push_ur5e"
+    assert scenario.robots["arm"].drive.type == "rigid"
+    assert all(robot.held == {} for case in scenario.cases.values() for robot in case.robots.values())
+    assert all(check.outcome == "ok" for check in check_drives(UR5E, scenario))
+
+
+def test_six_joints_follow_their_references_without_a_posture_task(six_joints: Draft, tmp_path):
+    """Before the hit the pad is where it shall be, as that of seven joints is: within a millimetre."""
+    plan = TrialSpec.of(six_joints.scenario, "parcel", "case_1").plan
+    arm = plan.arms["arm"]
+    assert arm.posture == ()
+    plant, reached = make_plant(plan, 1), np.zeros(3)
+    for tick in run_closed_loop(plan, plant):
+        if tick.number == 800:
+            reached = tick.commands["arm"].position
+            break
+    plant.close()
+    np.testing.assert_allclose(reached, arm.ante_position.position[800], atol=1e-3)
+
+
+@pytest.mark.parametrize("facts", [FER, FR3, UR5E])
+def test_assumed_drives_are_stable_and_as_published_where_that_is_known(facts: RobotFacts) -> None:
+    effector = load_scenario("push").robots["arm"].end_effector.build()
+    values = {name: np.array(row) for name, row in drive_values(facts, effector, PERIOD).items()}
+    inertia = values.get("motor_inertia_reduced", values["motor_inertia_rotor"])
+    model = RobotModel(facts, effector)
+    inverse = np.linalg.inv(model.mass_matrix(0.3 * np.ones(facts.joint_count))) + np.diag(1.0 / inertia)
+    assert spectral_radius(inverse, values["stiffness"], values["damping"], PERIOD) < 1.0
+    assert ("motor_inertia_reduced" in values) == facts.joint_torque_loop
+    published = facts.reflected_rotor_inertia_other_source_kg_m2
+    if published is not None:
+        np.testing.assert_allclose(values["motor_inertia_rotor"], published, rtol=5e-3)
+
+
+def test_the_second_arm_of_a_grab_is_the_first_turned_about_the_object() -> None:
+    model = RobotModel(FR3, empty_flange())
+    pose = Pose(np.array([0.4, 0.1, 0.6]), np.zeros(7), 1.0)
+    scenario = scenario_draft._read(scenario_text("franka_fr3", FR3, "grab", model, pose, 1.0), FR3)
+    middle = np.append(scenario.object_position, 0.0)
+    left, right = scenario.robots["left"], scenario.robots["right"]
+    for own, other in ((left.base.position, right.base.position), (left.impact.position, right.impact.position)):
+        np.testing.assert_allclose(np.add(own, other)[:2], 2.0 * middle[:2], atol=1e-6)
+    assert right.base.yaw == pytest.approx(np.pi, abs=1e-4)
+    np.testing.assert_allclose(left.impact.pad_normal, np.negative(right.impact.pad_normal))
+
+
+def test_a_way_that_leaves_the_limits_has_no_score() -> None:
+    model = RobotModel(FER, empty_flange())
+    q = np.array(load_scenario("push").robots["arm"].impact.joint_guess)
+    near = scenario_draft._along(model, q, np.array([0.0, -0.2, 0.0]), 0.5)
+    far = scenario_draft._along(model, q, np.array([0.0, -2.0, 0.0]), 0.5)
+    assert near > 0.0
+    assert far == 0.0
+
+
+def test_too_few_joints_are_told_in_one_line() -> None:
+    few = UR5E.model_copy(
+        update={
+            "joints": UR5E.joints[:3],
+            "links": UR5E.links[:3],
+            "limits": UR5E.limits.model_copy(
+                update={key: value[:3] for key, value in UR5E.limits.model_dump().items()}
+            ),
+        }
+    )
+    with pytest.raises(InputError, match="3 joints: .* needs six"):
+        draft("small", few, "push")
