@@ -182,14 +182,14 @@ def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf, st
         candidate: Where to start, linearised.
         evidence: What to explain.
         give_up: After its first step a fit whose held-out error is larger than this ends.
-        steps: Most of them; as long as a step halves what is left, there is another.
+        steps: Most of them that lower the error; as long as each halves what is left, there is another.
     """
     best = Fit.of(candidate, evidence)
     nothing = np.zeros_like(best.change)
     best_error = float(np.mean(best.problem.errors(nothing)))
-    point, fraction, halved = best.estimate, 1.0, False
+    point, fraction, lowered, halved = best.estimate, 1.0, 0, False
     for number in range(STEPS):
-        if (number >= 1 and best_error > give_up) or (number >= steps and not halved):
+        if (number >= 1 and best_error > give_up) or (lowered >= steps and not halved):
             break
         step = fraction * (point - candidate.point)
         if np.max(np.abs(step / candidate.scale)) < 1e-6:
@@ -201,22 +201,46 @@ def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf, st
             continue
         tried = Fit.of(_broyden(candidate, moved), evidence)
         error = float(np.mean(tried.problem.errors(nothing)))
-        halved = error < 0.5 * best_error
         if error < best_error:
+            lowered, halved = lowered + 1, error < 0.5 * best_error
             gained = best_error - error
-            if gained < STRAIGHT * expected and candidate.point.size <= FEW:
+            bent = gained < STRAIGHT * expected or fraction < 1.0
+            if bent and candidate.point.size <= FEW:
                 tried = _afresh(tried)
             candidate, best, best_error, fraction = tried.candidate, tried, error, 1.0
             point = best.estimate
             if gained < ENOUGH * best_error:
                 break
+        elif fraction < 1.0:
+            break
         else:
+            point, fraction = candidate.point + step, _turning_point(candidate, moved, evidence)
             candidate = replace(candidate, jacobians=tried.candidate.jacobians)
             best = Fit.of(candidate, evidence)
-            if fraction < 1.0:
-                break
-            fraction, point = 1.0 / 3.0, best.estimate
     return best
+
+
+def _turning_point(before: Candidate, after: Candidate, evidence: Evidence) -> float:
+    """Share of a step that went too far after which the error is least, between 0.05 and 0.9.
+
+    Along the step features go from here, with the slope k that the sensitivities know, to there, as
+    d k t / (1 + (k - 1) t): exact for what goes with the inverse of a parameter, as deflection does with stiffness.
+    Least squares of d gives how far they shall go.
+    """
+    step = (after.point - before.point) / before.scale
+    rows = [
+        (item.count, jacobian @ step, there - here, item.mean - here)
+        for item, jacobian, here, there in zip(
+            evidence.clusters, before.jacobians, before.offsets, after.offsets, strict=True
+        )
+    ]
+    size = sum(count * float(moved @ moved) for count, _, moved, _ in rows)
+    slope = sum(count * float(tangent @ moved) for count, tangent, moved, _ in rows)
+    wanted = sum(count * float(rest @ moved) for count, _, moved, rest in rows)
+    if not 0.0 < wanted < size or slope <= 0.0:
+        return 1.0 / 3.0
+    k, g = slope / size, wanted / size
+    return float(np.clip(g / (k - (k - 1.0) * g), 0.05, 0.9))
 
 
 def _afresh(fitted: Fit) -> Fit:

@@ -20,7 +20,6 @@ from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_FREEDOM,
     LEAST_GAIN,
     LEAST_GAIN_OF_FIRST,
-    LEAST_REST,
     LEAST_TO_DISAGREE,
     MOST_EFFECTS,
     NOTHING,
@@ -293,7 +292,7 @@ class Search:
             if thrifty and linear:
                 linear = [entry for entry in linear if entry.score <= HOPELESS * linear[0].score]
             best = self._best(linear[: self._shortlist], chosen, STEPS_OF_FOLD if thrifty else STEPS)
-            if best is None or excess - evidence.excess(best.held_out) <= needed or excess <= LEAST_REST * first:
+            if best is None or excess - evidence.excess(best.held_out) <= needed:
                 break
             chosen = best if thrifty else measure_again(best)
         return chosen

@@ -17,7 +17,6 @@ LEAST_GAIN = (
 LEAST_GAIN_OF_FIRST = 0.05  # the same of the first excess, for recordings, where no lack of fit ends the search
 LEAST_GAIN_OF_JOINT = 0.05  # the same of one joint's whole error, for a verdict on that joint alone
 MOST = 0.5  # share of the excess that an answer explains if "most" is said of it
-LEAST_REST = 0.02  # share of the excess below which a rest is that of the fit: steps of finite differences, last digits
 TIE = 0.05  # log error on unseen clusters; explanations that are closer than 5 % are equally good
 WIDE_TIE = 0.25  # the same where their scatter from cluster to cluster is larger: never more than this
 UNSEEN = 20.0  # parameter scales; an interval wider than this says nothing

@@ -31,7 +31,6 @@ from impact_rs_analysis.diagnosis.search import Rival, Search, moves_enough, not
 from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_GAIN_OF_JOINT,
     LEAST_P,
-    LEAST_REST,
     MOST,
     SIGNIFICANT,
     UNSEEN,
@@ -213,7 +212,7 @@ def headline(found: Findings) -> Headline:
         if chosen is None:
             # Where nobody knows the noise, what no effect explains is not known to be more than that.
             return Headline(NONE if left > 2.0 * noise > 0.0 else NOTHING, share, before, after)
-        if evidence.source.least_change == 0.0 and left > 2.0 * noise > 0.0 and share > LEAST_REST:
+        if evidence.source.least_change == 0.0 and left > 2.0 * noise > 0.0:
             return Headline(_partly(found, share), share, before, after)
         return Headline("+".join(found.names), share, before, after)
     stays = after is not None and after < SIGNIFICANT
@@ -221,7 +220,7 @@ def headline(found: Findings) -> Headline:
     if chosen is None:
         # An effect may be significant alone; where all that differs is noise, it explains nothing that is missing.
         verdict = NONE if stays and large else SMALL if stays else NOTHING
-    elif stays and large and share > LEAST_REST:
+    elif stays and large:
         verdict = _partly(found, share)
     elif not any(matters(chosen, name) for name in found.names):
         verdict = SMALL

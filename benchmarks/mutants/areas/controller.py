@@ -208,7 +208,7 @@ MUTANTS = [
     Mutant(
         name="wrench_left_out_of_the_posture",
         file=FILE,
-        original="            targets[6] += push[0]  # the same torque moves joint 1 as well: "
+        original="            targets[6:] += push[held]  # the same torque moves these joints as well: "
         "no posture feedback shall fight it\n",
         mutated="",
         wrong="Joint 1 does not know of the torque that the wrench asks for.",
