@@ -291,8 +291,8 @@ MUTANTS = [
     Mutant(
         name="weights_swapped",
         file=FILE,
-        original="[gains.position_weight] * 3 + [gains.orientation_weight] * 3",
-        mutated="[gains.orientation_weight] * 3 + [gains.position_weight] * 3",
+        original="(gains.position_weight, gains.orientation_weight, gains.posture_weight",
+        mutated="(gains.orientation_weight, gains.position_weight, gains.posture_weight",
         wrong="Weights of position and orientation are swapped.",
         tests=TESTS,
     ),

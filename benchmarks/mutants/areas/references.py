@@ -139,8 +139,8 @@ MUTANTS = [
     Mutant(
         name="posture_without_scale",
         file=PLAN,
-        original="scale * impact.joint_velocity[name][:1]",
-        mutated="impact.joint_velocity[name][:1]",
+        original="scale * impact.joint_velocity[name][held]",
+        mutated="impact.joint_velocity[name][held]",
         wrong="The post-impact reference of joint 1 forgets the velocity scale.",
         tests=PLAN_TESTS,
     ),
@@ -243,8 +243,8 @@ MUTANTS = [
     Mutant(
         name="start_with_another_joint_1",
         file=PLAN,
-        original="float(posture.position[0, 0]), scene.arms[name].position)",
-        mutated="float(posture.position[-1, 0]), scene.arms[name].position)",
+        original="dict(zip(held, posture.position[0].tolist(), strict=True))",
+        mutated="dict(zip(held, posture.position[-1].tolist(), strict=True))",
         wrong="The arm starts where joint 1 shall be in the end.",
         tests=PLAN_TESTS,
     ),
