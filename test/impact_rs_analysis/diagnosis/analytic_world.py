@@ -40,6 +40,7 @@ EFFECTS = {
         effect("of_joints", tuple(parameter(f"joint{number}") for number in range(7))),
         effect("of_motors", tuple(parameter(f"motor{number}") for number in range(7))),
         effect("one_sided", (parameter("d", lower=0.0),)),
+        effect("inverse", (Parameter("s", "-", 1.0, 0.2, 5.0, 0.1, "s"),)),
         effect("fading", (parameter("e"), parameter("rate", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
     )
 }
@@ -69,6 +70,8 @@ def features(cluster: int, added: Added) -> Array:
             result += values[0] * np.exp(-values[1] * np.linspace(0.0, 3.0, FEATURES)) * (1.0 + 0.1 * cluster)
         elif name == "one_sided":
             result += values[0] * direction(cluster, 7)
+        elif name == "inverse":  # as deflection goes with stiffness
+            result += 100.0 * (1.0 / values[0] - 1.0) * direction(cluster, 8)
         elif name == "outside":
             result += values[0] * direction(cluster, 5)
     return result

@@ -272,3 +272,22 @@ def test_a_fit_ties_with_itself_and_not_with_one_that_is_twice_as_wrong() -> Non
     assert both is not None
     assert tied(both, both)
     assert not tied(both, Fit.of(search.singles["bent"], search.evidence))
+
+
+@pytest.mark.parametrize("first", [3.0, 45.0])
+def test_a_second_effect_is_found_however_large_the_first_one_is(first: float) -> None:
+    """What is left counts by itself and not as a share: 1.5 times the noise beside 45 times is one part in 900."""
+    chosen = searched(AnalyticSource(4, (("straight", (first,)), ("bent", (1.5,))))).choose()
+    assert chosen is not None
+    assert set(chosen.candidate.names) == {"straight", "bent"}
+
+
+@pytest.mark.parametrize("hidden", [0.3, 0.416, 0.7, 2.5])
+def test_what_goes_with_the_inverse_of_a_parameter_is_fitted_in_few_steps(hidden: float) -> None:
+    """From 1 a straight step leads far beyond; the way back knows how the features bend on that step."""
+    source = AnalyticSource(3, (("inverse", (hidden,)),))
+    evidence = Evidence.of(source)
+    start = linearise(Candidate.of((EFFECTS["inverse"],), source), evidence.clusters, evidence.numbers, source)
+    assert start is not None
+    fitted = refine(start, evidence, steps=2)
+    assert fitted.estimate[0] == pytest.approx(hidden, rel=0.01)
