@@ -265,7 +265,7 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
         progress: Told how many of how many bags are read.
 
     Raises:
-        InputError: No such folder, or none of its bags is a readable trial.
+        InputError: No such folder, or none of its bags is a trial that can be used.
         ImpactMapError: The impact map of a recorded scenario has no answer.
     """
     if not directory.is_dir():
@@ -297,7 +297,8 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
     measured = read(bags)
     if not measured:
         raise InputError(
-            f"none of its {len(bags)} bags is a readable trial; {skipped[0].name}: {skipped[0].reason}", file=directory
+            f"none of its {len(bags)} bags is a trial that can be used; {skipped[0].name}: {skipped[0].reason}",
+            file=directory,
         )
     others = {key: read(paths, f"{folders[key]}/") for key, paths in varied.items()}
     missing = _missing(directory, skipped)
