@@ -180,6 +180,9 @@ def test_what_is_clamped_is_dropped_when_it_rises_too_little() -> None:
 
 def test_without_impact_nothing_is_said_of_the_object() -> None:
     assert judge(GRAB, record(GRAB, arm_record(hit=False))) == Verdict("NO-IMPACT", "left, right detected no impact")
+    one = record(GRAB, lift=GRAB.expected_lift)
+    one.arms["right"] = arm_record(hit=False)
+    assert judge(GRAB, one) == Verdict("NO-IMPACT", "right detected no impact")
 
 
 def test_the_gravest_is_told_and_of_equally_grave_ones_the_earliest() -> None:
@@ -205,6 +208,15 @@ def test_a_damper_too_strong_for_a_light_wrist_ends_the_trial_and_names_the_wris
     bag = TrialBag.open(tmp_path / "trial")
     assert (bag.outcome, bag.reason) == (verdict.outcome, verdict.reason)
     assert 0.01 < bag.controller("arm").time[-1] < 0.2  # it does not run on for the 1.8 s that were planned
+
+
+def test_a_tall_box_on_a_rough_table_tips_over_when_it_is_hit(tmp_path: Path) -> None:
+    tall = {"objects.cat_food.size": [0.24, 0.05, 0.9], "support.friction": 1.0}
+    plan = TrialSpec.of(load_scenario("push").with_settings(tall), "cat_food", "case_2").plan
+    info = TrialInfo.of(plan, TrialKey("cat_food", "case_2", 1.0, 0), 1, "inprocess")
+    verdict, _ = record_trial(plan, info, tmp_path / "trial")
+    assert verdict.outcome == "TIPPED"
+    assert 0.9 < float(verdict.reason.split()[-2]) < 1.8  # s: after the impact
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e8])
