@@ -89,10 +89,10 @@ def ran_away(plan: TrialPlan, measured: Mapping[str, ArmMeasurement], torques: M
         torques: Desired torque by arm, ``(n,)`` [N m].
     """
     for name, arm in measured.items():
-        # A NaN is below no bound; in a sum it stays, and so does an infinite number.
+        # A NaN is below no bound, and in a sum of products nothing that is not finite gets lost.
         if not (np.abs(arm.velocity) <= RUNAWAY * plan.scene.models[name].velocity_max).all():
             return True
-        if not math.isfinite(arm.position.sum() + arm.torque.sum() + torques[name].sum()):
+        if not math.isfinite(arm.position @ torques[name] + arm.torque @ arm.torque):
             return True
     return False
 

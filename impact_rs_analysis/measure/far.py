@@ -54,6 +54,6 @@ def far_words(jumps: Iterable[Jump]) -> str:
     return (
         f"{len(found)} of {len(listed)} predictions are far from what was measured, most for {worst.label}: "
         f"{worst.predicted:+.3f} m/s predicted, {worst.measured:+.3f} m/s measured, {worst.mismatch:.0%} of the "
-        f"ante-impact speed apart (far: beyond {FAR:.0%}). An ordinary missing effect is smaller: was another robot, object or "
-        "speed measured?"
+        f"ante-impact speed apart (far: beyond {FAR:.0%}). An ordinary missing effect is smaller: was another robot, "
+        "object or speed measured?"
     )
