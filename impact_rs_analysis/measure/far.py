@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-FAR = 0.2  # twice the worst that the paper publishes for B_theta (0.10, grab of the parcel), six times the median
+FAR = 0.2  # twice the worst that the paper publishes for B_theta (0.10, parcel in grab), six times the median of all
 
 
 @dataclass(frozen=True)
