@@ -64,10 +64,10 @@ def main() -> None:
         writing = 0.0
         close = BagWriter.finish
 
-        def finish(bag: BagWriter, outcome: Any) -> None:
+        def finish(bag: BagWriter, *ending: Any) -> None:
             nonlocal writing
             start = time.process_time()
-            close(bag, outcome)
+            close(bag, *ending)
             writing += time.process_time() - start
 
         run_one(Path(folder) / "single", single.trial(keys[0]))  # imports and caches

@@ -34,7 +34,7 @@ def record(folder: Path, conditions: list[tuple[str, str]] = CONDITIONS, repeats
         for key in (TrialKey(name, case, 1.0, repeat) for repeat in range(repeats)):
             if not (folder / key.name).exists():
                 info = TrialInfo.of(plan, key, key.seed(0), "inprocess")
-                print(key.name, record_trial(plan, info, folder / key.name, physics)[0])
+                print(key.name, record_trial(plan, info, folder / key.name, physics)[0].outcome)
 
 
 def main(folder: Path, effects: list[str] = EFFECTS) -> DiagnosisDocument:

@@ -6,16 +6,22 @@ The nodes run the same loop with messages in between; a trial through them equal
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
+
+import numpy as np
 
 from impact_rs_control.controller import ArmCommand, Controller
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant import Measurement, Plant, PlantExtension
 from impact_rs_sim.robot import Array
+from impact_rs_sim.sensors import ArmMeasurement
+
+RUNAWAY = 2.0  # times its speed limit, where no controller catches a joint again; a healthy trial stays below 0.7
 
 
 class RobotCell(Protocol):
@@ -74,13 +80,32 @@ def make_plant(
     )
 
 
+def ran_away(plan: TrialPlan, measured: Mapping[str, ArmMeasurement], torques: Mapping[str, Array]) -> bool:
+    """Whether a trial has to end: a joint beyond ``RUNAWAY`` times its speed limit, or a number that is none.
+
+    Args:
+        plan: The trial.
+        measured: Measured state by arm.
+        torques: Desired torque by arm, ``(n,)`` [N m].
+    """
+    for name, arm in measured.items():
+        # A NaN is below no bound, and in a sum of products nothing that is not finite gets lost.
+        if not (np.abs(arm.velocity) <= RUNAWAY * plan.scene.models[name].velocity_max).all():
+            return True
+        if not math.isfinite(arm.position @ torques[name] + arm.torque @ arm.torque):
+            return True
+    return False
+
+
 def run_closed_loop(plan: TrialPlan, plant: RobotCell) -> Iterator[Tick]:
-    """Run a trial from the plant's start to the scenario's end, tick by tick."""
+    """Run a trial from the plant's start to the scenario's end, tick by tick; one that ran away ends with that tick."""
     controller = Controller(plan)
     last = plan.scene.scenario.timing.ticks
     for number in range(last + 1):
         measurement = plant.measure()
         commands = controller.update(number, measurement.arms)
         yield Tick(number, measurement, commands)
-        if number < last:
-            plant.step({name: command.torque for name, command in commands.items()})
+        torques = {name: command.torque for name, command in commands.items()}
+        if number == last or ran_away(plan, measurement.arms, torques):
+            return
+        plant.step(torques)

@@ -24,6 +24,9 @@ from impact_rs_sim.robot import Array
 
 SLACK_WEIGHT = 1e6  # cost of a squared violation against that of a squared task error
 ACCURACY = 1e-9
+MOST_RELAXED = (
+    50  # iterations with slack; 25 are the most in an arm that swings about, one beyond all bounds takes any number
+)
 
 
 class QpStatus(IntEnum):
@@ -78,6 +81,20 @@ class QuadraticProgram:
     inertia: Array
     torque_lower: Array
     torque_upper: Array
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all its numbers are; those of a measurement gone wrong are not."""
+        parts = (
+            self.hessian,
+            self.gradient,
+            self.lower,
+            self.upper,
+            self.inertia,
+            self.torque_lower,
+            self.torque_upper,
+        )
+        return all(np.isfinite(part).all() for part in parts)
 
     def allows(self, acceleration: Array) -> bool:
         """Whether an acceleration ``(n,)`` [rad/s^2] keeps every limit; one with a NaN does not."""
@@ -169,6 +186,8 @@ class AccelerationQp:
         free, failed = scipy.linalg.lapack.dposv(program.hessian, -program.gradient)[1:]
         if not failed and program.allows(free):
             return QpSolution(free, QpStatus.SOLVED, 0, time.perf_counter() - started)
+        if not program.is_finite:  # ProxQP would look for an answer for many seconds
+            return QpSolution(np.zeros(self._count), QpStatus.FAILED, 0, time.perf_counter() - started)
         if (program.lower <= program.upper).all():
             answer, iterations, solved = self._solve_exactly(program)
             if solved:
@@ -211,7 +230,7 @@ class AccelerationQp:
         row_upper = np.concatenate((box_upper * period, program.torque_upper / self._torque_max))
         qp = proxqp.dense.QP(3 * count, 0, 2 * count)
         qp.settings.eps_abs = 1e-7
-        qp.settings.max_iter = 2000
+        qp.settings.max_iter = qp.settings.max_iter_in = MOST_RELAXED
         cost = np.zeros((3 * count, 3 * count))
         cost[:count, :count] = program.hessian
         cost[count:, count:] = SLACK_WEIGHT * np.eye(2 * count)

@@ -20,7 +20,7 @@ from impact_rs_ros.trial_session import Progress, TrialResult, TrialSession
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.trial_info import TrialKey
-from impact_rs_trials.campaign import make_manifest, open_campaign
+from impact_rs_trials.campaign import TrialReport, make_manifest, open_campaign, wrong_outcomes
 from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.store import open_store, owned
 
@@ -100,6 +100,8 @@ class ExperimentNode(NodeProgram):
         if result.outcome == "ABORTED":
             self._aborted += 1
             self.log.warning(f"aborted {key.name}: {result.message}")
+        elif result.outcome != "OK":
+            self.log.warning(f"ended {key.name}: {result.outcome}, {result.message}")
         else:
             self.log.info(f"ended {key.name}: {result.outcome} after {time.monotonic() - started:.1f} s")
         return result
@@ -132,6 +134,7 @@ class ExperimentNode(NodeProgram):
     def _run_campaign(self, handle: Any) -> RunCampaign.Result:
         goal = handle.request
         answer = RunCampaign.Result()
+        reports = []
         with self._busy, ExitStack() as held:
             try:
                 manifest = make_manifest(
@@ -154,6 +157,7 @@ class ExperimentNode(NodeProgram):
                     handle.publish_feedback(RunCampaign.Feedback(finished=number, total=len(todo), current=key.name))
                     trial = manifest.trial(key)
                     result = self._one(trial.spec.plan, key, trial.seed, directory, handle)
+                    reports.append(TrialReport(key, result.outcome, result.message))
                     if result.outcome == "ABORTED":
                         answer.failed += 1
                         answer.message = f"{key.name}: {result.message}"
@@ -163,6 +167,7 @@ class ExperimentNode(NodeProgram):
                 return self._failed(handle, answer, error)
         self.log.info(f"campaign {directory}: {answer.finished} trials finished, {answer.failed} failed")
         answer.success = answer.failed == 0 and not answer.message
+        answer.message = "; ".join(filter(None, (answer.message, *wrong_outcomes(reports))))
         _close(handle, answer.success)
         return answer
 

@@ -15,7 +15,7 @@ from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from impact_rs_control.closed_loop import make_plant
+from impact_rs_control.closed_loop import make_plant, ran_away
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox, Outbox, joint_signals
 from impact_rs_ros.process import run
@@ -65,6 +65,7 @@ class PlantTrial(LockstepTrial):
 
     def __init__(self, plan: TrialPlan, plant: Plant, pace: Pace, inbox: Inbox, outbox: Outbox) -> None:
         super().__init__(plan)
+        self._plan = plan
         self.begun = False
         self.over = False
         self._plant = plant
@@ -96,7 +97,7 @@ class PlantTrial(LockstepTrial):
             self._rest()
             if not self._await_torques(now):
                 return
-            if self._tick == self._last:
+            if self._tick == self._last or ran_away(self._plan, self._measured.arms, self._torques):
                 self.over = True
                 return
             try:

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import struct
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from contextlib import ExitStack
 from pathlib import Path
 
-from geometry_msgs.msg import PoseStamped
 from impact_rs.srv import ConfigureTrial, FinishTrial
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from impact_rs_control.plan import TrialPlan
@@ -25,9 +24,11 @@ from impact_rs_ros.process import NodeProgram, run
 from impact_rs_ros.qos import RECORD
 from impact_rs_ros.transforms import Transforms
 from impact_rs_sim.errors import InputError, full_traceback
+from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
-from impact_rs_trials.bags.outcome import outcome_of
-from impact_rs_trials.bags.trial_info import Outcome, TrialInfo
+from impact_rs_trials.bags.outcome import ArmRecord, TrialRecord, Verdict, judge
+from impact_rs_trials.bags.reader import ControllerColumns, JointColumns, PoseColumns, columns_of
+from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.writer import LATCHED, BagWriter
 
 MATCHING = 5.0  # s, for publishers to be discovered
@@ -56,7 +57,10 @@ class OpenTrial:
         }
         self._transforms = Transforms(plan) if plan is not None and not available(topics.TF_MESSAGE) else None
         self._last: dict[str, int] = {}
-        self._poses: tuple[bytes, bytes] | None = None
+        per_arm = (topics.joint_states, topics.controller_state)
+        judged = {topics.OBJECT_POSE, *(name(arm) for arm in arms for name in per_arm)}
+        self._kinds = {topic: kind for topic, kind in topics.recorded(arms).items() if topic in judged}
+        self._judged: dict[str, list[bytes]] = defaultdict(list)  # messages of these topics
 
     def store(self, topic: str, data: bytes) -> None:
         """Write a message, unless it was sent again because the answer to it was lost."""
@@ -70,8 +74,8 @@ class OpenTrial:
             self._last[topic] = now
         self.bag.write_raw(topic, now, data)
         self.counts[topic] += 1
-        if topic == topics.OBJECT_POSE:
-            self._poses = (self._poses or (data, data))[0], data
+        if topic in self._kinds:
+            self._judged[topic].append(data)
         if self._transforms is not None:
             for at, transforms in self._transforms.receive(topic, now, data):
                 self.bag.write_raw(topics.TF, at, transforms)
@@ -85,19 +89,28 @@ class OpenTrial:
             if self.counts[topic] < count
         )
 
-    def outcome(self) -> Outcome:
-        """How the trial ended, by what was recorded."""
+    def verdict(self) -> Verdict:
+        """How the trial ended, by what was recorded; of one that is not ours, no more than whether it hit."""
+        if self._plan is not None:
+            return judge(self._plan, TrialRecord({arm: self._arm(arm) for arm in self._arms}, self._object()))
         hit = all(self.counts[topics.impact_event(arm)] for arm in self._arms)
-        if self._plan is None:
-            return "OK" if hit else "NO-IMPACT"
-        return outcome_of(self._plan, hit, self._lift())
+        return Verdict("OK") if hit else Verdict("NO-IMPACT")
 
-    def _lift(self) -> float:
-        """How far the tracked object rose [m]."""
-        if self._poses is None:
-            return 0.0
-        first, last = (deserialize_message(data, PoseStamped).pose.position.z for data in self._poses)
-        return float(last - first)
+    def _arm(self, arm: str) -> ArmRecord:
+        commands = ControllerColumns.of(self._columns(topics.controller_state(arm)))
+        return ArmRecord(
+            joints=JointColumns.of(self._columns(topics.joint_states(arm))),
+            command_time=commands.time,
+            command=commands.commanded_torque,
+            qp_status=commands.qp_status,
+            hit=self.counts[topics.impact_event(arm)] > 0,
+        )
+
+    def _object(self) -> PoseColumns:
+        return PoseColumns.of(self._columns(topics.OBJECT_POSE))
+
+    def _columns(self, topic: str) -> dict[str, Array]:
+        return columns_of(self._kinds[topic], self._judged[topic])
 
 
 class RecorderNode(NodeProgram):
@@ -197,26 +210,25 @@ class RecorderNode(NodeProgram):
             return response
         bag = recording.bag
         missing = self._complete(recording, dict(zip(request.topics, request.counts, strict=False)))
-        outcome = recording.outcome()
         if request.aborted or missing:
-            outcome = "ABORTED"
-            response.message = request.reason or f"messages were published and not received: {missing}"
+            verdict = Verdict("ABORTED", request.reason or f"messages were published and not received: {missing}")
             self._abort()
         else:
             try:
-                bag.finish(outcome)
+                verdict = recording.verdict()
+                bag.finish(verdict.outcome, verdict.reason)
             except OSError as error:
-                outcome = "ABORTED"
-                response.message = f"the bag cannot be closed: {error}"
+                verdict = Verdict("ABORTED", f"the bag cannot be closed: {error}")
             self._recording = None
             self._open.close()
-        text = f"recorded {bag.path}: {outcome}, {bag.messages} messages"
-        if outcome == "ABORTED":
-            self.log.warning(f"{text}: {response.message}")
-        else:
+        text = f"recorded {bag.path}: {verdict.outcome}, {bag.messages} messages"
+        if verdict.outcome == "OK":
             self.log.info(text)
-        response.success = outcome != "ABORTED" or bool(request.aborted)
-        response.outcome = outcome
+        else:
+            self.log.warning(f"{text}: {verdict.reason}")
+        response.success = verdict.outcome != "ABORTED" or bool(request.aborted)
+        response.message = verdict.reason
+        response.outcome = verdict.outcome
         response.messages = bag.messages
         response.topics = list(recording.counts)
         response.counts = list(recording.counts.values())

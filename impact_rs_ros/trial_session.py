@@ -60,7 +60,14 @@ class Progress:
 
 @dataclass(frozen=True)
 class TrialResult:
-    """How a trial ended."""
+    """How a trial ended.
+
+    Attributes:
+        outcome: One of ``OUTCOMES``.
+        message: Why, in one line; empty for ``OK``.
+        bag_path: Its bag.
+        progress: How far it came.
+    """
 
     outcome: Outcome
     message: str
@@ -275,4 +282,4 @@ class TrialSession:
             return TrialResult("ABORTED", reason, partial_path(path), progress)
         if closed.outcome == "ABORTED" or not closed.success:
             return TrialResult("ABORTED", closed.message, partial_path(path), progress)
-        return TrialResult(closed.outcome, "", path, progress)
+        return TrialResult(closed.outcome, closed.message, path, progress)

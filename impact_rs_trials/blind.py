@@ -146,7 +146,7 @@ class BlindTask:
 def _record(task: BlindTask, plan: TrialPlan, info: TrialInfo, path: Path, physics: Physics) -> str:
     """Record one trial on our plant."""
     extension = None if task.outside is None else OUTSIDE[task.outside](task.magnitude, task.trial.repeat)
-    return record_trial(plan, info, path, physics, extension)[0]
+    return record_trial(plan, info, path, physics, extension)[0].outcome
 
 
 Recorder = Callable[[BlindTask, TrialPlan, TrialInfo, Path, Physics], str]

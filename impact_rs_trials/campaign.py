@@ -24,7 +24,7 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import PositiveVector, Schema, parse_yaml, validate
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.record import record_trial
-from impact_rs_trials.bags.trial_info import Outcome, TrialInfo, TrialKey
+from impact_rs_trials.bags.trial_info import OUTCOMES, Outcome, TrialInfo, TrialKey
 from impact_rs_trials.bags.writer import partial_path
 from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.store import Store, open_store, owned
@@ -104,7 +104,7 @@ class TrialReport:
 
     Attributes:
         key: Which trial.
-        outcome: OK, NO-IMPACT, DROPPED or ABORTED.
+        outcome: One of ``OUTCOMES``.
         message: What went wrong, if anything, in one line.
         trace: Traceback of the process that ran it, or what its nodes wrote, where there is one.
     """
@@ -199,21 +199,39 @@ def run_one(directory: Path, trial: Trial) -> TrialReport:
     key = trial.key
     path = directory / key.name
     if path.exists():
-        return TrialReport(key, _outcome(path))
+        return _report(key, path)
     shutil.rmtree(partial_path(path), ignore_errors=True)
     plan = trial.spec.plan
     info = TrialInfo.of(plan, key, trial.seed, "inprocess")
-    outcome, _ = record_trial(plan, info, path)
-    return TrialReport(key, outcome)
+    verdict, _ = record_trial(plan, info, path)
+    return TrialReport(key, verdict.outcome, verdict.reason)
 
 
-def _outcome(path: Path) -> Outcome:
+def _report(key: TrialKey, path: Path) -> TrialReport:
+    """How a trial whose bag is there went."""
     try:
-        found = TrialBag.open(path).outcome
+        bag = TrialBag.open(path)
     except BagError as error:
         logger.info("a finished bag counts as ABORTED: %s", error)
-        return "ABORTED"
-    return found if found in ("OK", "NO-IMPACT", "DROPPED") else "ABORTED"  # type: ignore[return-value]
+        return TrialReport(key, "ABORTED", error.reason)
+    outcome = bag.outcome if bag.outcome in OUTCOMES else "ABORTED"
+    return TrialReport(key, outcome, "" if outcome == "OK" else bag.reason)  # type: ignore[arg-type]
+
+
+def wrong_outcomes(reports: Iterable[TrialReport]) -> list[str]:
+    """What a campaign tells of trials that went wrong: a line per outcome, the gravest first.
+
+    It says how many there are, and of the first by name when, where and by how much. Aborted ones have no bag, and each
+    is told by itself.
+    """
+    found: dict[str, list[TrialReport]] = {outcome: [] for outcome in OUTCOMES}
+    for report in sorted(reports, key=lambda report: report.key.name):
+        found[report.outcome].append(report)
+    return [
+        f"{outcome} {len(some)}: {some[0].message or OUTCOMES[outcome]} ({some[0].key.name})"
+        for outcome, some in found.items()
+        if some and outcome not in ("OK", "ABORTED")
+    ]
 
 
 def keep_failure(store: Store, report: TrialReport) -> TrialReport:
@@ -320,7 +338,7 @@ def run_in(store: Store, run: TrialRunner, trial: Trial) -> TrialReport:
     try:
         if store.exists(key.name):
             with store.getting(key.name) as directory:
-                return TrialReport(key, _outcome(directory / key.name))
+                return _report(key, directory / key.name)
         with store.adding(key.name) as directory:
             return run(directory, trial)
     except InputError as error:

@@ -116,8 +116,8 @@ def hidden_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for repeat in range(2):
             key = TrialKey(thing, case, 1.0, repeat)
             info = TrialInfo.of(plan, key, key.seed(3), "inprocess")
-            outcome, _ = record_trial(plan, info, directory / scenario / key.name, hide(plan.scene.physics, hidden))
-            assert outcome == "OK"
+            verdict, _ = record_trial(plan, info, directory / scenario / key.name, hide(plan.scene.physics, hidden))
+            assert verdict.outcome == "OK", verdict.reason
     return directory
 
 

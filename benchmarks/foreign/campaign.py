@@ -101,7 +101,7 @@ def record(task: BlindTask, plan: TrialPlan, info: TrialInfo, path: Path, physic
         info.seed,
         modify=None if task.outside is None else OUTSIDE[task.outside](physics, task.magnitude),
     )
-    return record_cell(plan, info, path, cell)[0]
+    return record_cell(plan, info, path, cell)[0].outcome
 
 
 def make_campaign(

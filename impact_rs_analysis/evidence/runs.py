@@ -96,10 +96,8 @@ def read_trial(path: Path) -> MeasuredRun | tuple[str, str]:
     """One trial, or path and reason why it cannot be used."""
     try:
         bag = TrialBag.open(path)
-        if bag.outcome == "NO-IMPACT":
-            return str(path), "NO-IMPACT: nothing was hit"
         if bag.outcome not in ("OK", "DROPPED"):
-            return str(path), f"{bag.outcome}: the trial did not end"
+            return str(path), f"{bag.outcome}: {bag.reason}"
         return MeasuredRun.of(run_of_trial(bag))
     except (BagError, InputError, ValueError, IndexError) as error:
         return str(path), str(error)

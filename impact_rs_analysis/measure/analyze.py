@@ -6,6 +6,7 @@ are reported and never enter a fit, trials of the manifest that do not exist yet
 
 from __future__ import annotations
 
+import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,9 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from impact_rs_analysis.measure.far import Jump, far_jumps
 from impact_rs_analysis.measure.fit import FitError, LineFit, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import TrialFeedback, net_feedback
 from impact_rs_analysis.measure.predictions import predict, prediction_interval
+from impact_rs_analysis.measure.published import PaperRow, published
 from impact_rs_analysis.measure.sensitivity import Sensitivity, sensitivity_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import CONTACTS
@@ -72,6 +75,8 @@ class ExperimentSet:
         predictions_settled: The same for the settled contact.
         prediction_interval: 95 % interval of the nominal prediction (B_theta, first contact) from the uncertainties
             that the scenario states, signed along the axis, low then high [m/s]; None where there is none.
+        ante_velocity: Ante-impact velocity, signed along the axis [m/s]; NaN where it is not known.
+        published: Row of the paper that it repeats, with the paper's robot, object and velocity; None: none.
     """
 
     scenario: str
@@ -84,6 +89,13 @@ class ExperimentSet:
     predictions: dict[str, Prediction]
     predictions_settled: dict[str, Prediction]
     prediction_interval: tuple[float, float] | None = None
+    ante_velocity: float = math.nan
+    published: PaperRow | None = None
+
+    @property
+    def jump(self) -> Jump:
+        """Nominal prediction (B_theta, first contact) beside the estimate, signed along the axis."""
+        return Jump(self.label, self.ante_velocity, self.predictions["reduced"].velocity, self.fit.estimate)
 
     def of_contact(self, contact: str) -> dict[str, Prediction]:
         """Predictions by motor-inertia model for the ``first`` or the ``settled`` contact."""
@@ -176,6 +188,11 @@ class Analysis:
     limited: tuple[tuple[str, str, float], ...] = ()
     sensitivity: Sensitivity = Sensitivity()
 
+    @property
+    def jumps(self) -> list[Jump]:
+        """Nominal prediction beside estimate of every set."""
+        return [entry.jump for entry in self.sets]
+
     def errors(self, model: str, contact: str) -> list[float]:
         """Percentage mismatch of a model in every set [%]."""
         return [entry.of_contact(contact)[model].error for entry in self.sets]
@@ -225,6 +242,7 @@ class Analysis:
             "absolute_error_percent_settled": self.absolute_error_settled,
             "nearest_sets": self.nearest("first"),
             "nearest_sets_settled": self.nearest("settled"),
+            "far": [vars(jump) | {"mismatch": jump.mismatch} for jump in far_jumps(self.jumps)],
             "incomplete": [vars(entry) for entry in self.incomplete],
             "skipped": [vars(entry) for entry in self.skipped],
             "missing": list(self.missing),
@@ -265,7 +283,7 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
         progress: Told how many of how many bags are read.
 
     Raises:
-        InputError: No such folder, or none of its bags is a readable trial.
+        InputError: No such folder, or none of its bags is a trial that can be used.
         ImpactMapError: The impact map of a recorded scenario has no answer.
     """
     if not directory.is_dir():
@@ -297,7 +315,8 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
     measured = read(bags)
     if not measured:
         raise InputError(
-            f"none of its {len(bags)} bags is a readable trial; {skipped[0].name}: {skipped[0].reason}", file=directory
+            f"none of its {len(bags)} bags is a trial that can be used; {skipped[0].name}: {skipped[0].reason}",
+            file=directory,
         )
     others = {key: read(paths, f"{folders[key]}/") for key, paths in varied.items()}
     missing = _missing(directory, skipped)
@@ -381,6 +400,8 @@ def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedba
         predictions=first,
         predictions_settled=settled,
         prediction_interval=prediction_interval(info.scenario_json, info.object, info.case_name),
+        ante_velocity=info.ante_velocity,
+        published=published(scenario, info.object, info.case_name),
     )
 
 

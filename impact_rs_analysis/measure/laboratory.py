@@ -25,6 +25,7 @@ from impact_rs_analysis.evidence.ante_impact import ante_impact_state, problem_o
 from impact_rs_analysis.evidence.features import AXES, JUMP_BEFORE, JUMP_WINDOWS, SETTLED
 from impact_rs_analysis.evidence.measured import MeasuredRun
 from impact_rs_analysis.evidence.runs import Runs
+from impact_rs_analysis.measure.far import Jump, far_jumps
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError, predict_impact
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
@@ -76,6 +77,11 @@ class LaboratoryJumps:
     contact: str = "first"
 
     @property
+    def compared(self) -> list[Jump]:
+        """Prediction with B_theta beside measurement of every condition."""
+        return [Jump(jump.condition, jump.before, jump.predicted["reduced"], jump.after) for jump in self.jumps]
+
+    @property
     def nearest(self) -> str:
         """Motor inertia with the smallest mean absolute error."""
         return min(self.errors, key=lambda name: self.errors[name])
@@ -95,6 +101,7 @@ class LaboratoryJumps:
                 }
                 for jump in self.jumps
             ],
+            "far": [vars(jump) | {"mismatch": jump.mismatch} for jump in far_jumps(self.compared)],
             "contact": self.contact,
             "mean_absolute_error_percent": self.errors,
             "nearest": self.nearest,

@@ -23,6 +23,7 @@ from impact_rs_trials.spec import recorded_scenario
 
 AT_LIMIT = 1e-3  # relative; a torque this near its limit is at it
 SHORTEST_LIMIT = 0.005  # s at a limit; less takes from the feedback what its noise does as well
+MEASURES = ("OK", "NO-IMPACT")  # outcomes; a bag of a real robot may have none, and without impact nothing is fitted
 LARGEST_GAP = 0.02  # s; a hole this long in a 1 kHz signal hides more feedback than the measure resolves
 
 
@@ -92,13 +93,11 @@ def net_feedback(bag: TrialBag) -> TrialFeedback:
     """Measure one trial. Reads what a robot would give, nothing below ``/truth``.
 
     Raises:
-        BagError: The bag was left unfinished, is damaged, has holes, or does not cover the window from t1 to t2.
+        BagError: The trial went wrong, the bag is damaged, has holes, or does not cover the window from t1 to t2.
     """
     info = bag.info
-    if bag.metadata.get("outcome") == "ABORTED":
-        raise BagError(bag.path, "the trial was aborted")
-    if bag.metadata.get("outcome") == "DROPPED":
-        raise BagError(bag.path, "the object was dropped")
+    if bag.metadata.get("outcome", "OK") not in MEASURES:
+        raise BagError(bag.path, f"{bag.outcome}: {bag.reason}")
     axis = AXES.get(info.axis)
     if axis is None or not info.robots:
         raise BagError(bag.path, f"its trial_info names axis {info.axis!r} and {len(info.robots)} robots")

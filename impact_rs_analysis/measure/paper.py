@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from impact_rs_analysis.measure.table import PaperRow, PaperTables
+from impact_rs_analysis.measure.published import PaperRow, PaperTables
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array

@@ -5,39 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import Field, RootModel
 
 from impact_rs_analysis.measure.analyze import Analysis, ExperimentSet
-from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
-from impact_rs_sim.schema import Schema, parse_yaml
-
-
-class PaperRow(Schema):
-    """One row of the paper's tables."""
-
-    estimate: float = Field(description="experimental estimate of the post-impact speed [m/s]")
-    reduced: float = Field(description="mismatch of the prediction with B_theta [%]")
-    rotor: float = Field(description="mismatch of the prediction with B_rho [%]")
-    zero: float = Field(description="mismatch of the prediction with B = 0 [%]")
-
-    @property
-    def errors(self) -> dict[str, float]:
-        """Mismatch by motor-inertia model [%]."""
-        return {"reduced": self.reduced, "rotor": self.rotor, "zero": self.zero}
-
-
-class PaperTables(RootModel[dict[str, dict[str, dict[str, PaperRow]]]]):
-    """``config/paper/tables.yaml``: rows by scenario, object and case."""
-
-
-def paper_row(scenario: str, object_name: str, case: str) -> PaperRow | None:
-    """The paper's row for a set of ours, where the names are the paper's."""
-    path = config_directory() / "paper" / "tables.yaml"
-    if not path.is_file():
-        return None
-    tables = PaperTables.model_validate(parse_yaml(path.read_text(encoding="utf-8"), path)).root
-    return tables.get(scenario, {}).get(object_name, {}).get(case)
 
 
 @dataclass(frozen=True)
@@ -51,8 +21,8 @@ class Row:
         systematic: Systematic band about the estimate, low then high [%]; None where no setting was varied.
         errors: Mismatch by motor-inertia model, first contact [%].
         settled: The same, settled contact [%].
-        paper_estimate: The paper's estimate [m/s], if it has this row.
-        paper_errors: The paper's mismatch by model [%], if it has this row.
+        paper_estimate: The paper's estimate [m/s], if this row repeats one of it.
+        paper_errors: The paper's mismatch by model [%], if this row repeats one of it.
         signed: Whether the mismatches have a sign; absolute errors have none.
     """
 
@@ -87,7 +57,7 @@ def result_table(analysis: Analysis) -> list[Row]:
 
 
 def _row(entry: ExperimentSet, analysis: Analysis) -> Row:
-    paper = paper_row(entry.scenario, entry.object, entry.case)
+    paper = entry.published
     return Row(
         label=entry.label,
         estimate=entry.estimate,

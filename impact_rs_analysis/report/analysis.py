@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from impact_rs_analysis.measure.analyze import Analysis, ExperimentSet
+from impact_rs_analysis.measure.far import far_words
 from impact_rs_analysis.measure.sensitivity import setting_words
 from impact_rs_analysis.measure.table import Row, result_table
 from impact_rs_analysis.report.figures import Figure, figures_of
@@ -84,6 +85,7 @@ class AnalysisPage:
         rows: The table of results; empty: no set has an estimate.
         with_paper: Whether a row stands beside a published one.
         sensitivity: How far the estimates move with settings; no rows where none was varied.
+        far: What is to be said of predictions far from what was measured; empty: nothing.
         left_out: What did not enter the fits.
         sets: Sets with an estimate.
         contact: Contact whose predictions the figures show.
@@ -95,6 +97,7 @@ class AnalysisPage:
     rows: tuple[TableRow, ...]
     with_paper: bool
     sensitivity: tuple[SensitivityRow, ...]
+    far: str
     left_out: tuple[Listing, ...]
     sets: tuple[SetPart, ...]
     contact: str
@@ -157,6 +160,7 @@ def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure
         rows=tuple(TableRow(row, _best(row.errors), _best(row.settled)) for row in rows),
         with_paper=any(row.paper_errors is not None for row in rows),
         sensitivity=tuple(sensitivity_rows(analysis)),
+        far=far_words(analysis.jumps),
         left_out=tuple(listing for listing in _left_out(analysis) if listing.items),
         sets=tuple(
             SetPart(entry, tuple(Plot(f.name, curves_plot(f), f.caption, zoom=True) for f in drawn))

@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.table import Table
 
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
+from impact_rs_analysis.measure.far import far_words
 from impact_rs_analysis.measure.laboratory import jumps_of
 from impact_rs_analysis.measure.table import Row, result_table
 from impact_rs_analysis.report import write_report
@@ -33,7 +34,9 @@ report.html, which opens offline and on a phone, analysis.json, and the figures 
 Where settings were varied (impact-rs campaign --sensitivity, impact-rs study), every estimate also has a systematic
 band: how far it moves with settings that it should not depend on, which no number of trials makes smaller.
 
-Damaged or foreign bags are named and left out; trials without impact never enter a fit.
+Damaged or foreign bags, and trials that went wrong, are named with the reason and left out; trials without impact never
+enter a fit. Published numbers stand beside a set only where it has the published robot, object and velocity. Where a
+prediction lies further from the estimate than a fifth of the ante-impact speed, that is said.
 
 Of a laboratory with a controller of its own there is no net feedback: with --experiment the speed 20 to 40 ms after the
 impact stands beside the impact map, asked in the measured state just before it.
@@ -94,6 +97,8 @@ def _laboratory(args: argparse.Namespace, terminal: Terminal) -> int:
     terminal.say(table)
     for remark in found.remarks:
         terminal.say(f"note: {remark}")
+    if told := far_words(found.compared):
+        terminal.warn(told)
     terminal.result(found.to_json())
     return 0
 
@@ -125,6 +130,8 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
         terminal.say(_table(rows, contact))
         count = analysis.nearest(contact)["reduced"]
         terminal.say(f"{contact} contact: B_θ predicts best in {count} of {len(analysis.sets)} sets")
+    if told := far_words(analysis.jumps):
+        terminal.warn(told)
     if analysis.sensitivity.shifts:
         terminal.say(_bands(analysis))
     for entry in analysis.incomplete:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import nullcontext
 from typing import Any
 
@@ -21,6 +21,7 @@ from impact_rs_trials.campaign import (
     open_campaign,
     run_campaigns,
     still_to_run,
+    wrong_outcomes,
 )
 from impact_rs_trials.sensitivity import with_sensitivity
 from impact_rs_trials.store import Folder, Store, open_store, owned
@@ -114,23 +115,44 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     with output_folder(store.path) if isinstance(store, Folder) else nullcontext():
         nodes = args.via == "nodes"
         reports = through_nodes(store, manifest) if nodes else owned_campaigns(store, campaigns, workforce)
-        outcomes, failures = follow(reports, campaigns, terminal)
+        ran = follow(reports, campaigns, terminal)
+    outcomes = Counter(report.outcome for report in ran)
     done = len(manifest.keys) - len(still_to_run(store, manifest))
     terminal.result(
         {
             "directory": args.output,
             "trials": len(manifest.keys),
             "present": done,
-            "ran": sum(outcomes.values()),
+            "ran": len(ran),
             "outcomes": dict(outcomes),
-            "failures": [{"trial": report.key.name, "message": report.message} for report in failures],
+            "wrong": [
+                {"trial": report.key.name, "outcome": report.outcome, "message": report.message}
+                for report in ran
+                if report.outcome not in ("OK", "ABORTED")
+            ],
+            "failures": [
+                {"trial": report.key.name, "message": report.message} for report in ran if report.outcome == "ABORTED"
+            ],
         }
     )
-    counted = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()) or "nothing was left to run"
+    tell_wrong(ran, terminal)
     terminal.say(
-        f"{done} of {len(manifest.keys)} trials are there ({counted})", f"next: {PROGRAM} analyze {args.output}"
+        f"{done} of {len(manifest.keys)} trials are there ({counted(ran) or 'nothing was left to run'})",
+        f"next: {PROGRAM} analyze {args.output}",
     )
-    return 0 if done == len(manifest.keys) and not failures else 1
+    none_is_ok = bool(ran) and not outcomes["OK"]
+    return 1 if done < len(manifest.keys) or outcomes["ABORTED"] or none_is_ok else 0
+
+
+def counted(reports: Iterable[TrialReport]) -> str:
+    """Outcomes with their numbers, in words."""
+    return ", ".join(f"{count} {outcome}" for outcome, count in Counter(one.outcome for one in reports).items())
+
+
+def tell_wrong(reports: Iterable[TrialReport], terminal: Terminal) -> None:
+    """Say which trials went wrong; no analysis uses them."""
+    for line in wrong_outcomes(reports):
+        terminal.warn(line)
 
 
 def through_nodes(store: Store, manifest: Manifest) -> Iterator[tuple[Store, TrialReport]]:
@@ -166,19 +188,17 @@ def follow(
     campaigns: Mapping[Store, Manifest],
     terminal: Terminal,
     what: str = "trials",
-) -> tuple[Counter[str], list[TrialReport]]:
-    """Show progress while trials run; outcomes by number, and the trials that failed."""
-    outcomes: Counter[str] = Counter()
-    failures = []
+) -> list[TrialReport]:
+    """Show progress while trials run, and which ones fail; returns their reports."""
+    ran = []
     total = sum(len(still_to_run(store, manifest)) for store, manifest in campaigns.items())
     with terminal.progress(what) as tell:
         tell(0, total)
         for number, (store, report) in enumerate(reports, start=1):
-            outcomes[report.outcome] += 1
+            ran.append(report)
             if report.outcome == "ABORTED":
-                failures.append(report)
                 terminal.warn(f"{report.key.name}: {report.message or 'aborted'}")
                 terminal.warn(f"what went wrong, in full: {store}/{FAILURES}/{report.key.name}.txt")
                 terminal.trace(report.trace)
             tell(number, total)
-    return outcomes, failures
+    return ran

@@ -17,6 +17,7 @@ from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_cli.arguments import number
 from impact_rs_cli.commands.analyze import report_on
+from impact_rs_cli.commands.campaign import tell_wrong
 from impact_rs_cli.commands.compare import comparison_of
 from impact_rs_cli.commands.diagnose import diagnosis_of, report_of
 from impact_rs_cli.commands.history import show_history
@@ -111,16 +112,17 @@ def _record(manifests: list[tuple[Path, Manifest]], hidden: Model | None, termin
         return 0
     secret = "" if hidden is None else "; the plant hides one physical effect"
     terminal.say(f"Running {len(todo)} trials through the ROS 2 nodes{secret}.")
-    failures = 0
+    ran = []
     with terminal.progress("trials") as tell:
         tell(0, len(todo))
         for count, report in enumerate(_through_nodes(todo, hidden), start=1):
+            ran.append(report)
             if report.outcome == "ABORTED":
-                failures += 1
                 terminal.warn(f"{report.key.name}: {report.message or 'aborted'}")
                 terminal.trace(report.trace)
             tell(count, len(todo))
-    return failures
+    tell_wrong(ran, terminal)
+    return sum(report.outcome == "ABORTED" for report in ran)
 
 
 def _through_nodes(todo: list[tuple[Path, Manifest, TrialKey]], hidden: Model | None) -> Iterator[TrialReport]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from impact_rs_analysis.measure.study import analyze_study, study_manifests
 from impact_rs_cli.arguments import add_contact, add_jobs, workforce_of
 from impact_rs_cli.commands.analyze import publish
-from impact_rs_cli.commands.campaign import follow, owned_campaigns
+from impact_rs_cli.commands.campaign import counted, follow, owned_campaigns, tell_wrong
 from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
 from impact_rs_trials.campaign import Manifest
 from impact_rs_trials.sensitivity import with_sensitivity
@@ -58,10 +58,10 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             if args.sensitivity:
                 campaigns = with_sensitivity(store, manifest)
             reports = owned_campaigns(store, campaigns, workforce)
-            outcomes, failures = follow(reports, campaigns, terminal, f"{name}: trials")
-            failed += len(failures)
-            counted = ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items())
-            terminal.say(f"{name}: {counted or 'all trials were there'}")
+            ran = follow(reports, campaigns, terminal, f"{name}: trials")
+            failed += sum(report.outcome == "ABORTED" for report in ran)
+            tell_wrong(ran, terminal)
+            terminal.say(f"{name}: {counted(ran) or 'all trials were there'}")
     with terminal.progress("reading bags") as tell:
         analysis = analyze_study(args.output, tell)
     publish(analysis, args.output / "report", terminal, args.contact)

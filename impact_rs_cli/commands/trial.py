@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
-from impact_rs_analysis.measure.net_feedback import net_feedback
+from impact_rs_analysis.measure.net_feedback import MEASURES, net_feedback
 from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.reader import TrialBag
@@ -47,23 +48,29 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("this bag exists already", file=path)
     with output_folder(args.output), terminal.progress(key.name) as report:
         report(0, 1)
-        outcome = run_one(args.output, manifest.trial(key)).outcome
+        ended = run_one(args.output, manifest.trial(key))
         report(1, 1)
-    trial = net_feedback(TrialBag.open(path))
+    bag = TrialBag.open(path)
+    info, trial = bag.info, net_feedback(bag) if ended.outcome in MEASURES else None
+    times = [bag.impact_time(arm) for arm in info.robots]
     terminal.result(
         {
             "bag": str(path),
-            "outcome": outcome,
-            "axis": trial.info.axis,
-            "impact_time_s": [None if time != time else time for time in trial.impact_times],
-            "predicted_post_velocity_m_s": trial.info.predicted_post_velocity,
-            "reference_post_velocity_m_s": trial.info.reference_post_velocity,
-            "net_feedback_m_s": trial.net,
+            "outcome": ended.outcome,
+            "message": ended.message,
+            "axis": info.axis,
+            "impact_time_s": [None if math.isnan(time) else time for time in times],
+            "predicted_post_velocity_m_s": info.predicted_post_velocity,
+            "reference_post_velocity_m_s": info.reference_post_velocity,
+            "net_feedback_m_s": None if trial is None else trial.net,
         }
     )
-    terminal.say(
-        f"{outcome}: net feedback {trial.net:+.4f} m/s along {trial.info.axis} at a post-impact reference of "
-        f"{trial.info.reference_post_velocity:+.4f} m/s",
-        f"bag: {path}",
-    )
-    return 0 if outcome == "OK" else 1
+    if ended.message:
+        terminal.warn(f"{ended.outcome}: {ended.message}")
+    if trial is not None:
+        terminal.say(
+            f"{ended.outcome}: net feedback {trial.net:+.4f} m/s along {info.axis} at a post-impact reference of "
+            f"{info.reference_post_velocity:+.4f} m/s"
+        )
+    terminal.say(f"bag: {path}")
+    return 0 if ended.outcome == "OK" else 1

@@ -1,22 +1,260 @@
-"""How a trial ended, judged by what was measured."""
+"""How a trial ended, judged by what was measured and recorded.
+
+Every rule looks at one thing and says what it finds; the gravest finding is told, of equally grave ones the earliest.
+A limit may be passed for a moment: an impact takes a wrist beyond its torque for some milliseconds. Time beyond a limit
+is counted altogether and not at a stretch, for what oscillates is within its limits every now and then.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_rs_control.closed_loop import RUNAWAY, Tick
 from impact_rs_control.plan import TrialPlan
-from impact_rs_trials.bags.trial_info import Outcome
+from impact_rs_control.qp import QpStatus
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.bags.reader import JointColumns, PoseColumns
+from impact_rs_trials.bags.trial_info import OUTCOMES, Outcome
 
 LEAST_LIFT = 0.5  # of the lift that the reference asks for; less, and the object slipped or fell
+LONGEST = 0.005  # s beyond a limit of position or speed, or tilted; no more than that is a spike of a sensor
+LONGEST_TORQUE = 0.05  # s beyond a limit of torque; the impact of a healthy grab takes 6 ms, up to 1.9 times the limit
+LONGEST_UNSOLVED = 0.05  # s without a solution of the QP
+COMMANDED = 1.001  # of its limit: a command that is held at it is told from one beyond it
+MEASURED = 1.05  # of its limit: what a joint that is held at it measures, with its noise and the ringing of its spring
+LARGEST_TILT = np.radians(20.0)  # of the object, from upright; healthy ones turn by 2 degrees
+ROUNDING = 1e-9  # s, of a sum of periods
 
 
-def outcome_of(plan: TrialPlan, hit: bool, lift: float) -> Outcome:
-    """Outcome of a trial that ran to its end.
+@dataclass(frozen=True)
+class Verdict:
+    """How a trial ended.
+
+    Attributes:
+        outcome: Which of ``OUTCOMES``.
+        reason: When, which joint, which value against which limit, in one line; empty for ``OK``.
+    """
+
+    outcome: Outcome
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class ArmRecord:
+    """What was recorded of one arm.
+
+    Attributes:
+        joints: Measured state.
+        command_time: Times of the commands, ``(m,)`` [s].
+        command: Commanded torque, ``(m, n)`` [N m].
+        qp_status: How the QP was solved, ``(m,)``; see :class:`~impact_rs_control.qp.QpStatus`.
+        hit: Whether it detected an impact.
+    """
+
+    joints: JointColumns
+    command_time: Array
+    command: Array
+    qp_status: Array
+    hit: bool
+
+
+@dataclass(frozen=True)
+class TrialRecord:
+    """What was recorded of a trial, as far as its outcome depends on it.
+
+    Attributes:
+        arms: By name.
+        object: What the tracker saw.
+    """
+
+    arms: dict[str, ArmRecord]
+    object: PoseColumns
+
+
+class Witness:
+    """Keeps of a trial that runs in this process what it is judged by.
+
+    Args:
+        plan: The trial.
+    """
+
+    def __init__(self, plan: TrialPlan) -> None:
+        self._arms = list(plan.arms)
+        self._ticks: list[Tick] = []
+
+    def see(self, tick: Tick) -> None:
+        """Take down one tick."""
+        self._ticks.append(tick)
+
+    def record(self) -> TrialRecord:
+        """What was seen."""
+        return TrialRecord({name: self._arm(name) for name in self._arms}, self._object())
+
+    def _arm(self, name: str) -> ArmRecord:
+        measured = [tick.measurement.arms[name] for tick in self._ticks]
+        commands = [tick.commands[name] for tick in self._ticks]
+        time = np.array([tick.measurement.time for tick in self._ticks])
+        return ArmRecord(
+            joints=JointColumns(
+                time=time,
+                position=np.array([arm.position for arm in measured]),
+                velocity=np.array([arm.velocity for arm in measured]),
+                effort=np.array([arm.torque for arm in measured]),
+            ),
+            command_time=time,
+            command=np.array([command.torque for command in commands]),
+            qp_status=np.array([command.qp_status for command in commands]),
+            hit=any(command.detection is not None for command in commands),
+        )
+
+    def _object(self) -> PoseColumns:
+        seen = [tick.measurement.object for tick in self._ticks if tick.measurement.object is not None]
+        return PoseColumns(
+            time=np.array([pose.time for pose in seen]),
+            position=np.array([pose.position for pose in seen]).reshape(-1, 3),
+            quaternion=np.array([pose.quaternion for pose in seen]).reshape(-1, 4),
+        )
+
+
+@dataclass(frozen=True)
+class _Finding:
+    """Something that went wrong.
+
+    Attributes:
+        outcome: What it makes of the trial.
+        time: Since when [s].
+        reason: In one line.
+    """
+
+    outcome: Outcome
+    time: float
+    reason: str
+
+
+def judge(plan: TrialPlan, recorded: TrialRecord) -> Verdict:
+    """Outcome of a trial that ran to its end, or ran away.
 
     Args:
         plan: What was meant to happen.
-        hit: Whether every arm detected an impact.
-        lift: How far the tracked object rose from first to last sample [m].
+        recorded: What was measured and commanded.
     """
-    if plan.expects_impact and not hit:
-        return "NO-IMPACT"
-    meant_to_lift = plan.expected_lift > 0.0
-    return "DROPPED" if meant_to_lift and lift < LEAST_LIFT * plan.expected_lift else "OK"
+    gravity = list(OUTCOMES)
+    found = sorted(_findings(plan, recorded), key=lambda one: (gravity.index(one.outcome), one.time))
+    return Verdict(found[0].outcome, found[0].reason) if found else Verdict("OK")
+
+
+def _findings(plan: TrialPlan, recorded: TrialRecord) -> Iterator[_Finding]:
+    period = plan.scene.scenario.timing.control_period
+    for name, arm in recorded.arms.items():
+        model = plan.scene.models[name]
+        yield from _runaway(name, arm, model)
+        yield from _beyond_limits(name, arm, model, period)
+        yield from _unsolved(name, arm, period)
+    if plan.expects_impact:
+        yield from _untouched(recorded)
+        yield from _tipped(recorded.object)
+    yield from _dropped(plan, recorded.object)
+
+
+def _runaway(name: str, arm: ArmRecord, model: RobotModel) -> Iterator[_Finding]:
+    """The first joint far beyond its speed, and the first numbers that are none."""
+    joints = arm.joints
+    if joints.time.size:
+        speed = np.abs(joints.velocity) / model.velocity_max
+        for row in np.flatnonzero(~(speed <= RUNAWAY).all(axis=1))[:1]:  # a NaN is below no bound
+            joint, time = int(np.argmax(speed[row])), float(joints.time[row])
+            yield _Finding(
+                "DIVERGED",
+                time,
+                f"{name} joint{joint + 1} at {abs(joints.velocity[row, joint]):.4g} rad/s against "
+                f"{model.velocity_max[joint]:.4g} rad/s at {time:.3f} s",
+            )
+    for what, times, values in (
+        ("position", joints.time, joints.position),
+        ("torque", joints.time, joints.effort),
+        ("commanded torque", arm.command_time, arm.command),
+    ):
+        for row, joint in np.argwhere(~np.isfinite(values))[:1]:
+            time = float(times[row])
+            yield _Finding("DIVERGED", time, f"{name} joint{joint + 1}: {what} not finite at {time:.3f} s")
+
+
+def _beyond_limits(name: str, arm: ArmRecord, model: RobotModel, period: float) -> Iterator[_Finding]:
+    """Every joint that was beyond one of its limits for too long."""
+    joints, torque = arm.joints, model.torque_max
+    stops = (model.position_min, model.position_max)
+    for what, unit, time, values, (low, high), margin, longest in (
+        ("position", "rad", joints.time, joints.position, stops, 1.0, LONGEST),
+        ("speed", "rad/s", joints.time, joints.velocity, (-model.velocity_max, model.velocity_max), 1.0, LONGEST),
+        ("torque", "N m", joints.time, joints.effort, (-torque, torque), MEASURED, LONGEST_TORQUE),
+        ("commanded torque", "N m", arm.command_time, arm.command, (-torque, torque), COMMANDED, LONGEST_TORQUE),
+    ):
+        if not time.size:
+            continue
+        beyond = (values < margin * low) | (values > margin * high)
+        lasted = beyond.sum(axis=0) * period
+        for joint in np.flatnonzero(lasted > longest + ROUNDING):
+            rows = np.flatnonzero(beyond[:, joint])
+            excess = np.maximum(values[rows, joint] - high[joint], low[joint] - values[rows, joint])
+            worst = values[rows[np.argmax(excess)], joint]
+            limit = high[joint] if worst > high[joint] else low[joint]
+            since = float(time[rows[0]])
+            yield _Finding(
+                "LIMIT",
+                since,
+                f"{name} joint{joint + 1}: {what} {worst:.4g} {unit} against {limit:.4g} {unit}, beyond it for "
+                f"{1e3 * lasted[joint]:.0f} ms from {since:.3f} s",
+            )
+
+
+def _unsolved(name: str, arm: ArmRecord, period: float) -> Iterator[_Finding]:
+    """A controller whose limits contradicted each other for too long."""
+    rows = np.flatnonzero(arm.qp_status != QpStatus.SOLVED)
+    if rows.size * period > LONGEST_UNSOLVED + ROUNDING:
+        since, lasted = float(arm.command_time[rows[0]]), 1e3 * rows.size * period
+        yield _Finding(
+            "INFEASIBLE",
+            since,
+            f"{name}: no torque within the limits solved its QP for {lasted:.0f} ms from {since:.3f} s",
+        )
+
+
+def _untouched(recorded: TrialRecord) -> Iterator[_Finding]:
+    """Arms that were to hit something and did not."""
+    missed = [name for name, arm in recorded.arms.items() if not arm.hit]
+    if missed:
+        yield _Finding("NO-IMPACT", 0.0, f"{', '.join(missed)} detected no impact")
+
+
+def _tipped(seen: PoseColumns) -> Iterator[_Finding]:
+    """An object that leans over: the angle between the vertical now and at the start, as the body sees them.
+
+    The vertical seen from the body is the last row of R, (2 (x z - y w), 2 (y z + x w), 1 - 2 (x^2 + y^2)).
+    """
+    if seen.time.size < 2:
+        return
+    x, y, z, w = seen.quaternion.T
+    vertical = np.stack((2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x**2 + y**2)), axis=-1)
+    tilt = np.arccos(np.clip(vertical @ vertical[0], -1.0, 1.0))
+    rows = np.flatnonzero(tilt > LARGEST_TILT)
+    if rows.size * np.median(np.diff(seen.time)) > LONGEST + ROUNDING:
+        since, worst, limit = float(seen.time[rows[0]]), np.degrees(tilt.max()), np.degrees(LARGEST_TILT)
+        yield _Finding(
+            "TIPPED", since, f"the object leaned by {worst:.0f} degrees against {limit:.0f} degrees from {since:.3f} s"
+        )
+
+
+def _dropped(plan: TrialPlan, seen: PoseColumns) -> Iterator[_Finding]:
+    """An object that was to be lifted and did not rise enough."""
+    meant = plan.expected_lift
+    lift = float(seen.position[-1, 2] - seen.position[0, 2]) if seen.time.size else 0.0
+    if meant > 0.0 and lift < LEAST_LIFT * meant:
+        yield _Finding(
+            "DROPPED",
+            float(seen.time[-1]) if seen.time.size else 0.0,
+            f"the object rose {lift:.3f} m, it was to rise {meant:.3f} m",
+        )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import weakref
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from rosbags.rosbag2 import Reader, ReaderError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.cdr import decode
-from impact_rs_trials.bags.trial_info import TrialInfo
+from impact_rs_trials.bags.trial_info import OUTCOMES, TrialInfo
 from impact_rs_trials.bags.types import typestore
 
 
@@ -43,6 +44,11 @@ class JointColumns:
     position: Array
     velocity: Array
     effort: Array
+
+    @classmethod
+    def of(cls, columns: dict[str, Array]) -> JointColumns:
+        """From the columns of :func:`columns_of`."""
+        return cls(*(_column(columns, name) for name in ("time", "position", "velocity", "effort")))
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,11 @@ class ControllerColumns:
     qp_iterations: Array
     qp_solve_time: Array
 
+    @classmethod
+    def of(cls, columns: dict[str, Array]) -> ControllerColumns:
+        """From the columns of :func:`columns_of`."""
+        return cls(**{name: _column(columns, name) for name in cls.__dataclass_fields__})
+
 
 @dataclass(frozen=True)
 class PoseColumns:
@@ -87,6 +98,13 @@ class PoseColumns:
     time: Array
     position: Array
     quaternion: Array
+
+    @classmethod
+    def of(cls, columns: dict[str, Array]) -> PoseColumns:
+        """From the columns of :func:`columns_of`."""
+        position = [_column(columns, f"pose.position.{axis}") for axis in "xyz"]
+        quaternion = [_column(columns, f"pose.orientation.{axis}") for axis in "xyzw"]
+        return cls(_column(columns, "time"), np.stack(position, axis=-1), np.stack(quaternion, axis=-1))
 
 
 class TrialBag:
@@ -136,8 +154,13 @@ class TrialBag:
 
     @property
     def outcome(self) -> str:
-        """``OK``, ``NO-IMPACT``, ``DROPPED`` or ``ABORTED``; the last where the recorder wrote nothing."""
+        """One of ``OUTCOMES``; ``ABORTED`` where the recorder wrote nothing."""
         return self.metadata.get("outcome", "ABORTED")
+
+    @property
+    def reason(self) -> str:
+        """Why it had this outcome, in one line: what was told, or what the outcome means."""
+        return self.metadata.get("outcome_reason") or OUTCOMES.get(self.outcome, "an outcome that is not known here")
 
     def serialized(self, topic: str) -> list[bytes]:
         """All messages of a topic as they were recorded (CDR).
@@ -159,34 +182,34 @@ class TrialBag:
         """All numbers of a topic by field path, and ``time`` from the header stamps [s]."""
         kind, rows = _raw(self.path, self._reader, topic)
         try:
-            columns = decode(typestore(), kind, rows)
+            return columns_of(kind, rows)
         except Exception as error:
             raise BagError(self.path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
-        if columns:
-            columns["time"] = columns["header.stamp.sec"] + 1e-9 * columns["header.stamp.nanosec"]
-        return columns
 
     def joints(self, topic: str) -> JointColumns:
         """A JointState topic."""
-        columns = self._columns(topic)
-        return JointColumns(*(_column(columns, name) for name in ("time", "position", "velocity", "effort")))
+        return JointColumns.of(self._columns(topic))
 
     def controller(self, arm: str) -> ControllerColumns:
         """The ControllerState topic of an arm."""
-        columns = self._columns(topics.controller_state(arm))
-        return ControllerColumns(**{name: _column(columns, name) for name in ControllerColumns.__dataclass_fields__})
+        return ControllerColumns.of(self._columns(topics.controller_state(arm)))
 
     def poses(self, topic: str) -> PoseColumns:
         """A PoseStamped topic."""
-        columns = self._columns(topic)
-        position = [_column(columns, f"pose.position.{axis}") for axis in "xyz"]
-        quaternion = [_column(columns, f"pose.orientation.{axis}") for axis in "xyzw"]
-        return PoseColumns(_column(columns, "time"), np.stack(position, axis=-1), np.stack(quaternion, axis=-1))
+        return PoseColumns.of(self._columns(topic))
 
     def impact_time(self, arm: str) -> float:
         """Detected impact time of an arm [s]; NaN where nothing was detected."""
         found = self.messages(topics.impact_event(arm))
         return float(found[0].detected_time) if found else math.nan
+
+
+def columns_of(kind: str, rows: Sequence[bytes]) -> dict[str, Array]:
+    """All numbers of serialized messages of a stamped type by field path, and ``time`` from the stamps [s]."""
+    columns = decode(typestore(), kind, rows)
+    if columns:
+        columns["time"] = columns["header.stamp.sec"] + 1e-9 * columns["header.stamp.nanosec"]
+    return columns
 
 
 def _raw(path: Path, reader: Reader, topic: str) -> tuple[str, list[bytes]]:

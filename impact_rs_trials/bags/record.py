@@ -17,8 +17,8 @@ from impact_rs_sim.scene import Scene
 from impact_rs_sim.urdf import write_scene_urdf
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import TF_PERIOD, MessageMaker, RosbagsTypes
-from impact_rs_trials.bags.outcome import outcome_of
-from impact_rs_trials.bags.trial_info import Outcome, TrialInfo
+from impact_rs_trials.bags.outcome import Verdict, Witness, judge
+from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.writer import BagWriter
 
 
@@ -107,7 +107,7 @@ def record_trial(
     path: Path,
     physics: Physics | None = None,
     extension: PlantExtension | None = None,
-) -> tuple[Outcome, dict[str, Array]]:
+) -> tuple[Verdict, dict[str, Array]]:
     """Run one trial in lockstep and write its bag.
 
     Args:
@@ -118,7 +118,7 @@ def record_trial(
         extension: What the plant does beyond its physics.
 
     Returns:
-        Outcome, and net feedback ``(3,)`` [m/s] by arm.
+        How it ended, and net feedback ``(3,)`` [m/s] by arm.
 
     Raises:
         InputError: The bag exists or cannot be written.
@@ -129,7 +129,7 @@ def record_trial(
 
 def record_cell(
     plan: TrialPlan, info: TrialInfo, path: Path, cell: RobotCell, truth: Callable[[], Truth] | None = None
-) -> tuple[Outcome, dict[str, Array]]:
+) -> tuple[Verdict, dict[str, Array]]:
     """Run one trial in lockstep on whatever robot cell, and write its bag; closes the cell.
 
     Args:
@@ -140,7 +140,7 @@ def record_cell(
         truth: Tells its true state at the present tick; None: nobody knows, and the bag has no topics below ``/truth``.
 
     Returns:
-        Outcome, and net feedback ``(3,)`` [m/s] by arm.
+        How it ended, and net feedback ``(3,)`` [m/s] by arm.
 
     Raises:
         InputError: The bag exists or cannot be written.
@@ -151,8 +151,7 @@ def record_cell(
             bag.describe(info)
             bag.write(topics.TRIAL_INFO, 0, maker.trial_info(info))
             bag.write(topics.ROBOT_DESCRIPTION, 0, maker.robot_description(scene_urdf(plan)))
-            detected: set[str] = set()
-            heights: list[float] = []
+            witness = Witness(plan)
             tick: Tick
             for tick in run_closed_loop(plan, cell):
                 now = maker.nanoseconds(tick.number)
@@ -161,11 +160,9 @@ def record_cell(
                     bag.write(topic, now, message)
                 for topic, message in controller_messages(maker, tick.number, tick.commands):
                     bag.write(topic, now, message)
-                detected |= {arm for arm, command in tick.commands.items() if command.detection is not None}
-                if tick.measurement.object is not None:
-                    heights.append(float(tick.measurement.object.position[2]))
-            outcome = outcome_of(plan, detected == set(plan.arms), heights[-1] - heights[0])
-            bag.finish(outcome)
-            return outcome, {arm: command.net_feedback for arm, command in tick.commands.items()}
+                witness.see(tick)
+            verdict = judge(plan, witness.record())
+            bag.finish(verdict.outcome, verdict.reason)
+            return verdict, {arm: command.net_feedback for arm, command in tick.commands.items()}
     finally:
         cell.close()

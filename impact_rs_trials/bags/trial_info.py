@@ -10,7 +10,17 @@ from impact_rs_sim.seeds import seed_of
 from impact_rs_sim.version import git_revision, package_version
 from impact_rs_trials.spec import TrialSpec
 
-Outcome = Literal["OK", "NO-IMPACT", "DROPPED", "ABORTED"]
+Outcome = Literal["ABORTED", "DIVERGED", "LIMIT", "INFEASIBLE", "NO-IMPACT", "TIPPED", "DROPPED", "OK"]
+OUTCOMES: dict[str, str] = {  # the gravest first: of several that hold it is the one that is told
+    "ABORTED": "the trial did not end",
+    "DIVERGED": "a joint ran away",
+    "LIMIT": "a joint was beyond its limits",
+    "INFEASIBLE": "no torque within the limits did what the controller wanted",
+    "NO-IMPACT": "nothing was hit",
+    "TIPPED": "the object tipped over",
+    "DROPPED": "the object was dropped",
+    "OK": "it went as it was meant to",
+}
 
 FORMER_NAMES = {"scenario_json": "scenario_yaml"}  # of fields, up to version 0.1.0; the layout is the same
 

@@ -137,16 +137,23 @@ class BagWriter:
         for topic, nanoseconds, _ in pending:
             self._writer.write(self._connections[topic], nanoseconds, next(encoded[topic]))
 
-    def finish(self, outcome: Outcome) -> None:
-        """Close the bag and give it its name."""
-        self._close(outcome)
+    def finish(self, outcome: Outcome, reason: str = "") -> None:
+        """Close the bag and give it its name.
+
+        Args:
+            outcome: How the trial ended.
+            reason: Why, in one line; empty where there is nothing to say.
+        """
+        self._close(outcome, reason)
         partial_path(self.path).rename(self.path)
         self._tidy()
 
-    def _close(self, outcome: Outcome) -> None:
+    def _close(self, outcome: Outcome, reason: str = "") -> None:
         try:
             self._flush()
             self._writer.set_custom_data("outcome", outcome)
+            if reason:
+                self._writer.set_custom_data("outcome_reason", reason)
             self._writer.close()
         except OSError as error:
             self._discard(error)

@@ -3,6 +3,7 @@
 import json
 import logging
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -297,3 +298,30 @@ def test_an_output_folder_left_empty_goes_away_with_its_parents(tmp_path: Path) 
         folder.mkdir(parents=True)
         (folder / "result").write_text("")
     assert (tmp_path / "a" / "b" / "result").exists()
+
+
+def test_a_trial_that_went_wrong_is_counted_told_and_used_by_nothing(
+    capfd: pytest.CaptureFixture, tmp_path: Path
+) -> None:
+    """The wrist of an FR3 is too light for the dampers of push: joint 7 runs away within milliseconds."""
+    out = str(tmp_path / "light")
+    scope = ["--objects", "cat_food", "--cases", "2", "--trials", "1", "--scales", "0.8", "1.2", "--jobs", "1"]
+    assert main(["campaign", "push", "-o", out, *scope, "--set", "robots.arm.facts=franka_fr3"]) == 1
+    told = capfd.readouterr()
+    assert "2 of 2 trials are there (2 DIVERGED)" in told.out
+    assert re.search(r"DIVERGED 2: arm joint7 at [\d.]+ rad/s against 5.26 rad/s at 0.0\d\d s \(cat_food__", told.err)
+    for command in (["analyze", out], ["compare", out], ["diagnose", out]):
+        assert main(command) == 2
+        told = capfd.readouterr()
+        assert "DIVERGED: arm joint7 at" in told.err
+        assert "Traceback" not in told.err
+
+
+def test_a_single_trial_that_went_wrong_has_no_net_feedback(capfd: pytest.CaptureFixture, tmp_path: Path) -> None:
+    shipped = (config_directory() / "scenarios" / "push.yaml").read_text(encoding="utf-8")
+    scenario = tmp_path / "light.yaml"
+    scenario.write_text(shipped.replace("facts: franka_fer", "facts: franka_fr3"), encoding="utf-8")
+    assert main(["trial", str(scenario), "cat_food", "2", "-o", str(tmp_path / "one"), "--json"]) == 1
+    document = json.loads(capfd.readouterr().out)
+    assert (document["outcome"], document["net_feedback_m_s"]) == ("DIVERGED", None)
+    assert document["message"].startswith("arm joint7 at")

@@ -6,13 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from impact_rs_control.closed_loop import make_plant, run_closed_loop
+from impact_rs_control.closed_loop import make_plant, ran_away, run_closed_loop
 from impact_rs_control.controller import Mode
 from impact_rs_control.plan import plan_trial
 from impact_rs_control.qp import QpStatus
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
+from impact_rs_sim.sensors import ArmMeasurement
 
 
 def run(plan, seed=0, physics=None, object_shift=None):
@@ -107,3 +108,19 @@ def test_velocity_scale_that_is_none_is_refused(scene, scale):
 def test_motor_inertia_model_that_is_none_is_refused(scene):
     with pytest.raises(InputError, match="reduced, rotor, zero"):
         plan_trial(scene, motor_inertia="rotors")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("where", ["position", "velocity", "torque", "command"])
+def test_any_number_that_is_none_ends_a_trial_and_a_healthy_state_does_not(where: str, value: float) -> None:
+    plan = plan_trial(Scene.resolve(load_scenario("push"), "cat_food", "case_2"))
+    numbers = {name: np.zeros(7) for name in ("position", "velocity", "torque", "command")}
+
+    def ended() -> bool:
+        state = [numbers[name] for name in ("position", "velocity", "torque", "position", "velocity")]
+        with np.errstate(invalid="ignore"):
+            return ran_away(plan, {"arm": ArmMeasurement(*state)}, {"arm": numbers["command"]})
+
+    assert not ended()
+    numbers[where][2] = value
+    assert ended()

@@ -17,7 +17,7 @@ from impact_rs_sim.robot import Link, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import ArmState, Scene
-from impact_rs_trials.bags.outcome import outcome_of
+from impact_rs_trials.bags.outcome import Verdict, Witness, judge
 
 GRAB = load_scenario("grab")
 SCENE = Scene.resolve(GRAB, "cat_food", "case_1")
@@ -94,9 +94,10 @@ def test_pads_meet_the_faces_of_every_object() -> None:
 
 def _run(plan: TrialPlan, physics=None):  # noqa: ANN001, ANN202
     plant = make_plant(plan, 5, physics)
-    heights, modes, detections = [], [], {}
+    heights, modes, detections, witness = [], [], {}, Witness(plan)
     try:
         for tick in run_closed_loop(plan, plant):
+            witness.see(tick)
             if tick.measurement.object is not None:
                 heights.append(tick.measurement.object.position[2])
             modes.append({int(command.mode) for command in tick.commands.values()})
@@ -105,21 +106,20 @@ def _run(plan: TrialPlan, physics=None):  # noqa: ANN001, ANN202
                     detections[name] = command.detection.time
     finally:
         plant.close()
-    return np.array(heights), modes, detections
+    return np.array(heights), modes, detections, judge(plan, witness.record())
 
 
 def test_both_arms_leave_the_ante_mode_together_and_the_box_is_held_at_the_end(plan: TrialPlan) -> None:
-    heights, modes, detections = _run(plan)
+    heights, modes, detections, verdict = _run(plan)
     assert all(len(mode) == 1 for mode in modes)
     assert set(detections) == {"left", "right"}
     assert abs(detections["left"] - detections["right"]) < 0.02
     lift = heights[-1] - heights[0]
     assert lift == pytest.approx(plan.expected_lift, rel=0.1)
     assert np.ptp(heights[-10:]) < 1e-3
-    assert outcome_of(plan, True, lift) == "OK"
+    assert verdict == Verdict("OK")
 
 
 def test_slippery_pads_drop_the_box(plan: TrialPlan) -> None:
     physics = library()["pad_friction"].apply_vector(plan.scene.physics, np.array([0.1]))
-    heights, _, detections = _run(plan, physics)
-    assert outcome_of(plan, len(detections) == 2, heights[-1] - heights[0]) == "DROPPED"
+    assert _run(plan, physics)[-1].outcome == "DROPPED"

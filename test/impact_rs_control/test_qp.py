@@ -120,3 +120,22 @@ def test_warm_start_does_not_change_the_answer():
         asked = random_problem(seed, target_scale=100.0)
         cold = make_qp().solve(asked)
         np.testing.assert_allclose(warm.solve(asked).acceleration, cold.acceleration, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["targets", "position", "velocity", "bias", "inertia"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_numbers_that_are_none_have_no_answer_and_cost_no_time(name, value):
+    broken = problem()
+    broken = replace(broken, **{name: np.array(getattr(broken, name))})
+    getattr(broken, name).flat[3] = value
+    solution = make_qp().solve(broken)
+    assert solution.status is QpStatus.FAILED
+    np.testing.assert_array_equal(solution.acceleration, 0.0)
+    assert solution.solve_time < 0.1
+
+
+def test_a_state_beyond_all_bounds_is_given_up_soon():
+    solution = make_qp().solve(problem(position=np.full(COUNT, 1e4), velocity=np.full(COUNT, 1e5)))
+    assert solution.status is not QpStatus.SOLVED
+    assert np.isfinite(solution.acceleration).all()
+    assert solution.solve_time < 1.0

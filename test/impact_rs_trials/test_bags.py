@@ -143,9 +143,9 @@ def test_a_cell_that_tells_no_truth_gives_the_same_bag_without_it(push_campaign:
 
     told = TrialBag.open(push_campaign / "cat_food__case_2__s1.000__r0")
     plan = plan_trial(Scene.resolve(load_scenario("push"), "cat_food", "case_2"))
-    outcome, _ = record_cell(plan, told.info, tmp_path / "bag", make_plant(plan, told.info.seed))
+    verdict, _ = record_cell(plan, told.info, tmp_path / "bag", make_plant(plan, told.info.seed))
     silent = TrialBag.open(tmp_path / "bag")
-    assert outcome == told.outcome
+    assert verdict.outcome == told.outcome
     assert any(topic.startswith(topics.TRUTH) for topic in told.counts)
     assert silent.counts == {topic: n for topic, n in told.counts.items() if not topic.startswith(topics.TRUTH)}
     for topic in (

@@ -1,28 +1,242 @@
-"""How a trial ended is judged by what was measured, not by its rounding."""
+"""How a trial ended is judged by what was measured: each rule at its limit, and a plant that really blows up."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
 import pytest
 
-from impact_rs_control.plan import plan_trial
+from impact_rs_control.closed_loop import RUNAWAY, make_plant, run_closed_loop
+from impact_rs_control.plan import TrialPlan, plan_trial
+from impact_rs_control.qp import QpStatus
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
-from impact_rs_trials.bags.outcome import LEAST_LIFT, outcome_of
+from impact_rs_trials.bags.outcome import LEAST_LIFT, ArmRecord, TrialRecord, Verdict, judge
+from impact_rs_trials.bags.reader import JointColumns, PoseColumns, TrialBag
+from impact_rs_trials.bags.record import record_trial
+from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
+from impact_rs_trials.spec import TrialSpec
 
 PUSH = plan_trial(Scene.resolve(load_scenario("push"), "cat_food", "case_2"))
 GRAB = plan_trial(Scene.resolve(load_scenario("grab"), "cat_food", "case_2"))
+EXCITE = plan_trial(Scene.resolve(load_scenario("excite"), "none", "slow"))
+LIMITS = load_scenario("push").robots["arm"].robot_facts.limits
+TICKS = 200
+TIME = np.arange(TICKS) * 1e-3
+MIDDLE = 0.5 * (np.array(LIMITS.position_min_rad) + np.array(LIMITS.position_max_rad))
+JOINT, SINCE = 5, 40  # the sixth joint, from 40 ms on
+
+
+def arm_record(hit: bool = True) -> ArmRecord:
+    """An arm that stands in the middle of all its limits."""
+    still = np.zeros((TICKS, 7))
+    joints = JointColumns(TIME, still + MIDDLE, still.copy(), still.copy())
+    return ArmRecord(joints, TIME, still.copy(), np.full(TICKS, QpStatus.SOLVED), hit)
+
+
+def record(plan: TrialPlan, arm: ArmRecord | None = None, lift: float = 0.0) -> TrialRecord:
+    """A trial in which every arm did the same, and the object rose upright by ``lift`` [m]."""
+    position = np.zeros((TICKS, 3))
+    position[:, 2] = 0.5 + np.linspace(0.0, lift, TICKS)
+    upright = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (TICKS, 4))
+    return TrialRecord(dict.fromkeys(plan.arms, arm or arm_record()), PoseColumns(TIME, position, upright))
+
+
+def with_signal(name: str, value: float, ticks: int) -> TrialRecord:
+    """A push in which a signal of joint 6 has a value for some ticks."""
+    arm = arm_record()
+    values = {"command": arm.command, "effort": arm.joints.effort, "velocity": arm.joints.velocity}
+    signal = values.get(name, arm.joints.position)
+    signal[SINCE : SINCE + ticks, JOINT] = value
+    return record(PUSH, arm)
+
+
+def leaning(angle: float, ticks: int, axis: tuple[float, float, float], start: float = 0.0) -> TrialRecord:
+    """A push whose object, turned about the vertical by ``start`` [rad], leans by an angle [rad] for some ticks."""
+    told = record(PUSH)
+    turned = np.array([0.0, 0.0, np.sin(start / 2), np.cos(start / 2)])
+    quaternion = np.tile(turned, (TICKS, 1))
+    x, y, z = np.sin(angle / 2) * np.array(axis)
+    w, (_, _, c, d) = np.cos(angle / 2), turned
+    # The product of the lean with what was there before: (x, y, z, w) * (0, 0, c, d).
+    quaternion[SINCE : SINCE + ticks] = [x * d + y * c, y * d - x * c, z * d + w * c, w * d - z * c]
+    return replace(told, object=replace(told.object, quaternion=quaternion))
+
+
+def test_a_trial_within_all_limits_is_ok() -> None:
+    assert judge(PUSH, record(PUSH)) == Verdict("OK")
+    assert judge(EXCITE, record(EXCITE, arm_record(hit=False))) == Verdict("OK")
+    assert judge(GRAB, record(GRAB, lift=GRAB.expected_lift)) == Verdict("OK")
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize(
+    ("name", "what", "limit", "unit", "longest"),
+    [
+        ("velocity", "speed", LIMITS.velocity_rad_s[JOINT], "rad/s", 5),
+        ("effort", "torque", LIMITS.torque_Nm[JOINT], "N m", 50),
+        ("command", "commanded torque", LIMITS.torque_Nm[JOINT], "N m", 50),
+    ],
+)
+def test_a_limit_may_be_passed_for_a_moment(
+    name: str, what: str, limit: float, unit: str, longest: int, sign: float
+) -> None:
+    value = sign * 1.5 * limit
+    assert judge(PUSH, with_signal(name, value, longest)) == Verdict("OK")
+    verdict = judge(PUSH, with_signal(name, value, longest + 1))
+    told = f"{what} {value:.4g} {unit} against {sign * limit:.4g} {unit}, beyond it for {longest + 1} ms from 0.040 s"
+    assert verdict == Verdict("LIMIT", f"arm joint6: {told}")
+
+
+@pytest.mark.parametrize("name", ["velocity", "effort", "command"])
+def test_what_is_held_at_its_limit_is_not_beyond_it(name: str) -> None:
+    limit = LIMITS.velocity_rad_s[JOINT] if name == "velocity" else LIMITS.torque_Nm[JOINT]
+    assert judge(PUSH, with_signal(name, limit, TICKS)) == Verdict("OK")
+
+
+def test_a_joint_held_at_its_torque_limit_rings_about_it_but_its_command_does_not() -> None:
+    value = 1.04 * LIMITS.torque_Nm[JOINT]
+    assert judge(PUSH, with_signal("effort", value, TICKS)).outcome == "OK"
+    assert judge(PUSH, with_signal("command", value, TICKS)).outcome == "LIMIT"
+
+
+@pytest.mark.parametrize(
+    ("stop", "way"), [(LIMITS.position_min_rad[JOINT], -1.0), (LIMITS.position_max_rad[JOINT], 1.0)]
+)
+def test_a_joint_beyond_either_stop_is_told_with_that_stop(stop: float, way: float) -> None:
+    assert judge(PUSH, with_signal("position", stop, TICKS)) == Verdict("OK")
+    assert judge(PUSH, with_signal("position", stop + 0.1 * way, 5)) == Verdict("OK")
+    told = f"position {stop + 0.1 * way:.4g} rad against {stop:.4g} rad, beyond it for 6 ms from 0.040 s"
+    assert judge(PUSH, with_signal("position", stop + 0.1 * way, 6)) == Verdict("LIMIT", f"arm joint6: {told}")
+
+
+def test_time_beyond_a_limit_counts_altogether_also_of_what_oscillates() -> None:
+    arm = arm_record()
+    arm.joints.velocity[SINCE : SINCE + 12 : 2, JOINT] = 1.2 * LIMITS.velocity_rad_s[JOINT]
+    verdict = judge(PUSH, record(PUSH, arm))
+    assert (verdict.outcome, "for 6 ms from 0.040 s" in verdict.reason) == ("LIMIT", True)
+
+
+@pytest.mark.parametrize("joint", [0, 5])
+def test_one_sample_beyond_twice_its_speed_limit_is_a_joint_that_ran_away(joint: int) -> None:
+    limit, arm = LIMITS.velocity_rad_s[joint], arm_record()
+    arm.joints.velocity[SINCE, joint] = -RUNAWAY * limit
+    assert judge(PUSH, record(PUSH, arm)) == Verdict("OK")
+    arm.joints.velocity[SINCE, joint] = -2.01 * limit
+    told = f"arm joint{joint + 1} at {2.01 * limit:.4g} rad/s against {limit:.4g} rad/s at 0.040 s"
+    assert judge(PUSH, record(PUSH, arm)) == Verdict("DIVERGED", told)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize(
+    ("name", "what"), [("position", "position"), ("effort", "torque"), ("command", "commanded torque")]
+)
+def test_a_number_that_is_none_is_a_plant_that_diverged(name: str, what: str, value: float) -> None:
+    assert judge(PUSH, with_signal(name, value, 1)) == Verdict("DIVERGED", f"arm joint6: {what} not finite at 0.040 s")
+    assert judge(PUSH, with_signal("velocity", value, 1)).outcome == "DIVERGED"
+
+
+def test_a_qp_without_solution_is_told_when_it_lasts() -> None:
+    arm = arm_record()
+    arm.qp_status[SINCE : SINCE + 50] = QpStatus.RELAXED
+    assert judge(PUSH, record(PUSH, arm)) == Verdict("OK")
+    arm.qp_status[SINCE + 50] = QpStatus.FAILED
+    told = "arm: no torque within the limits solved its QP for 51 ms from 0.040 s"
+    assert judge(PUSH, record(PUSH, arm)) == Verdict("INFEASIBLE", told)
+
+
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
+@pytest.mark.parametrize("start", [0.0, 2.0])
+def test_an_object_that_leans_more_than_20_degrees_has_tipped_over(
+    axis: tuple[float, float, float], start: float
+) -> None:
+    assert judge(PUSH, leaning(np.radians(19.9), TICKS, axis, start)).outcome == "OK"
+    told = "the object leaned by 21 degrees against 20 degrees from 0.040 s"
+    assert judge(PUSH, leaning(np.radians(21.0), 6, axis, start)) == Verdict("TIPPED", told)
+    assert judge(PUSH, leaning(np.radians(21.0), 5, axis, start)).outcome == "OK"
+
+
+def test_an_object_that_turns_about_the_vertical_stands() -> None:
+    assert judge(PUSH, leaning(np.radians(80.0), TICKS, (0.0, 0.0, 1.0), 0.5)).outcome == "OK"
+
+
+def test_what_nobody_hits_may_lie_as_it_likes() -> None:
+    assert judge(EXCITE, leaning(np.radians(80.0), TICKS, (1.0, 0.0, 0.0))).outcome == "OK"
 
 
 @pytest.mark.parametrize("lift", [-1e-3, -1e-12, 0.0, 1e-12, 1e-3])
 def test_what_is_pushed_cannot_be_dropped_whichever_way_its_height_is_rounded(lift: float) -> None:
-    assert outcome_of(PUSH, hit=True, lift=lift) == "OK"
+    assert judge(PUSH, record(PUSH, lift=lift)) == Verdict("OK")
 
 
 def test_what_is_clamped_is_dropped_when_it_rises_too_little() -> None:
     enough = LEAST_LIFT * GRAB.expected_lift
-    assert outcome_of(GRAB, hit=True, lift=1.01 * enough) == "OK"
-    assert outcome_of(GRAB, hit=True, lift=0.99 * enough) == "DROPPED"
+    assert judge(GRAB, record(GRAB, lift=1.01 * enough)) == Verdict("OK")
+    told = f"the object rose {0.99 * enough:.3f} m, it was to rise {GRAB.expected_lift:.3f} m"
+    assert judge(GRAB, record(GRAB, lift=0.99 * enough)) == Verdict("DROPPED", told)
 
 
-def test_without_impact_nothing_else_is_said() -> None:
-    assert outcome_of(GRAB, hit=False, lift=0.0) == "NO-IMPACT"
+def test_without_impact_nothing_is_said_of_the_object() -> None:
+    assert judge(GRAB, record(GRAB, arm_record(hit=False))) == Verdict("NO-IMPACT", "left, right detected no impact")
+    one = record(GRAB, lift=GRAB.expected_lift)
+    one.arms["right"] = arm_record(hit=False)
+    assert judge(GRAB, one) == Verdict("NO-IMPACT", "right detected no impact")
+
+
+def test_the_gravest_is_told_and_of_equally_grave_ones_the_earliest() -> None:
+    arm = arm_record(hit=False)
+    arm.qp_status[:] = QpStatus.RELAXED
+    assert judge(PUSH, record(PUSH, arm)).outcome == "INFEASIBLE"
+    arm.joints.velocity[100:, 2] = 1.1 * LIMITS.velocity_rad_s[2]
+    arm.joints.velocity[50:, 3] = 1.1 * LIMITS.velocity_rad_s[3]
+    assert judge(PUSH, record(PUSH, arm)).reason.startswith("arm joint4: speed")
+    arm.joints.velocity[150, 1] = 9.0 * LIMITS.velocity_rad_s[1]
+    arm.joints.velocity[150, 0] = 8.0 * LIMITS.velocity_rad_s[0]
+    assert judge(PUSH, record(PUSH, arm)).reason.startswith("arm joint2 at")
+
+
+def test_a_damper_too_strong_for_a_light_wrist_ends_the_trial_and_names_the_wrist(tmp_path: Path) -> None:
+    """h^2 K + 2 h D < 4 m (impact_rs_sim.drive_stability): the wrist of an FR3 is too light for the drive of push."""
+    scenario = load_scenario("push").with_settings({"robots.arm.facts": "franka_fr3"})
+    plan = TrialSpec.of(scenario, "cat_food", "case_2").plan
+    info = TrialInfo.of(plan, TrialKey("cat_food", "case_2", 1.0, 0), 1, "inprocess")
+    verdict, _ = record_trial(plan, info, tmp_path / "trial")
+    assert verdict.outcome == "DIVERGED"
+    assert verdict.reason.startswith("arm joint7 at")
+    bag = TrialBag.open(tmp_path / "trial")
+    assert (bag.outcome, bag.reason) == (verdict.outcome, verdict.reason)
+    assert 0.01 < bag.controller("arm").time[-1] < 0.2  # it does not run on for the 1.8 s that were planned
+
+
+def test_a_tall_box_on_a_rough_table_tips_over_when_it_is_hit(tmp_path: Path) -> None:
+    tall = {"objects.cat_food.size": [0.24, 0.05, 0.9], "support.friction": 1.0}
+    plan = TrialSpec.of(load_scenario("push").with_settings(tall), "cat_food", "case_2").plan
+    info = TrialInfo.of(plan, TrialKey("cat_food", "case_2", 1.0, 0), 1, "inprocess")
+    verdict, _ = record_trial(plan, info, tmp_path / "trial")
+    assert verdict.outcome == "TIPPED"
+    assert 0.9 < float(verdict.reason.split()[-2]) < 1.8  # s: after the impact
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e8])
+def test_a_number_that_is_none_ends_a_trial_at_once_and_without_a_traceback(value: float) -> None:
+    class Broken:
+        """A plant whose encoder of joint 4 fails at the third tick."""
+
+        def __init__(self) -> None:
+            self.plant, self.asked = make_plant(PUSH, 1), 0
+            self.step, self.close = self.plant.step, self.plant.close
+
+        def measure(self):  # noqa: ANN202
+            measured = self.plant.measure()
+            self.asked += 1
+            if self.asked == 3:
+                measured.arms["arm"].position[3] = measured.arms["arm"].velocity[3] = value
+            return measured
+
+    cell = Broken()
+    with np.errstate(all="ignore"):
+        ticks = list(run_closed_loop(PUSH, cell))
+    cell.close()
+    assert [tick.number for tick in ticks] == [0, 1, 2]

@@ -35,8 +35,8 @@ def plan() -> TrialPlan:
 def bag(plan: TrialPlan, tmp_path_factory: pytest.TempPathFactory) -> TrialBag:
     path = tmp_path_factory.mktemp("record") / "trial"
     key = TrialKey("juice", "case_1", 1.0, 0)
-    outcome, _ = record_trial(plan, TrialInfo.of(plan, key, 3, "inprocess"), path)
-    assert outcome == "OK"
+    verdict, _ = record_trial(plan, TrialInfo.of(plan, key, 3, "inprocess"), path)
+    assert verdict.outcome == "OK", verdict.reason
     return TrialBag.open(path)
 
 
@@ -126,10 +126,10 @@ def test_a_trial_that_hits_nothing_says_so(plan: TrialPlan, tmp_path: Path) -> N
     away = replace(plan.scene.object, position=plan.scene.object.position + [0.6, 0.0, 0.0])
     missed = replace(plan, scene=replace(plan.scene, object=away))
     info = TrialInfo.of(missed, TrialKey("juice", "case_1", 1.0, 0), 3, "inprocess")
-    outcome, net = record_trial(missed, info, tmp_path / "trial")
-    assert outcome == "NO-IMPACT"
+    verdict, net = record_trial(missed, info, tmp_path / "trial")
+    assert (verdict.outcome, verdict.reason) == ("NO-IMPACT", "arm detected no impact")
     found = TrialBag.open(tmp_path / "trial")
-    assert found.outcome == "NO-IMPACT"
+    assert (found.outcome, found.reason) == (verdict.outcome, verdict.reason)
     np.testing.assert_array_equal(found.controller("arm").net_feedback[-1], net["arm"])
     assert found.metadata["object"] == "juice"
     assert "scenario_json" not in found.metadata

@@ -122,8 +122,8 @@ MUTANTS = [
     Mutant(
         name="dropped_objects_count",
         file=FILE,
-        original='bag.metadata.get("outcome") == "DROPPED"',
-        mutated='bag.metadata.get("outcome") == "dropped"',
+        original='MEASURES = ("OK", "NO-IMPACT")',
+        mutated='MEASURES = ("OK", "NO-IMPACT", "DROPPED")',
         wrong="A trial that dropped the object enters the fit.",
         tests=TESTS,
     ),

@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 
 from impact_rs_analysis.measure.analyze import analyze_campaign
-from impact_rs_analysis.measure.table import paper_row, result_table
+from impact_rs_analysis.measure.published import paper_row, published
+from impact_rs_analysis.measure.table import result_table
 from impact_rs_analysis.report import write_report
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.bags.topics import TRUTH
 
@@ -171,3 +173,29 @@ def test_html_and_png_are_drawn_from_the_same_numbers(push_campaign: Path) -> No
     for figure in figures_of(analyze_campaign(push_campaign).sets[0]):
         curves = [curve for panel in figure.panels for curve in panel.curves]
         assert [trace.name or "" for trace in curves_plot(figure).data] == [curve.label for curve in curves]
+
+
+def test_trials_that_went_wrong_are_left_out_with_the_reason(campaign: Path) -> None:
+    name = NAME.format(1.2)
+    metadata = campaign / name / "metadata.yaml"
+    reason = "arm joint7 at 12 rad/s against 2.61 rad/s at 0.035 s"
+    text = metadata.read_text().replace("outcome: OK", f"outcome: DIVERGED\n    outcome_reason: {reason}")
+    metadata.write_text(text)
+    analysis = analyze_campaign(campaign)
+    assert [(bag.name, bag.reason) for bag in analysis.skipped] == [(name, f"DIVERGED: {reason}")]
+    assert "2 trials with impact" in analysis.incomplete[0].reason
+
+
+def test_what_was_published_of_another_robot_object_or_speed_is_not_shown() -> None:
+    scenario = load_scenario("push")
+    assert published(scenario, "cat_food", "case_2") == paper_row("push", "cat_food", "case_2")
+    for changed in (
+        {"robots.arm.facts": "franka_fr3"},
+        {"objects.cat_food.mass": 1.4},
+        {"objects.cat_food.size": [0.24, 0.16, 0.2]},
+        {"cases.case_2.robots.arm.ante_velocity": [0.0, -0.8, 0.0]},
+    ):
+        assert published(scenario.with_settings(changed), "cat_food", "case_2") is None, changed
+    kept = scenario.with_settings({"control.interim_duration": 0.2, "objects.cat_food.label": "Tin"})
+    assert published(kept, "cat_food", "case_2") is not None
+    assert published(scenario, "cat_food", "case_9") is None

@@ -11,6 +11,7 @@ import pytest
 from impact_rs_analysis.measure.net_feedback import LARGEST_GAP, held_integral, net_feedback
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.bags.trial_info import OUTCOMES
 
 
 def test_the_integral_of_a_held_signal_is_exact() -> None:
@@ -165,10 +166,11 @@ def test_a_hole_outside_the_window_costs_nothing() -> None:
     assert net_feedback(recorded({"arm": constant(0.0, 0.0, 1.0)[kept]}, TIMES[kept])).net == pytest.approx(0.7)
 
 
-@pytest.mark.parametrize("outcome", ["ABORTED", "DROPPED"])
+@pytest.mark.parametrize("outcome", sorted(set(OUTCOMES) - {"OK", "NO-IMPACT"}) + ["FORGOTTEN"])
 def test_a_trial_that_went_wrong_never_enters(outcome: str) -> None:
-    with pytest.raises(BagError, match="aborted|dropped"):
-        net_feedback(recorded({"arm": constant(0.0, 0.0, 1.0)}, metadata={"outcome": outcome}))
+    bag = recorded({"arm": constant(0.0, 0.0, 1.0)}, metadata={"outcome": outcome}, outcome=outcome, reason="too fast")
+    with pytest.raises(BagError, match=f"{outcome}: too fast"):
+        net_feedback(bag)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ import pytest
 
 from impact_rs_analysis.measure.analyze import Analysis, ExperimentSet, Prediction
 from impact_rs_analysis.measure.fit import fit_zero_crossing
-from impact_rs_analysis.measure.table import paper_row, result_table
+from impact_rs_analysis.measure.published import paper_row
+from impact_rs_analysis.measure.table import result_table
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 
 
@@ -21,7 +22,10 @@ def experiment(scenario: str, thing: str, case: str, truth: float, errors: dict[
     fit = fit_zero_crossing(velocity, 1.1 * (velocity - truth) + 0.02 * rng.standard_normal(9))
     predictions = {name: Prediction(fit.estimate * (1.0 + error / 100.0), error) for name, error in errors.items()}
     settled = {name: Prediction(fit.estimate * (1.0 + error / 200.0), error / 2.0) for name, error in errors.items()}
-    return ExperimentSet(scenario, thing, case, "y", f"{thing}: {case}", (), fit, predictions, settled)
+    row = paper_row(scenario, thing, case)
+    return ExperimentSet(
+        scenario, thing, case, "y", f"{thing}: {case}", (), fit, predictions, settled, ante_velocity=-0.7, published=row
+    )
 
 
 def analysis(*sets: ExperimentSet) -> Analysis:
@@ -102,3 +106,9 @@ def test_the_papers_averages_are_over_the_rows_that_it_has() -> None:
 def test_no_sets_make_no_table() -> None:
     assert result_table(analysis()) == []
     assert set(analysis().average_error.values()) == {None}
+
+
+def test_a_set_that_repeats_nothing_published_has_no_published_number() -> None:
+    row, bias, quality = result_table(analysis(replace(FIRST, published=None)))
+    assert {entry.paper_errors is None for entry in (row, bias, quality)} == {True}
+    assert row.paper_estimate is None

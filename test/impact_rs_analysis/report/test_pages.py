@@ -279,13 +279,22 @@ def test_no_name_of_a_bag_can_leave_its_place(tmp_path: Path) -> None:
     def write(text: str) -> Page:
         listing = Listing("Bags skipped", ((text, text),))
         content = AnalysisPage(
-            "Jumps", text, 0, rows=(), with_paper=False, sensitivity=(), left_out=(listing,), sets=(), contact="first"
+            "Jumps",
+            text,
+            0,
+            rows=(),
+            with_paper=False,
+            sensitivity=(),
+            far=text,
+            left_out=(listing,),
+            sets=(),
+            contact="first",
         )
         return Page(skeleton.write_files(tmp_path, {"page.html": skeleton.render("analysis.html.j2", content)})[0])
 
     plain, evil = write("bag"), write(EVIL)
     assert evil.elements == plain.elements
-    assert evil.text.count(EVIL) == 3
+    assert evil.text.count(EVIL) == 4
     assert "No set has enough trials" in evil.text
 
 
