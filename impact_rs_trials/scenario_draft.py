@@ -376,9 +376,9 @@ def _try(scenario: Scenario) -> None:
         for object_name, case in dict.fromkeys(sets):
             plan = TrialSpec.of(scenario, object_name, case).plan
             key = TrialKey(object_name, case, 1.0, 0)
-            outcome, _ = record_trial(plan, TrialInfo.of(plan, key, SEED, ""), Path(directory) / key.name)
-            if outcome != "OK":
-                raise Infeasible(f"{object_name} {case}: {outcome}")
+            verdict, _ = record_trial(plan, TrialInfo.of(plan, key, SEED, ""), Path(directory) / key.name)
+            if verdict.outcome != "OK":
+                raise Infeasible(f"{object_name} {case}: {verdict.outcome}, {verdict.reason}")
 
 
 def _row(values: Array) -> str:

@@ -17,6 +17,7 @@ STEPS = 6
 STRAIGHT = 0.75  # of the gain that sensitivities promise; with less, a candidate of few parameters gets new ones
 FEW = 4  # parameters
 ENOUGH = 0.02  # of the error; a fit that gains less in a step is finished
+MUCH = 0.2  # of the error; a fit that gains so much in a step has not arrived
 SHORTEST_LESSON = 0.5  # parameter scales
 NEAR = 0.1  # parameter scales; a correction below this does not depend on where a trial starts
 MOST_LOOKS = 4
@@ -182,14 +183,14 @@ def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf, st
         candidate: Where to start, linearised.
         evidence: What to explain.
         give_up: After its first step a fit whose held-out error is larger than this ends.
-        steps: Most of them that lower the error; as long as each halves what is left, there is another.
+        steps: Most of them that lower the error; as long as each takes much of what is left, there is another.
     """
     best = Fit.of(candidate, evidence)
     nothing = np.zeros_like(best.change)
     best_error = float(np.mean(best.problem.errors(nothing)))
-    point, fraction, lowered, halved = best.estimate, 1.0, 0, False
+    point, fraction, lowered, falling = best.estimate, 1.0, 0, False
     for number in range(STEPS):
-        if (number >= 1 and best_error > give_up) or (lowered >= steps and not halved):
+        if (number >= 1 and best_error > give_up) or (lowered >= steps and not falling):
             break
         step = fraction * (point - candidate.point)
         if np.max(np.abs(step / candidate.scale)) < 1e-6:
@@ -202,7 +203,7 @@ def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf, st
         tried = Fit.of(_broyden(candidate, moved), evidence)
         error = float(np.mean(tried.problem.errors(nothing)))
         if error < best_error:
-            lowered, halved = lowered + 1, error < 0.5 * best_error
+            lowered, falling = lowered + 1, error < (1.0 - MUCH) * best_error
             gained = best_error - error
             bent = gained < STRAIGHT * expected or fraction < 1.0
             if bent and candidate.point.size <= FEW:
