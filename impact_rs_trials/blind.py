@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ from impact_rs_trials.workers import Map
 KINDS = ("single", "pair", "null", "outside")
 TRUTH = "truth.json"
 RUNS = "runs"
+SCENARIOS = ("push", "excite")
 
 
 @dataclass(frozen=True)
@@ -89,8 +90,10 @@ def draw(name: str, magnitude: float, rng: np.random.Generator, joint_count: int
     return Hidden(name, tuple(float(value) for value in values), magnitude)
 
 
-def draw_truth(seed: int, kind: str, effect: str | None, magnitude: float | None) -> list[Hidden]:
-    """The hidden effects of a campaign.
+def draw_truth(
+    seed: int, kind: str, effect: str | None, magnitude: float | None, joint_count: int | None = None
+) -> list[Hidden]:
+    """The hidden effects of a campaign; of the joints of the shipped arm where no number is given.
 
     Raises:
         InputError: Unknown kind or effect.
@@ -104,9 +107,10 @@ def draw_truth(seed: int, kind: str, effect: str | None, magnitude: float | None
     count = {"single": 1, "pair": 2}.get(kind, 0)
     chosen = [effect] if effect is not None and count == 1 else list(rng.choice(names, size=count, replace=False))
     hidden = []
+    joint_count = _joint_count(SCENARIOS) if joint_count is None else joint_count
     for name in chosen:
         size = magnitude if magnitude is not None else float(np.exp(rng.uniform(0.0, np.log(10.0))))
-        hidden.append(draw(str(name), size, rng, _joint_count()))
+        hidden.append(draw(str(name), size, rng, joint_count))
     return hidden
 
 
@@ -175,19 +179,31 @@ def run_task(task: BlindTask, record: Recorder = _record) -> str:
 
 
 def tasks(
-    directory: Path, seed: int, size: str, hidden: list[Hidden], outside: str | None, magnitude: float
+    directory: Path,
+    seed: int,
+    size: str,
+    hidden: list[Hidden],
+    outside: str | None,
+    magnitude: float,
+    scenarios: Sequence[str] = SCENARIOS,
 ) -> list[BlindTask]:
     """Every trial of a blind campaign.
 
     Raises:
-        InputError: Unknown size.
+        InputError: Unknown size or scenario, or one without the objects and cases of this size.
     """
     if size not in SIZES:
         raise InputError(f"no size {size!r}; known: {', '.join(SIZES)}")
     plan = SIZES[size]
-    push, excite = load_scenario("push"), load_scenario("excite")
-    specs = [(TrialSpec.of(push, name, case), plan.repeats) for name in plan.objects for case in plan.cases]
-    specs += [(TrialSpec.of(excite, "none", case), plan.excite_repeats) for case in excite.cases]
+    specs: list[tuple[TrialSpec, int]] = []
+    for scenario in map(load_scenario, scenarios):
+        if scenario.excursion is None:
+            specs += [
+                (TrialSpec.of(scenario, name, case), plan.repeats) for name in plan.objects for case in plan.cases
+            ]
+        else:
+            thing = next(iter(scenario.objects))
+            specs += [(TrialSpec.of(scenario, thing, case), plan.excite_repeats) for case in scenario.cases]
     runs = str((directory / RUNS).absolute())  # a worker process may stand elsewhere
     trials = [Trial.of(spec, repeat, seed) for spec, repeats in specs for repeat in range(repeats)]
     return [BlindTask(runs, trial, tuple(hidden), outside, magnitude) for trial in trials]
@@ -203,6 +219,7 @@ def make(
     magnitude: float | None = None,
     work: Callable[[BlindTask], str] = run_task,
     outsides: Collection[str] = OUTSIDE,
+    scenarios: Sequence[str] = SCENARIOS,
 ) -> Iterator[tuple[int, int]]:
     """Make a blind campaign; yields (done, total) as trials end.
 
@@ -216,21 +233,28 @@ def make(
         magnitude: Size in parameter scales, of an outside effect in multiples of a noticeable one; None: drawn.
         work: Records a trial; :func:`run_task` on another cell than our plant.
         outsides: Names of the effects outside the library that it knows.
+        scenarios: Names or paths of what is recorded, of one arm: pushes, and motions there and back.
 
     Raises:
-        InputError: Unknown kind, effect or size, or a folder that holds another blind campaign.
+        InputError: Unknown kind, effect, size or scenario, arms with different numbers of joints, or a folder that
+            holds another blind campaign.
     """
-    hidden = draw_truth(seed, kind, effect, magnitude)
+    joint_count = _joint_count(scenarios)
+    hidden = draw_truth(seed, kind, effect, magnitude, joint_count)
     outside, strength = (None, 0.0) if kind != "outside" else draw_outside(seed, effect, magnitude, outsides)
-    todo = tasks(directory, seed, size, hidden, outside, strength)
+    todo = tasks(directory, seed, size, hidden, outside, strength, scenarios)
     truth = {
         "kind": kind,
         "seed": seed,
         "size": size,
         "outside": outside,
         "outside_magnitude": strength,
-        "effects": [{"name": item.name, "magnitude": item.magnitude, "parameters": named(item)} for item in hidden],
+        "effects": [
+            {"name": item.name, "magnitude": item.magnitude, "parameters": named(item, joint_count)} for item in hidden
+        ],
     }
+    if tuple(scenarios) != SCENARIOS:
+        truth["scenarios"] = list(scenarios)
     path = directory / TRUTH
     text = json.dumps(truth, indent=2) + "\n"
     if path.exists() and path.read_text(encoding="utf-8") != text:
@@ -242,14 +266,24 @@ def make(
             yield done, len(todo)
 
 
-def _joint_count() -> int:
-    """Joints of the arms of these campaigns."""
-    return next(iter(load_scenario("push").robots.values())).robot_facts.joint_count
+def _joint_count(scenarios: Sequence[str]) -> int:
+    """Joints of every arm of some scenarios.
+
+    Raises:
+        InputError: They differ, or there is no scenario.
+    """
+    robots = {name: load_scenario(name).robots.values() for name in scenarios}
+    counts = {name: {robot.robot_facts.joint_count for robot in arms} for name, arms in robots.items()}
+    found = set().union(*counts.values())
+    if len(found) != 1:
+        told = ", ".join(f"{name}: {', '.join(map(str, sorted(own)))}" for name, own in counts.items())
+        raise InputError(f"a blind campaign needs arms with one number of joints, got {told or 'no scenario'}")
+    return found.pop()
 
 
-def named(item: Hidden) -> dict[str, Any]:
+def named(item: Hidden, joint_count: int) -> dict[str, Any]:
     """Parameters of a hidden effect with their units, as the truth says them."""
-    scalars = library()[item.name].scalars(_joint_count())
+    scalars = library()[item.name].scalars(joint_count)
     return {
         scalar.name: {"value": value, "unit": scalar.unit} for scalar, value in zip(scalars, item.values, strict=True)
     }

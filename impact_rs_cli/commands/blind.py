@@ -23,6 +23,7 @@ example:
   {PROGRAM} blind make 7 -o blind_7 --size small
   {PROGRAM} diagnose blind_7/runs -o diagnosis.json
   {PROGRAM} blind score blind_7 --diagnosis diagnosis.json
+  {PROGRAM} blind make 8 -o blind_8 --scenarios my_push.yaml my_excite.yaml      # of a robot of your own
 
 Units: those of the hidden parameters are in truth.json."""
 
@@ -37,6 +38,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     maker.add_argument("-o", dest="output", type=Path, required=True, metavar="DIR", help="folder of the campaign")
     maker.add_argument("--kind", choices=("single", "pair", "null", "outside"), default="single", help="%(default)s")
     maker.add_argument("--effect", metavar="NAME", help="hide this one; default: drawn")
+    maker.add_argument(
+        "--scenarios",
+        nargs="+",
+        metavar="SCENARIO",
+        default=list(blind.SCENARIOS),
+        help="what is recorded, of one arm: pushes, and motions there and back; default: push excite",
+    )
     maker.add_argument("--size", choices=("small", "full"), default="small", help="default: %(default)s")
     add_jobs(maker)
     add_json(maker)
@@ -55,7 +63,8 @@ def make(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError(f"seed = {args.seed}: expected a whole number >= 0")
     done = 0
     with output_folder(args.output), started(args) as map_tasks, terminal.progress("trials") as tell:
-        for done, total in blind.make(args.output, args.seed, map_tasks, args.kind, args.effect, args.size):
+        wanted = (args.kind, args.effect, args.size)
+        for done, total in blind.make(args.output, args.seed, map_tasks, *wanted, scenarios=args.scenarios):
             tell(done, total)
     runs = args.output / blind.RUNS
     terminal.result({"directory": str(args.output), "runs": str(runs), "trials": done, "kind": args.kind})

@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.robot import load_facts
+from impact_rs_sim.scenario import load_scenario, scenario_path
 from impact_rs_sim.unmodelled import OUTSIDE
 from impact_rs_trials.blind import RUNS, SIZES, TRUTH, draw, draw_outside, draw_truth, hide, make, tasks
 
@@ -119,3 +121,24 @@ def test_a_campaign_has_every_condition_with_its_repeats_and_the_truth_lies_besi
     assert {task.directory for task in seen} == {str(tmp_path / RUNS)}
     with pytest.raises(InputError, match="another blind campaign"):
         list(make(tmp_path, 8, record, "single", "object_mass", "small", 2.0))
+
+
+def test_another_robot_is_hidden_behind_with_its_own_number_of_joints(tmp_path) -> None:
+    """Truth and tasks are those of the scenarios that were asked for; arms of two kinds in one campaign are refused."""
+    few = load_facts("ur5e")
+    text = yaml.safe_load(scenario_path("push").read_text(encoding="utf-8"))
+    robot, cut = text["robots"]["arm"], slice(0, few.joint_count)
+    drive = {name: robot["drive"][name][cut] for name in ("motor_inertia_rotor", "stiffness", "damping")}
+    robot |= {"facts": "ur5e", "drive": {"type": "rigid"} | drive}
+    robot["impact"]["joint_guess"] = robot["impact"]["joint_guess"][cut]
+    for case in text["cases"].values():
+        del case["robots"]["arm"]["joint_1"]
+    path = tmp_path / "six.yaml"
+    path.write_text(yaml.safe_dump(text))
+    for _ in make(tmp_path / "blind", 1, map, "single", "torque_offset", "small", work=str, scenarios=(str(path),)):
+        pass
+    truth = json.loads((tmp_path / "blind" / TRUTH).read_text())
+    assert len(truth["effects"][0]["parameters"]) == 6
+    assert truth["scenarios"] == [str(path)]
+    with pytest.raises(InputError, match=r"one number of joints, got .*six.yaml: 6, push: 7"):
+        next(make(tmp_path / "both", 1, map, scenarios=(str(path), "push")))
