@@ -104,6 +104,7 @@ class OpenTrial:
             command=commands.commanded_torque,
             qp_status=commands.qp_status,
             hit=self.counts[topics.impact_event(arm)] > 0,
+            mode=commands.mode,
         )
 
     def _object(self) -> PoseColumns:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_rs_control.closed_loop import RUNAWAY, Tick
+from impact_rs_control.controller import Mode
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
 from impact_rs_sim.robot import Array
@@ -53,6 +54,7 @@ class ArmRecord:
         command: Commanded torque, ``(m, n)`` [N m].
         qp_status: How the QP was solved, ``(m,)``; see :class:`~impact_rs_control.qp.QpStatus`.
         hit: Whether it detected an impact.
+        mode: Mode of the controller, ``(m,)``; see :class:`~impact_rs_control.controller.Mode`.
     """
 
     joints: JointColumns
@@ -60,6 +62,7 @@ class ArmRecord:
     command: Array
     qp_status: Array
     hit: bool
+    mode: Array
 
 
 @dataclass(frozen=True)
@@ -109,6 +112,7 @@ class Witness:
             command=np.array([command.torque for command in commands]),
             qp_status=np.array([command.qp_status for command in commands]),
             hit=any(command.detection is not None for command in commands),
+            mode=np.array([command.mode for command in commands]),
         )
 
     def _object(self) -> PoseColumns:
@@ -156,6 +160,7 @@ def _findings(plan: TrialPlan, recorded: TrialRecord) -> Iterator[_Finding]:
         yield from _unsolved(name, arm, period)
     if plan.expects_impact:
         yield from _untouched(recorded)
+        yield from _too_early(plan, recorded)
         yield from _tipped(recorded.object)
     yield from _dropped(plan, recorded.object)
 
@@ -228,6 +233,22 @@ def _untouched(recorded: TrialRecord) -> Iterator[_Finding]:
     missed = [name for name, arm in recorded.arms.items() if not arm.hit]
     if missed:
         yield _Finding("NO-IMPACT", 0.0, f"{', '.join(missed)} detected no impact")
+
+
+def _too_early(plan: TrialPlan, recorded: TrialRecord) -> Iterator[_Finding]:
+    """An impact that was told before the pad could be there: what follows is no answer to one."""
+    timing, detection = plan.scene.scenario.timing, plan.scene.scenario.control.detection
+    begin = timing.window[0]
+    for name, arm in recorded.arms.items():
+        for row in np.flatnonzero(arm.mode != Mode.ANTE)[:1]:
+            if float(arm.command_time[row]) < begin - ROUNDING:
+                time = float(arm.command_time[row])
+                yield _Finding(
+                    "NO-IMPACT",
+                    time,
+                    f"{name} took something for the impact at {time:.3f} s, before the window from {begin:.3f} s: "
+                    f"raise control.detection.threshold, now {detection.threshold:g} N",
+                )
 
 
 def _tipped(seen: PoseColumns) -> Iterator[_Finding]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from impact_rs_control.closed_loop import RUNAWAY, make_plant, run_closed_loop
+from impact_rs_control.controller import Mode
 from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_control.qp import QpStatus
 from impact_rs_sim.scenario import load_scenario
@@ -33,7 +34,8 @@ def arm_record(hit: bool = True) -> ArmRecord:
     """An arm that stands in the middle of all its limits."""
     still = np.zeros((TICKS, 7))
     joints = JointColumns(TIME, still + MIDDLE, still.copy(), still.copy())
-    return ArmRecord(joints, TIME, still.copy(), np.full(TICKS, QpStatus.SOLVED), hit)
+    mode = np.full(TICKS, Mode.ANTE)
+    return ArmRecord(joints, TIME, still.copy(), np.full(TICKS, QpStatus.SOLVED), hit, mode)
 
 
 def record(plan: TrialPlan, arm: ArmRecord | None = None, lift: float = 0.0) -> TrialRecord:
@@ -160,6 +162,20 @@ def test_an_object_that_leans_more_than_20_degrees_has_tipped_over(
 
 def test_an_object_that_turns_about_the_vertical_stands() -> None:
     assert judge(PUSH, leaning(np.radians(80.0), TICKS, (0.0, 0.0, 1.0), 0.5)).outcome == "OK"
+
+
+def test_an_impact_that_is_told_before_the_pad_can_be_there_is_none() -> None:
+    """The window of a push begins at 0.8 s; a mode that is left on its first tick is in time."""
+    begin = PUSH.scene.scenario.timing.window[0]
+    time = begin - 0.1 + TIME
+    for row, expected in ((99, "NO-IMPACT"), (100, "OK"), (150, "OK")):
+        arm = replace(arm_record(), command_time=time)
+        arm.mode[row:] = Mode.INTERIM
+        found = judge(PUSH, record(PUSH, arm))
+        assert found.outcome == expected
+        if expected != "OK":
+            assert "at 0.799 s, before the window from 0.800 s: raise control.detection.threshold" in found.reason
+    assert judge(EXCITE, record(EXCITE, arm)) == Verdict("OK")
 
 
 def test_what_nobody_hits_may_lie_as_it_likes() -> None:
