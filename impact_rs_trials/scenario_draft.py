@@ -52,14 +52,8 @@ COMFORTABLE = 0.3  # rad from a limit; more is no better
 MOST_DEFLECTED = 0.5  # velocity across the pad's normal over that along it, by an impulse along it; less is better
 REGULAR = 0.1  # smallest singular value of the Jacobian (m, rad); more is no better
 SPEEDS = (1.0, 0.8, 0.6, 0.45)  # of the shipped scenario's, until the joints are fast enough
-THRESHOLDS = (
-    1.0,
-    1.5,
-    2.0,
-    3.0,
-    4.0,
-)  # of the detection, over the shipped one: of a heavy arm momentum is known less well
-QUIET = 1.3  # a threshold that holds in trials of few has to hold with so much less
+THRESHOLDS = (1.0, 1.5, 2.0, 3.0, 4.0)  # of the detection, over the shipped one: a heavy arm needs more
+QUIET = 1.3  # a threshold that shall hold in every trial has to hold in these few when it is so much less
 NORMAL, UP = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 
 

@@ -38,7 +38,7 @@ def test_a_scenario_for_six_joints_is_one_that_a_file_can_hold_and_whose_trials_
 
 
 def test_six_joints_follow_their_references_without_a_posture_task(six_joints: Draft, tmp_path):
-    """Before the hit the pad is where it shall be, as that of seven joints is: within a millimetre."""
+    """Before the hit the pad is where it shall be, within two millimetres at half a metre per second."""
     plan = TrialSpec.of(six_joints.scenario, "parcel", "case_1").plan
     arm = plan.arms["arm"]
     assert arm.posture == ()
@@ -48,7 +48,7 @@ def test_six_joints_follow_their_references_without_a_posture_task(six_joints: D
             reached = tick.commands["arm"].position
             break
     plant.close()
-    np.testing.assert_allclose(reached, arm.ante_position.position[800], atol=1e-3)
+    np.testing.assert_allclose(reached, arm.ante_position.position[800], atol=2e-3)
 
 
 @pytest.mark.parametrize("facts", [FER, FR3, UR5E])
