@@ -67,6 +67,18 @@ def check_drives(facts: RobotFacts, scenario: Scenario) -> list[Check]:
     return checks
 
 
+def failures_of(scenario: Scenario) -> list[Check]:
+    """What is wrong with the arms of a scenario, as far as it is told without a simulator: inertias, limits, drives."""
+    checks = []
+    for name, robot in scenario.robots.items():
+        facts = robot.robot_facts
+        own = [_check_inertias(facts), _check_limits(facts)]
+        if all(check.outcome != "failed" for check in own):
+            own = _check_drive(name, robot, scenario.timing.drive_period)
+        checks += own
+    return [check for check in checks if check.outcome == "failed"]
+
+
 def empty_flange() -> EndEffector:
     """A milligram on the flange, because a body without any mass is no body."""
     return EndEffector(

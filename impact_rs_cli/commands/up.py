@@ -6,6 +6,8 @@ import argparse
 
 from impact_rs_cli.terminal import Terminal, declare
 from impact_rs_ros.graph import up
+from impact_rs_sim.robot_check import failures_of
+from impact_rs_sim.scenario import load_scenario
 
 TEXT = """\
 Start the ROS 2 nodes (plant, controller, impact map, recorder, experiment) and keep them running until Ctrl-C.
@@ -25,4 +27,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
+    for check in failures_of(load_scenario(args.scenario)):
+        terminal.warn(f"robot check failed, trials may diverge: {check.name}: {check.found}")
     return up(args.scenario)

@@ -308,6 +308,7 @@ def test_a_trial_that_went_wrong_is_counted_told_and_used_by_nothing(
     scope = ["--objects", "cat_food", "--cases", "2", "--trials", "1", "--scales", "0.8", "1.2", "--jobs", "1"]
     assert main(["campaign", "push", "-o", out, *scope, "--set", "robots.arm.facts=franka_fr3"]) == 1
     told = capfd.readouterr()
+    assert "robot check failed, trials may diverge: drive of arm, joint 7" in told.err
     assert "2 of 2 trials are there (2 DIVERGED)" in told.out
     assert re.search(r"DIVERGED 2: arm joint7 at [\d.]+ rad/s against 5.26 rad/s at 0.0\d\d s \(cat_food__", told.err)
     for command in (["analyze", out], ["compare", out], ["diagnose", out]):

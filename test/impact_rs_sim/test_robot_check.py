@@ -10,7 +10,7 @@ import pytest
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import RobotFacts, load_facts
-from impact_rs_sim.robot_check import Check, check_drives, check_facts, random_positions
+from impact_rs_sim.robot_check import Check, check_drives, check_facts, failures_of, random_positions
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario, load_scenario
 
@@ -123,3 +123,10 @@ def test_a_drive_without_damping_is_a_warning() -> None:
 def test_a_scenario_without_this_robot_is_told() -> None:
     with pytest.raises(InputError, match="no arm of scenario 'push' is this robot; its arms: arm"):
         check_drives(load_facts("franka_fr3"), load_scenario("push"))
+
+
+def test_a_scenario_whose_drives_are_unstable_is_told_before_it_is_simulated() -> None:
+    push = load_scenario("push")
+    assert failures_of(push) == []
+    other = push.with_settings({"robots.arm.facts": "franka_fr3"})
+    assert any(check.name == "drive of arm, joint 7" for check in failures_of(other))
