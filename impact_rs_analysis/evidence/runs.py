@@ -96,7 +96,7 @@ def read_trial(path: Path) -> MeasuredRun | tuple[str, str]:
     """One trial, or path and reason why it cannot be used."""
     try:
         bag = TrialBag.open(path)
-        if bag.outcome not in ("OK", "DROPPED"):
+        if bag.outcome not in ("OK", "DROPPED", "EARLY"):
             return str(path), f"{bag.outcome}: {bag.reason}"
         return MeasuredRun.of(run_of_trial(bag))
     except (BagError, InputError, ValueError, IndexError) as error:

@@ -244,7 +244,7 @@ def _too_early(plan: TrialPlan, recorded: TrialRecord) -> Iterator[_Finding]:
             if float(arm.command_time[row]) < begin - ROUNDING:
                 time = float(arm.command_time[row])
                 yield _Finding(
-                    "NO-IMPACT",
+                    "EARLY",
                     time,
                     f"{name} took something for the impact at {time:.3f} s, before the window from {begin:.3f} s: "
                     f"raise control.detection.threshold, now {detection.threshold:g} N",

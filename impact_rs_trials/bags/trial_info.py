@@ -10,13 +10,14 @@ from impact_rs_sim.seeds import seed_of
 from impact_rs_sim.version import git_revision, package_version
 from impact_rs_trials.spec import TrialSpec
 
-Outcome = Literal["ABORTED", "DIVERGED", "LIMIT", "INFEASIBLE", "NO-IMPACT", "TIPPED", "DROPPED", "OK"]
+Outcome = Literal["ABORTED", "DIVERGED", "LIMIT", "INFEASIBLE", "NO-IMPACT", "EARLY", "TIPPED", "DROPPED", "OK"]
 OUTCOMES: dict[str, str] = {  # the gravest first: of several that hold it is the one that is told
     "ABORTED": "the trial did not end",
     "DIVERGED": "a joint ran away",
     "LIMIT": "a joint was beyond its limits",
     "INFEASIBLE": "no torque within the limits did what the controller wanted",
     "NO-IMPACT": "nothing was hit",
+    "EARLY": "something was taken for the impact before the pad could be there",
     "TIPPED": "the object tipped over",
     "DROPPED": "the object was dropped",
     "OK": "it went as it was meant to",

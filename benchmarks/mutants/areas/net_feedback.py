@@ -122,8 +122,8 @@ MUTANTS = [
     Mutant(
         name="dropped_objects_count",
         file=FILE,
-        original='MEASURES = ("OK", "NO-IMPACT")',
-        mutated='MEASURES = ("OK", "NO-IMPACT", "DROPPED")',
+        original='MEASURES = ("OK", "NO-IMPACT", "EARLY")',
+        mutated='MEASURES = ("OK", "NO-IMPACT", "EARLY", "DROPPED")',
         wrong="A trial that dropped the object enters the fit.",
         tests=TESTS,
     ),
