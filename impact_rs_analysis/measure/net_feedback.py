@@ -23,11 +23,8 @@ from impact_rs_trials.spec import recorded_scenario
 
 AT_LIMIT = 1e-3  # relative; a torque this near its limit is at it
 SHORTEST_LIMIT = 0.005  # s at a limit; less takes from the feedback what its noise does as well
-MEASURES = (
-    "OK",
-    "NO-IMPACT",
-    "EARLY",
-)  # outcomes; a bag of a real robot may have none, and without impact nothing is fitted
+# Outcomes; a bag of a real robot may have none, and where nothing was hit in time nothing is fitted.
+MEASURES = ("OK", "NO-IMPACT", "EARLY")
 LARGEST_GAP = 0.02  # s; a hole this long in a 1 kHz signal hides more feedback than the measure resolves
 
 
