@@ -17,10 +17,10 @@ from typing import Any, Literal
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.drive_stability import joint_stability
+from impact_rs_sim.assumed_drive import assumed_drive
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import Array, EndEffector, RobotFacts
+from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_sim.robot_check import check_drives, random_positions
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario, load_scenario
@@ -32,17 +32,6 @@ from impact_rs_trials.spec import TrialSpec
 Report = Callable[[str, int, int], None]
 Kind = Literal["push", "grab", "excite"]
 KINDS: tuple[Kind, ...] = ("push", "grab", "excite")
-
-# Of a Franka arm: B_rho and K over the torque limit of its large joints, B_theta over B_rho.
-ROTOR_INERTIA = 0.6 / 87.0  # kg m^2 / (N m)
-STIFFNESS = 14000.0 / 87.0  # N m/rad / (N m)
-REDUCED = 1.0 / 3.0
-STIFFEST = 14000.0  # N m/rad; gears of stronger joints are not much stiffer
-DAMPING = 12.0 / 14000.0  # s, of the stiffness
-STABLE = 0.25  # of the damping with which the torque loop would lose its stability
-# 1/s, damping over the inertia that the spring sees. At the joint's resonance the velocity feedback 2 sqrt(400 / s^2)
-# has the gain 40 m / D: twice as much damping as would just do, and as much as a Franka arm has.
-RESONANCE = 80.0
 
 POSES = 150  # that are looked at
 BEST = 6  # that are simulated
@@ -117,7 +106,7 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
         report("poses", number, POSES)
         if (start := _random_pose(model, reach, rng)) is not None:
             starts.append(start)
-    drive = drive_values(facts, model.end_effector, shipped.timing.drive_period)
+    drive = assumed_drive(facts, model.end_effector, shipped.timing.drive_period)
     motors = np.array(drive.get("motor_inertia_reduced", drive["motor_inertia_rotor"]))
     failures: list[str] = []
     for round_, speed in enumerate(SPEEDS):
@@ -213,39 +202,6 @@ def _along(model: RobotModel, start: Array, way: Array, speed: float) -> float:
     return worst
 
 
-def drive_values(facts: RobotFacts, end_effector: EndEffector, period: float) -> dict[str, list[float]]:
-    """Motor inertia, stiffness and damping per joint: as published, else scaled from a Franka arm, and stable.
-
-    Args:
-        facts: The robot.
-        end_effector: What it carries.
-        period: Of the torque loop [s].
-    """
-    torque = np.array(facts.limits.torque_Nm)
-    rotor = np.array(facts.reflected_rotor_inertia_other_source_kg_m2 or np.maximum(ROTOR_INERTIA * torque, 0.05))
-    reduced = REDUCED * rotor if facts.joint_torque_loop else rotor
-    stiffness = np.minimum(STIFFNESS * torque, STIFFEST)
-    model = RobotModel(facts, end_effector)
-    inverses = np.linalg.inv(np.array([model.mass_matrix(q) for q in random_positions(model)]))
-    links = 1.0 / np.diagonal(inverses, axis1=1, axis2=2)
-    lightest, usual = links.min(axis=0), np.median(links, axis=0)
-    damping = np.maximum(DAMPING * stiffness, RESONANCE / (1.0 / usual + 1.0 / reduced))
-    for joint, inertia in enumerate(lightest):
-        limits = joint_stability(float(inertia), float(reduced[joint]), 1.0, 0.0, period)
-        stiffness[joint] = min(stiffness[joint], STABLE * limits.stiffness_below)
-        limits = joint_stability(float(inertia), float(reduced[joint]), float(stiffness[joint]), 1.0, period)
-        damping[joint] = min(damping[joint], STABLE * limits.damping_below)
-    values = {
-        "motor_inertia_rotor": rotor,
-        "motor_inertia_reduced": reduced,
-        "stiffness": stiffness,
-        "damping": damping,
-    }
-    if not facts.joint_torque_loop:
-        del values["motor_inertia_reduced"]
-    return {name: [float(f"{value:.3g}") for value in row] for name, row in values.items()}
-
-
 def scenario_text(
     facts_name: str, facts: RobotFacts, kind: Kind, model: RobotModel, pose: Pose, speed: float, threshold: float = 1.0
 ) -> str:
@@ -320,7 +276,7 @@ def _robot_lines(
     mirrored: Array | None,
 ) -> list[str]:
     effector, pad = shipped["end_effector"], shipped["end_effector"]["pad"]
-    drive = drive_values(facts, model.end_effector, 2.5e-4)
+    drive = assumed_drive(facts, model.end_effector, 2.5e-4)
     sign, base, yaw, position = 1.0, np.zeros(3), 0.0, pose.position
     if mirrored is not None:  # the same arm, turned by half a turn about the middle of the object
         sign, yaw = -1.0, np.pi

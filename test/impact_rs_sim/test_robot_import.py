@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from impact_rs_sim.assumed_drive import assumed_drive
 from impact_rs_sim.bullet_world import mass_matrices
+from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.mechanics import Mechanics
+from impact_rs_sim.physics import JointFriction, Physics
 from impact_rs_sim.robot import EndEffector, load_facts
 from impact_rs_sim.robot_import import FULL_TURN, facts_text, frame_of_axis, import_urdf, save_facts
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import ArmState, BodyState
 
+PERIOD = 2.5e-4  # s, of the torque loop
 LIMIT = '<limit lower="-2" upper="1.5" velocity="3" effort="40"/>'
 BODY = """<inertial><origin xyz="0.1 0.02 0.03" rpy="0.1 0.2 0.3"/><mass value="2"/>
 <inertia ixx="0.02" ixy="0.001" ixz="0.002" iyy="0.03" iyz="0.003" izz="0.025"/></inertial>"""
@@ -109,6 +117,56 @@ def test_the_facts_of_any_chain_have_the_dynamics_of_its_urdf(
     bullet = mass_matrices(facts, weightless(), positions)
     for q, matrix in zip(positions, bullet, strict=True):
         np.testing.assert_allclose(matrix, ours.mass_matrix(q), atol=1e-6 * np.abs(matrix).max())
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 8))
+def test_any_chain_hits_a_box_without_diverging(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, count: int
+) -> None:
+    """A box without weight before the pad, an assumed drive: the box goes ahead, and nobody gains energy."""
+    rng = np.random.default_rng(seed)
+    folder = tmp_path_factory.mktemp("chain")
+    (folder / "arm.urdf").write_text(random_chain(rng, count), encoding="utf-8")
+    facts = import_urdf(folder / "arm.urdf", tip="tool").facts
+    push = Physics.nominal(load_scenario("push"), "cat_food")
+    effector = push.arms["arm"].end_effector
+    drive = {name: np.array(row) for name, row in assumed_drive(facts, effector, PERIOD).items()}
+    still, one = np.zeros(count), np.ones(count)
+    arm = replace(
+        push.arms["arm"],
+        facts=facts,
+        friction=JointFriction.none(count),
+        torque_offset=still,
+        torque_gain=one,
+        **drive,
+    )
+    physics = replace(push, arms={"arm": arm}, support_height=None, gravity=np.zeros(3))
+    model = physics.robot_model("arm")
+    q = rng.uniform(-1.5, 1.0, count)
+    pad = model.placement(q)
+    jacobian = model.jacobian(q)
+    normal = pad.rotation[:, 2]
+    row = normal @ jacobian[:3]
+    dq = row * 0.3 / max(row @ row, 0.05)
+    approach = float(row @ dq)
+    assume(approach > 0.02)
+    half = physics.object.size[2] / 2.0
+    box = BodyState(pad.translation + (half + 1e-4) * normal, pad.rotation, np.zeros(6))
+    mechanics = Mechanics.load(physics, PERIOD)
+    mechanics.start({"arm": ArmState(q, dq)}, {"arm": DriveStart(still, still)}, box, may_sleep=False)
+    inertia = model.mass_matrix(q) + np.diag(arm.motor_inertia_reduced)
+    before = 0.5 * dq @ inertia @ dq
+    for _ in range(20):
+        mechanics.step({"arm": [still] * 10}, 0.0)
+    link, thing, motor = mechanics.links["arm"], mechanics.world.object_state(), mechanics.drives["arm"].velocity
+    mechanics.close()
+    mass = model.mass_matrix(link.position)
+    after = 0.5 * (link.velocity @ mass @ link.velocity + motor @ np.diag(arm.motor_inertia_reduced) @ motor)
+    after += 0.5 * physics.object.mass * thing.twist[:3] @ thing.twist[:3]
+    assert np.isfinite(after)
+    assert after < 1.02 * before
+    assert thing.twist[:3] @ normal > 0.0
 
 
 @pytest.mark.parametrize("axis", [(0, 0, 1), (0, 0, -1), (0, 1, 0), (0.6, 0, -0.8), (1e-9, 0, -1)])

@@ -6,18 +6,16 @@ import numpy as np
 import pytest
 
 from impact_rs_control.closed_loop import make_plant, run_closed_loop
-from impact_rs_sim.drive_stability import spectral_radius
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import RobotFacts, load_facts
+from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_check import check_drives, empty_flange
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials import scenario_draft
-from impact_rs_trials.scenario_draft import Draft, Pose, draft, drive_values, scenario_text
+from impact_rs_trials.scenario_draft import Draft, Pose, draft, scenario_text
 from impact_rs_trials.spec import TrialSpec
 
 UR5E, FR3, FER = (load_facts(name) for name in ("ur5e", "franka_fr3", "franka_fer"))
-PERIOD = 2.5e-4
 
 
 @pytest.fixture(scope="module")
@@ -49,20 +47,6 @@ def test_six_joints_follow_their_references_without_a_posture_task(six_joints: D
             break
     plant.close()
     np.testing.assert_allclose(reached, arm.ante_position.position[800], atol=2e-3)
-
-
-@pytest.mark.parametrize("facts", [FER, FR3, UR5E])
-def test_assumed_drives_are_stable_and_as_published_where_that_is_known(facts: RobotFacts) -> None:
-    effector = load_scenario("push").robots["arm"].end_effector.build()
-    values = {name: np.array(row) for name, row in drive_values(facts, effector, PERIOD).items()}
-    inertia = values.get("motor_inertia_reduced", values["motor_inertia_rotor"])
-    model = RobotModel(facts, effector)
-    inverse = np.linalg.inv(model.mass_matrix(0.3 * np.ones(facts.joint_count))) + np.diag(1.0 / inertia)
-    assert spectral_radius(inverse, values["stiffness"], values["damping"], PERIOD) < 1.0
-    assert ("motor_inertia_reduced" in values) == facts.joint_torque_loop
-    published = facts.reflected_rotor_inertia_other_source_kg_m2
-    if published is not None:
-        np.testing.assert_allclose(values["motor_inertia_rotor"], published, rtol=5e-3)
 
 
 def test_the_second_arm_of_a_grab_is_the_first_turned_about_the_object() -> None:

@@ -1,0 +1,60 @@
+"""A drive for an arm of which only the links are known.
+
+Motor inertia and stiffness are scaled from a Franka arm by the torque limits. The damping has to do two things: the
+torque loop must stay stable with the lightest link at its period, and the controller must not excite the resonance of
+the joint. A velocity feedback d on the link side has the loop gain d m / D there, m the inertia that the spring sees;
+with a gain above 1 the joint swings until the torque is at its limit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from impact_rs_sim.drive_stability import joint_stability
+from impact_rs_sim.robot import EndEffector, RobotFacts
+from impact_rs_sim.robot_check import random_positions
+from impact_rs_sim.robot_model import RobotModel
+
+# Of a Franka arm: B_rho and K over the torque limit of its large joints, B_theta over B_rho.
+ROTOR_INERTIA = 0.6 / 87.0  # kg m^2 / (N m)
+STIFFNESS = 14000.0 / 87.0  # N m/rad / (N m)
+REDUCED = 1.0 / 3.0
+STIFFEST = 14000.0  # N m/rad; gears of stronger joints are not much stiffer
+DAMPING = 12.0 / 14000.0  # s, of the stiffness
+STABLE = 0.25  # of the damping with which the torque loop would lose its stability
+# 1/s, damping over the inertia that the spring sees. At the joint's resonance the velocity feedback 2 sqrt(400 / s^2)
+# has the gain 40 m / D: twice as much damping as would just do, and as much as a Franka arm has.
+RESONANCE = 80.0
+
+
+def assumed_drive(facts: RobotFacts, end_effector: EndEffector, period: float) -> dict[str, list[float]]:
+    """Motor inertia, stiffness and damping per joint: as published, else scaled from a Franka arm, and stable.
+
+    Args:
+        facts: The robot.
+        end_effector: What it carries.
+        period: Of the torque loop [s].
+    """
+    torque = np.array(facts.limits.torque_Nm)
+    rotor = np.array(facts.reflected_rotor_inertia_other_source_kg_m2 or np.maximum(ROTOR_INERTIA * torque, 0.05))
+    reduced = REDUCED * rotor if facts.joint_torque_loop else rotor
+    stiffness = np.minimum(STIFFNESS * torque, STIFFEST)
+    model = RobotModel(facts, end_effector)
+    inverses = np.linalg.inv(np.array([model.mass_matrix(q) for q in random_positions(model)]))
+    links = 1.0 / np.diagonal(inverses, axis1=1, axis2=2)
+    lightest, usual = links.min(axis=0), np.median(links, axis=0)
+    damping = np.maximum(DAMPING * stiffness, RESONANCE / (1.0 / usual + 1.0 / reduced))
+    for joint, inertia in enumerate(lightest):
+        limits = joint_stability(float(inertia), float(reduced[joint]), 1.0, 0.0, period)
+        stiffness[joint] = min(stiffness[joint], STABLE * limits.stiffness_below)
+        limits = joint_stability(float(inertia), float(reduced[joint]), float(stiffness[joint]), 1.0, period)
+        damping[joint] = min(damping[joint], STABLE * limits.damping_below)
+    values = {
+        "motor_inertia_rotor": rotor,
+        "motor_inertia_reduced": reduced,
+        "stiffness": stiffness,
+        "damping": damping,
+    }
+    if not facts.joint_torque_loop:
+        del values["motor_inertia_reduced"]
+    return {name: [float(f"{value:.3g}") for value in row] for name, row in values.items()}
