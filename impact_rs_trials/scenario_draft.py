@@ -159,7 +159,7 @@ def _rated(model: RobotModel, pose: Pose, scenario: Scenario, share: float, moto
     fastest = max(velocities, key=lambda velocity: float(np.linalg.norm(velocity)))
     timing = scenario.timing
     if scenario.excursion is not None:
-        ways = [np.array(scenario.excursion.start), np.array(scenario.excursion.end)]
+        ways = [share * np.array(scenario.excursion.start), share * np.array(scenario.excursion.end)]
     else:
         after = fastest[scenario.axis_index] * np.eye(3)[scenario.axis_index]
         ways = [-0.5 * timing.approach * fastest, 0.5 * timing.push * max(scenario.velocity_scales) * after]
@@ -226,6 +226,11 @@ def scenario_text(
     height = float(pose.position[2]) - 0.5 * max(item["size"][2] for item in plain["objects"].values())
     support = support.replace(f"height: {plain['support']['height']}", f"height: {height:.3f}")
     mirrored = pose.position + NORMAL * 0.5 * float(plain["objects"]["parcel"]["size"][1]) if kind == "grab" else None
+    if kind == "excite":  # a shorter way at a lower speed takes as long
+        way = plain["excursion"]
+        for key in ("start", "end"):
+            head = re.sub(rf"  {key}: \[.*?\]", f"  {key}: {_row(speed * np.array(way[key]))}", head, count=1)
+        head = head.replace(f"  joint_1: {way['joint_1']}", f"  joint_1: {speed * way['joint_1']:.6g}", 1)
     if kind == "excite" and facts.joint_count == 6:
         head = "".join(line for line in head.splitlines(keepends=True) if "joint_1:" not in line)
     if mirrored is not None:

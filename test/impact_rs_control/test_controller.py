@@ -146,6 +146,26 @@ def test_every_task_error_of_its_mode_is_zero(plan: TrialPlan, stage: str) -> No
         np.testing.assert_allclose(command.feedback, feedback[:3], atol=1e-9)
 
 
+def test_where_a_joint_is_left_over_its_motion_is_braked_and_the_pad_knows_nothing_of_it() -> None:
+    """Seven joints without a posture task: along the null vector of J, ddq = -2 sqrt(k_q) dq; across it, the tasks."""
+    case = PUSH.cases["case_1"]
+    robot = case.robots[ARM].model_copy(update={"joint_1": None})
+    free = PUSH.model_copy(update={"cases": {"case_1": case.model_copy(update={"robots": {ARM: robot}})}})
+    plan = plan_trial(Scene.resolve(free, "cat_food", "case_1"))
+    assert plan.arms[ARM].posture == ()
+    state = plan.scene.arms[ARM]
+    idle = np.linalg.svd(plan.scene.models[ARM].jacobian(state.position))[2][-1]
+    slow, fast = (measurement(state.position, state.velocity + speed * idle, np.zeros(7)) for speed in (0.0, 0.2))
+    rate = 2.0 * np.sqrt(PUSH.control.gains.posture)
+    found = [joint_acceleration(plan, command_in(plan, "ante", one, NOMINAL), one) for one in (slow, fast)]
+    assert idle @ (found[1] - found[0]) == pytest.approx(-rate * 0.2, rel=0.05)
+    jacobian, drift = (
+        plan.scene.models[ARM].jacobian(state.position),
+        [plan.scene.models[ARM].terms(one.position, one.velocity).drift.copy() for one in (slow, fast)],
+    )
+    np.testing.assert_allclose(jacobian @ found[0] + drift[0], jacobian @ found[1] + drift[1], atol=0.05)
+
+
 @pytest.mark.parametrize("stage", STAGES)
 @pytest.mark.parametrize("task", ["position", "orientation", "posture"])
 def test_a_velocity_error_is_answered_gamma_times_as_hard_as_by_critical_damping(

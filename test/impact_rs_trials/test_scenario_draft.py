@@ -82,3 +82,16 @@ def test_too_few_joints_are_told_in_one_line() -> None:
     )
     with pytest.raises(InputError, match="3 joints: .* needs six"):
         draft("small", few, "push")
+
+
+def test_a_slower_motion_there_and_back_is_a_shorter_one_and_takes_as_long() -> None:
+    model = RobotModel(FR3, empty_flange())
+    pose = Pose(np.array([0.4, 0.1, 0.6]), np.zeros(7), 1.0)
+    whole, half = (
+        scenario_draft._read(scenario_text("franka_fr3", FR3, "excite", model, pose, speed), FR3)
+        for speed in (1.0, 0.5)
+    )
+    np.testing.assert_allclose(half.excursion.end, 0.5 * np.array(whole.excursion.end))
+    assert half.excursion.joint_1 == pytest.approx(0.5 * whole.excursion.joint_1)
+    ends = [scenario.excursion_end(scenario.cases["slow"].robots["arm"]) for scenario in (whole, half)]
+    assert ends[1] == pytest.approx(ends[0], rel=1e-6)
