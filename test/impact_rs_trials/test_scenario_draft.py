@@ -68,6 +68,10 @@ def test_a_way_that_leaves_the_limits_has_no_score() -> None:
     far = scenario_draft._along(model, q, np.array([0.0, -2.0, 0.0]), 0.5)
     assert near > 0.0
     assert far == 0.0
+    for stop in (model.position_min, model.position_max):
+        at_stop = q.copy()
+        at_stop[5] = stop[5]
+        assert scenario_draft._along(model, at_stop, np.array([0.0, -0.01, 0.0]), 0.5) == 0.0
 
 
 def test_too_few_joints_are_told_in_one_line() -> None:

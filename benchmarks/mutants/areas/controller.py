@@ -239,6 +239,14 @@ MUTANTS = [
         tests=TESTS,
     ),
     Mutant(
+        name="idle_joints_speed_up",
+        file=FILE,
+        original="everything[feedback.size :] = -self._posture_rate * dq",
+        mutated="everything[feedback.size :] = self._posture_rate * dq",
+        wrong="Joints that no task needs run away instead of coming to rest.",
+        tests=TESTS,
+    ),
+    Mutant(
         name="window_starts_late",
         file=FILE,
         original="if self._window[0] <= now < self._window[1]:",

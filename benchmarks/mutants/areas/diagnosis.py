@@ -356,4 +356,20 @@ MUTANTS = [
         wrong="Only what never hits anything can rule an effect out.",
         tests=SEARCHES,
     ),
+    Mutant(
+        name="a_step_too_far_is_cut_as_a_straight_one",
+        file="impact_rs_analysis/diagnosis/fit.py",
+        original="return float(np.clip(g / (k - (k - 1.0) * g), 0.05, 0.9))",
+        mutated="return float(np.clip(g * k, 0.05, 0.9))",
+        wrong="The way back from a step that went too far does not know how the features bend on it.",
+        tests=SEARCHES,
+    ),
+    Mutant(
+        name="a_fit_of_a_fold_stops_while_it_falls",
+        file="impact_rs_analysis/diagnosis/fit.py",
+        original="(lowered >= steps and not falling)",
+        mutated="(lowered >= steps)",
+        wrong="A fit in a fold of the hold-out ends after two steps, wherever it is.",
+        tests=SEARCHES,
+    ),
 ]

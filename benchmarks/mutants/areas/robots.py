@@ -89,4 +89,20 @@ MUTANTS = [
         wrong="The end effector stands on the z of the last link, not on that of the flange.",
         tests=("test/impact_rs_sim/test_urdf.py", *IMPORT_TESTS),
     ),
+    Mutant(
+        name="assumed_drive_swings",
+        file="impact_rs_sim/assumed_drive.py",
+        original="damping = np.maximum(DAMPING * stiffness, RESONANCE / (1.0 / usual + 1.0 / reduced))",
+        mutated="damping = DAMPING * stiffness",
+        wrong="A heavy motor swings against its spring in the loop of the controller.",
+        tests=("test/impact_rs_sim/test_assumed_drive.py",),
+    ),
+    Mutant(
+        name="a_way_beyond_the_limits_is_fine",
+        file="impact_rs_trials/scenario_draft.py",
+        original="margin = float(np.minimum(q - model.position_min, model.position_max - q).min())",
+        mutated="margin = float(np.maximum(q - model.position_min, model.position_max - q).min())",
+        wrong="A drafted pose may leave the joint limits on its way.",
+        tests=("test/impact_rs_trials/test_scenario_draft.py",),
+    ),
 ]
