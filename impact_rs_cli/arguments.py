@@ -12,6 +12,8 @@ from pathlib import Path
 from impact_rs_cli.terminal import Command, Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import CONTACTS
+from impact_rs_sim.robot_check import failures_of
+from impact_rs_sim.scenario import Scenario
 from impact_rs_trials.store import is_url, local_copy
 from impact_rs_trials.workers import Map, Workforce, workers
 
@@ -97,6 +99,12 @@ def started(args: argparse.Namespace) -> Iterator[Map]:
     """
     with workers(workforce_of(args)) as map_tasks:
         yield map_tasks
+
+
+def warn_of_robots(scenario: Scenario, terminal: Terminal) -> None:
+    """Tell what is wrong with the arms of a scenario before they move."""
+    for check in failures_of(scenario):
+        terminal.warn(f"robot check failed, trials may diverge: {check.name}: {check.found}")
 
 
 def warn_skipped(skipped: Sequence[tuple[str, str]], terminal: Terminal) -> None:

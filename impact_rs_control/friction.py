@@ -21,7 +21,7 @@ import numpy as np
 
 from impact_rs_control.closed_loop import make_plant, without_garbage_collection
 from impact_rs_control.controller import Controller
-from impact_rs_control.plan import TrialPlan, initial_position, plan_trial, tick_times
+from impact_rs_control.plan import TrialPlan, initial_position, plan_trial, posture_of, tick_times
 from impact_rs_control.references import run_up_path
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.friction_compensation import TASKS, AccelerationSamples, ArmFriction
@@ -57,8 +57,7 @@ def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | 
         raise InputError(
             f"scenario {scene.scenario.name!r} hits nothing: it has no net feedback that friction could spoil"
         )
-    held = scene.scenario.cases[scene.case_name].robots[arm].held
-    if list(held) != [0]:
+    if posture_of(scene, arm) != [0]:
         raise InputError(
             f"arm {arm!r}: friction is identified with the posture task of joint 1 alone, which cases."
             f"{scene.case_name} has not; give joint_1 [rad]"

@@ -24,9 +24,8 @@ from impact_rs_sim.robot import Array
 
 SLACK_WEIGHT = 1e6  # cost of a squared violation against that of a squared task error
 ACCURACY = 1e-9
-MOST_RELAXED = (
-    50  # iterations with slack; 25 are the most in an arm that swings about, one beyond all bounds takes any number
-)
+# Iterations with slack: 25 are the most in an arm that swings about, one beyond all bounds takes any number.
+MOST_RELAXED = 50
 
 
 class QpStatus(IntEnum):

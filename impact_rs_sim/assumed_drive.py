@@ -12,7 +12,7 @@ import numpy as np
 
 from impact_rs_sim.drive_stability import joint_stability
 from impact_rs_sim.robot import EndEffector, RobotFacts
-from impact_rs_sim.robot_check import random_positions
+from impact_rs_sim.robot_check import inverse_mass_matrices, link_inertias
 from impact_rs_sim.robot_model import RobotModel
 
 # Of a Franka arm: B_rho and K over the torque limit of its large joints, B_theta over B_rho.
@@ -39,9 +39,7 @@ def assumed_drive(facts: RobotFacts, end_effector: EndEffector, period: float) -
     rotor = np.array(facts.reflected_rotor_inertia_other_source_kg_m2 or np.maximum(ROTOR_INERTIA * torque, 0.05))
     reduced = REDUCED * rotor if facts.joint_torque_loop else rotor
     stiffness = np.minimum(STIFFNESS * torque, STIFFEST)
-    model = RobotModel(facts, end_effector)
-    inverses = np.linalg.inv(np.array([model.mass_matrix(q) for q in random_positions(model)]))
-    links = 1.0 / np.diagonal(inverses, axis1=1, axis2=2)
+    links = link_inertias(inverse_mass_matrices(RobotModel(facts, end_effector)))
     lightest, usual = links.min(axis=0), np.median(links, axis=0)
     damping = np.maximum(DAMPING * stiffness, RESONANCE / (1.0 / usual + 1.0 / reduced))
     for joint, inertia in enumerate(lightest):

@@ -78,8 +78,3 @@ def spectral_radius(inverse_inertia: Array, stiffness: Array, damping: Array, pe
     from_rate = identity - period * inverse_inertia * damping
     step = np.block([[identity + period * from_stretch, period * from_rate], [from_stretch, from_rate]])
     return float(np.abs(np.linalg.eigvals(step)).max())
-
-
-def inverse_link_inertia(mass_matrices: Array) -> Array:
-    """M^-1 of every configuration, ``(k, n, n)`` [1/(kg m^2)], of M, ``(k, n, n)`` [kg m^2]."""
-    return np.asarray(np.linalg.inv(mass_matrices))

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from impact_rs_sim.bullet_world import mass_matrices
-from impact_rs_sim.drive_stability import JointStability, inverse_link_inertia, joint_stability, spectral_radius
+from impact_rs_sim.drive_stability import JointStability, joint_stability, spectral_radius
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
@@ -97,6 +97,16 @@ def random_positions(model: RobotModel) -> Array:
     return rng.uniform(model.position_min, model.position_max, (CONFIGURATIONS, model.joint_count))
 
 
+def inverse_mass_matrices(model: RobotModel) -> Array:
+    """M^-1 at :func:`random_positions`, ``(k, n, n)`` [1/(kg m^2)]."""
+    return np.linalg.inv(np.array([model.mass_matrix(q) for q in random_positions(model)]))
+
+
+def link_inertias(inverse_mass_matrices: Array) -> Array:
+    """What a joint feels of the links while all others are free, 1 / (M^-1)_ii, ``(k, n)`` [kg m^2]."""
+    return 1.0 / np.diagonal(inverse_mass_matrices, axis1=1, axis2=2)
+
+
 def _check_inertias(facts: RobotFacts) -> Check:
     """Moments of a body are positive, and none is larger than the sum of the other two."""
     name, worst = "inertias are those of bodies", 0.0
@@ -142,8 +152,8 @@ def _check_gravity(model: RobotModel, positions: Array) -> Check:
 def _check_drive(arm: str, robot: Robot, period: float) -> list[Check]:
     drive = robot.drive
     model = RobotModel(robot.robot_facts, robot.end_effector.build())
-    inverses = inverse_link_inertia(np.array([model.mass_matrix(q) for q in random_positions(model)]))
-    lightest = 1.0 / np.diagonal(inverses, axis1=1, axis2=2).max(axis=0)
+    inverses = inverse_mass_matrices(model)
+    lightest = link_inertias(inverses).min(axis=0)
     checks = []
     for joint, link_inertia in enumerate(lightest):
         values = drive.behind_the_links[joint], drive.stiffness[joint], drive.damping[joint]

@@ -21,9 +21,9 @@ from impact_rs_sim.assumed_drive import assumed_drive
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, RobotFacts
-from impact_rs_sim.robot_check import check_drives, random_positions
+from impact_rs_sim.robot_check import failures_of, random_positions
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.scenario import ImpactPose, Scenario, load_scenario
 from impact_rs_sim.schema import parse_yaml, validate
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
@@ -78,6 +78,10 @@ class Draft:
     tried: int
 
 
+class _TooEarly(Infeasible):
+    """Something was taken for the impact: a higher threshold of the detection may do."""
+
+
 def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambda *_: None) -> Draft:
     """A working scenario with a box or two for an arm.
 
@@ -100,11 +104,12 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
     effector = next(iter(shipped.robots.values())).end_effector
     model = RobotModel(facts, replace(effector.build(), mount_yaw=0.0))
     rng = np.random.default_rng(SEED)
-    reach = _reach(model)
+    shoulder = model.link_placements(np.zeros(model.joint_count))["link2"].translation
+    reach = max(float(np.linalg.norm(model.placement(q).translation - shoulder)) for q in random_positions(model))
     starts = []
     for number in range(POSES):
         report("poses", number, POSES)
-        if (start := _random_pose(model, reach, rng)) is not None:
+        if (start := _random_pose(model, reach, float(shoulder[2]), rng)) is not None:
             starts.append(start)
     drive = assumed_drive(facts, model.end_effector, shipped.timing.drive_period)
     motors = np.array(drive.get("motor_inertia_reduced", drive["motor_inertia_rotor"]))
@@ -114,40 +119,39 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
         for number, pose in enumerate([pose for pose in rated if pose.score > 0.0][:BEST]):
             report("trials of poses", round_ * BEST + number, len(SPEEDS) * BEST)
             for threshold in THRESHOLDS:
-                text, harder = (
-                    scenario_text(facts_name, facts, kind, model, pose, speed, level)
-                    for level in (threshold, threshold / QUIET)
-                )
+                text = scenario_text(facts_name, facts, kind, model, pose, speed, threshold)
                 try:
                     scenario = _read(text, facts)
-                    _try(_read(harder, facts))
+                    lower = scenario.control.detection.threshold / QUIET
+                    _try(scenario.with_settings({"control.detection.threshold": lower}))
+                except _TooEarly as error:
+                    failures.append(str(error))
                 except InputError as error:
                     failures.append(str(error))
-                    if "control.detection.threshold" not in failures[-1]:
-                        break
+                    break
                 else:
                     return Draft(text, scenario, speed, len(failures))
     why = f"; the last that was simulated: {failures[-1]}" if failures else ""
     raise Infeasible(f"no pose of {facts_name} among {POSES} works for a {kind}{why}")
 
 
-def _reach(model: RobotModel) -> float:
-    """How far E gets from joint 2, where the arm begins to stretch [m]."""
-    shoulder = model.link_placements(np.zeros(model.joint_count))["link2"].translation
-    return max(float(np.linalg.norm(model.placement(q).translation - shoulder)) for q in random_positions(model))
+def _random_pose(model: RobotModel, reach: float, shoulder: float, rng: np.random.Generator) -> Pose | None:
+    """A pose with the pad upright and its normal along -y, or None where a random place is out of reach.
 
-
-def _random_pose(model: RobotModel, reach: float, rng: np.random.Generator) -> Pose | None:
-    """A pose with the pad upright and its normal along -y, or None where a random place is out of reach."""
-    shoulder = model.link_placements(np.zeros(model.joint_count))["link2"].translation[2]
+    Args:
+        model: The arm.
+        reach: How far E gets from joint 2, where the arm begins to stretch [m].
+        shoulder: Height of that joint [m].
+        rng: Draws place and guess.
+    """
     distance, azimuth = reach * rng.uniform(0.4, 0.85), rng.uniform(-0.5, 0.5)
     height = max(shoulder + reach * rng.uniform(-0.35, 0.35), 0.25)
     middle = 0.5 * (model.position_min + model.position_max)
     guess = middle + 0.5 * (model.position_max - middle) * rng.uniform(-1.0, 1.0, model.joint_count)
     position = np.array([distance * np.cos(azimuth), distance * np.sin(azimuth), height])
-    target = pin.SE3(np.column_stack((np.cross(UP, NORMAL), UP, NORMAL)), position)
+    wanted = ImpactPose(position=tuple(position), pad_normal=tuple(NORMAL), pad_up=tuple(UP), joint_guess=tuple(guess))
     try:
-        q = model.inverse_kinematics(target, {}, guess, further_starts=0)
+        q = model.inverse_kinematics(wanted.placement, {}, guess, further_starts=0)
     except Infeasible:
         return None
     return Pose(position, q, 0.0)
@@ -231,13 +235,13 @@ def scenario_text(
         for key in ("start", "end"):
             head = re.sub(rf"  {key}: \[.*?\]", f"  {key}: {_row(speed * np.array(way[key]))}", head, count=1)
         head = head.replace(f"  joint_1: {way['joint_1']}", f"  joint_1: {speed * way['joint_1']:.6g}", 1)
-    if kind == "excite" and facts.joint_count == 6:
-        head = "".join(line for line in head.splitlines(keepends=True) if "joint_1:" not in line)
+        if facts.joint_count == 6:
+            head = "".join(line for line in head.splitlines(keepends=True) if "joint_1:" not in line)
     if mirrored is not None:
         first = head.index("object_position:")
         line = head[first : head.index("\n", first)]
         head = head.replace(line, f"object_position: [{mirrored[0]:.4f}, {mirrored[1]:.4f}]  # m")
-    names = list(plain["robots"])
+    drive = assumed_drive(facts, model.end_effector, float(plain["timing"]["drive_period"]))
     lines = [
         f"# Made by impact-rs scenario new for {facts_name}: pose and drive were found, the rest is that of {kind}.",
         "# SI units everywhere; the inertial frame has z up (REP-103).",
@@ -247,8 +251,8 @@ def scenario_text(
         "",
         "robots:",
     ]
-    for number, name in enumerate(names):
-        lines += _robot_lines(name, facts_name, facts, plain["robots"][name], model, pose, mirrored if number else None)
+    for number, (name, robot) in enumerate(plain["robots"].items()):
+        lines += _robot_lines(name, facts_name, robot["end_effector"], drive, pose, mirrored if number else None)
     return "\n".join(
         [
             *lines,
@@ -274,14 +278,12 @@ def _sections(text: str, starts: Sequence[str]) -> list[str]:
 def _robot_lines(
     name: str,
     facts_name: str,
-    facts: RobotFacts,
-    shipped: dict[str, Any],
-    model: RobotModel,
+    effector: dict[str, Any],
+    drive: dict[str, list[float]],
     pose: Pose,
     mirrored: Array | None,
 ) -> list[str]:
-    effector, pad = shipped["end_effector"], shipped["end_effector"]["pad"]
-    drive = assumed_drive(facts, model.end_effector, 2.5e-4)
+    pad = effector["pad"]
     sign, base, yaw, position = 1.0, np.zeros(3), 0.0, pose.position
     if mirrored is not None:  # the same arm, turned by half a turn about the middle of the object
         sign, yaw = -1.0, np.pi
@@ -305,7 +307,7 @@ def _robot_lines(
         f"        stiffness: {float(pad['stiffness'])}   # N/m, whole face",
         f"        damping: {float(pad['damping'])}   # N s/m, whole face",
         "    drive:",
-        *([] if facts.joint_torque_loop else ["      type: rigid   # no torque loop: the links carry B_rho"]),
+        *(["      type: rigid   # no torque loop: the links carry B_rho"] if reduced is None else []),
         f"      motor_inertia_rotor: {drive['motor_inertia_rotor']}   # kg m^2, B_rho",
         *([] if reduced is None else [f"      motor_inertia_reduced: {reduced}   # kg m^2, B_theta"]),
         f"      stiffness: {drive['stiffness']}   # N m/rad, K",
@@ -356,21 +358,18 @@ def _try(scenario: Scenario) -> None:
     Raises:
         Infeasible: A drive is unstable, a pose cannot be reached, or a trial does not end well.
     """
-    facts = next(iter(scenario.robots.values())).robot_facts
-    for check in check_drives(facts, scenario):
-        if check.outcome == "failed":
-            raise Infeasible(f"{check.name}: {check.found}")
-    lightest, *_, heaviest = sorted(
-        (scenario.object(name).mass, name) for name in (*scenario.objects, *scenario.objects)
-    )
-    sets = [(heaviest[1], case) for case in scenario.cases] + [(lightest[1], next(iter(scenario.cases)))]
+    for check in failures_of(scenario):
+        raise Infeasible(f"{check.name}: {check.found}")
+    by_mass = sorted(scenario.objects, key=lambda name: scenario.object(name).mass)
+    sets = [(by_mass[-1], case) for case in scenario.cases] + [(by_mass[0], next(iter(scenario.cases)))]
     with tempfile.TemporaryDirectory() as directory:
         for object_name, case in dict.fromkeys(sets):
             plan = TrialSpec.of(scenario, object_name, case).plan
             key = TrialKey(object_name, case, 1.0, 0)
             verdict, _ = record_trial(plan, TrialInfo.of(plan, key, SEED, ""), Path(directory) / key.name)
             if verdict.outcome != "OK":
-                raise Infeasible(f"{object_name} {case}: {verdict.outcome}, {verdict.reason}")
+                kind = _TooEarly if verdict.outcome == "EARLY" else Infeasible
+                raise kind(f"{object_name} {case}: {verdict.outcome}, {verdict.reason}")
 
 
 def _row(values: Array) -> str:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 
+from impact_rs_cli.arguments import warn_of_robots
 from impact_rs_cli.terminal import Terminal, declare
 from impact_rs_ros.graph import up
-from impact_rs_sim.robot_check import failures_of
 from impact_rs_sim.scenario import load_scenario
 
 TEXT = """\
@@ -27,6 +27,5 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    for check in failures_of(load_scenario(args.scenario)):
-        terminal.warn(f"robot check failed, trials may diverge: {check.name}: {check.found}")
+    warn_of_robots(load_scenario(args.scenario), terminal)
     return up(args.scenario)

@@ -76,8 +76,8 @@ MUTANTS = [
     Mutant(
         name="drive_check_with_the_heaviest_link",
         file="impact_rs_sim/robot_check.py",
-        original="lightest = 1.0 / np.diagonal(inverses, axis1=1, axis2=2).max(axis=0)",
-        mutated="lightest = 1.0 / np.diagonal(inverses, axis1=1, axis2=2).min(axis=0)",
+        original="lightest = link_inertias(inverses).min(axis=0)",
+        mutated="lightest = link_inertias(inverses).max(axis=0)",
         wrong="Drives are checked with the heaviest inertia a link can have.",
         tests=CHECK_TESTS,
     ),
