@@ -16,6 +16,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from impact_rs_analysis.diagnosis.compare import score_of
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import read_document, write_document
@@ -30,6 +32,8 @@ from impact_rs_trials.blind import RUNS, TRUTH, make
 from impact_rs_trials.workers import Map, Workforce, workers
 
 MAGNITUDES = (3.0, 8.0, 1.0)  # parameter scales: clear, gross, barely noticeable
+VISIBLE = 2.0  # times the noise; what is below was hidden in vain
+PLAIN = "plain"  # in the place of a name: two effects that show alone, at the clear magnitude, in this board
 OUTSIDE_MAGNITUDES = (2.0, 6.0)
 
 
@@ -53,7 +57,8 @@ def matrix(seeds: int, pairs: int, nulls: int) -> list[Entry]:
     """Every campaign of the benchmark, each with a seed of its own; what comes first says most, should time run out."""
     singles = [("single", name, size) for size in MAGNITUDES for name in library()]
     faint, strong = ([("outside", name, size) for name in OUTSIDE] for size in OUTSIDE_MAGNITUDES)
-    once: list[tuple[str, str | None, float | None]] = [*[("null", None, None)] * nulls, *[("pair", None, 4.0)] * pairs]
+    once: list[tuple[str, str | None, float | None]] = [("null", None, None)] * nulls
+    once += [("pair", PLAIN, 4.0)] * pairs
     wanted: list[tuple[str, str | None, float | None]] = [*singles, *faint, *once, *strong]
     wanted += [*singles, *faint, *strong] * (seeds - 1)
     entries = [Entry(*entry, seed) for seed, entry in enumerate(wanted)]
@@ -66,7 +71,8 @@ def run(entry: Entry, directory: Path, size: str, map_tasks: Map) -> dict[str, A
     result = directory / "score.json"
     if result.exists():
         return dict(json.loads(result.read_text()))
-    for _ in make(directory, entry.seed, map_tasks, entry.kind, entry.effect, size, entry.magnitude):
+    effect = _plain_pair(directory.parent, entry.seed) if entry.effect == PLAIN else entry.effect
+    for _ in make(directory, entry.seed, map_tasks, entry.kind, effect, size, entry.magnitude):
         pass
     document = directory / "diagnosis.json"
     started = time.perf_counter()
@@ -90,6 +96,13 @@ def run(entry: Entry, directory: Path, size: str, map_tasks: Map) -> dict[str, A
     }
     result.write_text(json.dumps(content, default=list) + "\n")
     return content
+
+
+def _plain_pair(board: Path, seed: int) -> str:
+    """Two effects of those that stood above twice the noise when they were hidden alone at the clear magnitude."""
+    rows = [json.loads(path.read_text()) for path in sorted(board.glob(f"single__*__m{MAGNITUDES[0]:g}__*/score.json"))]
+    shown = sorted({row["truth"][0] for row in rows if row["before"] > VISIBLE * row["noise"]})
+    return "+".join(np.random.default_rng(seed).choice(shown, size=2, replace=False))
 
 
 def _partners(directory: Path, map_tasks: Map) -> dict[str, float]:
@@ -132,9 +145,9 @@ def coverage(rows: list[dict[str, Any]]) -> str:
 def scoreboard(rows: list[dict[str, Any]]) -> str:
     """The table."""
     of = {kind: [row for row in rows if row["kind"] == kind] for kind in ("single", "pair", "null", "outside")}
-    seen = [row for row in of["single"] if row["before"] > 2.0 * row["noise"]]
-    plain = [row for row in of["outside"] if row["before"] > 2.0 * row["noise"]]
-    both = [row for row in of["pair"] if row.get("alone") and min(row["alone"].values()) > 2.0]
+    seen = [row for row in of["single"] if row["before"] > VISIBLE * row["noise"]]
+    plain = [row for row in of["outside"] if row["before"] > VISIBLE * row["noise"]]
+    both = [row for row in of["pair"] if row.get("alone") and min(row["alone"].values()) > VISIBLE]
     lines = [
         f"single above twice the noise, right or confusable {share(seen, 'correct')}",
         f"single above twice the noise, by its own name {share(seen, 'by_own_name')}",

@@ -66,51 +66,69 @@ SIZES = {
 }
 
 
-def draw(name: str, magnitude: float, rng: np.random.Generator, joint_count: int) -> Hidden:
+def draw(
+    name: str, magnitude: float, rng: np.random.Generator, joint_count: int, worlds: Sequence[Physics] = ()
+) -> Hidden:
     """Parameter values of an effect, ``magnitude`` parameter scales away from nominal, in a random direction.
 
-    Where the nominal value is a bound (friction cannot be negative) the effect goes the only way it can; values beyond
-    a bound stop 10 % short of it. An effect with a shape drawn from a range of its own only ever adds: what is taken
-    away from a place drawn at random need not be there.
+    ``worlds`` is what it is hidden in, for its bounds (a centre of mass lies inside the box). Where the nominal value
+    is a bound (friction cannot be negative) the effect goes the only way it can; values beyond a bound stop 10 % short
+    of it. An effect with a shape drawn from a range of its own only ever adds: what is taken away from a place drawn at
+    random need not be there.
     """
-    scalars = library()[name].scalars(joint_count)
+    effect = library()[name]
+    scalars = effect.scalars(joint_count)
+    lowest, highest = (np.array([getattr(scalar, side) for scalar in scalars]) for side in ("lower", "upper"))
+    if worlds:
+        lowest, highest = effect.bounds_in(worlds)
     values = []
-    for scalar in scalars:
+    for scalar, lower, upper in zip(scalars, lowest, highest, strict=True):
         size = magnitude * scalar.scale * rng.uniform(0.7, 1.3)
-        up = scalar.upper - scalar.nominal > 0.0 and (scalar.nominal <= scalar.lower or rng.random() < 0.5)
-        room = 0.9 * (scalar.upper - scalar.nominal if up else scalar.nominal - scalar.lower)
+        up = upper - scalar.nominal > 0.0 and (scalar.nominal <= lower or rng.random() < 0.5)
+        room = 0.9 * (upper - scalar.nominal if up else scalar.nominal - lower)
         values.append(scalar.nominal + (1.0 if up else -1.0) * min(size, room))
     if any(scalar.hidden is not None for scalar in scalars):
         for index, scalar in enumerate(scalars):
             if scalar.hidden is not None:
                 values[index] = rng.uniform(*scalar.hidden)
-            elif scalar.lower < scalar.nominal < scalar.upper:
+            elif lowest[index] < scalar.nominal < highest[index]:
                 size = magnitude * scalar.scale * rng.uniform(0.7, 1.3)
-                values[index] = scalar.nominal + min(size, 0.9 * (scalar.upper - scalar.nominal))
+                values[index] = scalar.nominal + min(size, 0.9 * (highest[index] - scalar.nominal))
     return Hidden(name, tuple(float(value) for value in values), magnitude)
 
 
 def draw_truth(
-    seed: int, kind: str, effect: str | None, magnitude: float | None, joint_count: int | None = None
+    seed: int,
+    kind: str,
+    effect: str | None,
+    magnitude: float | None,
+    joint_count: int | None = None,
+    worlds: Sequence[Physics] = (),
 ) -> list[Hidden]:
     """The hidden effects of a campaign; of the joints of the shipped arm where no number is given.
 
     Raises:
-        InputError: Unknown kind or effect.
+        InputError: Unknown kind or effect, or not as many effects as the kind has.
     """
     if kind not in KINDS:
         raise InputError(f"no kind {kind!r}; known: {', '.join(KINDS)}")
     names = sorted(library())
-    if effect is not None and kind == "single" and effect not in names:
-        raise InputError(f"no effect {effect!r}; known effects: {', '.join(names)}")
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     count = {"single": 1, "pair": 2}.get(kind, 0)
-    chosen = [effect] if effect is not None and count == 1 else list(rng.choice(names, size=count, replace=False))
+    if effect is None or count == 0:
+        chosen = list(rng.choice(names, size=count, replace=False))
+    else:
+        chosen = effect.split("+")
+        if unknown := [name for name in chosen if name not in names]:
+            raise InputError(f"no effect {unknown[0]!r}; known effects: {', '.join(names)}")
+        if len(set(chosen)) != count or len(chosen) != count:
+            expected = "one effect" if count == 1 else "two effects as FIRST+SECOND"
+            raise InputError(f"got effect {effect!r}; expected {expected} for a {kind}")
     hidden = []
     joint_count = _joint_count(SCENARIOS) if joint_count is None else joint_count
     for name in chosen:
         size = magnitude if magnitude is not None else float(np.exp(rng.uniform(0.0, np.log(10.0))))
-        hidden.append(draw(str(name), size, rng, joint_count))
+        hidden.append(draw(str(name), size, rng, joint_count, worlds))
     return hidden
 
 
@@ -178,6 +196,27 @@ def run_task(task: BlindTask, record: Recorder = _record) -> str:
     return record(task, plan, info, path, hide(plan.scene.physics, list(task.hidden)))
 
 
+def specs(size: str, scenarios: Sequence[str] = SCENARIOS) -> list[tuple[TrialSpec, int]]:
+    """What a blind campaign does, and how often.
+
+    Raises:
+        InputError: Unknown size or scenario, or one without the objects and cases of this size.
+    """
+    if size not in SIZES:
+        raise InputError(f"no size {size!r}; known: {', '.join(SIZES)}")
+    plan = SIZES[size]
+    found: list[tuple[TrialSpec, int]] = []
+    for scenario in map(load_scenario, scenarios):
+        if scenario.excursion is None:
+            found += [
+                (TrialSpec.of(scenario, name, case), plan.repeats) for name in plan.objects for case in plan.cases
+            ]
+        else:
+            thing = next(iter(scenario.objects))
+            found += [(TrialSpec.of(scenario, thing, case), plan.excite_repeats) for case in scenario.cases]
+    return found
+
+
 def tasks(
     directory: Path,
     seed: int,
@@ -187,25 +226,9 @@ def tasks(
     magnitude: float,
     scenarios: Sequence[str] = SCENARIOS,
 ) -> list[BlindTask]:
-    """Every trial of a blind campaign.
-
-    Raises:
-        InputError: Unknown size or scenario, or one without the objects and cases of this size.
-    """
-    if size not in SIZES:
-        raise InputError(f"no size {size!r}; known: {', '.join(SIZES)}")
-    plan = SIZES[size]
-    specs: list[tuple[TrialSpec, int]] = []
-    for scenario in map(load_scenario, scenarios):
-        if scenario.excursion is None:
-            specs += [
-                (TrialSpec.of(scenario, name, case), plan.repeats) for name in plan.objects for case in plan.cases
-            ]
-        else:
-            thing = next(iter(scenario.objects))
-            specs += [(TrialSpec.of(scenario, thing, case), plan.excite_repeats) for case in scenario.cases]
+    """Every trial of a blind campaign; raises as :func:`specs`."""
     runs = str((directory / RUNS).absolute())  # a worker process may stand elsewhere
-    trials = [Trial.of(spec, repeat, seed) for spec, repeats in specs for repeat in range(repeats)]
+    trials = [Trial.of(spec, repeat, seed) for spec, repeats in specs(size, scenarios) for repeat in range(repeats)]
     return [BlindTask(runs, trial, tuple(hidden), outside, magnitude) for trial in trials]
 
 
@@ -228,7 +251,7 @@ def make(
         seed: What is drawn depends on it.
         map_tasks: Who does the work.
         kind: One of ``KINDS``.
-        effect: What to hide; None: drawn.
+        effect: What to hide, two as ``first+second``; None: drawn.
         size: One of ``SIZES``.
         magnitude: Size in parameter scales, of an outside effect in multiples of a noticeable one; None: drawn.
         work: Records a trial; :func:`run_task` on another cell than our plant.
@@ -240,7 +263,8 @@ def make(
             holds another blind campaign.
     """
     joint_count = _joint_count(scenarios)
-    hidden = draw_truth(seed, kind, effect, magnitude, joint_count)
+    worlds = [spec.plan.scene.physics for spec, _ in specs(size, scenarios)]
+    hidden = draw_truth(seed, kind, effect, magnitude, joint_count, worlds)
     outside, strength = (None, 0.0) if kind != "outside" else draw_outside(seed, effect, magnitude, outsides)
     todo = tasks(directory, seed, size, hidden, outside, strength, scenarios)
     truth = {

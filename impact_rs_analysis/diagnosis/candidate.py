@@ -67,7 +67,7 @@ class Candidate:
     def of(effects: tuple[Effect, ...], source: Source, point: Array | None = None, origin: Added = ()) -> Candidate:
         """Effects without sensitivities, at ``point`` (None: where they do nothing)."""
         joints = source.joint_count
-        bounds = [effect.bounds(source.physics) for effect in effects]
+        bounds = [effect.bounds_in(source.worlds) for effect in effects]
         if point is None:
             point = np.concatenate([effect.nominal(joints) for effect in effects])
         return Candidate(

@@ -21,6 +21,7 @@ MUCH = 0.2  # of the error; a fit that gains so much in a step has not arrived
 SHORTEST_LESSON = 0.5  # parameter scales
 NEAR = 0.1  # parameter scales; a correction below this does not depend on where a trial starts
 MOST_LOOKS = 4
+POOR = 2.0  # times the squared error that is expected; a fit with less has nothing to look for elsewhere
 HOPELESS = 3.0  # a fit whose squared error is so many times that of the best is not followed
 
 
@@ -261,6 +262,36 @@ def see_all(fitted: Fit) -> Fit:
         return fitted
     again = refine(fresh, evidence)
     return again if again.score < fitted.score else fitted
+
+
+def look_elsewhere(fitted: Fit) -> Fit:
+    """Begin again further away where a fit does not fit, since what is in contact may change on the way there.
+
+    A box that stands flat tips only with its weight beyond some offset; before that nothing tells which way to go.
+    """
+    scalars = fitted.candidate.scalars
+    for _ in scalars:
+        evidence = fitted.evidence
+        if fitted.misfit <= POOR * float(evidence.expected.mean()):
+            break
+        places = []
+        for index, scalar in enumerate(scalars):
+            for value in scalar.far:
+                point = fitted.estimate.copy()
+                point[index] = value
+                if (moved := evaluate_at(fitted.candidate, point, evidence)) is not None:
+                    places.append(moved)
+        if not places:
+            break
+        errors = [float(np.mean(evidence.problem(moved).errors(np.zeros_like(moved.point)))) for moved in places]
+        if min(errors) >= fitted.misfit:
+            break
+        there = places[int(np.argmin(errors))]
+        again = refine(linearise(there, evidence.clusters, evidence.numbers, evidence.source) or there, evidence)
+        if again.misfit >= fitted.misfit:
+            break
+        fitted = again
+    return fitted
 
 
 def measure_again(fitted: Fit) -> Fit:

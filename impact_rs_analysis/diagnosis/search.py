@@ -15,7 +15,17 @@ import numpy as np
 import scipy
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, Where, concerns, in_free_motion, linearise, wanted
-from impact_rs_analysis.diagnosis.fit import HOPELESS, STEPS, Evidence, Fit, evaluate_at, measure_again, refine, see_all
+from impact_rs_analysis.diagnosis.fit import (
+    HOPELESS,
+    STEPS,
+    Evidence,
+    Fit,
+    evaluate_at,
+    look_elsewhere,
+    measure_again,
+    refine,
+    see_all,
+)
 from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_FREEDOM,
     LEAST_GAIN,
@@ -318,7 +328,9 @@ class Search:
         if not found:
             return None
         top = min(proposal.score for proposal in found)
-        found = [see_all(proposal) if proposal.score <= HOPELESS * top else proposal for proposal in found]
+        found = [
+            look_elsewhere(see_all(proposal)) if proposal.score <= HOPELESS * top else proposal for proposal in found
+        ]
         first = 0 if chosen is None else chosen.change.size
         sure = consistent if self.source.repeated else noticeable
         found = [proposal for proposal in found if sure(proposal, first)]

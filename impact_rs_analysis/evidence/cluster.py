@@ -166,7 +166,8 @@ class Source(ABC):
     Attributes:
         model: What is believed; effects are switched on on top of it.
         clusters: Residuals of the model.
-        physics: Physics of one cluster under the model, for bounds of parameters and the number of joints.
+        physics: Physics of one cluster under the model, for the number of joints.
+        worlds: All different physics of clusters under the model, for bounds of parameters.
         repeated: Whether clusters hold repeats; if not, clusters are stretches of time.
         cheap: Whether predictions cost so little that several starting points can be tried.
         remarks: What a reader should know of the measurements.
@@ -189,6 +190,11 @@ class Source(ABC):
     pieces: str = "stretches of time"
     of_motion: bool = True
     least_change: float = 1.0
+
+    @property
+    def worlds(self) -> Sequence[Physics]:
+        """See the class."""
+        return [self.physics]
 
     @property
     def joint_count(self) -> int:

@@ -109,9 +109,8 @@ class ImpactTableSource(Source):
         self._known: dict[tuple[int, bytes], Array] = {}
         for row in table.rows:
             self._applied.setdefault((id(row.physics), ()), model.apply(row.physics))
-        physics = self._applied[id(table.rows[0].physics), ()]
-        assert physics is not None
-        self.physics = physics
+        self._worlds = [physics for physics in self._applied.values() if physics is not None]
+        self.physics = self._worlds[0]
         self._axes = [_axes_of(row.impact) for row in table.rows]
         self.measured = np.array([_turned(row.after, axes) for row, axes in zip(table.rows, self._axes, strict=True)])
         self.predicted = self._predict_all()
@@ -241,6 +240,11 @@ class ImpactTableSource(Source):
             except ImpactMapError as error:
                 raise InputError(str(error), file=self.table.path, key=f"row {row.number}") from None
         return np.array(found)
+
+    @property
+    def worlds(self) -> Sequence[Physics]:
+        """See :attr:`Source.worlds`."""
+        return self._worlds
 
     def _rows(self, number: int, added: Added) -> Array | None:
         """u^+ of the rows of a cluster, ``(n, nv)``; None where there is none."""

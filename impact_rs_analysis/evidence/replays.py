@@ -17,6 +17,7 @@ from impact_rs_analysis.evidence.runs import Runs
 from impact_rs_analysis.evidence.store import Replay, ReplayStore
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 
 SQUARE = 0.02  # rad; measured: up to 1 degree off, two simulators agree as they do on square hits
@@ -166,6 +167,11 @@ class ReplaySource(Source):
         self.conditions = list(runs.conditions.values())
         self.physics = model.apply(self.conditions[0][0].setup.physics)
         self._numbers = {item.name: number for number, item in enumerate(clusters)}
+
+    @cached_property
+    def worlds(self) -> Sequence[Physics]:
+        """See :attr:`Source.worlds`."""
+        return [self.model.apply(runs[0].setup.physics) for runs in self.conditions]
 
     @property
     def identity(self) -> Identity:

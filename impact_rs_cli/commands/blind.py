@@ -37,7 +37,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     maker.add_argument("seed", type=int, metavar="SEED", help="whole number; the same seed hides the same")
     maker.add_argument("-o", dest="output", type=Path, required=True, metavar="DIR", help="folder of the campaign")
     maker.add_argument("--kind", choices=("single", "pair", "null", "outside"), default="single", help="%(default)s")
-    maker.add_argument("--effect", metavar="NAME", help="hide this one; default: drawn")
+    maker.add_argument("--effect", metavar="NAME", help="hide this one, of a pair FIRST+SECOND; default: drawn")
     maker.add_argument(
         "--scenarios",
         nargs="+",

@@ -14,7 +14,7 @@ import hashlib
 import inspect
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,6 +42,7 @@ class Parameter:
         step: First change that is tried when looking for its influence; None: its scale.
         shape: Whether it moves nothing while the effect is off (Stribeck velocity; where a payload sits).
         grid: Starting values of a shape parameter, where trying them is cheap.
+        far: Values from which a fit that does not fit begins again, where what is in contact changes on the way.
         hidden: Range from which a blind campaign draws it; None: some scales away from nominal.
     """
 
@@ -56,6 +57,7 @@ class Parameter:
     step: float | None = None
     shape: bool = False
     grid: tuple[float, ...] = ()
+    far: tuple[float, ...] = ()
     hidden: tuple[float, float] | None = None
 
     def scalars(self, joint_count: int) -> list[ScalarParameter]:
@@ -73,6 +75,7 @@ class Parameter:
                 joint=joint,
                 shape=self.shape,
                 grid=self.grid,
+                far=self.far,
                 hidden=self.hidden,
             )
             for joint in (range(joint_count) if self.per_joint else (None,))
@@ -99,6 +102,7 @@ class ScalarParameter:
     joint: int | None = None
     shape: bool = False
     grid: tuple[float, ...] = ()
+    far: tuple[float, ...] = ()
     hidden: tuple[float, float] | None = None
 
 
@@ -169,6 +173,11 @@ class Effect(ABC):
         """Lower and upper bound of every scalar under ``physics`` (without the effect), ``(p,)`` each."""
         scalars = self.scalars(self._joint_count(physics))
         return np.array([scalar.lower for scalar in scalars]), np.array([scalar.upper for scalar in scalars])
+
+    def bounds_in(self, worlds: Iterable[Physics]) -> tuple[Array, Array]:
+        """Bounds that hold under each of some physics, ``(p,)`` each; at least one."""
+        bounds = [self.bounds(physics) for physics in worlds]
+        return np.max([low for low, _ in bounds], axis=0), np.min([high for _, high in bounds], axis=0)
 
     def complexity(self, joint_count: int) -> int:
         """Number of scalars that are no shape: of two effects that look alike, the one with fewer is preferred."""

@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from impact_rs_sim.effects.base import Parameter, SceneEffect, Values, number, vector3
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+
+
+@dataclass(frozen=True)
+class ComOffsetEffect(SceneEffect):
+    """An offset of the centre of mass, which stays inside the box."""
+
+    def bounds(self, physics: Physics) -> tuple[Array, Array]:
+        """See :meth:`Effect.bounds`."""
+        lower, upper = super().bounds(physics)
+        half, present = physics.object.size / 2.0, physics.object.com_offset
+        return np.maximum(lower, -half - present), np.minimum(upper, half - present)
 
 
 def _mass(physics: Physics, values: Values) -> Physics:
@@ -27,14 +41,15 @@ OBJECT_MASS = SceneEffect(
     phases=("contact",),
 )
 
-OBJECT_COM_OFFSET = SceneEffect(
+OBJECT_COM_OFFSET = ComOffsetEffect(
     name="object_com_offset",
     acts_on="object",
     sentence="The weight of the object is not in its middle.",
     parameters=(
         Parameter("x", "m", 0.0, -0.08, 0.08, 0.01, "offset along the object's x axis"),
         Parameter("y", "m", 0.0, -0.08, 0.08, 0.01, "offset along the object's y axis"),
-        Parameter("z", "m", 0.0, -0.08, 0.08, 0.01, "offset along the object's z axis"),
+        # A box with its weight far above or below the pad tips; near the middle it stays flat and tells little.
+        Parameter("z", "m", 0.0, -0.08, 0.08, 0.01, "offset along the object's z axis", far=(-0.03, 0.03)),
     ),
     law=_com_offset,
     phases=("contact",),

@@ -13,7 +13,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.scenario import load_scenario, scenario_path
 from impact_rs_sim.unmodelled import OUTSIDE
-from impact_rs_trials.blind import RUNS, SIZES, TRUTH, draw, draw_outside, draw_truth, hide, make, tasks
+from impact_rs_trials.blind import RUNS, SIZES, TRUTH, draw, draw_outside, draw_truth, hide, make, specs, tasks
 
 
 @pytest.mark.parametrize("name", sorted(library()))
@@ -92,6 +92,10 @@ def test_outside_effects_have_a_size_between_noticeable_and_four_times_that() ->
     [
         (lambda: draw_truth(0, "triple", None, None), "no kind 'triple'"),
         (lambda: draw_truth(0, "single", "gravity", None), "no effect 'gravity'"),
+        (lambda: draw_truth(0, "pair", "object_mass", None), "expected two effects as FIRST\\+SECOND"),
+        (lambda: draw_truth(0, "pair", "object_mass+object_mass", None), "expected two effects"),
+        (lambda: draw_truth(0, "single", "object_mass+restitution", None), "expected one effect"),
+        (lambda: draw_truth(0, "pair", "object_mass+gravity", None), "no effect 'gravity'"),
         (lambda: draw_outside(0, "gravity", None), "no outside effect 'gravity'"),
         (lambda: tasks(Path("."), 0, "huge", [], None, 0.0), "no size 'huge'"),
     ],
@@ -121,6 +125,22 @@ def test_a_campaign_has_every_condition_with_its_repeats_and_the_truth_lies_besi
     assert {task.directory for task in seen} == {str(tmp_path / RUNS)}
     with pytest.raises(InputError, match="another blind campaign"):
         list(make(tmp_path, 8, record, "single", "object_mass", "small", 2.0))
+
+
+def test_a_pair_can_be_named() -> None:
+    assert [item.name for item in draw_truth(3, "pair", "restitution+object_mass", 2.0)] == [
+        "restitution",
+        "object_mass",
+    ]
+
+
+def test_a_centre_of_mass_is_hidden_inside_every_box_of_the_campaign(tmp_path: Path) -> None:
+    smallest = np.min([spec.plan.scene.physics.object.size / 2.0 for spec, _ in specs("small")], axis=0)
+    for seed in range(10):
+        hidden = draw_truth(
+            seed, "single", "object_com_offset", 10.0, worlds=[s.plan.scene.physics for s, _ in specs("small")]
+        )
+        assert np.all(np.abs(hidden[0].values) < smallest)
 
 
 def test_another_robot_is_hidden_behind_with_its_own_number_of_joints(tmp_path) -> None:

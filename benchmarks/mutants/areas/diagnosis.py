@@ -372,4 +372,20 @@ MUTANTS = [
         wrong="A fit in a fold of the hold-out ends after two steps, wherever it is.",
         tests=SEARCHES,
     ),
+    Mutant(
+        name="a_poor_fit_looks_nowhere_else",
+        file="impact_rs_analysis/diagnosis/fit.py",
+        original="    for _ in scalars:\n        evidence = fitted.evidence",
+        mutated="    for _ in ():\n        evidence = fitted.evidence",
+        wrong="A fit on the side on which a box stays flat never learns that it tips on the other.",
+        tests=SEARCHES,
+    ),
+    Mutant(
+        name="a_centre_of_mass_outside_the_box",
+        file="impact_rs_sim/effects/object.py",
+        original="np.minimum(upper, half - present)",
+        mutated="np.minimum(upper, half + present)",
+        wrong="A centre of mass may be looked for outside the box.",
+        tests=("test/impact_rs_sim/effects/test_object.py",),
+    ),
 ]

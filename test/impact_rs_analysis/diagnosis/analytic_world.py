@@ -45,6 +45,10 @@ EFFECTS = {
     )
 }
 
+TIPPING = effect(
+    "tipping", (parameter("g"), Parameter("height", "-", 0.0, -50.0, 50.0, 1.0, "height", far=(-8.0, 8.0)))
+)
+
 
 def direction(cluster: int, number: int) -> Array:
     return np.random.default_rng([10_000 + number, cluster]).standard_normal(FEATURES)
@@ -72,6 +76,9 @@ def features(cluster: int, added: Added) -> Array:
             result += values[0] * direction(cluster, 7)
         elif name == "inverse":  # as deflection goes with stiffness
             result += 100.0 * (1.0 / values[0] - 1.0) * direction(cluster, 8)
+        elif name == "tipping":  # as a box that stands flat does, until its weight is too high or too low
+            result += values[0] * direction(cluster, 30) + max(values[1] - 4.0, 0.0) * direction(cluster, 31)
+            result += max(-values[1] - 4.0, 0.0) * direction(cluster, 32) + 0.01 * values[1] * direction(cluster, 33)
         elif name == "outside":
             result += values[0] * direction(cluster, 5)
     return result

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from analytic_world import EFFECTS, AnalyticSource, BeforeTheHit, correlated
+from analytic_world import EFFECTS, TIPPING, AnalyticSource, BeforeTheHit, correlated
 from scipy.stats import binom
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, bounded, linearise
-from impact_rs_analysis.diagnosis.fit import Evidence, Fit, _broyden, evaluate_at, refine
+from impact_rs_analysis.diagnosis.fit import Evidence, Fit, _broyden, evaluate_at, look_elsewhere, refine
 from impact_rs_analysis.diagnosis.search import Search, adjusted, tied
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
 
@@ -291,3 +291,28 @@ def test_what_goes_with_the_inverse_of_a_parameter_is_fitted_in_few_steps(hidden
     assert start is not None
     fitted = refine(start, evidence, steps=2)
     assert fitted.estimate[0] == pytest.approx(hidden, rel=0.01)
+
+
+@pytest.mark.parametrize("height", [-9.0, 12.0])
+def test_what_changes_only_beyond_some_value_is_looked_for_on_both_sides(height: float) -> None:
+    source = AnalyticSource(3, (("tipping", (2.0, height)),))
+    evidence = Evidence.of(source)
+    start = linearise(Candidate.of((TIPPING,), source), evidence.clusters, evidence.numbers, source)
+    assert start is not None
+    stuck = refine(start, evidence)
+    assert abs(stuck.estimate[1] - height) > 3.0
+    np.testing.assert_allclose(look_elsewhere(stuck).estimate, (2.0, height), atol=0.3)
+    found = Search.screened([TIPPING, EFFECTS["straight"]], evidence).choose()
+    assert found is not None
+    np.testing.assert_allclose(found.estimate, (2.0, height), atol=0.3)
+
+
+def test_a_fit_that_fits_looks_nowhere_else() -> None:
+    source = AnalyticSource(3, (("tipping", (2.0, 0.0)),))
+    evidence = Evidence.of(source)
+    start = linearise(Candidate.of((TIPPING,), source), evidence.clusters, evidence.numbers, source)
+    assert start is not None
+    fitted = refine(start, evidence)
+    source.asked.clear()
+    assert look_elsewhere(fitted) is fitted
+    assert not source.asked

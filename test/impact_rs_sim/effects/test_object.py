@@ -1,5 +1,7 @@
 """Object: a heavier one weighs more on the pad, and one with an offset turns about its centre of mass."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from bench import BOX, GRAVITY, PAD, REACH, bench, run, switched_on, with_support
@@ -46,6 +48,16 @@ def test_a_box_stands_on_its_sides_wherever_its_centre_of_mass_is(offset):
     motion = run(physics, seconds=0.2, box=(REACH + PAD / 2.0, 0.0, BOX / 2.0))
     fallen = BOX / 2.0 - motion.box[-1, 2]
     assert fallen > 0.02 if offset > 0.0 else fallen == pytest.approx(GRAVITY / 2.0e4, abs=1e-3)
+
+
+def test_a_centre_of_mass_stays_inside_every_box_it_is_looked_for_in():
+    effect = library()["object_com_offset"]
+    plain = bench()
+    flat = replace(plain, object=replace(plain.object, size=np.array([0.3, 0.1, 0.06])))
+    filled = effect.apply_vector(flat, np.array([0.0, 0.02, 0.0]))
+    np.testing.assert_allclose(effect.bounds(flat), ([-0.08, -0.05, -0.03], [0.08, 0.05, 0.03]))
+    np.testing.assert_allclose(effect.bounds(filled), ([-0.08, -0.07, -0.03], [0.08, 0.03, 0.03]))
+    np.testing.assert_allclose(effect.bounds_in([flat, filled]), ([-0.08, -0.05, -0.03], [0.08, 0.03, 0.03]))
 
 
 def test_offsets_along_all_three_axes_add_to_what_is_there():
