@@ -21,7 +21,7 @@ MUCH = 0.2  # of the error; a fit that gains so much in a step has not arrived
 SHORTEST_LESSON = 0.5  # parameter scales
 NEAR = 0.1  # parameter scales; a correction below this does not depend on where a trial starts
 MOST_LOOKS = 4
-POOR = 2.0  # times the squared error that is expected; a fit with less has nothing to look for elsewhere
+POOR = 1.5  # times the squared error that is expected; a fit with less has nothing to look for elsewhere
 HOPELESS = 3.0  # a fit whose squared error is so many times that of the best is not followed
 
 
@@ -247,9 +247,13 @@ def _turning_point(before: Candidate, after: Candidate, evidence: Evidence) -> f
 
 def _afresh(fitted: Fit) -> Fit:
     """The same with sensitivities of its point, where those of another led astray: a bounce is nothing linear."""
-    evidence = fitted.evidence
-    fresh = linearise(fitted.candidate, evidence.clusters, evidence.numbers, evidence.source, "new sensitivities")
-    return fitted if fresh is None else Fit.of(fresh, evidence)
+    return Fit.of(_relinearised(fitted.candidate, fitted.evidence), fitted.evidence)
+
+
+def _relinearised(candidate: Candidate, evidence: Evidence) -> Candidate:
+    """New sensitivities; features stay those of all repeats, of which sensitivities look at one."""
+    fresh = linearise(candidate, evidence.clusters, evidence.numbers, evidence.source, "new sensitivities")
+    return candidate if fresh is None else replace(candidate, jacobians=fresh.jacobians)
 
 
 def see_all(fitted: Fit) -> Fit:
@@ -257,10 +261,10 @@ def see_all(fitted: Fit) -> Fit:
     candidate, evidence = fitted.candidate, fitted.evidence
     if not candidate.unseen:
         return fitted
-    fresh = linearise(replace(candidate, point=fitted.estimate), evidence.clusters, evidence.numbers, evidence.source)
-    if fresh is None:
+    moved = evaluate_at(candidate, fitted.estimate, evidence)
+    if moved is None:
         return fitted
-    again = refine(fresh, evidence)
+    again = refine(_relinearised(moved, evidence), evidence)
     return again if again.score < fitted.score else fitted
 
 
@@ -286,8 +290,7 @@ def look_elsewhere(fitted: Fit) -> Fit:
         errors = [float(np.mean(evidence.problem(moved).errors(np.zeros_like(moved.point)))) for moved in places]
         if min(errors) >= fitted.misfit:
             break
-        there = places[int(np.argmin(errors))]
-        again = refine(linearise(there, evidence.clusters, evidence.numbers, evidence.source) or there, evidence)
+        again = refine(_relinearised(places[int(np.argmin(errors))], evidence), evidence)
         if again.misfit >= fitted.misfit:
             break
         fitted = again

@@ -45,11 +45,10 @@ OBJECT_COM_OFFSET = ComOffsetEffect(
     name="object_com_offset",
     acts_on="object",
     sentence="The weight of the object is not in its middle.",
-    parameters=(
-        Parameter("x", "m", 0.0, -0.08, 0.08, 0.01, "offset along the object's x axis"),
-        Parameter("y", "m", 0.0, -0.08, 0.08, 0.01, "offset along the object's y axis"),
-        # A box with its weight far above or below the pad tips; near the middle it stays flat and tells little.
-        Parameter("z", "m", 0.0, -0.08, 0.08, 0.01, "offset along the object's z axis", far=(-0.03, 0.03)),
+    # Flat on its support and on the pad, a box tells little of where its weight is; beyond some offset it tips.
+    parameters=tuple(
+        Parameter(axis, "m", 0.0, -0.08, 0.08, 0.01, f"offset along the object's {axis} axis", far=(-0.03, 0.03))
+        for axis in "xyz"
     ),
     law=_com_offset,
     phases=("contact",),
