@@ -7,6 +7,7 @@ SYSTEM_TESTS = ("test/impact_rs_sim/test_impact_map_system.py",)
 RESIDUAL = "impact_rs_sim/impact_map/residual.py"
 RESIDUAL_TESTS = ("test/impact_rs_sim/test_impact_map_residual.py",)
 CONES = "impact_rs_sim/impact_map/cones.py"
+CONE_TESTS = ("test/impact_rs_sim/test_impact_map_cones.py",)
 BULLET = "impact_rs_sim/impact_map/bullet.py"
 CONTACTS = "impact_rs_sim/impact_map/contacts.py"
 CONTACT_TESTS = ("test/impact_rs_sim/test_impact_map_contacts.py",)
@@ -114,7 +115,7 @@ MUTANTS = [
         original="drift[2::3] *= 1.0 + terms.restitution",
         mutated="drift[2::3] *= 1.0 - terms.restitution",
         wrong="Restitution has the wrong sign.",
-        tests=RESIDUAL_TESTS,
+        tests=CONE_TESTS,
     ),
     Mutant(
         name="no_restitution",
@@ -122,7 +123,7 @@ MUTANTS = [
         original="    drift[2::3] *= 1.0 + terms.restitution\n",
         mutated="",
         wrong="Nothing bounces.",
-        tests=RESIDUAL_TESTS,
+        tests=CONE_TESTS,
     ),
     Mutant(
         name="restitution_of_the_tangent",
@@ -130,7 +131,7 @@ MUTANTS = [
         original="drift[2::3] *= 1.0 + terms.restitution",
         mutated="drift *= 1.0 + terms.restitution",
         wrong="Sliding velocities are turned back as well.",
-        tests=(*RESIDUAL_TESTS, *LAWS, *ENGINES),
+        tests=CONE_TESTS,
     ),
     Mutant(
         name="friction_cone_doubled",
@@ -138,7 +139,7 @@ MUTANTS = [
         original="constraint.setFriction(coefficient)",
         mutated="constraint.setFriction(2.0 * coefficient)",
         wrong="The friction cone is twice as wide.",
-        tests=RESIDUAL_TESTS,
+        tests=CONE_TESTS,
     ),
     Mutant(
         name="frictionless_map",
@@ -146,7 +147,7 @@ MUTANTS = [
         original="constraint.setFriction(coefficient)",
         mutated="constraint.setFriction(0.0)",
         wrong="The map knows no friction.",
-        tests=RESIDUAL_TESTS,
+        tests=CONE_TESTS,
     ),
     Mutant(
         name="delassus_scaled_wrongly",
@@ -154,7 +155,7 @@ MUTANTS = [
         original="(delassus + delassus.T) / (2.0 * scale)",
         mutated="(delassus + delassus.T) / scale",
         wrong="The Delassus operator is twice as large.",
-        tests=RESIDUAL_TESTS,
+        tests=CONE_TESTS,
     ),
     Mutant(
         name="impulses_not_scaled_back",
@@ -162,7 +163,7 @@ MUTANTS = [
         original="result.retrieveConstraintImpulses() / scale",
         mutated="result.retrieveConstraintImpulses()",
         wrong="Impulses stay in units of velocity.",
-        tests=RESIDUAL_TESTS,
+        tests=CONE_TESTS,
     ),
     Mutant(
         name="impulses_in_the_contact_frame",
@@ -170,7 +171,7 @@ MUTANTS = [
         original='np.einsum("mji,mj->mi", frames',
         mutated='np.einsum("mij,mj->mi", frames',
         wrong="Impulses are turned back the wrong way.",
-        tests=RESIDUAL_TESTS,
+        tests=CONE_TESTS,
     ),
     Mutant(
         name="penetration_not_judged",
