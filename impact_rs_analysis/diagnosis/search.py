@@ -218,6 +218,7 @@ class Search:
     def _cannot_explain(self, candidates: dict[str, Candidate], evidence: Evidence) -> set[str]:
         """Candidates that are far from explaining the motion before contact, where one of them does."""
         enough = 2.0 * float(evidence.expected.mean())
+        explained = 2.0 * enough  # no simulator is exactly right
         if evidence.excess(evidence.errors) < enough:
             return set()
         fits = self._fitted_before_contact
@@ -225,7 +226,7 @@ class Search:
         far, steps = HOPELESS**2 * enough, STEPS_OF_FOLD if evidence.thrifty else STEPS
         for name in sorted(candidates, key=lambda entry: (_bends(candidates[entry]), linear[entry].misfit)):
             candidate = candidates[name]
-            if min((fitted.misfit for fitted in fits.values()), default=np.inf) > enough:
+            if min((fitted.misfit for fitted in fits.values()), default=np.inf) > explained:
                 fits[name] = see_all(self._fitted(candidate, evidence))
                 continue
             bent = linear[name].misfit <= far or _bends(candidate)
@@ -233,7 +234,7 @@ class Search:
             if fits[name].misfit <= far:
                 fits[name] = see_all(fits[name])
         best = min((fitted.misfit for fitted in fits.values()), default=np.inf)
-        if best > 2.0 * enough:
+        if best > explained:
             return set()
         return {name for name, fitted in fits.items() if fitted.misfit > HOPELESS * max(best, enough)}
 
