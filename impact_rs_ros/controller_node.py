@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import time
 
-from impact_rs_control.controller import Controller
+import numpy as np
+
+from impact_rs_control.controller import ArmCommand, Controller
+from impact_rs_control.fallback import fallback_command
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
-from impact_rs_ros.exchange import Inbox, JointSignals, Outbox, joint_signals
+from impact_rs_ros.exchange import Inbox, Outbox
+from impact_rs_ros.joint_signals import JointReader, JointSignals
 from impact_rs_ros.process import run
 from impact_rs_ros.streams import Stream, StreamMaker
 from impact_rs_ros.trial_node import LockstepTrial, TrialNode
@@ -32,6 +36,10 @@ class ControllerTrial(LockstepTrial):
         self._inbox = inbox
         self._outbox = outbox
         self._arm_of = {topics.joint_states(arm): arm for arm in plan.arms}
+        self._readers = {arm: JointReader(names) for arm, names in self._maker.joints.items()}
+        # What was measured last and can be used.
+        self._known = {arm: (own.initial, np.zeros_like(own.initial)) for arm, own in plan.arms.items()}
+        self._plan = plan
         self._period_ns = round(plan.scene.scenario.timing.control_period * 1e9)
         self._tick = -1  # the last one that was answered
         self._answers: dict[str, bytes] = {}
@@ -39,12 +47,14 @@ class ControllerTrial(LockstepTrial):
         self._gathered: dict[str, ArmMeasurement] = {}
         self._qp = dict.fromkeys(QpStatus, 0)
         self._skipped = 0
+        self._strangers = 0  # messages whose stamp lies outside the trial
 
     def work(self, until: float) -> None:
         while (left := until - time.monotonic()) > 0.0:
             self._inbox.wait(left)
             for topic, data in self._inbox.take():
-                self._answer(self._arm_of[topic], joint_signals(data))
+                arm = self._arm_of[topic]
+                self._answer(arm, self._readers[arm].read(data))
 
     def end(self) -> str:
         hit = all(arm.detection is not None for arm in self._controller.arms.values())
@@ -53,6 +63,9 @@ class ControllerTrial(LockstepTrial):
     def status(self) -> tuple[str, dict[str, object]]:
         failed, relaxed = self._qp[QpStatus.FAILED], self._qp[QpStatus.RELAXED]
         line = f"{failed} QPs failed" if failed else f"{self._skipped} ticks skipped" if self._skipped else "ok"
+        if self._strangers:
+            line = f"{self._strangers} states with a stamp outside the trial: who else publishes?"
+        line = self.failure or line
         return line, {
             **self.tick_statistics(),
             "qp_failures": failed,
@@ -63,6 +76,9 @@ class ControllerTrial(LockstepTrial):
     def _answer(self, arm: str, signals: JointSignals) -> None:
         """Take the measured state of one arm; decide for all when the last one of a tick is there."""
         tick = round(signals.stamp / self._period_ns)
+        if not 0 <= tick <= self._last:
+            self._strangers += 1
+            return
         if tick <= self._tick:
             if tick == self._tick:  # the plant asks again
                 self._outbox.repeat(topics.joint_command(arm), self._answers[arm])
@@ -71,7 +87,13 @@ class ControllerTrial(LockstepTrial):
             return
         if tick > self._gathering:
             self._gathering, self._gathered = tick, {}
-        position, velocity, torque = signals.values
+        if signals.complaint:
+            self._fail(f"{topics.joint_states(arm)} at t = {1e-9 * signals.stamp:.3f} s: {signals.complaint}")
+            position, velocity = self._known[arm]
+            torque = np.zeros_like(position)
+        else:
+            position, velocity, torque = signals.values
+            self._known[arm] = position, velocity
         # It does not read the motor's state.
         self._gathered[arm] = ArmMeasurement(position, velocity, torque, position, velocity)
         if len(self._gathered) == len(self._arm_of):
@@ -82,7 +104,7 @@ class ControllerTrial(LockstepTrial):
         outbox = self._outbox
         self._skipped += tick - self._tick - 1
         self._tick = tick
-        commands = self._controller.update(tick, self._gathered)
+        commands = self._commands(tick)
         for arm, command in commands.items():
             self._answers[arm] = outbox.now(topics.joint_command(arm), tick, command)
         for arm, command in commands.items():
@@ -94,6 +116,23 @@ class ControllerTrial(LockstepTrial):
             outbox.flush()
         self.now = tick * self._period_ns
         self._tick_times.append(time.monotonic() - started)
+
+    def _commands(self, tick: int) -> dict[str, ArmCommand]:
+        """What the controller decides; after anything went wrong, what holds the arms."""
+        if not self.failure:
+            commands = self._controller.update(tick, self._gathered)
+            wrong = [arm for arm, command in commands.items() if not np.isfinite(command.torque).all()]
+            if not wrong:
+                return commands
+            self._fail(f"the torque for {wrong[0]} at t = {1e-9 * tick * self._period_ns:.3f} s is not finite")
+        models, plans = self._plan.scene.models, self._plan.arms
+        return {
+            arm: fallback_command(models[arm], *self._known[arm], 6 + len(plans[arm].posture)) for arm in self._known
+        }
+
+    def _fail(self, failure: str) -> None:
+        """Keep the first thing that went wrong, which the trial ends with."""
+        self.failure = self.failure or f"{failure}; the arms were held from there on"
 
 
 class ControllerNode(TrialNode[ControllerTrial]):

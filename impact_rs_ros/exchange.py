@@ -7,15 +7,12 @@ of the time, and services and parameters never come in between.
 
 from __future__ import annotations
 
-import struct
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import numpy as np
 import rclpy
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
@@ -26,7 +23,6 @@ from rclpy.task import Future
 
 from impact_rs_ros.message_types import available, message_type
 from impact_rs_ros.streams import Stream
-from impact_rs_sim.robot import Array
 
 BURST = 40  # samples that wait for each other, some ten ticks
 BURST_AGE = 0.1  # s, wall clock: a slow trial still shows that it goes on
@@ -197,44 +193,3 @@ class Outbox:
             for topic, publisher in self._publishers.items()
             if publisher.get_subscription_count() < max(1, self._node.count_subscribers(topic))
         ]
-
-
-@dataclass(frozen=True)
-class JointSignals:
-    """A ``sensor_msgs/JointState`` without its names.
-
-    Attributes:
-        stamp: Time of the signals [ns].
-        values: Position, velocity and effort, ``(n,)`` or ``(0,)`` each.
-    """
-
-    stamp: int
-    values: tuple[Array, Array, Array]
-
-
-def joint_signals(data: bytes) -> JointSignals:
-    """Decode a serialized ``sensor_msgs/JointState``; rclpy takes ten times as long over it.
-
-    XCDR1: a value is aligned to its size, counted from behind the four bytes of the encapsulation header; a sequence
-    and a string begin with their length.
-    """
-    order = "<" if data[1] else ">"
-    integer = struct.Struct(order + "I").unpack_from
-    seconds, nanoseconds, length = struct.unpack_from(order + "iII", data, 4)
-    at = 16 + length
-    at += -at % 4
-    (names,) = integer(data, at)
-    at += 4
-    for _ in range(names):
-        at += -at % 4
-        at += 4 + integer(data, at)[0]
-    values = []
-    for _ in range(3):
-        at += -at % 4
-        (count,) = integer(data, at)
-        at += 4
-        if count:
-            at += -(at - 4) % 8
-        values.append(np.frombuffer(data, order + "f8", count, at).astype(np.float64))
-        at += 8 * count
-    return JointSignals(seconds * 1_000_000_000 + nanoseconds, (values[0], values[1], values[2]))

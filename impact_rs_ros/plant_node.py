@@ -17,7 +17,8 @@ from std_srvs.srv import Trigger
 
 from impact_rs_control.closed_loop import make_plant, ran_away
 from impact_rs_control.plan import TrialPlan
-from impact_rs_ros.exchange import Inbox, Outbox, joint_signals
+from impact_rs_ros.exchange import Inbox, Outbox
+from impact_rs_ros.joint_signals import JointReader
 from impact_rs_ros.process import run
 from impact_rs_ros.streams import Stream, StreamMaker
 from impact_rs_ros.trial_node import LockstepTrial, TrialNode
@@ -76,6 +77,7 @@ class PlantTrial(LockstepTrial):
         self._frames = FrameSource(plan.scene)
         self._states = {arm: topics.joint_states(arm) for arm in plan.arms}
         self._arm_of = {topics.joint_command(arm): arm for arm in plan.arms}
+        self._readers = {arm: JointReader(names, ("effort",)) for arm, names in self._maker.joints.items()}
         self._tick = 0
         self._measured = plant.measure()
         self._asked: dict[str, bytes] = {}  # what was published of this tick, by topic
@@ -156,9 +158,12 @@ class PlantTrial(LockstepTrial):
         deadline = self._started + self._tick * self._period if paced else asked + pace.repeat_after
         while True:
             for topic, data in self._inbox.take():
-                command = joint_signals(data)
+                arm = self._arm_of[topic]
+                command = self._readers[arm].read(data)
                 if command.stamp == self.now:
-                    arm = self._arm_of[topic]
+                    if command.complaint:
+                        self.stop(f"{topic} at t = {self._tick * self._period:.3f} s: {command.complaint}")
+                        return False
                     self._torques[arm] = command.values[2]
                     self._missing.discard(arm)
             left = deadline - time.monotonic()

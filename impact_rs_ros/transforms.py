@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from impact_rs_control.plan import TrialPlan
-from impact_rs_ros.exchange import joint_signals
+from impact_rs_ros.joint_signals import joint_signals
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
 from impact_rs_trials.bags.record import FrameSource

@@ -57,6 +57,9 @@ class MessageMaker:
     Args:
         types: Where message classes come from.
         plan: The trial.
+
+    Attributes:
+        joints: Names of the joints of every arm, as messages have them.
     """
 
     def __init__(self, types: MessageTypes, plan: TrialPlan) -> None:
@@ -70,7 +73,7 @@ class MessageMaker:
         self._vector = types.type("geometry_msgs/msg/Vector3")
         self._quaternion = types.type("geometry_msgs/msg/Quaternion")
         self._period_ns = round(plan.scene.scenario.timing.control_period * 1e9)
-        self._joints = {
+        self.joints = {
             name: [f"{name}_{joint}" for joint in joint_names(arm.facts)]
             for name, arm in plan.scene.physics.arms.items()
         }
@@ -96,7 +99,7 @@ class MessageMaker:
 
     def _joints_message(self, tick: int, arm: str, position: Any, velocity: Any, effort: Any) -> Any:
         return self._joint_state(
-            header=self.header(tick), name=self._joints[arm], position=position, velocity=velocity, effort=effort
+            header=self.header(tick), name=self.joints[arm], position=position, velocity=velocity, effort=effort
         )
 
     def joint_states(self, tick: int, arm: str, measured: ArmMeasurement | ArmTruth) -> Any:

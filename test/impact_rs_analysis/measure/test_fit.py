@@ -69,9 +69,12 @@ def test_too_few_trials_say_what_is_missing(velocity: list[float], message: str)
         fit_zero_crossing(np.array(velocity), np.arange(len(velocity), dtype=float))
 
 
-def test_a_level_line_has_no_zero_crossing() -> None:
+@pytest.mark.parametrize("level", [0.1, 1.1])
+@pytest.mark.parametrize("velocity", [[0.4, 0.5, 0.6], [0.13, 0.27, 0.31, 0.55], [0.31, 0.47, 0.59, 0.71, 0.83]])
+def test_a_level_line_has_no_zero_crossing(level: float, velocity: list[float]) -> None:
+    """In floating point its slope is some 1e-16, of either sign."""
     with pytest.raises(FitError, match="does not depend"):
-        fit_zero_crossing(np.array([0.4, 0.5, 0.6]), np.full(3, 0.1))
+        fit_zero_crossing(np.array(velocity), np.full(len(velocity), level))
 
 
 def line(seed: int, truth: float, noise: float, count: int = 25) -> tuple[np.ndarray, np.ndarray]:
