@@ -44,7 +44,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         alone = [timed(lambda key=key: run_one(Path(folder) / "alone", manifest.trial(key))) for key in manifest.keys]
         nodes = []
-        with Graph.running("push", arguments.domain) as graph:
+        with Graph.running("push", arguments.domain, root=Path(folder)) as graph:
             for key in manifest.keys:
                 nodes.append(timed(lambda key=key: run_trial(graph, Path(folder) / "nodes", manifest, key)))
     report("trial in one process, set-up and bag included", alone, timing.ticks, timing.duration)

@@ -16,9 +16,10 @@ from rclpy.executors import Executor, MultiThreadedExecutor
 
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.process import NodeProgram, run
+from impact_rs_ros.roots import scenario_below
 from impact_rs_ros.trial_session import Progress, TrialResult, TrialSession
 from impact_rs_sim.errors import InputError, full_traceback
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenario import Scenario
 from impact_rs_trials.bags.trial_info import TrialKey
 from impact_rs_trials.campaign import TrialReport, make_manifest, open_campaign, wrong_outcomes
 from impact_rs_trials.spec import TrialSpec
@@ -111,8 +112,8 @@ class ExperimentNode(NodeProgram):
         answer = RunTrial.Result(outcome="ABORTED", detected_time=float("nan"))
         with self._busy:
             try:
-                plan, key = _planned(goal, goal.scenario or self.parameter("scenario"))
-                directory = Path(goal.output_directory or ".")
+                plan, key = _planned(goal, self.scenario(goal.scenario))
+                directory = self.output(goal.output_directory, "output_directory")
 
                 def feedback(progress: Progress) -> None:
                     handle.publish_feedback(
@@ -138,14 +139,14 @@ class ExperimentNode(NodeProgram):
         with self._busy, ExitStack() as held:
             try:
                 manifest = make_manifest(
-                    goal.scenario or self.parameter("scenario"),
+                    scenario_below(goal.scenario, self.parameter("scenario"), self.parameter("config_root")),
                     list(goal.objects) or None,
                     list(goal.cases) or None,
                     list(goal.velocity_scales) or None,
                     goal.trials or None,
                     goal.seed,
                 ).model_copy(update={"motor_inertia": goal.motor_inertia or "reduced"})
-                directory = Path(goal.output_directory or ".")
+                directory = self.output(goal.output_directory, "output_directory")
                 held.enter_context(owned(open_store(directory)))
                 todo = open_campaign(directory, manifest)
                 answer.skipped = len(manifest.keys) - len(todo)
@@ -188,9 +189,9 @@ def _close(handle: Any, success: bool) -> None:
         handle.abort()
 
 
-def _planned(goal: Any, name: str) -> tuple[TrialPlan, TrialKey]:
+def _planned(goal: Any, scenario: Scenario) -> tuple[TrialPlan, TrialKey]:
     inertia = goal.motor_inertia or "reduced"
-    spec = TrialSpec.of(load_scenario(name), goal.object_name, goal.case_name, goal.velocity_scale, inertia)
+    spec = TrialSpec.of(scenario, goal.object_name, goal.case_name, goal.velocity_scale, inertia)
     return spec.plan, TrialKey(spec.object, spec.case, spec.scale, goal.repeat)
 
 

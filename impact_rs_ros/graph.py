@@ -69,7 +69,12 @@ class Graph:
     @classmethod
     @contextmanager
     def running(
-        cls, scenario: str, domain_id: int | None = None, parameters: Path | None = None, quiet: bool = True
+        cls,
+        scenario: str,
+        domain_id: int | None = None,
+        parameters: Path | None = None,
+        quiet: bool = True,
+        root: Path | None = None,
     ) -> Iterator[Self]:
         """A context manager with the nodes, which end with it.
 
@@ -81,6 +86,7 @@ class Graph:
             domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
             parameters: Parameter file; None: ``config/nodes.yaml``.
             quiet: Nodes write to a file, shown when one dies, and not to the terminal.
+            root: Folder in which requests may have bags written and name scenarios; None: the working directory.
 
         Raises:
             InputError: There is no such scenario.
@@ -88,7 +94,7 @@ class Graph:
         """
         with ExitStack() as stack:
             logs = stack.enter_context(tempfile.TemporaryDirectory(prefix="impact_rs_"))
-            nodes = NodeProcesses.of(scenario, Path(logs), domain_id, parameters, quiet)
+            nodes = NodeProcesses.of(scenario, Path(logs), domain_id, parameters, quiet, root)
             stack.callback(nodes.stop)
             for name in NODES:
                 nodes.start(name)
@@ -254,7 +260,7 @@ def run_trials_through_nodes(
     """
     if not keys:
         return
-    with Graph.running(manifest.scenario, domain_id) as graph:
+    with Graph.running(manifest.scenario, domain_id, root=directory) as graph:
         for key in keys:
             yield run_trial(graph, directory, manifest, key, plant_model)
 

@@ -30,7 +30,7 @@ from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, ObjectPhysics, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_trials.spec import TrialSpec
 
@@ -58,7 +58,7 @@ class ImpactMapNode(NodeProgram):
         engine = request.engine or self.parameter("engine")
         contact = request.contact or self.parameter("contact")
         try:
-            scenario = load_scenario(request.scenario or self.parameter("scenario"))
+            scenario = self.scenario(request.scenario)
             problem, models = self._problem(request, scenario)
             name = request.object_description.name if request.use_object_description else request.object_name
             result = predict_impact(problem, contact, engine)

@@ -41,7 +41,13 @@ class NodeProcesses:
 
     @classmethod
     def of(
-        cls, scenario: str, logs: Path, domain_id: int | None = None, parameters: Path | None = None, quiet: bool = True
+        cls,
+        scenario: str,
+        logs: Path,
+        domain_id: int | None = None,
+        parameters: Path | None = None,
+        quiet: bool = True,
+        root: Path | None = None,
     ) -> Self:
         """The nodes of a scenario.
 
@@ -51,6 +57,7 @@ class NodeProcesses:
             domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
             parameters: Parameter file; None: ``config/nodes.yaml``.
             quiet: Whether they write to files there, and not to the terminal; then only what is wrong.
+            root: Folder in which requests may have bags written and name scenarios; None: the working directory.
 
         Raises:
             InputError: There is no such scenario.
@@ -58,6 +65,10 @@ class NodeProcesses:
         path = scenario_path(scenario)
         known = str(path.resolve()) if scenario.endswith((".yaml", ".yml")) else scenario
         arguments = ["--params-file", str(parameters or config_directory() / "nodes.yaml"), "-p", f"scenario:={known}"]
+        if root is not None:
+            arguments += ["-p", f"config_root:={root.resolve()}"]
+            for name in ("recorder", "experiment"):
+                arguments += ["-p", f"{name}:data_root:={root.resolve()}"]
         environment = dict(os.environ)
         environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         environment.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small; more threads only get in the way

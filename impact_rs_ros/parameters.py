@@ -7,10 +7,16 @@ by ``python -m impact_rs_ros.parameters``.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import CONTACTS, ENGINES
+from impact_rs_sim.scenario import load_scenario
 
 Value = bool | float | str
 
@@ -25,6 +31,7 @@ class NodeParameter:
         unit: Unit, ``-`` where it has none.
         description: What it does, in a sentence.
         range: Least and greatest value; floats only.
+        choices: Values there are; empty: any.
     """
 
     name: str
@@ -32,20 +39,36 @@ class NodeParameter:
     unit: str
     description: str
     range: tuple[float, float] | None = None
+    choices: tuple[str, ...] = ()
+
+    @property
+    def expected(self) -> str:
+        """Which values there are, in words; empty: any, or those of the range."""
+        return f"one of {', '.join(self.choices)}" if self.choices else ""
 
     def descriptor(self) -> ParameterDescriptor:
         """What ``ros2 param describe`` tells."""
         limits = [] if self.range is None else [FloatingPointRange(from_value=self.range[0], to_value=self.range[1])]
         return ParameterDescriptor(
             description=f"{self.description} [{self.unit}]",
-            additional_constraints=f"unit: {self.unit}",
+            additional_constraints="; ".join(filter(None, (f"unit: {self.unit}", self.expected))),
             floating_point_range=limits,
         )
 
 
 COMMON = (
     NodeParameter("scenario", "push", "-", "Scenario, by name or path, where a request names none"),
+    NodeParameter(
+        "config_root",
+        "",
+        "-",
+        "Requests may name scenarios of this folder by path, beside those that are shipped; empty: working directory",
+    ),
     NodeParameter("diagnostics_period", 1.0, "s", "Wall-clock time between two messages on /diagnostics", (0.1, 60.0)),
+)
+
+DATA_ROOT = NodeParameter(
+    "data_root", "", "-", "Requests may have bags written below this folder alone; empty: working directory"
 )
 
 PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
@@ -69,12 +92,13 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
     ),
     "impact_map": (
         *COMMON,
-        NodeParameter("engine", "bullet", "-", "Engine where a request names none: bullet or pinocchio"),
-        NodeParameter("contact", "first", "-", "Contact where a request names none: first or settled"),
+        NodeParameter("engine", "bullet", "-", "Engine where a request names none", choices=tuple(ENGINES)),
+        NodeParameter("contact", "first", "-", "Contact where a request names none", choices=tuple(CONTACTS)),
     ),
     "controller": COMMON,
     "recorder": (
         *COMMON,
+        DATA_ROOT,
         NodeParameter("drain_period", 0.01, "s", "How often what was received is written to the bag", (0.001, 0.1)),
         NodeParameter(
             "completion_timeout",
@@ -86,6 +110,7 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
     ),
     "experiment": (
         *COMMON,
+        DATA_ROOT,
         NodeParameter(
             "service_timeout", 10.0, "s", "How long plant, controller and recorder may take to get ready", (0.5, 600.0)
         ),
@@ -105,14 +130,52 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
 
 
 def declare(node: Node, kind: str) -> None:
-    """Declare the parameters of a node.
+    """Declare the parameters of a node, which refuses values that it cannot work with.
 
     Args:
         node: The node.
         kind: Which of the five it is; its name may have been remapped.
+
+    Raises:
+        InputError: It was started with such a value.
     """
     for parameter in PARAMETERS[kind]:
         node.declare_parameter(parameter.name, parameter.default, parameter.descriptor())
+
+    def check(changed: list[Parameter]) -> SetParametersResult:
+        wrong = [complaint for one in changed if (complaint := complaint_about(kind, one.name, one.value))]
+        return SetParametersResult(successful=not wrong, reason="; ".join(wrong))
+
+    started = [*PARAMETERS[kind], NodeParameter("use_sim_time", False, "-", "")]
+    for name in (parameter.name for parameter in started):
+        if complaint := complaint_about(kind, name, value(node, name)):
+            raise InputError(complaint, key=f"parameter {name}")
+    node.add_on_set_parameters_callback(check)
+
+
+def complaint_about(kind: str, name: str, wanted: Any) -> str:
+    """Why a node cannot take a value for a parameter; empty: it can.
+
+    Args:
+        kind: Which of the five nodes.
+        name: The parameter.
+        wanted: Its value.
+    """
+    if name == "use_sim_time":
+        return "use_sim_time: the plant is what /clock comes from" if kind == "plant" and wanted else ""
+    known = next((parameter for parameter in PARAMETERS[kind] if parameter.name == name), None)
+    if known is None:
+        return ""
+    if known.choices and wanted not in known.choices:
+        return f"{name} {wanted!r}: expected {' or '.join(known.choices)}"
+    if name in ("config_root", "data_root") and not Path(wanted or ".").is_dir():
+        return f"{name} {wanted!r}: expected a folder that exists"
+    if name == "scenario":
+        try:
+            load_scenario(wanted)
+        except InputError as error:
+            return str(error)
+    return ""
 
 
 def value(node: Node, name: str) -> Any:
@@ -123,7 +186,7 @@ def value(node: Node, name: str) -> Any:
 def text(node: Node, kind: str) -> str:
     """Present values of all parameters of a node with their units, for its log."""
     values = ((parameter, value(node, parameter.name)) for parameter in PARAMETERS[kind])
-    return ", ".join(f"{p.name} {v}" + ("" if p.unit == "-" else f" {p.unit}") for p, v in values)
+    return ", ".join(f"{p.name} {v}" + ("" if p.unit == "-" else f" {p.unit}") for p, v in values if v != "")
 
 
 def markdown() -> str:
@@ -139,7 +202,7 @@ def markdown() -> str:
         lines += ["", f"## {kind}", "", "| Name | Type | Default | Range | Unit | Meaning |", "|---" * 6 + "|"]
         for p in parameters:
             default = str(p.default).lower() if isinstance(p.default, bool) else str(p.default)
-            limits = "" if p.range is None else f"{p.range[0]:g} to {p.range[1]:g}"
+            limits = ", ".join(p.choices) if p.range is None else f"{p.range[0]:g} to {p.range[1]:g}"
             lines.append(
                 f"| `{p.name}` | {type(p.default).__name__} | `{default}` | {limits} | {p.unit} | {p.description}. |"
             )

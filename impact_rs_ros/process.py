@@ -7,19 +7,23 @@ import signal
 import sys
 import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, ClassVar
 
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from impact_rs_ros import parameters
 from impact_rs_ros.qos import STREAM
+from impact_rs_ros.roots import below, scenario_below
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.spec import TrialSpec
 
@@ -52,9 +56,9 @@ class NodeProgram:
 
         A scene is made, because what that loads takes a second; whoever finds a service of the node finds it ready.
         """
+        scenario = load_scenario(self.parameter("scenario"))
+        self.connect(list(scenario.robots))
         try:
-            scenario = load_scenario(self.parameter("scenario"))
-            self.connect(list(scenario.robots))
             _ = TrialSpec.of(scenario, next(iter(scenario.objects)), next(iter(scenario.cases))).scene
         except InputError as error:
             self.log.error(str(error))
@@ -74,6 +78,25 @@ class NodeProgram:
     def parameter(self, name: str) -> Any:
         """Present value of a parameter."""
         return parameters.value(self.node, name)
+
+    def scenario(self, requested: str) -> Scenario:
+        """The scenario of a request.
+
+        Args:
+            requested: Name or path; empty: the node's own.
+
+        Raises:
+            InputError: There is none of this name, or the file lies where requests may not read.
+        """
+        return load_scenario(scenario_below(requested, self.parameter("scenario"), self.parameter("config_root")))
+
+    def output(self, requested: str, key: str) -> Path:
+        """Where a request wants something written.
+
+        Raises:
+            InputError: It lies where requests may not write.
+        """
+        return below(requested, self.parameter("data_root"), key, "data_root")
 
     def turn(self) -> None:
         """One turn of the main loop; must return within a fraction of a second."""
@@ -126,7 +149,11 @@ def run(program: type[NodeProgram]) -> None:
     supervisor = os.environ.get(SUPERVISOR)
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     try:
-        node = program()
+        try:
+            node = program()
+        except (InputError, ParameterException) as error:
+            get_logger(program.kind).fatal(str(error))
+            raise SystemExit(2) from None
         try:
             node.start()
             while not stopping and rclpy.ok() and (supervisor is None or os.getppid() == int(supervisor)):

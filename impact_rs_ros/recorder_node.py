@@ -11,7 +11,6 @@ import struct
 import time
 from collections import Counter, defaultdict
 from contextlib import ExitStack
-from pathlib import Path
 
 from impact_rs.srv import ConfigureTrial, FinishTrial
 from rclpy.serialization import serialize_message
@@ -183,10 +182,11 @@ class RecorderNode(NodeProgram):
             plan = info.spec.plan if info.scenario_json else None
             if not request.bag_path:
                 raise InputError("ConfigureTrial.bag_path is empty; the recorder needs to know where to write")
+            path = self.output(request.bag_path, "bag_path")
             self.connect(list(info.robots))
             self._await_publishers()
             self._inbox.clear()
-            bag = self._open.enter_context(BagWriter.create(Path(request.bag_path), self._arms))
+            bag = self._open.enter_context(BagWriter.create(path, self._arms))
             bag.describe(info)
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
             bag.write_raw(topics.ROBOT_DESCRIPTION, 0, serialize_message(String(data=request.robot_description)))

@@ -82,12 +82,12 @@ def domain_ids() -> Iterator[Callable[[], int]]:
 
 
 @pytest.fixture(scope="session")
-def graph(domain_ids: Callable[[], int]) -> Iterator[Graph]:
+def graph(domain_ids: Callable[[], int], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
     """The five nodes as processes, shared by the tests that leave them running."""
     from impact_rs_ros.graph import Graph
 
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    with Graph.running("push", domain_ids()) as running:
+    with Graph.running("push", domain_ids(), root=tmp_path_factory.getbasetemp()) as running:
         yield running
 
 

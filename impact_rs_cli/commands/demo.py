@@ -126,7 +126,7 @@ def _record(manifests: list[tuple[Path, Manifest]], hidden: Model | None, termin
 
 
 def _through_nodes(todo: list[tuple[Path, Manifest, TrialKey]], hidden: Model | None) -> Iterator[TrialReport]:
-    with Graph.running(SCENARIO) as graph:
+    with Graph.running(SCENARIO, root=todo[0][0].parent) as graph:
         for directory, manifest, key in todo:
             yield run_trial(graph, directory, manifest, key, hidden)
 

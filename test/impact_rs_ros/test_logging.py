@@ -18,14 +18,14 @@ def test_nodes_tell_their_parameters_and_the_way_of_a_trial(
 ) -> None:
     manifest = make_manifest("push", ["cat_food"], ["1"], [1.0], trials=1, seed=7)
     (key,) = manifest.keys
-    with Graph.running("push", domain_ids(), quiet=False) as graph:
+    with Graph.running("push", domain_ids(), quiet=False, root=tmp_path) as graph:
         report = run_trial(graph, tmp_path, manifest, key)
         refused = graph.call_trial(RunTrial.Goal(scenario="push", object_name="dog_food", case_name="1"))
     assert (report.outcome, refused.outcome) == ("OK", "ABORTED")
     told = "".join(capfd.readouterr())
     for node in NODES:
-        assert f"[{node}]: ready: scenario push, diagnostics_period 1.0 s" in told
-    assert "[plant]: ready: scenario push, diagnostics_period 1.0 s, realtime False, repeat_after 0.25 s" in told
+        assert f"[{node}]: ready: scenario push, config_root {tmp_path}, diagnostics_period 1.0 s" in told
+    assert "diagnostics_period 1.0 s, realtime False, repeat_after 0.25 s" in told
     for node in ("plant", "controller"):
         assert f"[{node}]: configured push/{key.name}, seed {key.seed(7)}" in told
         assert f"[{node}]: finished push/{key.name}: OK" in told

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -35,7 +39,9 @@ def test_the_documentation_is_up_to_date() -> None:
 
 
 @pytest.mark.parametrize("kind", NODES)
-def test_a_node_loads_the_example_and_tells_unit_and_range(graph: Graph, kind: str) -> None:
+def test_a_node_loads_the_example_and_tells_unit_and_range(
+    graph: Graph, kind: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     known = parameters.PARAMETERS[kind]
     names = [p.name for p in known]
     described = graph.call(DescribeParameters, f"{kind}/describe_parameters", DescribeParameters.Request(names=names))
@@ -45,13 +51,45 @@ def test_a_node_loads_the_example_and_tells_unit_and_range(graph: Graph, kind: s
         limits = [(r.from_value, r.to_value) for r in descriptor.floating_point_range]
         assert limits == ([parameter.range] if parameter.range else [])
         found = RclParameter.from_parameter_msg(_named(parameter.name, message)).value
-        assert found == example()[kind][parameter.name]
+        given = dict.fromkeys(("config_root", "data_root"), str(tmp_path_factory.getbasetemp()))  # by the tests' graph
+        assert found == (example()[kind] | given)[parameter.name]
 
 
 def test_a_value_out_of_range_is_refused(graph: Graph) -> None:
     wrong = RclParameter("answer_timeout", value=-1.0).to_parameter_msg()
     answer = graph.call(SetParameters, "plant/set_parameters", SetParameters.Request(parameters=[wrong]))
     assert not answer.results[0].successful
+
+
+@pytest.mark.parametrize(
+    ("node", "name", "wanted", "told"),
+    [
+        ("impact_map", "engine", "foo", "expected bullet or pinocchio"),
+        ("impact_map", "contact", "last", "expected first or settled"),
+        ("plant", "scenario", "nonsense", "no scenario 'nonsense'"),
+        ("plant", "use_sim_time", True, "what /clock comes from"),
+        ("recorder", "data_root", "/nowhere/at/all", "expected a folder that exists"),
+    ],
+)
+def test_a_value_that_cannot_be_worked_with_is_refused_with_a_reason(
+    graph: Graph, node: str, name: str, wanted: object, told: str
+) -> None:
+    message = RclParameter(name, value=wanted).to_parameter_msg()
+    answer = graph.call(SetParameters, f"{node}/set_parameters", SetParameters.Request(parameters=[message]))
+    assert not answer.results[0].successful
+    assert told in answer.results[0].reason
+
+
+@pytest.mark.parametrize("arguments", [["engine:=foo"], ["use_sim_time:=maybe"], ["scenario:=nonsense"]])
+def test_a_node_does_not_start_with_such_a_value(arguments: list[str], domain_ids: Callable[[], int]) -> None:
+    command = [sys.executable, "-m", "impact_rs_ros.impact_map_node", "--ros-args"]
+    for argument in arguments:
+        command += ["-p", argument]
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain_ids()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 2
+    assert arguments[0].partition(":=")[0] in ended.stderr
+    assert "Traceback" not in ended.stderr
 
 
 def _named(name: str, value: object) -> object:

@@ -257,6 +257,18 @@ def test_a_trial_that_cannot_be_is_refused_with_a_reason(
     assert reason in result.message
 
 
+@pytest.mark.parametrize("changes", [{"output_directory": "/etc"}, {"scenario": "../../x.yaml"}])
+def test_requests_name_nothing_outside_the_roots(graph: Graph, tmp_path: Path, changes: dict[str, str]) -> None:
+    result = graph.call_trial(goal(tmp_path, **changes))
+    assert (result.success, result.outcome) == (False, "ABORTED")
+    assert "expected a path below" in result.message
+    request = ConfigureTrial.Request(bag_path="/tmp/../etc/bag")
+    request.trial.robots = ["arm"]
+    answer = graph.call(ConfigureTrial, "recorder/configure_trial", request)
+    assert not answer.success
+    assert "bag_path" in answer.message
+
+
 def test_a_bag_is_never_overwritten(graph: Graph, tmp_path: Path) -> None:
     (tmp_path / "parcel__case_1__s1.000__r0").mkdir()
     result = graph.call_trial(goal(tmp_path))
