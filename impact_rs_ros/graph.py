@@ -29,8 +29,8 @@ from impact_rs_trials.campaign import Manifest, TrialReport, keep_failure
 from impact_rs_trials.store import open_store
 
 START_TIMEOUT = 60.0  # s, for all nodes to answer; imports take some seconds on a busy machine
-ANSWER_TIMEOUT = 5.0  # s, for a node to answer something harmless
-CHECK_PERIOD = 30.0  # s, between two questions to the experiment node in a long trial
+ANSWER_TIMEOUT = 3.0  # s, for a node to answer something harmless
+SILENCE = 1.0  # s, after which an experiment node that tells nothing of a trial is asked whether it is there
 ATTEMPTS = 2  # of a trial
 RESULT_TIMEOUT = 10.0  # s, for the answer to a goal, beyond what the experiment node may wait itself
 
@@ -187,12 +187,19 @@ class Graph:
         Raises:
             GraphError: The experiment node rejected the goal, or it or the recorder is gone.
         """
-        handle = self._wait(self.run_trial.send_goal_async(goal, feedback_callback=feedback), RESULT_TIMEOUT)
+        heard = [time.monotonic()]
+
+        def hear(message: Any) -> None:
+            heard[0] = time.monotonic()
+            if feedback is not None:
+                feedback(message)
+
+        handle = self._wait(self.run_trial.send_goal_async(goal, feedback_callback=hear), RESULT_TIMEOUT)
         if not handle.accepted:
             raise GraphError("the experiment node rejected the trial: another one is running")
         ended = handle.get_result_async()
         try:
-            answer: RunTrial.Result = self._wait(ended, None, ("experiment", "recorder")).result
+            answer: RunTrial.Result = self._wait(ended, None, ("experiment", "recorder"), heard).result
         except NodeHangs:
             raise
         except BaseException:
@@ -220,9 +227,15 @@ class Graph:
         finally:
             self.node.destroy_client(client)
 
-    def _wait(self, future: Any, timeout: float | None, watched: tuple[str, ...] = ("experiment",)) -> Any:
+    def _wait(
+        self,
+        future: Any,
+        timeout: float | None,
+        watched: tuple[str, ...] = ("experiment",),
+        heard: list[float] | None = None,
+    ) -> Any:
+        """Result of a future; ``heard`` holds when the experiment node told something of its trial [s]."""
         deadline = None if timeout is None else time.monotonic() + timeout
-        checked = time.monotonic()
         while not future.done():
             self.spin(0.1)
             for name in watched:
@@ -230,8 +243,8 @@ class Graph:
                     raise GraphError(f"node {name} died: {self.nodes.last_words(name)}")
             if deadline is not None and time.monotonic() > deadline:
                 raise GraphError(f"no answer within {timeout:g} s")
-            if time.monotonic() > checked + CHECK_PERIOD:
-                checked = time.monotonic()
+            if heard is not None and time.monotonic() > heard[0] + SILENCE:
+                heard[0] = time.monotonic()
                 if not self.answers("experiment"):
                     raise NodeHangs("the experiment node does not answer")
         return future.result()

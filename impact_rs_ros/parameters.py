@@ -115,7 +115,14 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
             "service_timeout", 10.0, "s", "How long plant, controller and recorder may take to get ready", (0.5, 600.0)
         ),
         NodeParameter(
-            "progress_timeout", 4.0, "s", "Without a sign of life for so long, a running trial is aborted", (0.5, 600.0)
+            "progress_timeout", 2.5, "s", "Without a sign of life for so long, a running trial is aborted", (0.5, 600.0)
+        ),
+        NodeParameter(
+            "finish_timeout",
+            3.5,
+            "s",
+            "How long the recorder may take to close a bag: its completion_timeout, and the time to write",
+            (0.5, 600.0),
         ),
         NodeParameter(
             "hide_model",

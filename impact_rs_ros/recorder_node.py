@@ -31,6 +31,7 @@ from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.writer import LATCHED, BagWriter
 
 MATCHING = 5.0  # s, for publishers to be discovered
+SILENCE = 3.0  # s, after which a trial of which nothing more comes is over, and nobody is left to say so
 OPTIONAL = (topics.TF, topics.DIAGNOSTICS, topics.TRUTH_MODEL)  # nobody may publish these, and nothing is wrong
 _HEADER_FIRST = 4  # byte of the stamp behind the CDR encapsulation
 _SEQUENCE_FIRST = 8  # the same with the length of a sequence before it
@@ -125,6 +126,7 @@ class RecorderNode(NodeProgram):
         self._open = ExitStack()  # the bag of the trial that is recorded
         self._recording: OpenTrial | None = None
         self._messages = 0
+        self._heard = 0.0  # when the last message of the trial came, on the monotonic clock [s]; 0: none did
 
     def offer(self) -> None:
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
@@ -133,6 +135,7 @@ class RecorderNode(NodeProgram):
     def turn(self) -> None:
         self.executor.spin_once(timeout_sec=self.parameter("drain_period"))
         self._drain()
+        self._end_silent()
         self.diagnose()
 
     def status(self) -> tuple[str, dict[str, object]]:
@@ -171,7 +174,16 @@ class RecorderNode(NodeProgram):
         self._inbox.gather()
         for topic, data in self._inbox.take():
             self._recording.store(topic, data)
+            if topic != topics.DIAGNOSTICS:  # which nodes tell without a trial as well
+                self._heard = time.monotonic()
         self._messages = self._recording.counts.total()
+
+    def _end_silent(self) -> None:
+        """Close the bag of a trial whose nodes are all gone."""
+        recording = self._recording
+        if recording is not None and self._heard and time.monotonic() > self._heard + SILENCE:
+            self.log.warning(f"recorded {recording.bag.path}: ABORTED: nothing came for {SILENCE:g} s")
+            self._abort()
 
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
@@ -191,6 +203,7 @@ class RecorderNode(NodeProgram):
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
             bag.write_raw(topics.ROBOT_DESCRIPTION, 0, serialize_message(String(data=request.robot_description)))
             self._recording = OpenTrial(bag, self._arms, plan)
+            self._heard = 0.0
         except InputError as error:
             self.log.error(f"trial refused: {error}")
             response.message = str(error)

@@ -273,9 +273,10 @@ class TrialSession:
         if not reason:
             last.topics = [topic for answer in answers.values() for topic in answer.topics]
             last.counts = [count for answer in answers.values() for count in answer.counts]
+        # The recorder may wait for late messages; it is given the time to.
+        patience = FINISH if reason else parameters.value(self._node, "finish_timeout")
         try:
-            # The recorder may wait for late messages; it is given the time to.
-            closed = self._call("recorder", self._finish["recorder"], last, FINISH if reason else 10.0)
+            closed = self._call("recorder", self._finish["recorder"], last, patience)
         except TrialError as error:
             return TrialResult("ABORTED", reason or str(error), partial_path(path), progress)
         if reason:
