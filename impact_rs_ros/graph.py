@@ -200,7 +200,7 @@ class Graph:
         ended = handle.get_result_async()
         try:
             answer: RunTrial.Result = self._wait(ended, None, ("experiment", "recorder"), heard).result
-        except NodeHangs:
+        except (NodeHangs, KeyboardInterrupt):  # nobody is left to ask, or all are told to stop
             raise
         except BaseException:
             if self.processes["experiment"].poll() is None:

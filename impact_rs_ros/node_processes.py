@@ -16,7 +16,8 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenario import scenario_path
 
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
-STOP_TIMEOUT = 5.0  # s, for a node to leave in order
+STOP_TIMEOUT = 4.0  # s, for all nodes to leave in order
+CLOSING = 2.5  # s of it, for the experiment node to end its trial
 
 
 class NodeProcesses:
@@ -118,14 +119,15 @@ class NodeProcesses:
     def stop(self) -> None:
         """Stop every node, in order where possible, by force where not."""
         running = {name: process for name, process in self.processes.items() if process.poll() is None}
+        began = time.monotonic()
         # The experiment first: it closes the trial that runs.
         for name in ("experiment", *NODES):
             if name in running:
                 process = running.pop(name)
                 process.terminate()  # SIGTERM: also a node that still imports ends without a word
                 if name == "experiment":
-                    _wait_for(process, time.monotonic() + STOP_TIMEOUT)
-        deadline = time.monotonic() + STOP_TIMEOUT
+                    _wait_for(process, began + CLOSING)
+        deadline = began + STOP_TIMEOUT
         for process in self.processes.values():
             _wait_for(process, deadline)
 
