@@ -22,7 +22,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_sim.version import package_version
 from impact_rs_trials.bags import topics
-from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.bags.reader import TrialBag, told
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.workers import Map
 
@@ -126,15 +126,15 @@ def trial_row(path: Path) -> dict[str, Any] | SkippedBag:
     try:
         bag = TrialBag.open(path)
         impact_times = {f"{arm}_impact_time_s": _or_none(bag.impact_time(arm)) for arm in bag.info.robots}
-    except BagError as error:
-        return SkippedBag(path.name, error.reason)
+    except Exception as error:  # whatever is wrong with one bag, the others are exported
+        return SkippedBag(path.name, told(error))
     net, impact, remark = None, None, ""
     try:
         measured = net_feedback(bag)
         net, impact = measured.net, measured.impact
         remark = "" if impact else "no impact in the window"
-    except BagError as error:
-        remark = error.reason
+    except Exception as error:
+        remark = told(error)
     info = bag.info
     return {
         "trial": path.name,
@@ -210,9 +210,9 @@ def _hdf5(directory: Path, bags: list[Path], target: Path, map_tasks: Map) -> It
             try:
                 _hdf5_trial(file.create_group(name), TrialBag.open(path))
                 yield None
-            except BagError as error:
-                del file[name]
-                yield SkippedBag(path.name, error.reason)
+            except Exception as error:  # as in a table
+                file.pop(name, None)
+                yield SkippedBag(path.name, told(error))
 
 
 def _hdf5_trial(group: Any, bag: TrialBag) -> None:
