@@ -20,6 +20,7 @@ from pydantic import Field
 from impact_rs_sim.effects import Effect, library
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import write_whole
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.schema import Schema, load, parse_yaml, validate
@@ -198,8 +199,4 @@ def save_model(model: Model, path: str | Path) -> None:
     file = Path(path)
     if file.exists():
         raise InputError("this file exists already; model files are never overwritten", file=file)
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(model_text(model), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", file=file) from None
+    write_whole(file, model_text(model))
