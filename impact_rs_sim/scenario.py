@@ -22,6 +22,7 @@ from impact_rs_sim.friction_compensation import FrictionCompensation
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
 from impact_rs_sim.schema import (
+    Name,
     NonNegativeVector,
     PositiveVector,
     PositiveVector3,
@@ -453,7 +454,7 @@ class Uncertainties(Schema):
 class Scenario(Schema):
     """A whole experiment (``config/scenarios/*.yaml``)."""
 
-    name: str = Field(description="name of the scenario")
+    name: Name = Field(description="name of the scenario")
     description: str = Field(description="what happens, in a sentence")
     axis: Literal["x", "y", "z"] = Field(description="axis of the measure")
     object_position: tuple[float, float] | None = Field(
@@ -467,11 +468,11 @@ class Scenario(Schema):
     excursion: Excursion | None = Field(
         None, description="a motion there and back without contact; absent: the pad hits the object"
     )
-    robots: dict[str, Robot] = Field(min_length=1, description="arms by name")
-    objects: dict[str, ObjectSpec] = Field(min_length=1, description="objects by name")
+    robots: dict[Name, Robot] = Field(min_length=1, description="arms by name")
+    objects: dict[Name, ObjectSpec] = Field(min_length=1, description="objects by name")
     support: Support = Field(description="what the object lies on")
     contact: Contact = Field(description="contact between pad and object")
-    cases: dict[str, Case] = Field(min_length=1, description="cases by name")
+    cases: dict[Name, Case] = Field(min_length=1, description="cases by name")
     velocity_scales: PositiveVector = Field(description="post-impact references, as fractions of the prediction [-]")
     trials: Annotated[int, Field(ge=1)] = Field(description="repeats of every scale")
     timing: Timing = Field(description="times")
