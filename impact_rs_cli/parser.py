@@ -67,4 +67,7 @@ class CommandParser(Parser):
         if self._module is not None:
             module, self._module = import_module(self._module), None
             module.add(self)
+        for argument in args or ():
+            if not argument or re.fullmatch(r"--?[\w-]+=", argument):  # a variable of a shell that is not set
+                self.error(f"an argument is empty ({argument!r}): expected a value")
         return super().parse_known_args(args, namespace)

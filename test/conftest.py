@@ -37,7 +37,7 @@ def push_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def rewrite_bag(source: Path, target: Path, keep: Callable[[str], bool]) -> None:
-    """Copy a bag with its metadata, as another program does (no checksums), without the topics that ``keep`` refuses."""
+    """Copy a bag with its metadata, as another program does (no checksums), without topics that ``keep`` refuses."""
     from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
     from impact_rs_trials.bags import checksums

@@ -7,8 +7,8 @@
                      ^ of a chunk's messages             ^ of all before it   ^ of the summary and the footer itself
 
 A bag holds its ``metadata.yaml`` twice, as a file and inside the MCAP file. Sealed, the first says word for word what
-the second says, and so is protected by the same checksums. :func:`check` insists on all of it where a bag says of itself
-that it was sealed; those of earlier versions and of other programs do not say so.
+the second says, and so is protected by the same checksums. :func:`check` insists on all of it where a bag says of
+itself that it was sealed; those of earlier versions and of other programs do not say so.
 """
 
 from __future__ import annotations

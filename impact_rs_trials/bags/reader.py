@@ -201,7 +201,7 @@ class TrialBag:
         return _messages(self.path, self._reader, topic)
 
     def _columns(self, topic: str, of: Callable[[dict[str, Array]], Columns]) -> Columns:
-        """All numbers of a topic by field path, and ``time`` from the header stamps [s], made into columns of a kind."""
+        """All numbers of a topic, and ``time`` from the header stamps [s], as columns of a kind."""
         kind, rows = _raw(self.path, self._reader, topic)
         try:
             return of(columns_of(kind, rows))
