@@ -34,6 +34,8 @@ COMMANDS = {  # name: module of impact_rs_cli.commands, imported when the comman
     "up": ("up", "start the ROS 2 nodes"),
 }
 
+LONGEST_MESSAGE = 2000  # characters of an error; some repeat what they were given
+
 PACKAGES = (  # whose log --debug shows
     "impact_rs_sim",
     "impact_rs_control",
@@ -133,7 +135,7 @@ def _fail(error: BaseException, message: str, code: int, debug: bool) -> int:
     if debug:
         print(full_traceback(error), file=sys.stderr)
     with suppress(OSError):  # a full disk may hold standard error, too
-        print(f"impact-rs: {' '.join(message.split())}", file=sys.stderr)
+        print(f"impact-rs: {shortened(message, LONGEST_MESSAGE)}", file=sys.stderr)
     return code
 
 

@@ -11,6 +11,14 @@ from pathlib import Path
 from impact_rs_sim.errors import InputError
 
 
+def is_file(path: str | Path) -> bool:
+    """Whether there is such a file; a path that is none, because it is too long for example, leads to none."""
+    try:
+        return Path(path).is_file()
+    except (OSError, ValueError):
+        return False
+
+
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
     """Where to write a file, which gets its name when the context ends well; an earlier one is replaced.

@@ -17,7 +17,8 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.errors import InputError, did_you_mean, shortened
+from impact_rs_sim.files import is_file
 from impact_rs_sim.friction_compensation import FrictionCompensation
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
@@ -630,7 +631,8 @@ class Scenario(Schema):
 def _choose(kind: str, name: str, table: dict[str, Item], scenario: str) -> Item:
     if name not in table:
         known = ", ".join(table)
-        raise InputError(f"scenario {scenario!r} has no {kind} {name!r}; it has: {known}{did_you_mean(name, table)}")
+        near = did_you_mean(name, table)
+        raise InputError(f"scenario {scenario!r} has no {kind} {shortened(name)!r}; it has: {known}{near}")
     return table[name]
 
 
@@ -642,10 +644,10 @@ def scenario_path(name: str) -> Path:
     """
     directory = config_directory() / "scenarios"
     path = Path(name) if name.endswith((".yaml", ".yml")) else directory / f"{name}.yaml"
-    if not path.is_file():
+    if not is_file(path):
         known = sorted(file.stem for file in directory.glob("*.yaml"))
         raise InputError(
-            f"no scenario {name!r}; known scenarios: {', '.join(known)}, or give a path to a .yaml file"
+            f"no scenario {shortened(name)!r}; known scenarios: {', '.join(known)}, or give a path to a .yaml file"
             f"{did_you_mean(name, known)}"
         )
     return path
@@ -702,6 +704,6 @@ def load_scenario(name: str) -> Scenario:
     scenario, compensation = _load_cached(path, modified)
     if compensation is None:
         return scenario
-    if not compensation.is_file():
+    if not is_file(compensation):
         raise InputError("no such file", file=path, key="friction_compensation", value=str(compensation))
     return _compensated(path, modified, compensation, compensation.stat().st_mtime_ns)
