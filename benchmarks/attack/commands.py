@@ -15,6 +15,7 @@ import random
 import shutil
 import sys
 import tempfile
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 
@@ -27,7 +28,7 @@ from impact_rs_trials.campaign import make_manifest, run_campaign
 SECONDS = 60.0
 WORDS = (
     *("cat_food", "1", "case_9", "-1", "0", "nan", "1e400", "inf", "9" * 5000, "x" * 5000, "", "a=b", "ä", "=", "k=["),
-    *("control.clamp_force=[[[[", "../..", "\udcff", "\x1b[31m", "--", "-", "@file", "%s", "{}", "null", "--nonsense"),
+    *("control.clamp_force=[[[[", "..", "\udcff", "\x1b[31m", "--", "-", "@file", "%s", "{}", "null", "--nonsense"),
     *("no/such/file.yaml", "s3:/", "memory://nowhere", "nope://x", "file://", "1e-320", "0.5", "2"),
 )
 SHIPPED = ("push", "grab", "excite", "franka_fer", "nominal", "joint_state")
@@ -141,18 +142,32 @@ def listing(folder: Path) -> list[tuple[str, int]]:
     return sorted((str(path), path.lstat().st_size) for path in found)
 
 
+@contextlib.contextmanager
+def apart(folder: Path) -> Iterator[None]:
+    """Stand in an empty folder, with a cache of one's own, on one core: worker processes take seconds to start."""
+    place, cache, cores = os.getcwd(), os.environ.get("XDG_CACHE_HOME"), os.sched_getaffinity(0)
+    os.chdir(folder / "empty")
+    os.environ["XDG_CACHE_HOME"] = str(folder / "out" / "cache")
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        yield
+    finally:
+        os.chdir(place)
+        os.sched_setaffinity(0, cores)
+        os.environ.pop("XDG_CACHE_HOME")
+        if cache is not None:
+            os.environ["XDG_CACHE_HOME"] = cache
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run the campaign."""
     options = arguments(__doc__, 2_000).parse_args(argv)
     chance, referee = random.Random(options.seed), Referee(("done", "not done", "refused"))
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
         folder = Path(name)
         files = things(folder)
-        before, place = listing(folder), os.getcwd()
-        os.chdir(folder / "empty")
-        os.environ["XDG_CACHE_HOME"] = str(folder / "out" / "cache")
-        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # one core: no worker processes, which take seconds
-        known = shapes()
+        before, known = listing(folder), shapes()
+        stack.enter_context(apart(folder))
 
         def attack(words: list[str]) -> str:
             told, err = io.StringIO(), io.StringIO()
@@ -175,7 +190,6 @@ def main(argv: list[str] | None = None) -> int:
                     referee.judge(f"{words} wrote {path}", lambda: "written elsewhere", SECONDS)
             before = found
             shutil.rmtree(folder / "out", ignore_errors=True)
-        os.chdir(place)
     return referee.end()
 
 
