@@ -56,13 +56,6 @@ class Link(Schema):
         description="ixx, ixy, ixz, iyy, iyz, izz about the centre of mass [kg m^2]"
     )
 
-    @model_validator(mode="after")
-    def _inertia_of_a_body(self) -> Self:
-        least = float(np.linalg.eigvalsh(self.inertia_matrix)[0])
-        if least < 0.0:
-            raise ValueError(f"inertia has the principal moment {least:.3g}, expected none below 0 [kg m^2]")
-        return self
-
     @property
     def inertia_matrix(self) -> Array:
         """Inertia about the centre of mass, ``(3, 3)`` [kg m^2]."""
@@ -77,15 +70,6 @@ class Limits(Schema):
     position_max_rad: Vector = Field(description="upper joint position limits [rad]")
     velocity_rad_s: PositiveVector = Field(description="joint velocity limits [rad/s]")
     torque_Nm: PositiveVector = Field(description="joint torque limits [N m]")
-
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        for number, (low, high) in enumerate(zip(self.position_min_rad, self.position_max_rad, strict=False), start=1):
-            if low >= high:
-                raise ValueError(
-                    f"joint {number}: position_min_rad = {low:g} must be below position_max_rad = {high:g}"
-                )
-        return self
 
 
 class SigmoidFriction(Schema):

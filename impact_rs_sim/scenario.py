@@ -186,6 +186,23 @@ class Robot(Schema):
             raise ValueError(f"drive.friction is 'identified', but {self.facts_name} has none in its facts")
         return self
 
+    @model_validator(mode="after")
+    def _facts_of_a_robot_that_can_be(self) -> Self:
+        """``robot check`` reads such facts and tells what is wrong with them; nothing is simulated with them."""
+        for number, link in enumerate(self.robot_facts.links):
+            least = float(np.linalg.eigvalsh(link.inertia_matrix)[0])
+            if least < 0.0:
+                place = f"{self.facts_name}: links.{number}.inertia"
+                raise ValueError(f"{place} has the principal moment {least:.3g}, expected none below 0 [kg m^2]")
+        limits = self.robot_facts.limits
+        for number, (low, high) in enumerate(zip(limits.position_min_rad, limits.position_max_rad, strict=True)):
+            if low >= high:
+                raise ValueError(
+                    f"{self.facts_name}: limits.position_min_rad.{number} = {low:g} must be below position_max_rad = "
+                    f"{high:g} [rad]"
+                )
+        return self
+
     @property
     def robot_facts(self) -> RobotFacts:
         """Kinematics, inertials and limits."""

@@ -194,12 +194,13 @@ def _hdf5(directory: Path, bags: list[Path], target: Path, map_tasks: Map) -> It
     with _Target(target) as raw, raw.failing_in_words(), h5py.File(raw, "w") as file:
         file.attrs["made_by"] = f"impact-rs {package_version()}"
         for path in bags:
-            name = str(path.relative_to(directory))
+            name = path.name if path == directory else str(path.relative_to(directory))
             try:
                 _hdf5_trial(file.create_group(name), TrialBag.open(path))
                 skip = None
             except Exception as error:  # as in a table
-                file.pop(name, None)
+                if name in file:
+                    del file[name]
                 skip = SkippedBag(path.name, told(error))
             if raw.error is not None:
                 break

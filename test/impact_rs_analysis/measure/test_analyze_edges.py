@@ -66,3 +66,11 @@ def test_bags_without_checksums_are_named_as_such(campaign: Path, unsealed: Path
     shutil.rmtree(unsealed)
     assert analyze_campaign(campaign).unsealed == ()
     assert read_runs(campaign, map).remarks == ()
+
+
+def test_a_single_bag_is_exported_as_a_campaign_of_one(push_campaign: Path, tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    found = export(push_campaign / "cat_food__case_2__s1.000__r0", tmp_path / "one.h5", map, lambda done, total: None)
+    assert found.trials == 1
+    with h5py.File(tmp_path / "one.h5") as file:
+        assert list(file) == ["cat_food__case_2__s1.000__r0"]
