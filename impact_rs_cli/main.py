@@ -7,9 +7,10 @@ import logging
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 from impact_rs_cli.parser import CommandParser, Parser
-from impact_rs_sim.errors import InputError, full_traceback
+from impact_rs_sim.errors import InputError, full_traceback, shortened
 from impact_rs_sim.version import package_version
 
 COMMANDS = {  # name: module of impact_rs_cli.commands, imported when the command is used, and what it does
@@ -32,6 +33,8 @@ COMMANDS = {  # name: module of impact_rs_cli.commands, imported when the comman
     "paper": ("paper", "what a motor-inertia scale explains in the published rows"),
     "up": ("up", "start the ROS 2 nodes"),
 }
+
+LONGEST_MESSAGE = 2000  # characters of an error; some repeat what they were given
 
 PACKAGES = (  # whose log --debug shows
     "impact_rs_sim",
@@ -91,6 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if args.debug:
             _show_log()
         code: int = args.run(args)
+        sys.stdout.flush()  # a full disk is told here, and not when Python has ended
         return code
     except SystemExit as stop:  # --help, or a mistake that has been told
         return int(stop.code or 0)
@@ -102,8 +106,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output has left
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except RecursionError as error:
+        return _fail(error, "something in the input is nested too deeply", 2, args.debug)
+    except MemoryError as error:
+        return _fail(error, "the memory of this machine is not enough for that", 2, args.debug)
+    except OSError as error:
+        return _fail(error, _os_words(error), 2, args.debug)
+    except UnicodeError as error:
+        return _fail(error, f"a text is not as it should be: {shortened(str(error))}", 2, args.debug)
     except RuntimeError as error:  # an impact map without an answer, nodes that do not start
         return _fail(error, str(error), 1, args.debug)
+
+
+def _os_words(error: OSError) -> str:
+    """What the system refused: where, and why."""
+    name = error.filename if isinstance(error.filename, (str, bytes)) else None
+    return f"{'' if name is None else f'{os.fsdecode(name)}: '}{error.strerror or error}"
 
 
 def _show_log() -> None:
@@ -116,7 +134,8 @@ def _show_log() -> None:
 def _fail(error: BaseException, message: str, code: int, debug: bool) -> int:
     if debug:
         print(full_traceback(error), file=sys.stderr)
-    print(f"impact-rs: {' '.join(message.split())}", file=sys.stderr)
+    with suppress(OSError):  # a full disk may hold standard error, too
+        print(f"impact-rs: {shortened(message, LONGEST_MESSAGE)}", file=sys.stderr)
     return code
 
 

@@ -8,7 +8,9 @@ import sys
 from importlib import import_module
 from typing import Any, NoReturn
 
-from impact_rs_sim.errors import did_you_mean
+from impact_rs_sim.errors import did_you_mean, shortened
+
+LONGEST_MESSAGE = 1000  # characters; what the user typed is repeated in it
 
 
 class Parser(argparse.ArgumentParser):
@@ -29,6 +31,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print one line and leave with exit code 2."""
+        message = shortened(message, LONGEST_MESSAGE)
         print(f"{self.prog}: {message}{self._suggestion(message)} (see {self.prog} --help)", file=sys.stderr)
         raise SystemExit(2)
 
@@ -67,4 +70,7 @@ class CommandParser(Parser):
         if self._module is not None:
             module, self._module = import_module(self._module), None
             module.add(self)
+        for argument in args or ():
+            if not argument or re.fullmatch(r"--?[\w-]+=", argument):  # a variable of a shell that is not set
+                self.error(f"an argument is empty ({argument!r}): expected a value")
         return super().parse_known_args(args, namespace)

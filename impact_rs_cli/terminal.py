@@ -16,6 +16,11 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.store import is_bag, is_url
+
+OUTPUTS = ("output", "mcap", "report")  # where commands write, as their parsers call it
+
 Report = Callable[[int, int], None]
 
 PROGRAM = os.environ.get("IMPACT_RS_PROGRAM", "impact-rs")  # how hints spell it: ./run sets "./run impact-rs"
@@ -130,7 +135,28 @@ def declare(parser: argparse.ArgumentParser, run: Command, text: str) -> None:
     parser.set_defaults(run=functools.partial(_with_terminal, run))
 
 
+def check_outputs(args: argparse.Namespace) -> None:
+    """Check that results go neither into a bag nor over what they are made of.
+
+    Raises:
+        InputError: They would.
+    """
+    for name in OUTPUTS:
+        given = getattr(args, name, None)
+        if not isinstance(given, (str, Path)) or is_url(given):
+            continue
+        target = Path(given).resolve()
+        if bag := next((folder for folder in (target, *target.parents) if is_bag(folder)), None):
+            raise InputError(f"lies in the bag {bag}, which nothing is added to; choose another place", file=given)
+        for other, value in vars(args).items():
+            if other in (*OUTPUTS, "scenario") or not isinstance(value, (str, Path)) or not os.path.exists(value):
+                continue  # a scenario is given by its name, and may well be that of a folder
+            if target == Path(value).resolve():
+                raise InputError("is what the results are made of; choose another place for them", file=given)
+
+
 def _with_terminal(run: Command, args: argparse.Namespace) -> int:
+    check_outputs(args)
     terminal = Terminal(args.json, args.debug)
     with terminal.owned_output():
         code = run(args, terminal)

@@ -16,6 +16,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Self
 
+LONGEST_ECHO = 200  # characters of a value that an error repeats
+
 
 class InputError(ValueError):
     """A mistake in what the user gave: a file, a key, a command-line argument or a service request.
@@ -44,7 +46,7 @@ class InputError(ValueError):
         self.value = value
         place = [] if self.file is None else [self.file]
         if key is not None:
-            place.append(f"{key} = {value!r}" if value is not None else key)
+            place.append(shortened(key) + ("" if value is None else f" = {_echo(value)}"))
         super().__init__(": ".join([*place, message]))
 
     def in_file(self, file: str | Path) -> Self:
@@ -62,6 +64,19 @@ class Infeasible(InputError):
 
 class UnreachablePose(Infeasible):
     """A pose of the end effector that no joint positions within the limits reach."""
+
+
+def shortened(text: str, most: int = LONGEST_ECHO) -> str:
+    """Text from outside in one line, with ``...`` in place of what is beyond so many characters."""
+    line = " ".join(text[: 2 * most].split())
+    return line if len(text) <= most else f"{line[: most - 3]}..."
+
+
+def _echo(value: object) -> str:
+    try:
+        return shortened(repr(value))
+    except ValueError:  # a whole number of more digits than Python writes
+        return f"{type(value).__name__} that cannot be shown"
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -20,6 +20,7 @@ from pydantic import Field
 from impact_rs_sim.effects import Effect, library
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import is_file, write_whole
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.schema import Schema, load, parse_yaml, validate
@@ -168,9 +169,9 @@ def load_model(path: str | Path) -> Model:
         InputError: The file is missing, breaks the schema, or fails :func:`check_model`.
     """
     file = Path(path)
-    if not file.exists():
+    if not is_file(file):
         shipped = config_directory() / "models" / (file.name if file.suffix else f"{file.name}.yaml")
-        if shipped.exists() and (file.suffix == "" or file.parent in (Path("."), Path("config/models"))):
+        if is_file(shipped) and (file.suffix == "" or file.parent in (Path("."), Path("config/models"))):
             file = shipped
     return check_model(load(Model, file), file)
 
@@ -198,8 +199,4 @@ def save_model(model: Model, path: str | Path) -> None:
     file = Path(path)
     if file.exists():
         raise InputError("this file exists already; model files are never overwritten", file=file)
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(model_text(model), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", file=file) from None
+    write_whole(file, model_text(model))

@@ -12,7 +12,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, shortened
+from impact_rs_sim.files import is_file
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.schema import NonNegativeVector, PositiveVector, Schema, Vector, Vector3, load
 
@@ -133,9 +134,9 @@ def load_facts(name: str) -> RobotFacts:
     """
     directory = config_directory() / "robots"
     path = Path(name) if name.endswith(".yaml") else directory / f"{name}.yaml"
-    if not path.is_file():
+    if not is_file(path):
         known = ", ".join(sorted(file.stem for file in directory.glob("*.yaml")))
-        raise InputError(f"no robot {name!r}; known robots: {known}")
+        raise InputError(f"no robot {shortened(name)!r}; known robots: {known}")
     return load(RobotFacts, path)
 
 

@@ -17,11 +17,13 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.errors import InputError, did_you_mean, shortened
+from impact_rs_sim.files import is_file
 from impact_rs_sim.friction_compensation import FrictionCompensation
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
 from impact_rs_sim.schema import (
+    Name,
     NonNegativeVector,
     PositiveVector,
     PositiveVector3,
@@ -182,6 +184,23 @@ class Robot(Schema):
             raise ValueError(f"{self.facts_name} has no torque loop that could shape its inertia: drive.type: rigid")
         if self.drive.friction == "identified" and self.robot_facts.friction is None:
             raise ValueError(f"drive.friction is 'identified', but {self.facts_name} has none in its facts")
+        return self
+
+    @model_validator(mode="after")
+    def _facts_of_a_robot_that_can_be(self) -> Self:
+        """``robot check`` reads such facts and tells what is wrong with them; nothing is simulated with them."""
+        for number, link in enumerate(self.robot_facts.links):
+            least = float(np.linalg.eigvalsh(link.inertia_matrix)[0])
+            if least < 0.0:
+                place = f"{self.facts_name}: links.{number}.inertia"
+                raise ValueError(f"{place} has the principal moment {least:.3g}, expected none below 0 [kg m^2]")
+        limits = self.robot_facts.limits
+        for number, (low, high) in enumerate(zip(limits.position_min_rad, limits.position_max_rad, strict=True)):
+            if low >= high:
+                raise ValueError(
+                    f"{self.facts_name}: limits.position_min_rad.{number} = {low:g} must be below position_max_rad = "
+                    f"{high:g} [rad]"
+                )
         return self
 
     @property
@@ -453,7 +472,7 @@ class Uncertainties(Schema):
 class Scenario(Schema):
     """A whole experiment (``config/scenarios/*.yaml``)."""
 
-    name: str = Field(description="name of the scenario")
+    name: Name = Field(description="name of the scenario")
     description: str = Field(description="what happens, in a sentence")
     axis: Literal["x", "y", "z"] = Field(description="axis of the measure")
     object_position: tuple[float, float] | None = Field(
@@ -467,11 +486,11 @@ class Scenario(Schema):
     excursion: Excursion | None = Field(
         None, description="a motion there and back without contact; absent: the pad hits the object"
     )
-    robots: dict[str, Robot] = Field(min_length=1, description="arms by name")
-    objects: dict[str, ObjectSpec] = Field(min_length=1, description="objects by name")
+    robots: dict[Name, Robot] = Field(min_length=1, description="arms by name")
+    objects: dict[Name, ObjectSpec] = Field(min_length=1, description="objects by name")
     support: Support = Field(description="what the object lies on")
     contact: Contact = Field(description="contact between pad and object")
-    cases: dict[str, Case] = Field(min_length=1, description="cases by name")
+    cases: dict[Name, Case] = Field(min_length=1, description="cases by name")
     velocity_scales: PositiveVector = Field(description="post-impact references, as fractions of the prediction [-]")
     trials: Annotated[int, Field(ge=1)] = Field(description="repeats of every scale")
     timing: Timing = Field(description="times")
@@ -629,7 +648,8 @@ class Scenario(Schema):
 def _choose(kind: str, name: str, table: dict[str, Item], scenario: str) -> Item:
     if name not in table:
         known = ", ".join(table)
-        raise InputError(f"scenario {scenario!r} has no {kind} {name!r}; it has: {known}{did_you_mean(name, table)}")
+        near = did_you_mean(name, table)
+        raise InputError(f"scenario {scenario!r} has no {kind} {shortened(name)!r}; it has: {known}{near}")
     return table[name]
 
 
@@ -641,10 +661,10 @@ def scenario_path(name: str) -> Path:
     """
     directory = config_directory() / "scenarios"
     path = Path(name) if name.endswith((".yaml", ".yml")) else directory / f"{name}.yaml"
-    if not path.is_file():
+    if not is_file(path):
         known = sorted(file.stem for file in directory.glob("*.yaml"))
         raise InputError(
-            f"no scenario {name!r}; known scenarios: {', '.join(known)}, or give a path to a .yaml file"
+            f"no scenario {shortened(name)!r}; known scenarios: {', '.join(known)}, or give a path to a .yaml file"
             f"{did_you_mean(name, known)}"
         )
     return path
@@ -701,6 +721,6 @@ def load_scenario(name: str) -> Scenario:
     scenario, compensation = _load_cached(path, modified)
     if compensation is None:
         return scenario
-    if not compensation.is_file():
+    if not is_file(compensation):
         raise InputError("no such file", file=path, key="friction_compensation", value=str(compensation))
     return _compensated(path, modified, compensation, compensation.stat().st_mtime_ns)

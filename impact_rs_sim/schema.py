@@ -6,6 +6,7 @@ can say what was expected, and in which unit.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from difflib import get_close_matches
 from pathlib import Path
@@ -14,9 +15,9 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 import yaml
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError, ValidationInfo
 
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, shortened
 
 
 class Schema(BaseModel):
@@ -41,6 +42,18 @@ def _check(test: Callable[[float], bool], expected: str) -> AfterValidator:
     return AfterValidator(validate)
 
 
+def _check_name(value: str, info: ValidationInfo) -> str:
+    if info.context == RECORDED:
+        # Bags of 0.1.0 may have names with spaces; one that leads out of a folder has never been a name.
+        if value.startswith(".") or any(sign in value for sign in "/\\\0"):
+            raise ValueError("expected a name, not a path")
+    elif re.fullmatch(r"[A-Za-z0-9_-]{1,100}", value) is None:
+        raise ValueError("expected a name of letters, digits, _ and -, 100 at most: it becomes the name of folders")
+    return value
+
+
+RECORDED = "recorded"  # context in which what was recorded by an earlier version is validated
+Name = Annotated[str, AfterValidator(_check_name)]
 Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_as_tuple)]
 Vector = Annotated[tuple[float, ...], BeforeValidator(_as_tuple)]
 PositiveVector = Annotated[Vector, _check(lambda value: value > 0.0, "> 0")]
@@ -48,41 +61,112 @@ NonNegativeVector = Annotated[Vector, _check(lambda value: value >= 0.0, ">= 0")
 PositiveVector3 = Annotated[Vector3, _check(lambda value: value > 0.0, "> 0")]
 
 
-def _unique_key_loader() -> type[yaml.SafeLoader]:
-    class Loader(yaml.SafeLoader):
-        pass
-
-    def construct_mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
-        mapping: dict[Any, Any] = {}
-        for key_node, value_node in node.value:
-            key = loader.construct_object(key_node, deep=True)
-            if key in mapping:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"the key {key!r} stands here twice", key_node.start_mark
-                )
-            mapping[key] = loader.construct_object(value_node, deep=True)
-        return mapping
-
-    Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, construct_mapping)
-    return Loader
+LARGEST_TEXT = 2_000_000  # characters; a friction compensation, the largest file there is, has 200,000
+MOST_NODES = 200_000
+DEEPEST = 40
+LONGEST_NUMBER = 100  # characters of a number, and of anything else that is no text
+LONGEST_KEY = 200
+_MAPPING, _SEQUENCE = yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, yaml.resolver.BaseResolver.DEFAULT_SEQUENCE_TAG
+_TEXT = yaml.resolver.BaseResolver.DEFAULT_SCALAR_TAG
 
 
-_Loader = _unique_key_loader()
+class _Mistake(Exception):
+    """Something in a YAML text that no file of ours needs, at a node."""
+
+    def __init__(self, message: str, mark: yaml.Mark, path: tuple[str, ...] = ()) -> None:
+        super().__init__(message)
+        self.mark, self.path = mark, path
+
+
+class _Loader(yaml.SafeLoader):
+    """Composes nodes within limits: without references to others a text of n characters never becomes more than n."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._depth = self._nodes = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            raise _Mistake("references (*name) are not understood; write it out", self.peek_event().start_mark)
+        self._depth += 1
+        self._nodes += 1
+        if self._depth > DEEPEST or self._nodes > MOST_NODES:
+            what = f"nested deeper than {DEEPEST}" if self._depth > DEEPEST else f"more than {MOST_NODES} entries"
+            raise _Mistake(what, self.peek_event().start_mark)
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+    def value(self, node: yaml.Node | None, path: tuple[str, ...] = ()) -> Any:
+        """What a node says; ``path`` are the keys that lead to it."""
+        if node is None:
+            return None
+        if isinstance(node, yaml.MappingNode) and node.tag == _MAPPING:
+            mapping: dict[Any, Any] = {}
+            for key_node, value_node in node.value:
+                key = self._key(key_node, path)
+                if key in mapping:
+                    raise _Mistake(f"the key {key!r} stands here twice", key_node.start_mark, path)
+                mapping[key] = self.value(value_node, (*path, str(key)))
+            return mapping
+        if isinstance(node, yaml.SequenceNode) and node.tag == _SEQUENCE:
+            return [self.value(item, (*path, str(number))) for number, item in enumerate(node.value)]
+        kind = node.tag.rpartition(":")[2]
+        if not isinstance(node, yaml.ScalarNode) or node.tag not in self.yaml_constructors:
+            raise _Mistake(f"the type {shortened(kind)!r} is not understood", node.start_mark, path)
+        if node.tag != _TEXT and len(node.value) > LONGEST_NUMBER:
+            found = f"{len(node.value)} characters"
+            raise _Mistake(f"{found}, expected at most {LONGEST_NUMBER} for a {kind}", node.start_mark, path)
+        try:
+            return self.construct_object(node)
+        except (
+            Exception
+        ):  # int('x'), a date that there is not, ...: whatever a constructor makes of what it cannot take
+            raise _Mistake(f"{node.value!r} is no {kind}", node.start_mark, path) from None
+
+    def _key(self, node: yaml.Node, path: tuple[str, ...]) -> Any:
+        if not isinstance(node, yaml.ScalarNode):
+            raise _Mistake("a key must be a word, not a list or a mapping", node.start_mark, path)
+        if len(node.value) > LONGEST_KEY:
+            raise _Mistake(f"a key of {len(node.value)} characters; at most {LONGEST_KEY}", node.start_mark, path)
+        return self.value(node, path)
+
+
+def parse_value(text: str, file: str | Path) -> Any:
+    """Parse YAML of whatever kind, within limits of size and depth; without references, and every key once.
+
+    Args:
+        text: The YAML.
+        file: Only names the place in errors.
+
+    Raises:
+        InputError: The text is not such YAML; the message has line, column and key.
+    """
+    if len(text) > LARGEST_TEXT:
+        raise InputError(f"has {len(text)} characters, expected at most {LARGEST_TEXT}", file=file)
+    try:
+        loader = _Loader(text)
+        return loader.value(loader.get_single_node())
+    except _Mistake as mistake:
+        key, mark = ".".join(mistake.path) or None, mistake.mark
+        place = f" at line {mark.line + 1}, column {mark.column + 1}"
+        raise InputError(f"not valid YAML{place}: {shortened(str(mistake))}", file=file, key=key) from None
+    except yaml.YAMLError as error:
+        found = getattr(error, "problem_mark", None)
+        place = f" at line {found.line + 1}, column {found.column + 1}" if found else ""
+        problem = getattr(error, "problem", None) or str(error)
+        raise InputError(f"not valid YAML{place}: {shortened(problem)}", file=file) from None
+    except Exception as error:  # the library has more of them than it says, for example of a version directive
+        raise InputError(f"not valid YAML: {shortened(f'{type(error).__name__}: {error}')}", file=file) from None
 
 
 def parse_yaml(text: str, file: str | Path) -> dict[str, Any]:
-    """Parse a YAML mapping; a key that stands twice is a mistake, not a silent overwrite.
+    """Parse a YAML mapping; see :func:`parse_value`.
 
     Raises:
         InputError: The text is not YAML or not a mapping.
     """
-    try:
-        data = yaml.load(text, Loader=_Loader)  # noqa: S506  (a SafeLoader subclass)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or str(error)
-        raise InputError(f"not valid YAML{place}: {problem}", file=file) from None
+    data = parse_value(text, file)
     if not isinstance(data, dict):
         raise InputError(f"expected a YAML mapping, found {type(data).__name__}", file=file)
     return data
@@ -104,23 +188,53 @@ def load_mapping(path: str | Path) -> dict[str, Any]:
     Raises:
         InputError: The file is missing, is no YAML, or no mapping.
     """
+    return parse_yaml(read_text(path), path)
+
+
+def read_text(path: str | Path, most: int = LARGEST_TEXT) -> str:
+    """Text of a file of a user.
+
+    Args:
+        path: The file.
+        most: Bytes that it may have.
+
+    Raises:
+        InputError: It cannot be read, is no UTF-8, or is larger.
+    """
     try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read: {error}", file=path) from None
-    return parse_yaml(text, path)
+        with Path(path).open("rb") as file:
+            data = file.read(most + 1)
+        text = data[:most].decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"cannot be read: no UTF-8 text, from byte {error.start} on", file=path) from None
+    except (OSError, ValueError) as error:  # ValueError: a path that is none
+        raise InputError(f"cannot be read: {getattr(error, 'strerror', None) or error}", file=path) from None
+    if len(data) > most:
+        raise InputError(f"is larger than {most} bytes", file=path)
+    return text
 
 
-def validate(schema: type[SchemaType], data: dict[str, Any], file: str | Path) -> SchemaType:
+def validate(
+    schema: type[SchemaType], data: dict[str, Any], file: str | Path, context: str | None = None
+) -> SchemaType:
     """Validate parsed data against ``schema``; ``file`` only names the place in errors.
+
+    Args:
+        schema: What the data should be.
+        data: As :func:`parse_yaml` returns them.
+        file: Where they are from.
+        context: ``RECORDED`` for what an earlier version may have written.
 
     Raises:
         InputError: As :func:`load`; the first mistake is spelled out, the number of others is given.
     """
     try:
-        return schema.model_validate(data)
+        return schema.model_validate(data, context=context)
     except ValidationError as error:
         raise _input_error(schema, error, file) from None
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError) as error:
+        # A check between keys met numbers that it cannot calculate with.
+        raise InputError(shortened(f"cannot be used ({type(error).__name__}: {error})"), file=file) from None
 
 
 def _input_error(schema: type[Schema], error: ValidationError, file: str | Path) -> InputError:
@@ -139,7 +253,7 @@ def _input_error(schema: type[Schema], error: ValidationError, file: str | Path)
         meaning = ""
     else:
         message = first["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
-        message = message.replace("Input should be", "expected").replace("Field required", "missing")
+        message = shortened(message.replace("Input should be", "expected").replace("Field required", "missing"), 600)
         value = first["input"] if not isinstance(first["input"], dict) else None
     if meaning:
         message += f" ({meaning})"

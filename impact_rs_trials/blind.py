@@ -18,6 +18,7 @@ import numpy as np
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import write_whole
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.unmodelled import OUTSIDE
@@ -285,7 +286,7 @@ def make(
         raise InputError("this folder holds another blind campaign; choose another folder", file=directory)
     with owned(Folder(directory)):
         (directory / RUNS).mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text)
         for done, _ in enumerate(map_tasks(work, todo), start=1):
             yield done, len(todo)
 

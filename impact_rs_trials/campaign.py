@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import functools
 import logging
+import math
 import shutil
 import socket
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import yaml
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.scenario import load_scenario
@@ -50,6 +52,13 @@ class Manifest(Schema):
     seed: int = Field(ge=0, description="seed of the campaign")
     motor_inertia: str = Field("reduced", description="motor-inertia model of the reference")
     settings: dict[str, Any] = Field({}, description="values that the scenario has instead of its own, by dotted key")
+
+    @model_validator(mode="after")
+    def _every_trial_has_a_bag_of_its_own(self) -> Self:
+        twice = [name for name, count in Counter(key.name for key in self.keys).items() if count > 1]
+        if twice:
+            raise ValueError(f"{len(twice)} bags would hold several trials, the first is {twice[0]}")
+        return self
 
     @property
     def keys(self) -> list[TrialKey]:
@@ -128,28 +137,30 @@ def make_manifest(
 
     Raises:
         InputError: Unknown scenario, object, case or setting, a pose that cannot be reached, a set without friction
-            compensation where the scenario has one, a scale that is not positive, or fewer than one trial.
+            compensation where the scenario has one, a scale that is not positive, fewer than one trial,
+            or two trials of one name.
     """
     scenario = load_scenario(scenario_name).with_settings(settings or {})
     for name in objects or []:
         scenario.object(name)
     for scale in scales or []:
-        if not scale > 0.0:
+        if not 0.0 < scale < math.inf:
             raise InputError(f"velocity scale = {scale!r}: expected a number > 0 [-]")
     if trials is not None and trials < 1:
         raise InputError(f"trials = {trials}: expected at least 1")
     if seed < 0:
         raise InputError(f"seed = {seed}: expected a whole number >= 0")
-    manifest = Manifest(
-        scenario=scenario_name,
-        objects=tuple(dict.fromkeys(objects or scenario.objects)),
-        cases=tuple(dict.fromkeys(scenario.case_name(case) for case in cases or scenario.cases)),
-        velocity_scales=tuple(dict.fromkeys(scales or scenario.velocity_scales)),
-        trials=trials or scenario.trials,
-        seed=seed,
-        motor_inertia="reduced",
-        settings=dict(settings or {}),
-    )
+    content = {
+        "scenario": scenario_name,
+        "objects": tuple(dict.fromkeys(objects or scenario.objects)),
+        "cases": tuple(dict.fromkeys(scenario.case_name(case) for case in cases or scenario.cases)),
+        "velocity_scales": tuple(dict.fromkeys(scales or scenario.velocity_scales)),
+        "trials": trials or scenario.trials,
+        "seed": seed,
+        "motor_inertia": "reduced",
+        "settings": dict(settings or {}),
+    }
+    manifest = validate(Manifest, content, f"campaign of scenario {scenario.name!r}")
     for name in manifest.objects:
         for case in manifest.cases:
             _ = TrialSpec.of(scenario, name, case).scene  # its pose can be reached

@@ -12,6 +12,7 @@ import yaml
 
 from impact_rs_control.friction import identify_arm, sample_period
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import write_whole
 from impact_rs_sim.friction_compensation import ArmFriction, FrictionCompensation
 from impact_rs_sim.model import Model
 from impact_rs_sim.scenario import Scenario, load_scenario, scenario_path
@@ -131,16 +132,12 @@ def write_compensation(compensation: FrictionCompensation, scenario_name: str, p
     text = re.sub(rf"^{KEY}:.*\n?", "", text, flags=re.MULTILINE)
     text = _with_paths_from(path.parent, text, scenario_path(scenario_name).parent)
     try:
-        path.write_text(
-            yaml.safe_dump(compensation.model_dump(mode="json"), sort_keys=False, default_flow_style=None, width=120),
-            encoding="utf-8",
-        )
-        copy.write_text(f"{text.rstrip()}\n\n{yaml.safe_dump({KEY: path.name})}", encoding="utf-8")
+        content = compensation.model_dump(mode="json")
+        write_whole(path, yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120))
+        write_whole(copy, f"{text.rstrip()}\n\n{yaml.safe_dump({KEY: path.name})}")
         load_scenario(str(copy))
-    except (OSError, InputError) as error:
+    except InputError:
         path.unlink(missing_ok=True)
         copy.unlink(missing_ok=True)
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"cannot be written: {error.strerror}", file=path) from None
+        raise
     return copy

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import whole
 from impact_rs_sim.impact_map.measured import solve_measured
 from impact_rs_sim.impact_map.problem import ImpactMapError
 from impact_rs_sim.robot import Array
@@ -75,9 +76,9 @@ def write_answers(table: ImpactTable, answers: Answers, target: Path) -> None:
         **{name: values.tolist() for name, values in zip(_names(table), answers.after.T, strict=True)},
         "message": [answers.messages.get(row.number, "") for row in table.rows],
     }
-    try:
+    with whole(target) as aside:
         if target.suffix == ".csv":
-            with target.open("w", newline="", encoding="utf-8") as file:
+            with aside.open("w", newline="", encoding="utf-8") as file:
                 writer = csv.writer(file)
                 writer.writerow(columns)
                 writer.writerows(zip(*columns.values(), strict=True))
@@ -86,9 +87,7 @@ def write_answers(table: ImpactTable, answers: Answers, target: Path) -> None:
             import pyarrow
             import pyarrow.parquet
 
-            pyarrow.parquet.write_table(pyarrow.table(columns), target)
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", file=target) from None
+            pyarrow.parquet.write_table(pyarrow.table(columns), aside)
 
 
 def _names(table: ImpactTable) -> list[str]:

@@ -19,7 +19,7 @@ from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import Scene
-from impact_rs_sim.schema import validate
+from impact_rs_sim.schema import RECORDED, validate
 
 KEPT = 64  # plans in the memory of a process, about 0.7 MB for each arm; a campaign of the paper has 18 sets
 
@@ -98,9 +98,9 @@ def recorded_scenario(text: str, file: str | Path) -> Scenario:
 def _scenario(text: str) -> Scenario:
     try:
         data = json.loads(text)
-    except json.JSONDecodeError as error:
+    except (RecursionError, ValueError) as error:
         raise InputError(f"the recorded scenario cannot be read: {error}") from None
-    return validate(Scenario, data, "recorded scenario")
+    return validate(Scenario, data, "recorded scenario", RECORDED)
 
 
 @functools.lru_cache(maxsize=KEPT)

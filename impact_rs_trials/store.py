@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import write_whole
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
@@ -28,6 +29,15 @@ LOCK = ".lock"
 def is_url(place: str | Path) -> bool:
     """Whether a place is meant as a URL; ``file://`` is one, too."""
     return "://" in str(place)
+
+
+def is_bag(folder: Path) -> bool:
+    """Whether a folder is a rosbag2 bag, of whomever."""
+    try:
+        with (folder / COMPLETE).open("rb") as file:
+            return b"rosbag2_bagfile_information" in file.read(4096)
+    except OSError:
+        return False
 
 
 class Store(ABC):
@@ -108,13 +118,7 @@ class Folder(Store):
 
     def write(self, name: str, text: str) -> None:
         """Write a file of text."""
-        try:
-            (self.path / name).parent.mkdir(parents=True, exist_ok=True)
-            (self.path / name).write_text(text, encoding="utf-8")
-        except OSError as error:
-            with suppress(OSError):
-                (self.path / name).unlink()
-            raise InputError(f"cannot be written: {error.strerror}", file=self.path / name) from None
+        write_whole(self.path / name, text)
 
     def remove(self, name: str) -> None:
         """Remove a file, and its folder where that is empty then."""

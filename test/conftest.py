@@ -37,15 +37,17 @@ def push_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def rewrite_bag(source: Path, target: Path, keep: Callable[[str], bool]) -> None:
-    """Copy a bag with its metadata, without the topics that ``keep`` refuses."""
+    """Copy a bag with its metadata, as another program does (no checksums), without topics that ``keep`` refuses."""
     from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
+    from impact_rs_trials.bags import checksums
     from impact_rs_trials.bags.types import typestore
 
     with Reader(source) as reader:
         writer = Writer(target, version=9, storage_plugin=StoragePlugin.MCAP)
         for name, value in (reader.storage.metadata.custom or {}).items():
-            writer.set_custom_data(name, value)
+            if name != checksums.NAME:
+                writer.set_custom_data(name, value)
         with writer:
             connections = {
                 c.topic: writer.add_connection(c.topic, c.msgtype, typestore=typestore())

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,9 +15,11 @@ from pydantic import Field
 
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_sim.effects.formula import FormulaSpec
-from impact_rs_sim.errors import InputError
-from impact_rs_sim.schema import Schema, validate
+from impact_rs_sim.errors import InputError, shortened
+from impact_rs_sim.files import write_whole
+from impact_rs_sim.schema import Schema, read_text, validate
 
+LARGEST = 50_000_000  # bytes; a diagnosis has some ten thousand
 NOTHING = "NOTHING-MISSING"
 NONE = "NONE-EXPLAINS"
 SMALL = "PRESENT-BUT-SMALL"
@@ -245,16 +246,7 @@ def write_document(document: DiagnosisDocument, path: Path) -> None:
     Raises:
         InputError: It cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(
-            json.dumps(document.model_dump(mode="json"), indent=2, allow_nan=False) + "\n", encoding="utf-8"
-        )
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise InputError(f"cannot be written: {error.strerror}", file=path) from None
+    write_whole(path, json.dumps(document.model_dump(mode="json"), indent=2, allow_nan=False) + "\n")
 
 
 def read_document(path: Path) -> DiagnosisDocument:
@@ -264,11 +256,13 @@ def read_document(path: Path) -> DiagnosisDocument:
         InputError: It is missing or no diagnosis.
     """
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read: {error}", file=path) from None
+        data = json.loads(read_text(path, LARGEST))
     except json.JSONDecodeError as error:
         raise InputError(f"not valid JSON at line {error.lineno}: {error.msg}", file=path) from None
+    except (RecursionError, ValueError) as error:  # nested without end, or a number of thousands of digits
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"not a diagnosis: {shortened(str(error))}", file=path) from None
     if not isinstance(data, dict):
         raise InputError("no diagnosis", file=path)
     if "format" not in data:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -144,7 +145,7 @@ def _object(window: Signals) -> tuple[Array, Array]:
 
 def aligned_name(condition: str) -> str:
     """Folder name of the aligned bag of a condition."""
-    return condition.replace("/", "__")
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", condition.replace("/", "__"))
 
 
 def check_free(runs: Runs, directory: Path) -> None:

@@ -11,7 +11,8 @@ from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_analysis.evidence.measured import MeasuredRun
 from impact_rs_analysis.evidence.run import run_of_trial
 from impact_rs_sim.errors import InputError
-from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.bags.checksums import says_so, unsealed_words
+from impact_rs_trials.bags.reader import BagError, TrialBag, told
 from impact_rs_trials.workers import Map
 
 LARGEST_LOSS = 0.5  # share of the windows of free motion that all runs give up for gaps in some of them
@@ -99,8 +100,8 @@ def read_trial(path: Path) -> MeasuredRun | tuple[str, str]:
         if bag.outcome not in ("OK", "DROPPED", "EARLY"):
             return str(path), f"{bag.outcome}: {bag.reason}"
         return MeasuredRun.of(run_of_trial(bag))
-    except (BagError, InputError, ValueError, IndexError) as error:
-        return str(path), str(error)
+    except Exception as error:  # whatever is wrong with one bag, the others are read
+        return str(path), told(error)
 
 
 def read_runs(directory: Path, map_tasks: Map) -> Runs:
@@ -109,7 +110,11 @@ def read_runs(directory: Path, map_tasks: Map) -> Runs:
     Raises:
         InputError: The folder does not exist or holds no usable trial.
     """
-    return Runs.of(directory, map_tasks(read_trial, find_bags(directory)))
+    bags = find_bags(directory)
+    found = Runs.of(directory, map_tasks(read_trial, bags))
+    skipped = {path for path, _ in found.skipped}
+    remark = unsealed_words(sum(not says_so(bag) for bag in bags if str(bag) not in skipped))
+    return replace(found, remarks=(remark,)) if remark else found
 
 
 def runs_digest(directory: Path) -> str:
@@ -118,7 +123,7 @@ def runs_digest(directory: Path) -> str:
     for path in find_bags(directory):
         try:
             info = TrialBag.open(path).info
-        except BagError:
+        except BagError:  # and so not one of the trials
             continue
         scenario = hashlib.sha256(info.scenario_json.encode()).hexdigest()
         rows.append(f"{path.name} {scenario} {info.seed}")

@@ -22,10 +22,10 @@ from impact_rs_analysis.measure.predictions import predict, prediction_interval
 from impact_rs_analysis.measure.published import PaperRow, published
 from impact_rs_analysis.measure.sensitivity import Sensitivity, sensitivity_of
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import CONTACTS
+from impact_rs_sim.impact_map import CONTACTS, ImpactMapError
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.schema import load
-from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.bags.reader import TrialBag, told
 from impact_rs_trials.campaign import MANIFEST, Manifest
 from impact_rs_trials.sensitivity import varied_folders
 from impact_rs_trials.spec import recorded_scenario
@@ -145,7 +145,7 @@ class ExperimentSet:
 
 @dataclass(frozen=True)
 class Incomplete:
-    """A set that determines no estimate yet.
+    """A set that determines no estimate, or not yet.
 
     Attributes:
         scenario: Name of the scenario.
@@ -176,6 +176,7 @@ class Analysis:
         limited: Trials in which a joint was at its torque limit in the window, with its name and for how long [s]; they
             stay in the fit.
         sensitivity: How far the estimates move with settings; empty where none was varied.
+        unsealed: Bags that carry no checksums, and so may have changed unnoticed.
     """
 
     directory: Path
@@ -187,6 +188,7 @@ class Analysis:
     apart: tuple[tuple[str, float], ...] = ()
     limited: tuple[tuple[str, str, float], ...] = ()
     sensitivity: Sensitivity = Sensitivity()
+    unsealed: tuple[str, ...] = ()
 
     @property
     def jumps(self) -> list[Jump]:
@@ -245,6 +247,7 @@ class Analysis:
             "far": [vars(jump) | {"mismatch": jump.mismatch} for jump in far_jumps(self.jumps)],
             "incomplete": [vars(entry) for entry in self.incomplete],
             "skipped": [vars(entry) for entry in self.skipped],
+            "unsealed": list(self.unsealed),
             "missing": list(self.missing),
             "no_impact": list(self.no_impact),
             "limited": [{"trial": name, "joint": joint, "time_s": time} for name, joint, time in self.limited],
@@ -284,7 +287,6 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
 
     Raises:
         InputError: No such folder, or none of its bags is a trial that can be used.
-        ImpactMapError: The impact map of a recorded scenario has no answer.
     """
     if not directory.is_dir():
         raise InputError("no such folder", file=directory)
@@ -297,6 +299,7 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
     varied = {key: find_bags(directory / folder) for key, folder in folders.items()}
     total = len(bags) + sum(map(len, varied.values()))
     skipped: list[SkippedBag] = []
+    unsealed: list[str] = []
     count = 0
 
     def read(paths: Sequence[Path], prefix: str = "") -> list[TrialFeedback]:
@@ -304,9 +307,12 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
         found = []
         for path in paths:
             try:
-                found.append(net_feedback(TrialBag.open(path)))
-            except BagError as error:
-                skipped.append(SkippedBag(f"{prefix}{path.name}", error.reason))
+                bag = TrialBag.open(path)
+                found.append(net_feedback(bag))
+                if not bag.sealed:
+                    unsealed.append(f"{prefix}{path.name}")
+            except Exception as error:  # whatever is wrong with one bag, the others are analysed
+                skipped.append(SkippedBag(f"{prefix}{path.name}", told(error)))
             count += 1
             if progress is not None:
                 progress(count, total)
@@ -328,13 +334,14 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
     for key, trials in groups.items():
         try:
             sets.append(_evaluate(directory, [trial for trial in trials if trial.impact], trials[0]))
-        except FitError as error:
+        except (FitError, InputError, ImpactMapError) as error:
             incomplete.append(Incomplete(*key, str(error)))
     return Analysis(
         directory=directory,
         sets=tuple(_in_order(sets, measured)),
         incomplete=tuple(incomplete),
         skipped=tuple(skipped),
+        unsealed=tuple(unsealed),
         missing=tuple(missing),
         no_impact=tuple(trial.name for trial in measured if not trial.impact),
         apart=tuple((trial.name, trial.spread) for trial in measured if trial.impact and trial.spread > LARGEST_SPREAD),

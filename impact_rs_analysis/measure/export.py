@@ -7,8 +7,8 @@ datasets have it as their attribute ``units``.
 from __future__ import annotations
 
 import importlib
+import io
 import math
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,10 +19,11 @@ from impact_rs_analysis.evidence.runs import find_bags
 from impact_rs_analysis.measure.analyze import SkippedBag
 from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import whole
 from impact_rs_sim.robot import Array
 from impact_rs_sim.version import package_version
 from impact_rs_trials.bags import topics
-from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.bags.reader import TrialBag, told
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.workers import Map
 
@@ -91,7 +92,7 @@ def export(directory: Path, path: Path, map_tasks: Map, progress: Callable[[int,
     bags = find_bags(directory)
     trials, skipped = 0, []
     write = _parquet if path.suffix == ".parquet" else _hdf5
-    with _complete_or_gone(path) as partial:
+    with whole(path) as partial:
         for number, skip in enumerate(write(directory, bags, partial, map_tasks), start=1):
             if skip is None:
                 trials += 1
@@ -104,19 +105,6 @@ def export(directory: Path, path: Path, map_tasks: Map, progress: Callable[[int,
     return Exported(trials, tuple(skipped))
 
 
-@contextmanager
-def _complete_or_gone(path: Path) -> Iterator[Path]:
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield partial
-        os.replace(partial, path)
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", file=path) from None
-    finally:
-        partial.unlink(missing_ok=True)
-
-
 def trial_row(path: Path) -> dict[str, Any] | SkippedBag:
     """One trial in one row: what was run, how it ended and what was measured; or why it cannot be read.
 
@@ -126,15 +114,15 @@ def trial_row(path: Path) -> dict[str, Any] | SkippedBag:
     try:
         bag = TrialBag.open(path)
         impact_times = {f"{arm}_impact_time_s": _or_none(bag.impact_time(arm)) for arm in bag.info.robots}
-    except BagError as error:
-        return SkippedBag(path.name, error.reason)
+    except Exception as error:  # whatever is wrong with one bag, the others are exported
+        return SkippedBag(path.name, told(error))
     net, impact, remark = None, None, ""
     try:
         measured = net_feedback(bag)
         net, impact = measured.net, measured.impact
         remark = "" if impact else "no impact in the window"
-    except BagError as error:
-        remark = error.reason
+    except Exception as error:
+        remark = told(error)
     info = bag.info
     return {
         "trial": path.name,
@@ -203,16 +191,62 @@ def _hdf5(directory: Path, bags: list[Path], target: Path, map_tasks: Map) -> It
     import h5py
 
     del map_tasks
-    with h5py.File(target, "w") as file:
+    with _Target(target) as raw, raw.failing_in_words(), h5py.File(raw, "w") as file:
         file.attrs["made_by"] = f"impact-rs {package_version()}"
         for path in bags:
-            name = str(path.relative_to(directory))
+            name = path.name if path == directory else str(path.relative_to(directory))
             try:
                 _hdf5_trial(file.create_group(name), TrialBag.open(path))
-                yield None
-            except BagError as error:
-                del file[name]
-                yield SkippedBag(path.name, error.reason)
+                skip = None
+            except Exception as error:  # as in a table
+                if name in file:
+                    del file[name]
+                skip = SkippedBag(path.name, told(error))
+            if raw.error is not None:
+                break
+            yield skip
+
+
+class _Target(io.FileIO):
+    """A file for HDF5, whose library crashes where a write fails: the first error is kept, and nothing written after.
+
+    Attributes:
+        error: Why nothing more is written; None: all is well.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "w+")
+        self.error: OSError | None = None
+
+    @contextmanager
+    def failing_in_words(self) -> Iterator[None]:
+        """Raise the first error of a write where the context ends, in place of what the library makes of it."""
+        try:
+            yield
+        except Exception:
+            if self.error is None:
+                raise
+        if self.error is not None:
+            raise self.error
+
+    def write(self, data: Any) -> int:
+        """Write all of it, or keep why not."""
+        size = memoryview(data).nbytes
+        left = memoryview(data).cast("B")
+        try:
+            while left and self.error is None:
+                left = left[super().write(left) :]
+        except OSError as error:
+            self.error = error
+        return size
+
+    def truncate(self, size: int | None = None) -> int:
+        """Change the length, or keep why not."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.error = self.error or error
+            return size or 0
 
 
 def _hdf5_trial(group: Any, bag: TrialBag) -> None:

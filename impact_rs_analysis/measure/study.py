@@ -37,7 +37,6 @@ def analyze_study(directory: Path, progress: Callable[[int, int], None] | None =
 
     Raises:
         InputError: A campaign has no readable trial.
-        ImpactMapError: The impact map of a recorded scenario has no answer.
     """
     parts = {name: analyze_campaign(directory / name, progress) for name in SCENARIOS}
     return Analysis(
@@ -49,5 +48,6 @@ def analyze_study(directory: Path, progress: Callable[[int, int], None] | None =
         no_impact=tuple(f"{name}/{trial}" for name, part in parts.items() for trial in part.no_impact),
         apart=tuple((f"{name}/{trial}", spread) for name, part in parts.items() for trial, spread in part.apart),
         limited=tuple((f"{name}/{entry[0]}", *entry[1:]) for name, part in parts.items() for entry in part.limited),
+        unsealed=tuple(f"{name}/{trial}" for name, part in parts.items() for trial in part.unsealed),
         sensitivity=sum((part.sensitivity for part in parts.values()), Sensitivity()),
     )

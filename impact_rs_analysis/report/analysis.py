@@ -15,7 +15,7 @@ from impact_rs_analysis.report.figures import Figure, figures_of
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_analysis.report.png import write_png
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import whole_folder
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def write_analysis_report(
     progress: Callable[[int, int], None] | None = None,
     contact: str = "first",
 ) -> list[Path]:
-    """Write ``report.html``, ``analysis.json`` and a PNG per figure; files of an earlier report are replaced.
+    """Write ``report.html``, ``analysis.json`` and a PNG per figure, all or none; those of an earlier one are replaced.
 
     Args:
         analysis: What to report.
@@ -135,20 +135,14 @@ def write_analysis_report(
     drawn = [figure for _, own in figures for figure in own]
     data = json.dumps(analysis.to_json(), indent=2, allow_nan=False) + "\n"
     page = render("analysis.html.j2", _page(analysis, figures, contact))
-    written = write_files(directory, {"report.html": page, "analysis.json": data})
-    for count in range(len(drawn) + 1):
-        if progress is not None:
-            progress(len(written), 2 + len(drawn))
-        if count < len(drawn):
-            written.append(_png(drawn[count], directory))
-    return written
-
-
-def _png(figure: Figure, directory: Path) -> Path:
-    try:
-        return write_png(figure, directory / f"{figure.name}.png")
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", file=directory) from None
+    with whole_folder(directory) as aside:
+        written = write_files(aside, {"report.html": page, "analysis.json": data})
+        for count in range(len(drawn) + 1):
+            if progress is not None:
+                progress(len(written), 2 + len(drawn))
+            if count < len(drawn):
+                written.append(write_png(drawn[count], aside / f"{drawn[count].name}.png"))
+    return [directory / file.name for file in written]
 
 
 def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure]]], contact: str) -> AnalysisPage:

@@ -5,6 +5,7 @@ Texts are Unicode with HTML's ``<sub>``, which both sides understand or translat
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import Literal
@@ -118,7 +119,8 @@ def figures_of(entry: ExperimentSet, contact: str = "first", band: tuple[float, 
 
 
 def _stem(entry: ExperimentSet) -> str:
-    return f"{entry.scenario}__{entry.object}__{entry.case}"
+    """Name of its figures and of their files; a bag may have been made by anybody, and says any name."""
+    return re.sub(r"[^A-Za-z0-9_-]", "_", f"{entry.scenario}__{entry.object}__{entry.case}")
 
 
 def _colours(count: int) -> list[str]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ from plotly.offline import get_plotlyjs
 
 from impact_rs_analysis.diagnosis.thresholds import LEAST_P
 from impact_rs_analysis.evidence.tracks import TrackSet
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import whole_folder
 from impact_rs_sim.robot import Array
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -60,7 +59,7 @@ def render(template: str, content: Any) -> str:
 
 
 def write_files(directory: Path, files: Mapping[str, str]) -> list[Path]:
-    """Write text files, each at once or not at all; earlier ones are replaced.
+    """Write text files, all at once or none; earlier ones are replaced.
 
     Args:
         directory: Where to; made if it does not exist.
@@ -69,20 +68,10 @@ def write_files(directory: Path, files: Mapping[str, str]) -> list[Path]:
     Raises:
         InputError: They cannot be written.
     """
-    written = []
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
+    with whole_folder(directory) as aside:
         for name, text in files.items():
-            temporary = directory / f".{name}.{os.getpid()}.tmp"
-            try:
-                temporary.write_text(text, encoding="utf-8")
-                temporary.replace(directory / name)
-            finally:
-                temporary.unlink(missing_ok=True)
-            written.append(directory / name)
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", file=directory) from None
-    return written
+            (aside / name).write_text(text, encoding="utf-8")
+    return [directory / name for name in files]
 
 
 def track_data(tracks: Sequence[TrackSet]) -> list[dict[str, Any]]:

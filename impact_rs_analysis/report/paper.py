@@ -13,7 +13,7 @@ from impact_rs_analysis.report.figures import BLACK, BLUE, RED, Curve, Figure, N
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_analysis.report.png import write_png
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import whole_folder
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,7 @@ def write_paper(study: PaperStudy, directory: Path) -> list[Path]:
         rows=tuple(zip(study.results, study.fitted.tolist(), strict=True)),
     )
     data = json.dumps(study.to_json(), indent=2) + "\n"
-    written = write_files(directory, {"paper.html": render("paper.html.j2", page), "paper.json": data})
-    try:
-        return [*written, write_png(figure, directory / f"{figure.name}.png")]
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", file=directory) from None
+    with whole_folder(directory) as aside:
+        written = write_files(aside, {"paper.html": render("paper.html.j2", page), "paper.json": data})
+        written.append(write_png(figure, aside / f"{figure.name}.png"))
+    return [directory / file.name for file in written]

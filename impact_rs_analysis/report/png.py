@@ -56,7 +56,7 @@ def write_png(figure: Figure, path: Path) -> Path:
     handles, labels = axes[0].get_legend_handles_labels()
     columns = 3 if panels > 1 else 2
     canvas.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False, fontsize=8.5)
-    canvas.savefig(path, dpi=150)
+    canvas.savefig(path, dpi=150, format="png")
     return path
 
 

@@ -19,6 +19,7 @@ from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import CONTACTS
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
+from impact_rs_trials.bags.checksums import unsealed_words
 from impact_rs_trials.campaign import MANIFEST
 from impact_rs_trials.store import is_url, local_copy
 
@@ -138,6 +139,8 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
         terminal.say(f"no estimate for {entry.object} {entry.case}: {entry.reason}")
     for bag in analysis.skipped:
         terminal.say(f"skipped {bag.name}: {bag.reason}")
+    if told := unsealed_words(len(analysis.unsealed)):
+        terminal.say(f"note: {told}")
     if analysis.no_impact:
         terminal.say(f"without impact, not in the fit: {', '.join(analysis.no_impact)}")
     for name, spread in analysis.apart:

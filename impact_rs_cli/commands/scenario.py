@@ -9,6 +9,7 @@ from pathlib import Path
 from impact_rs_cli.parser import Parser
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import write_whole
 from impact_rs_sim.robot import load_facts
 from impact_rs_trials.scenario_draft import KINDS, draft
 
@@ -59,7 +60,7 @@ def new(args: argparse.Namespace, terminal: Terminal) -> int:
     with terminal.stages() as report:
         found = draft(name, facts, args.kind, report)
     with output_folder(args.output.parent):
-        args.output.write_text(found.text, encoding="utf-8")
+        write_whole(args.output, found.text)
     terminal.result({"file": str(args.output), "speed_share": found.speed, "poses_simulated": found.tried + 1})
     if found.speed < 1.0:
         terminal.say(f"at {100.0 * found.speed:.0f} % of the shipped speeds, which are too fast for these joints")

@@ -26,9 +26,10 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from impact_rs_sim.effects.base import Effect, Parameter, Values, digest, number
 from impact_rs_sim.errors import InputError
@@ -79,7 +80,7 @@ def parse(text: str, symbols: set[str]) -> Expression:
         return _compile(tree, symbols, text)
     except SyntaxError as error:
         raise InputError(f"formula {text!r} does not parse at column {error.offset}: {error.msg}") from None
-    except (RecursionError, ValueError, MemoryError) as error:
+    except (ArithmeticError, RecursionError, ValueError, MemoryError) as error:  # Arithmetic: 330 digits are no float
         if isinstance(error, InputError):
             raise
         raise InputError(f"formula {text!r} does not parse") from None
@@ -124,6 +125,12 @@ class FormulaParameter(Schema):
     upper: float = Field(description="largest value that makes sense")
     scale: float = Field(gt=0.0, description="a noticeable change")
     meaning: str = Field("", description="what it is")
+
+    @model_validator(mode="after")
+    def _limits_in_order(self) -> Self:
+        if self.lower >= self.upper:
+            raise ValueError(f"lower = {self.lower:g} must be below upper = {self.upper:g} [{self.unit}]")
+        return self
 
 
 class FormulaSpec(Schema):

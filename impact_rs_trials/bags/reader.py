@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from rosbags.rosbag2 import Reader, ReaderError
 
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
-from impact_rs_trials.bags import topics
+from impact_rs_trials.bags import checksums, topics
 from impact_rs_trials.bags.cdr import decode
 from impact_rs_trials.bags.trial_info import OUTCOMES, TrialInfo
 from impact_rs_trials.bags.types import typestore
@@ -27,6 +28,15 @@ class BagError(Exception):
         self.path = path
         self.reason = reason
         super().__init__(f"{path}: {reason}")
+
+
+def told(error: Exception) -> str:
+    """Why one bag cannot be used, in one line, whatever went wrong with it."""
+    if isinstance(error, BagError):
+        return error.reason
+    if isinstance(error, InputError):
+        return str(error)
+    return " ".join(f"damaged ({type(error).__name__}: {str(error)[:200]})".split())
 
 
 @dataclass(frozen=True)
@@ -107,6 +117,9 @@ class PoseColumns:
         return cls(_column(columns, "time"), np.stack(position, axis=-1), np.stack(quaternion, axis=-1))
 
 
+Columns = TypeVar("Columns", JointColumns, ControllerColumns, PoseColumns)
+
+
 class TrialBag:
     """One trial on disk, by :meth:`open`; a topic is read when it is asked for.
 
@@ -115,13 +128,17 @@ class TrialBag:
         reader: Open; the bag closes it.
         info: Identity of the trial.
         metadata: What the recorder noted beside the messages.
+        sealed: Whether it carries checksums, and they are right; bags of 0.1.0 and of other programs carry none.
 
     Attributes:
         counts: Number of messages by topic.
     """
 
-    def __init__(self, path: Path, reader: Reader, info: TrialInfo, metadata: dict[str, str]) -> None:
+    def __init__(
+        self, path: Path, reader: Reader, info: TrialInfo, metadata: dict[str, str], sealed: bool = False
+    ) -> None:
         self.path = path
+        self.sealed = sealed
         self.info = info
         self.metadata = metadata
         self.counts = {connection.topic: connection.msgcount for connection in reader.connections}
@@ -135,20 +152,25 @@ class TrialBag:
         Raises:
             BagError: The folder is no readable bag, or holds no ``/trial_info``.
         """
-        if not path.is_dir():
-            raise BagError(path, "a bare file; a trial is a folder with metadata.yaml")
-        if not (path / "metadata.yaml").is_file():
-            reason = "no metadata.yaml: the recording was cut off" if any(path.iterdir()) else "an empty folder"
-            raise BagError(path, reason)
         with ExitStack() as opened:
             try:
+                if not path.is_dir():
+                    raise BagError(path, "a bare file; a trial is a folder with metadata.yaml")
+                if not (path / "metadata.yaml").is_file():
+                    reason = "no metadata.yaml: the recording was cut off" if any(path.iterdir()) else "an empty folder"
+                    raise BagError(path, reason)
+                sealed = checksums.check(path)
                 reader = opened.enter_context(Reader(path))
-                metadata = dict(reader.storage.metadata.custom or {})
+                metadata = {str(name): str(value) for name, value in (reader.storage.metadata.custom or {}).items()}
+                bag = cls(path, reader, _identity(path, reader), metadata, sealed)
+            except BagError:
+                raise
+            except checksums.ChecksumError as error:
+                raise BagError(path, str(error)) from None
             except (ReaderError, OSError) as error:
                 raise BagError(path, f"not a readable bag ({error})") from None
             except Exception as error:  # a damaged file can fail anywhere inside the library
                 raise BagError(path, f"damaged bag ({type(error).__name__}: {error})") from None
-            bag = cls(path, reader, _identity(path, reader), metadata)
             opened.pop_all()
         return bag
 
@@ -178,25 +200,25 @@ class TrialBag:
         """
         return _messages(self.path, self._reader, topic)
 
-    def _columns(self, topic: str) -> dict[str, Array]:
-        """All numbers of a topic by field path, and ``time`` from the header stamps [s]."""
+    def _columns(self, topic: str, of: Callable[[dict[str, Array]], Columns]) -> Columns:
+        """All numbers of a topic, and ``time`` from the header stamps [s], as columns of a kind."""
         kind, rows = _raw(self.path, self._reader, topic)
         try:
-            return columns_of(kind, rows)
-        except Exception as error:
+            return of(columns_of(kind, rows))
+        except Exception as error:  # damaged, or a topic of another type
             raise BagError(self.path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
 
     def joints(self, topic: str) -> JointColumns:
         """A JointState topic."""
-        return JointColumns.of(self._columns(topic))
+        return self._columns(topic, JointColumns.of)
 
     def controller(self, arm: str) -> ControllerColumns:
         """The ControllerState topic of an arm."""
-        return ControllerColumns.of(self._columns(topics.controller_state(arm)))
+        return self._columns(topics.controller_state(arm), ControllerColumns.of)
 
     def poses(self, topic: str) -> PoseColumns:
         """A PoseStamped topic."""
-        return PoseColumns.of(self._columns(topic))
+        return self._columns(topic, PoseColumns.of)
 
     def impact_time(self, arm: str) -> float:
         """Detected impact time of an arm [s]; NaN where nothing was detected."""
@@ -222,6 +244,8 @@ def _raw(path: Path, reader: Reader, topic: str) -> tuple[str, list[bytes]]:
     except Exception as error:  # a damaged file can fail anywhere inside the library
         raise BagError(path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
     expected = connections[0].msgcount
+    if not isinstance(expected, int):  # as metadata.yaml has it
+        raise BagError(path, f"{topic}: damaged (metadata.yaml counts {expected!r} messages)")
     if len(rows) < expected:
         raise BagError(path, f"{topic}: damaged ({len(rows)} of {expected} messages are left)")
     return connections[0].msgtype, rows

@@ -44,8 +44,11 @@ class TrialKey:
 
     @property
     def name(self) -> str:
-        """Folder name of the trial's bag."""
-        return f"{self.object}__{self.case}__s{self.scale:.3f}__r{self.repeat}"
+        """Folder name of the trial's bag; scales have as many decimals as they need to differ, and at least three."""
+        scale = f"{self.scale:.3f}"
+        if float(scale) != self.scale:
+            scale = repr(float(self.scale))
+        return f"{self.object}__{self.case}__s{scale}__r{self.repeat}"
 
     def seed(self, campaign_seed: int) -> int:
         """Seed of the trial: depends on campaign seed and key alone, not on the order of trials."""

@@ -14,7 +14,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys.store import Typestore
 
 from impact_rs_sim.errors import InputError
-from impact_rs_trials.bags import topics
+from impact_rs_trials.bags import checksums, topics
 from impact_rs_trials.bags.cdr import encode
 from impact_rs_trials.bags.trial_info import Outcome, TrialInfo
 from impact_rs_trials.bags.types import typestore
@@ -154,7 +154,9 @@ class BagWriter:
             self._writer.set_custom_data("outcome", outcome)
             if reason:
                 self._writer.set_custom_data("outcome_reason", reason)
+            self._writer.set_custom_data(checksums.NAME, checksums.KIND)
             self._writer.close()
+            checksums.seal(partial_path(self.path))
         except OSError as error:
             self._discard(error)
             raise

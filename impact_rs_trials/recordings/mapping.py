@@ -15,7 +15,8 @@ from typing import Annotated, Literal, Self, get_args
 import numpy as np
 from pydantic import Field, model_validator
 
-from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.errors import InputError, did_you_mean, shortened
+from impact_rs_sim.files import is_file
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
 from impact_rs_sim.schema import NonNegativeVector, Schema, Vector3, load
@@ -221,7 +222,7 @@ def load_mapping(name: str | Path) -> Mapping:
     path = Path(name)
     if path.suffix not in (".yaml", ".yml"):
         path = config_directory() / "mappings" / f"{name}.yaml"
-        if not path.is_file():
-            known = mapping_names()
-            raise InputError(f"no mapping {str(name)!r}{did_you_mean(str(name), known)}; known: {', '.join(known)}")
+        if not is_file(path):
+            known, given = mapping_names(), shortened(str(name))
+            raise InputError(f"no mapping {given!r}{did_you_mean(given, known)}; known: {', '.join(known)}")
     return load(Mapping, path)

@@ -1,6 +1,7 @@
 """What a user reads after a slip of the pen in a scenario file."""
 
 import copy
+import re
 import shutil
 from pathlib import Path
 
@@ -198,3 +199,20 @@ def test_a_robot_file_that_is_not_there_or_wrong_is_told_by_its_own_name(tmp_pat
 
 def test_a_robot_by_name_is_written_by_its_name() -> None:
     assert load_scenario("push").model_dump()["robots"]["arm"]["facts"] == "franka_fer"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("0.012516", "-0.012516", "links.6.inertia has the principal moment -0.0126"),
+        ("position_min_rad: [-2.8973", "position_min_rad: [2.9", "position_min_rad.0 = 2.9 must be below"),
+    ],
+)
+def test_a_robot_that_cannot_be_is_refused_before_it_moves(tmp_path: Path, old: str, new: str, told: str) -> None:
+    facts = (config_directory() / "robots" / "franka_fer.yaml").read_text(encoding="utf-8")
+    assert old in facts
+    (tmp_path / "robot.yaml").write_text(facts.replace(old, new), encoding="utf-8")
+    push = (config_directory() / "scenarios" / "push.yaml").read_text(encoding="utf-8")
+    (tmp_path / "mine.yaml").write_text(push.replace("facts: franka_fer", "facts: robot.yaml"), encoding="utf-8")
+    with pytest.raises(InputError, match="mine.yaml: robots.arm.*" + re.escape(told)):
+        load_scenario(str(tmp_path / "mine.yaml"))

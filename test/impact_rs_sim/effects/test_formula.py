@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from impact_rs_control.closed_loop import make_plant
 from impact_rs_control.plan import plan_trial
 from impact_rs_sim.effects import library
-from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec, load_formulas, parse
+from impact_rs_sim.effects.formula import FormulaEffect, FormulaParameter, FormulaSpec, load_formulas, parse
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import LoadState, Physics
 from impact_rs_sim.scenario import load_scenario
@@ -144,3 +144,13 @@ def test_file_and_place_are_named(tmp_path):
     )
     with pytest.raises(InputError, match=r"mine\.yaml.*unknown symbol 'vv'"):
         load_formulas(path)
+
+
+def test_a_formula_with_a_number_beyond_any_float_is_refused() -> None:
+    with pytest.raises(InputError, match="does not parse"):
+        FormulaEffect(spec(end_effector_force={"y": f"{'9' * 330} * vy"}))
+
+
+def test_limits_of_a_parameter_are_in_order() -> None:
+    with pytest.raises(ValueError, match="must be below upper"):
+        FormulaParameter(unit="N m", lower=3.0, upper=0.0, scale=0.1)

@@ -1,0 +1,77 @@
+"""Results are written aside and renamed: what has a name is whole, and what was there before stays until then."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from impact_rs_sim.errors import InputError
+
+
+def is_file(path: str | Path) -> bool:
+    """Whether there is such a file; a path that is none, because it is too long for example, leads to none."""
+    try:
+        return Path(path).is_file()
+    except (OSError, ValueError):
+        return False
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """Where to write a file, which gets its name when the context ends well; an earlier one is replaced.
+
+    Args:
+        path: The file; its folder is made.
+
+    Raises:
+        InputError: An ``OSError`` in the context: a full disk, a folder that cannot be written.
+    """
+    aside = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield aside
+        aside.replace(path)
+    except OSError as error:
+        raise _unwritten(path, error) from None
+    finally:
+        with suppress(OSError):
+            aside.unlink(missing_ok=True)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file of text, at once or not at all.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    with whole(path) as aside:
+        aside.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def whole_folder(directory: Path) -> Iterator[Path]:
+    """Where to write files that belong together, which come into their folder when the context ends well.
+
+    Args:
+        directory: Their folder; it is made, and what else is in there stays.
+
+    Raises:
+        InputError: An ``OSError`` in the context.
+    """
+    aside = directory / f".{os.getpid()}.partial"
+    try:
+        aside.mkdir(parents=True, exist_ok=True)
+        yield aside
+        for file in sorted(aside.iterdir()):
+            file.replace(directory / file.name)
+    except OSError as error:
+        raise _unwritten(directory, error) from None
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def _unwritten(path: Path, error: OSError) -> InputError:
+    return InputError(f"cannot be written: {error.strerror or error}", file=path)
