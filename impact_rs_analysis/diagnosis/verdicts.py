@@ -362,7 +362,8 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
     half = fitted.half_widths * candidate.scale
     result = {}
     for index in range(part.start, part.stop):
-        scalar, value = candidate.scalars[index], float(fitted.estimate[index])
+        scalar = candidate.scalars[index]
+        value = round(float(fitted.estimate[index]) / scalar.scale, 9) * scalar.scale  # a bound is met to rounding
         low = max(value - float(half[index]), float(candidate.lower[index]))
         high = min(value + float(half[index]), float(candidate.upper[index]))
         verdict = p = before = after = None

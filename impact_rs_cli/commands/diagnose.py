@@ -255,7 +255,11 @@ def estimates_table(effect: str, parameters: dict[str, EstimateDocument]) -> Tab
     told = any(value.verdict is not None for value in parameters.values())
     if told:
         table.add_column("verdict", overflow="fold")
+    arm = None
     for name, value in parameters.items():
+        if value.arm != arm:
+            table.add_section()
+        arm = value.arm
         interval = "" if value.ci95 is None else f"{number(value.ci95[0])} ... {number(value.ci95[1])}"
         cells = [name, number(value.estimate), interval, value.unit.strip("-")]
         table.add_row(*cells, *([value.verdict or ""] if told else []))
