@@ -16,6 +16,14 @@ SENSITIVITY_TESTS = ("test/impact_rs_analysis/measure/test_sensitivity.py",)
 
 MUTANTS = [
     Mutant(
+        name="net_of_an_arm_of_its_velocity",
+        file="impact_rs_analysis/measure/net_feedback.py",
+        original='zip(columns, signals["feedback"], strict=True)',
+        mutated='zip(columns, signals["velocity"], strict=True)',
+        wrong="The net feedback of one arm is the integral of its velocity.",
+        tests=("test/impact_rs_analysis/measure/test_net_feedback.py",),
+    ),
+    Mutant(
         name="integral_of_the_previous_sample",
         file=FILE,
         original="pieces = signal * np.diff(edges)",
@@ -122,8 +130,8 @@ MUTANTS = [
     Mutant(
         name="dropped_objects_count",
         file=FILE,
-        original='MEASURES = ("OK", "NO-IMPACT", "EARLY")',
-        mutated='MEASURES = ("OK", "NO-IMPACT", "EARLY", "DROPPED")',
+        original="np.mean(list(velocities.values()))",
+        mutated="next(iter(velocities.values()))",
         wrong="A trial that dropped the object enters the fit.",
         tests=TESTS,
     ),
