@@ -1,6 +1,9 @@
 """The two impact-map engines side by side: agreement over random problems, and time per warm call.
 
-python benchmarks/impact_map.py [--problems 300] [--calls 200] [--seed 0]
+python benchmarks/impact_map.py [--robot franka_fr3] [--problems 300] [--calls 200] [--seed 0]
+
+Problems lie about the impact of the scenario ``push``, of another robot about that of its own, as `scenario new` makes
+it.
 """
 
 from __future__ import annotations
@@ -22,8 +25,10 @@ from impact_rs_sim.impact_map import (
 )
 from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.robot import load_facts
+from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.scene import Scene
+from impact_rs_trials.scenario_draft import draft
 
 LIMIT = 0.5  # % of the ante-impact speed
 LAWFUL = 1e-5  # m/s, residual below which an answer obeys the laws
@@ -66,9 +71,13 @@ def reason(bullet: ImpactResult, pinocchio: ImpactResult) -> str:
     return "both obey all laws on the same points: redundant contacts with friction have several solutions"
 
 
-def agreement(problems: int, seed: int) -> None:
+def push_of(robot: str | None) -> Scenario:
+    """The push of a robot in ``config/robots``; None: the shipped one."""
+    return load_scenario("push") if robot is None else draft(robot, load_facts(robot), "push").scenario
+
+
+def agreement(scenario: Scenario, problems: int, seed: int) -> None:
     """Disagreement, residuals, energy and times over random problems."""
-    scenario = load_scenario("push")
     percent, unique, gains, failures = [], [], [], []
     residuals: dict[str, list[float]] = {"bullet": [], "pinocchio": []}
     times: dict[str, list[float]] = {"bullet": [], "pinocchio": []}
@@ -85,8 +94,8 @@ def agreement(problems: int, seed: int) -> None:
             for engine in engines:
                 engine.close()
         bullet, pinocchio = answers
-        state = problem.arms["arm"]
-        speed = float(np.linalg.norm((engines[0].models["arm"].jacobian(state.position) @ state.velocity)[:3]))
+        ((name, state),) = problem.arms.items()
+        speed = float(np.linalg.norm((engines[0].models[name].jacobian(state.position) @ state.velocity)[:3]))
         percent.append(100.0 * difference(bullet, pinocchio) / speed)
         unique.append(uniqueness_of(problem).unique)
         gains.append(kinetic_energy(problem, pinocchio) / kinetic_energy(problem))
@@ -115,9 +124,9 @@ def agreement(problems: int, seed: int) -> None:
         console.print(f"no answer, {failure}")
 
 
-def timing(calls: int) -> None:
-    """Warm calls at the nominal impact of the push scenario."""
-    scene = Scene.resolve(load_scenario("push"), "cat_food", "case_2")
+def timing(scenario: Scenario, calls: int) -> None:
+    """Warm calls at the nominal impact of a push."""
+    scene = Scene.resolve(scenario, "cat_food", "case_2")
     columns = ("nominal push, warm call", "motor inertia", "median, ms", "5 % .. 95 %, ms", "steps", "residual, m/s")
     table = Table(*columns)
     for kind in (BulletEngine, PinocchioEngine):
@@ -133,9 +142,8 @@ def timing(calls: int) -> None:
     console.print(table)
 
 
-def predictions() -> None:
+def predictions(scenario: Scenario) -> None:
     """Velocity after the nominal impact for every object, case and motor inertia."""
-    scenario = load_scenario("push")
     table = Table("v_y+ in m/s, pinocchio (bullet)", "zero", "reduced", "rotor")
     for name in scenario.objects:
         for case in scenario.cases:
@@ -144,7 +152,7 @@ def predictions() -> None:
             cells = []
             for motor in ("zero", "reduced", "rotor"):
                 problem = ImpactProblem.at_nominal_impact(scene, motor)
-                first, second = (float(e.solve(problem).end_effector_twist["arm"][1]) for e in engines)
+                first, second = (float(next(iter(e.solve(problem).end_effector_twist.values()))[1]) for e in engines)
                 cells.append(f"{first:.4f} ({second:.4f})")
             for engine in engines:
                 engine.close()
@@ -155,13 +163,15 @@ def predictions() -> None:
 def main() -> None:
     """Run all parts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--robot", help="a robot of config/robots, by name; default: that of the scenario push")
     parser.add_argument("--problems", type=int, default=300, help="number of random problems")
     parser.add_argument("--calls", type=int, default=200, help="number of timed calls")
     parser.add_argument("--seed", type=int, default=0, help="seed of the random problems")
     options = parser.parse_args()
-    timing(options.calls)
-    predictions()
-    agreement(options.problems, options.seed)
+    scenario = push_of(options.robot)
+    timing(scenario, options.calls)
+    predictions(scenario)
+    agreement(scenario, options.problems, options.seed)
 
 
 if __name__ == "__main__":

@@ -81,6 +81,7 @@ class Measurements:
         mapping: How the recordings were read.
         discrepancy: Of the simulation; None: as measured.
         impacts: Table of impacts; None: trials or recordings.
+        each_arm: Whether arms of one kind have parameters of their own.
     """
 
     def __init__(
@@ -92,8 +93,9 @@ class Measurements:
         mapping: Mapping | None = None,
         discrepancy: Discrepancy | None = None,
         impacts: ImpactTable | None = None,
+        each_arm: bool = False,
     ) -> None:
-        self.impacts = impacts
+        self.impacts, self._each_arm = impacts, each_arm
         self.trials, self.recordings, self.mapping = trials, recordings, mapping
         self._map, self._terminal, self._discrepancy = map_tasks, terminal, discrepancy
         self._stage = lambda *_: None
@@ -116,12 +118,12 @@ class Measurements:
         Raises:
             InputError: With this model nothing is hit, or the model blows up; a recording cannot be used.
         """
-        key = f"{model.digest} {[spec.name for spec in model.formulas]}"
+        key = f"{model.digest} {[spec.name for spec in model.formulas]} {model.arms}"
         if key not in self._sources:
             if self.impacts is not None:
-                source: Source = ImpactTableSource(self.impacts, model)
+                source: Source = ImpactTableSource(self.impacts, model, self._each_arm)
             elif self.trials is not None:
-                source = ReplaySource.of(self.trials, model, self._store, self._discrepancy)
+                source = ReplaySource.of(self.trials, model, self._store, self._discrepancy, self._each_arm)
             else:
                 assert self.mapping is not None
                 source = RecordingSource.of(self.recordings, self.mapping, model)
@@ -148,8 +150,13 @@ class Measurements:
 
 
 @contextmanager
-def measured(args: argparse.Namespace, terminal: Terminal) -> Iterator[Measurements]:
+def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = False) -> Iterator[Measurements]:
     """Read RUNS and tell what was left out; workers go again when the context is left.
+
+    Args:
+        args: Arguments of the command.
+        terminal: Where it is told.
+        each_arm: Whether arms of one kind have parameters of their own.
 
     Raises:
         InputError: There is nothing here that can be used.
@@ -164,7 +171,7 @@ def measured(args: argparse.Namespace, terminal: Terminal) -> Iterator[Measureme
         scenario = None if args.scenario is None else load_scenario(args.scenario)
         table = read_impact_table(args.impacts, scenario)
         with started(args) as map_tasks:
-            yield Measurements(map_tasks, terminal, None, impacts=table)
+            yield Measurements(map_tasks, terminal, None, impacts=table, each_arm=each_arm)
         return
     discrepancy = NO_DISCREPANCY if args.no_discrepancy else None
     path = Path(args.runs)
@@ -173,13 +180,14 @@ def measured(args: argparse.Namespace, terminal: Terminal) -> Iterator[Measureme
             if args.mapping is not None:
                 raise InputError("--mapping beside --experiment: the experiment file names the mapping")
             runs = read_experiment(path, args.experiment, map_tasks, terminal)
-            yield Measurements(map_tasks, terminal, runs, discrepancy=discrepancy)
+            yield Measurements(map_tasks, terminal, runs, discrepancy=discrepancy, each_arm=each_arm)
             return
         if args.mapping is not None or is_foreign(path):
             mapping = load_mapping(args.mapping or DEFAULT_MAPPING)
             yield Measurements(map_tasks, terminal, None, tuple(read_recordings(path, mapping)), mapping)
             return
-        yield Measurements(map_tasks, terminal, read(path, map_tasks, terminal), discrepancy=discrepancy)
+        trials = read(path, map_tasks, terminal)
+        yield Measurements(map_tasks, terminal, trials, discrepancy=discrepancy, each_arm=each_arm)
 
 
 def read_experiment(directory: Path, file: Path, map_tasks: Map, terminal: Terminal) -> Runs:

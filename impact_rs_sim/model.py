@@ -4,7 +4,8 @@ A model is a list of effects with their parameters. Adding an effect writes a ne
 from the nominal model to the present one can be read back (``impact-rs history``).
 
 A file says nothing about the robot. Where an effect has a parameter per joint the file names joints 1 to n, and the
-model fits arms with n joints; without such an effect it fits any arm.
+model fits arms with n joints; without such an effect it fits any arm. Where ``arms`` names arms with parameters of
+their own, an effect of arms may have one set for each (``coulomb_left_joint1``), and fits arms of these names.
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ from __future__ import annotations
 import hashlib
 import re
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import yaml
 from pydantic import Field
 
 from impact_rs_sim.effects import Effect, library
+from impact_rs_sim.effects.each_arm import EachArm, of_each
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import is_file, write_whole
@@ -48,13 +51,27 @@ class Model(Schema):
     parent: str | None = Field(None, description="file of the model this one was made from")
     parent_digest: str | None = Field(None, description="digest of the parent's content when this was made")
     note: str = Field("", description="why it was made")
+    arms: dict[str, Annotated[int, Field(ge=1)]] = Field(
+        {}, description="number of joints of the arms that have parameters of their own; none: arms share them"
+    )
     formulas: tuple[FormulaSpec, ...] = Field((), description="user-defined effects")
     effects: tuple[ModelEffect, ...] = Field((), description="effects that are switched on, in order")
 
     @property
     def known_effects(self) -> dict[str, Effect]:
-        """The library and this model's own formulas, by name."""
+        """The library and this model's own formulas, by name; those of arms for each where arms have their own."""
+        return {name: of_each(effect, self.arms) for name, effect in self._shared_effects.items()}
+
+    @property
+    def _shared_effects(self) -> dict[str, Effect]:
         return {**library(), **{spec.name: FormulaEffect(spec) for spec in self.formulas}}
+
+    def effect_of(self, item: ModelEffect) -> Effect:
+        """The effect of an entry; its parameters belong to one arm each where it names none that arms share."""
+        shared = self._shared_effects[item.name]
+        each = of_each(shared, self.arms)
+        own = {scalar.name for scalar in each.scalars(0)}
+        return each if own & item.parameters.keys() else shared
 
     @property
     def digest(self) -> str:
@@ -66,11 +83,10 @@ class Model(Schema):
         """Nominal physics with every effect of the model; where there is no arm, without those of its joints.
 
         Raises:
-            InputError: The model is for arms with another number of joints.
+            InputError: The model is for arms with another number of joints, or for others than are here.
         """
-        known = self.known_effects
         for item in self.effects:
-            effect = known[item.name]
+            effect = self.effect_of(item)
             count = _joint_count(effect, item)
             if count is not None and not physics.arms:
                 continue
@@ -92,13 +108,16 @@ class Model(Schema):
             parent=parent,
             parent_digest=self.digest,
             note="",
+            arms=self.arms,
             formulas=tuple(own.values()),
             effects=(*kept, item),
         )
 
 
 def _joint_count(effect: Effect, item: ModelEffect) -> int | None:
-    """Largest joint that the parameters of an effect name, 1 where they name none; None: it has none per joint."""
+    """Largest joint that the parameters of an effect name, 1 where they name none; None: arms share none per joint."""
+    if isinstance(effect, EachArm):
+        return None
     names = [re.escape(parameter.name) for parameter in effect.parameters if parameter.per_joint]
     if not names:
         return None
@@ -127,8 +146,9 @@ def check_model(model: Model, file: str | Path) -> Model:
                 key=f"{key}.name",
                 value=item.name,
             )
-        count = _joint_count(known[item.name], item)
-        scalars = {scalar.name: scalar for scalar in known[item.name].scalars(count or 0)}
+        effect = model.effect_of(item)
+        count = _joint_count(effect, item)
+        scalars = {scalar.name: scalar for scalar in effect.scalars(count or 0)}
         for name in item.parameters:
             if name not in scalars:
                 raise InputError(
@@ -139,7 +159,8 @@ def check_model(model: Model, file: str | Path) -> Model:
         for name, scalar in scalars.items():
             place = f"{key}.parameters.{name}"
             if name not in item.parameters:
-                last = f"; joint {count} is here" if scalar.joint is not None and count != scalar.joint + 1 else ""
+                fewer = scalar.joint is not None and count not in (None, scalar.joint + 1)
+                last = f"; joint {count} is here" if fewer else ""
                 raise InputError(f"this key is missing ({scalar.meaning} [{scalar.unit}]){last}", file=file, key=place)
             value = item.parameters[name]
             if value.unit != scalar.unit:

@@ -254,17 +254,24 @@ class Physics:
         )
 
     @property
+    def joints(self) -> tuple[tuple[str, int], ...]:
+        """Names of the arms, each with its number of joints."""
+        return tuple((name, arm.facts.joint_count) for name, arm in self.arms.items())
+
+    @property
     def joint_count(self) -> int:
         """Number of joints of an arm; 0 where there is no arm.
 
         Raises:
             InputError: The arms have unequal numbers of joints.
         """
-        counts = {name: arm.facts.joint_count for name, arm in self.arms.items()}
-        if len(set(counts.values())) > 1:
-            found = ", ".join(f"{name} {count}" for name, count in counts.items())
-            raise InputError(f"arms with one number of joints are expected, found: {found}")
-        return next(iter(counts.values()), 0)
+        counts = {count for _, count in self.joints}
+        if len(counts) > 1:
+            found = ", ".join(f"{name} {count}" for name, count in self.joints)
+            raise InputError(
+                f"arms with one number of joints are expected where they share a parameter per joint, found: {found}"
+            )
+        return next(iter(counts), 0)
 
     def robot_model(self, arm: str) -> RobotModel:
         """Rigid-body model of one arm under these physics."""

@@ -56,7 +56,8 @@ def add_effect(
             file=source,
         )
     formulas = tuple(spec for spec in document.formulas if spec.name == name)
-    effect = model.model_copy(update={"formulas": (*model.formulas, *formulas)}).known_effects.get(name)
+    arms = document.arms or model.arms
+    effect = model.model_copy(update={"formulas": (*model.formulas, *formulas), "arms": arms}).known_effects.get(name)
     joints = len({value.joint for value in found.parameters.values()} - {None})
     scalars = [] if effect is None else effect.scalars(joints)
     nominal = {scalar.name: ParameterValue(estimate=scalar.nominal, unit=scalar.unit) for scalar in scalars}
@@ -70,7 +71,7 @@ def add_effect(
         f"{name}: {found.verdict}; held-out error {before:.3g} -> {after:.3g} {document.error_unit} in "
         f"{document.runs.trials} {document.source}"
     )
-    return check_model(child.model_copy(update={"note": note}), source)
+    return check_model(child.model_copy(update={"note": note, "arms": arms}), source)
 
 
 def _parent_name(model_file: Path, output: Path) -> str:

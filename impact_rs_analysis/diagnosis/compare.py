@@ -30,6 +30,7 @@ from impact_rs_analysis.evidence.cluster import TIMES, Cluster, Source, size_of
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.replays import ReplaySource, clusters_of
+from impact_rs_analysis.measure.arms import ArmDocument, arms_of
 from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import Schema
 
@@ -70,6 +71,7 @@ class SignalLevel(Schema):
     phase: str = Field(description="phase of the motion")
     signal: str = Field(description="what it is")
     index: str = Field("", description="joint, where joints are told one by one")
+    arm: str = Field("", description="arm, where there are several")
     error: float = Field(description="root mean square difference, in the unit")
     mean: float | None = Field(None, description="mean difference, in the unit")
     noise_floor: float = Field(description="what repetition, or noise, alone gives, in the unit")
@@ -131,6 +133,8 @@ class ComparisonDocument(Schema):
     noise_floor: float | None = Field(description="what the score is if only noise is left; null: nothing was repeated")
     levels: dict[str, Level] = Field(description="jump, free_motion and trial; recording; or impacts")
     where: tuple[Cell, ...] = Field(description="places by size")
+    arms: tuple[ArmDocument, ...] = Field((), description="what was measured with; empty: a free body")
+    joints: tuple[SignalLevel, ...] = Field((), description="signals of trials joint by joint, arm after arm")
     not_measured: tuple[str, ...] = Field((), description="what the measurements say nothing of")
     skipped: tuple[LeftOut, ...] = Field((), description="bags that were left out")
     recording: RecordingDocument | None = Field(None, description="what was read of recordings")
@@ -194,6 +198,8 @@ def _of_runs(source: ReplaySource) -> ComparisonDocument:
         noise_floor=source.noise_size(),
         levels=levels,
         where=tuple(_where(clusters)),
+        arms=arms_of(source.worlds),
+        joints=tuple(_signal_levels(clusters, by_joint=True)[0]),
         skipped=tuple(LeftOut(name=path.removeprefix(f"{runs.directory}/"), reason=why) for path, why in runs.skipped),
         discrepancy=discrepancy_of(source),
         remarks=(*source.remarks, *remarks),
@@ -230,24 +236,43 @@ def _jump(entries: Sequence[JumpEntry]) -> Level:
 
 
 def _level(name: str, clusters: Sequence[Cluster], phases: tuple[str, ...]) -> Level:
-    """Root mean square differences of the signals of some phases, over all conditions."""
-    found: dict[tuple[str, str, str], list[tuple[float, float, float, float, float]]] = {}
+    """Root mean square differences of the signals of some phases, over all conditions, arm by arm."""
+    signals, every = _signal_levels(clusters, phases)
+    return Level(what=LEVEL_TEXT[name], times_noise=rounded(root_mean_square(every)), signals=tuple(signals))
+
+
+def _signal_levels(
+    clusters: Sequence[Cluster], phases: tuple[str, ...] = (), by_joint: bool = False
+) -> tuple[list[SignalLevel], list[float]]:
+    """Root mean square differences of signals over all conditions, and every difference over its noise.
+
+    Args:
+        clusters: The conditions.
+        phases: Phases of the signals; none: all.
+        by_joint: Whether they are told joint by joint, without what belongs to no joint.
+    """
+    several = len({feature.arm for item in clusters for feature in item.features if feature.arm}) > 1
+    found: dict[tuple[str, str, str, str, str], list[tuple[float, float, float, float, float]]] = {}
     for item in clusters:
         for feature, mean, sigma, pure, own in zip(
             item.features, item.mean, item.sigma, item.pure, item.discrepancy, strict=True
         ):
-            if feature.phase in phases:
+            joint = feature.index.rsplit(".", 1)[-1]
+            if feature.phase in (phases or (feature.phase,)) and (joint.startswith("joint") or not by_joint):
                 noise = float(np.sqrt(pure**2 / item.count + own**2))
-                key = (feature.phase, feature.signal, feature.unit)
+                arm, joint = feature.arm if several else "", joint if by_joint else ""
+                key = (arm, feature.phase, feature.signal, joint, feature.unit)
                 row = (float(mean * sigma), float(pure * sigma) / item.count**0.5, float(own * sigma), feature.floor)
                 found.setdefault(key, []).append((*row, float(mean) / max(noise, 1e-12) if noise else float(mean)))
     signals = []
-    for (phase, signal, unit), rows in found.items():
+    for (arm, phase, signal, joint, unit), rows in found.items():
         error, noise, own, floor, scaled = (root_mean_square(column) for column in zip(*rows, strict=True))
         signals.append(
             SignalLevel(
                 phase=phase,
                 signal=signal,
+                index=joint,
+                arm=arm,
                 error=rounded(error),
                 noise_floor=rounded(noise),
                 discrepancy=rounded(own),
@@ -256,8 +281,7 @@ def _level(name: str, clusters: Sequence[Cluster], phases: tuple[str, ...]) -> L
                 times_noise=rounded(scaled),
             )
         )
-    every = [row[-1] for rows in found.values() for row in rows]
-    return Level(what=LEVEL_TEXT[name], times_noise=rounded(root_mean_square(every)), signals=tuple(signals))
+    return signals, [row[-1] for rows in found.values() for row in rows]
 
 
 def _where(clusters: Sequence[Cluster]) -> list[Cell]:
@@ -352,6 +376,7 @@ def _of_recordings(source: RecordingSource) -> ComparisonDocument:
         score=rounded(root_mean_square(rest)),
         score_is="root mean square of recorded minus predicted joint torque over all joints and samples",
         score_unit="N m",
+        arms=arms_of(source.worlds),
         noise_floor=rounded(root_mean_square(noise)),
         levels={
             "recording": Level(
@@ -392,6 +417,7 @@ def _of_impacts(source: ImpactTableSource) -> ComparisonDocument:
         noise_floor=None if floor is None else rounded(floor),
         levels={"impacts": _level("impacts", clusters, phases)},
         where=tuple(_where(clusters) if source.repeated else _where_of_blocks(clusters)),
+        arms=arms_of(source.worlds),
         not_measured=("motion before and after", "torques", "forces"),
         remarks=tuple(source.remarks),
     )

@@ -133,6 +133,7 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
         recording=RecordingDocument(**asdict(source.facts)) if isinstance(source, RecordingSource) else None,
         remarks=tuple(remarks),
         formulas=source.model.formulas,
+        arms=source.model.arms,
     )
     return document.model_copy(update={"summary": summary_of(document)})
 
@@ -199,6 +200,12 @@ def _remarks(found: Findings, source: Source) -> list[str]:
     if source.repeated and source.of_motion and all(item.contact for item in source.clusters):
         remarks.append(
             "no free motion there and back was measured: friction, torque offset and torque gain look alike in a push"
+        )
+    together = max((tuple(world.arms) for world in source.worlds), key=len, default=())
+    if not source.model.arms and len(together) > 1:
+        remarks.append(
+            f"arms {', '.join(together)} are of one kind and share the parameters of every effect; --each-arm looks at "
+            "each by itself"
         )
     if found.search.ruled_out:
         names = ", ".join(sorted(found.search.ruled_out))

@@ -40,6 +40,7 @@ class EstimateDocument(Schema):
     unit: str = Field(description="unit, '-' where it has none")
     meaning: str = Field("", description="what it is")
     joint: str | None = Field(None, description="joint it belongs to; null: the effect as a whole")
+    arm: str | None = Field(None, description="arm it belongs to; null: arms share it")
     verdict: str | None = Field(None, description="what is said of this joint alone; null: nothing")
     p_value: float | None = Field(None, description="of this joint's parameter being nominal, beside all others")
     error_before: float | None = Field(None, description="held-out error of the joint without it, in the joint's unit")
@@ -234,6 +235,7 @@ class DiagnosisDocument(Schema):
     recording: RecordingDocument | None = Field(None, description="what was read of recordings")
     remarks: tuple[str, ...] = Field((), description="what a reader should know")
     formulas: tuple[FormulaSpec, ...] = Field((), description="user-defined effects that were considered")
+    arms: dict[str, int] = Field({}, description="joints of arms that have parameters of their own; none: shared")
 
     def effect(self, name: str) -> EffectDocument | None:
         """What is said of one effect."""

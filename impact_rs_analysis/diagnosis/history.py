@@ -129,10 +129,15 @@ def _held_out(version: Version, clusters: tuple[Cluster, ...], source_of: Callab
     bare = source_of(
         model.model_copy(update={"effects": tuple(item for item in model.effects if item.name not in names)})
     )
-    effects = tuple(model.known_effects[name] for name in names)
+    effects = tuple(bare.model.known_effects[name] for name in names)
     values = {item.name: item.parameters for item in model.effects}
     point = np.array(
-        [values[effect.name][scalar.name].estimate for effect in effects for scalar in effect.scalars(bare.joint_count)]
+        [
+            (own.get(scalar.name) or own[scalar.shared_name]).estimate
+            for effect in effects
+            for own in [values[effect.name]]
+            for scalar in effect.scalars(bare.joint_count)
+        ]
     )
     bare_candidate = Candidate.of(effects, bare, point)
     candidate = linearise(

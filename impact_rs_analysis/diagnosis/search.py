@@ -374,12 +374,16 @@ class Search:
 
     def joint_alternatives(self, chosen: Candidate, index: int) -> list[tuple[str, Candidate]]:
         """The chosen effects with one joint's parameter exchanged for that joint's parameter of another effect."""
-        joint = chosen.scalars[index].joint
+        scalar = chosen.scalars[index]
         found = []
         for name, single in self._starts.items():
             if name in chosen.names or name in self.ruled_out:
                 continue
-            own = [number for number, scalar in enumerate(single.scalars) if scalar.joint == joint]
+            own = [
+                number
+                for number, other in enumerate(single.scalars)
+                if (other.arm, other.joint) == (scalar.arm, scalar.joint)
+            ]
             others = [number for number in range(single.point.size) if number not in own]
             if own and len(own) < single.point.size:
                 found.append((name, chosen.fixed(index).beside(single.fixed(*others))))

@@ -271,12 +271,12 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
     rivals = found.tied_with(name)
     own = np.array([not scalar.shape for scalar in chosen.candidate.scalars[part]])
     widths, bound = chosen.half_widths[part][own], _at_bound(chosen)[part][own]
-    joints = chosen.candidate.scalars[part][0].joint is not None
+    places = any(scalar.joint is not None or scalar.arm for scalar in chosen.candidate.scalars[part])
     if evidence.reference.shortage is not None:
         verdict, reason = TOO_FEW, evidence.reference.shortage
     elif np.all(widths > UNSEEN):
         verdict, reason = UNIDENTIFIABLE, "its interval is wider than anything that makes sense"
-    elif np.all(bound) or (np.any(bound) and not joints):
+    elif np.all(bound) or (np.any(bound) and not places):
         verdict, reason = AT_BOUND, "the best value lies at a bound; something else may be wrong"
     elif not matters(chosen, name):
         size = sizes_of(chosen, name)[0]
@@ -362,7 +362,8 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
     half = fitted.half_widths * candidate.scale
     result = {}
     for index in range(part.start, part.stop):
-        scalar, value = candidate.scalars[index], float(fitted.estimate[index])
+        scalar = candidate.scalars[index]
+        value = round(float(fitted.estimate[index]) / scalar.scale, 9) * scalar.scale  # a bound is met to rounding
         low = max(value - float(half[index]), float(candidate.lower[index]))
         high = min(value + float(half[index]), float(candidate.upper[index]))
         verdict = p = before = after = None
@@ -374,6 +375,7 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
             unit=scalar.unit,
             meaning=scalar.meaning,
             joint=None if scalar.joint is None else f"joint{scalar.joint + 1}",
+            arm=scalar.arm or None,
             verdict=verdict,
             p_value=p,
             error_before=before,
@@ -385,19 +387,20 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
 def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float | None, float | None]:
     """Verdict on one joint's parameter beside all others; p; held-out error of the joint without and with it."""
     candidate, evidence = fitted.candidate, fitted.evidence
-    joint = f"joint{(candidate.scalars[index].joint or 0) + 1}"
+    scalar = candidate.scalars[index]
+    joint = f"joint{(scalar.joint or 0) + 1}"
     seen = any(np.any(jacobian[:, index]) for jacobian in candidate.jacobians)
     without = evidence.problem(candidate.fixed(index))
     left = without.rest(without.solve())
     shifts = [item.mean - rest for item, rest in zip(evidence.clusters, left, strict=True)]
     p = fitted.problem.p_value(evidence.shifted(shifts).reference, [index])
     rest, rest_without = fitted.problem.left_out_rest, without.left_out_rest
-    own, own_without = _of_joint(evidence, rest, joint), _of_joint(evidence, rest_without, joint)
+    own, own_without = (_of_joint(evidence, values, scalar.arm, joint) for values in (rest, rest_without))
     error, error_without = float(own.mean()), float(own_without.mean())
     rivals = [
         name
         for name, other in found.search.joint_alternatives(candidate, index)
-        if tied_errors(own, _of_joint(evidence, evidence.problem(other).left_out_rest, joint), 1e-12)
+        if tied_errors(own, _of_joint(evidence, evidence.problem(other).left_out_rest, scalar.arm, joint), 1e-12)
     ]
     if _at_bound(fitted)[index]:
         verdict = AT_BOUND
@@ -414,12 +417,13 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float 
     return verdict, p_told(p), sigma * math.sqrt(error_without), sigma * math.sqrt(error)
 
 
-def _of_joint(evidence: Evidence, rest: Sequence[Array], joint: str) -> Array:
-    """Mean square residual of the signals of one joint by cluster, ``(c,)`` [-]."""
+def _of_joint(evidence: Evidence, rest: Sequence[Array], arm: str, joint: str) -> Array:
+    """Mean square residual of one joint's signals by cluster that has any, ``(c,)`` [-]; ``arm`` empty: of all arms."""
     picked = []
     for item, values in zip(evidence.clusters, rest, strict=True):
-        own = np.array([feature.index.rsplit(".", 1)[-1] == joint for feature in item.features])
-        picked.append(float(np.mean(np.square(values[own]))))
+        own = np.array([f.index.rsplit(".", 1)[-1] == joint and (not arm or f.arm in ("", arm)) for f in item.features])
+        if np.any(own):
+            picked.append(float(np.mean(np.square(values[own]))))
     return np.array(picked)
 
 

@@ -21,15 +21,16 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robot import Array, RobotFacts
 
 Added = tuple[tuple[str, tuple[float, ...]], ...]
 """Effects on top of a model: names with their parameter vectors."""
@@ -46,6 +47,7 @@ class Feature:
         bin: Number of the time bin within the phase.
         unit: Unit.
         floor: Differences below this are no concern to anyone, in the unit.
+        arm: Name of the arm; empty: of none, or of the only one that there is.
     """
 
     phase: str
@@ -54,6 +56,7 @@ class Feature:
     bin: int
     unit: str
     floor: float
+    arm: str = ""
 
     @property
     def group(self) -> tuple[str, str, str]:
@@ -198,7 +201,17 @@ class Source(ABC):
 
     @property
     def joint_count(self) -> int:
-        """Number of joints of an arm; 0 where there is none."""
+        """Number of joints of an arm that shares its parameters with all others; 0 where there is none.
+
+        Raises:
+            InputError: Arms with different numbers of joints go by one name, so that they cannot be told apart.
+        """
+        counts = {(name, arm.facts.joint_count) for world in self.worlds for name, arm in world.arms.items()}
+        if not self.model.arms and len({count for _, count in counts}) > 1:
+            told = ", ".join(f"{name} with {count} joints" for name, count in sorted(counts))
+            raise InputError(
+                f"arms {told}: parameters of different arms go by their names; expected another name for each"
+            )
         arm = next(iter(self.physics.arms.values()), None)
         return 0 if arm is None else arm.facts.joint_count
 
@@ -259,6 +272,36 @@ class Source(ABC):
     @abstractmethod
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """Residuals with effects on top of the model, on the scale of ``like``; None where that cannot be simulated."""
+
+
+def apart(model: Model, worlds: Iterable[Physics], each_arm: bool = False) -> Model:
+    """The model, knowing effects with parameters of its own for every arm where arms do not share them.
+
+    Arms of one kind share them: what is missing in a model is looked for in the kind, with half as many parameters, and
+    a motion of one arm tells of the other. Arms of different kinds have nothing to share.
+
+    Args:
+        model: What is believed; one that knows its arms already stays as it is.
+        worlds: All physics that were measured.
+        each_arm: Whether arms of one kind have their own, too.
+
+    Raises:
+        InputError: ``each_arm``, and one name stands for several robots.
+    """
+    found: dict[str, list[RobotFacts]] = {}
+    for physics in worlds:
+        for name, arm in physics.arms.items():
+            kinds = found.setdefault(name, [])
+            if arm.facts not in kinds:
+                kinds.append(arm.facts)
+    several = [name for name, kinds in found.items() if len(kinds) > 1]
+    if each_arm and several:
+        raise InputError(f"arm {several[0]!r} is another robot in another scenario; expected another name for each")
+    first = next(iter(found.values()), [])
+    alike = all(kinds == first for kinds in found.values())
+    if model.arms or several or (alike and not each_arm):
+        return model
+    return model.model_copy(update={"arms": {name: kinds[0].joint_count for name, kinds in found.items()}})
 
 
 def difference(before: Array | None, after: Array | None) -> Array | None:

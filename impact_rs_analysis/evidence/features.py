@@ -45,13 +45,12 @@ AXES = ("x", "y", "z")
 
 @functools.cache
 def layout(
-    arms: tuple[str, ...], joint_count: int, free: int, pushes: int | None, command: bool, motor: bool, tracked: bool
+    arms: tuple[tuple[str, int], ...], free: int, pushes: int | None, command: bool, motor: bool, tracked: bool
 ) -> tuple[Feature, ...]:
     """What the entries of a feature vector are.
 
     Args:
-        arms: Names of the arms.
-        joint_count: Joints per arm.
+        arms: Names of the arms, each with its number of joints.
         free: Windows of free motion.
         pushes: Bins of the push that were recorded; None: nothing is hit.
         command: Whether the desired torque is known.
@@ -59,13 +58,13 @@ def layout(
         tracked: Whether the object was tracked.
     """
     result: list[Feature] = []
-    for arm in arms:
+    for arm, joint_count in arms:
         label = f"{arm}." if len(arms) > 1 else ""
         joints = [f"{label}joint{index + 1}" for index in range(joint_count)]
         axes = [f"{label}{axis}" for axis in AXES]
 
-        def add(phase: str, signal: str, names: list[str], bins: int, unit: str, floor: float) -> None:
-            result.extend(Feature(phase, signal, name, b, unit, floor) for b in range(bins) for name in names)
+        def add(phase: str, signal: str, names: list[str], bins: int, unit: str, floor: float, arm: str = arm) -> None:
+            result.extend(Feature(phase, signal, name, b, unit, floor, arm) for b in range(bins) for name in names)
 
         if command:
             add("free", "motor torque balance", joints, free, "N m", 0.01)

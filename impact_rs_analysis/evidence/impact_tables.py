@@ -34,7 +34,7 @@ from functools import cached_property
 
 import numpy as np
 
-from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, Identity, Source, pooled_error
+from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, Identity, Source, apart, pooled_error
 from impact_rs_analysis.evidence.tracks import TrackSet, TrackSignal
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.impact_map.contacts import contact_frame
@@ -102,7 +102,8 @@ class ImpactTableSource(Source):
     of_motion = False
     least_change = 0.0  # what matters is told by floors; rows are independent, as samples of a torque are not
 
-    def __init__(self, table: ImpactTable, model: Model) -> None:
+    def __init__(self, table: ImpactTable, model: Model, each_arm: bool = False) -> None:
+        model = apart(model, [row.physics for row in table.rows], each_arm)
         self.table, self.model = table, model
         self._applied: dict[tuple[int, Added], Physics | None] = {}
         self._models: dict[int, dict[str, RobotModel]] = {}
@@ -134,7 +135,7 @@ class ImpactTableSource(Source):
         for name, state in self.table.rows[0].impact.arms.items():
             label = f"{name}." if len(self.table.arms) > 1 else ""
             for joint in range(state.position.size):
-                found.append(Feature("impact", JOINTS, f"{label}joint{joint + 1}", 0, "rad/s", FLOOR_JOINT))
+                found.append(Feature("impact", JOINTS, f"{label}joint{joint + 1}", 0, "rad/s", FLOOR_JOINT, name))
         names = AXES if self.table.arms else CONTACT_AXES
         found += [Feature("impact", LINEAR, axis, 0, "m/s", FLOOR_LINEAR) for axis in names]
         found += [Feature("impact", ANGULAR, axis, 0, "rad/s", FLOOR_ANGULAR) for axis in names]

@@ -10,7 +10,7 @@ from itertools import islice
 import numpy as np
 
 from impact_rs_analysis.evidence.ante_impact import obliqueness
-from impact_rs_analysis.evidence.cluster import Added, Cluster, Identity, Source, difference, pooled_error
+from impact_rs_analysis.evidence.cluster import Added, Cluster, Identity, Source, apart, difference, pooled_error
 from impact_rs_analysis.evidence.discrepancy import Discrepancy, Kind, measured_discrepancy
 from impact_rs_analysis.evidence.measured import MeasuredRun
 from impact_rs_analysis.evidence.runs import Runs
@@ -179,7 +179,14 @@ class ReplaySource(Source):
         return Identity(self.runs.digest, len(self.runs.runs), tuple(self.runs.conditions))
 
     @classmethod
-    def of(cls, runs: Runs, model: Model, store: ReplayStore, discrepancy: Discrepancy | None = None) -> ReplaySource:
+    def of(
+        cls,
+        runs: Runs,
+        model: Model,
+        store: ReplayStore,
+        discrepancy: Discrepancy | None = None,
+        each_arm: bool = False,
+    ) -> ReplaySource:
         """Replay every run with the model.
 
         Args:
@@ -187,11 +194,13 @@ class ReplaySource(Source):
             model: What is believed.
             store: Makes replays.
             discrepancy: Of the twin; None: as measured.
+            each_arm: Whether arms of one kind have parameters of their own (:func:`apart`).
 
         Raises:
             InputError: With this model nothing is hit, or the model blows up.
         """
         discrepancy = measured_discrepancy() if discrepancy is None else discrepancy
+        model = apart(model, [run.setup.physics for run in runs.runs], each_arm)
         predicted = store([Replay(run.setup, model) for run in runs.runs], "replays of the model")
         residuals = []
         for run, values in zip(runs.runs, predicted, strict=True):

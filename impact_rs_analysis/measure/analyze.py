@@ -9,21 +9,23 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from impact_rs_analysis.measure.arms import ArmDocument, arms_of
 from impact_rs_analysis.measure.far import Jump, far_jumps
 from impact_rs_analysis.measure.fit import FitError, LineFit, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import TrialFeedback, net_feedback
-from impact_rs_analysis.measure.predictions import predict, prediction_interval
+from impact_rs_analysis.measure.predictions import predict_arms, prediction_interval
 from impact_rs_analysis.measure.published import PaperRow, published
 from impact_rs_analysis.measure.sensitivity import Sensitivity, sensitivity_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import CONTACTS, ImpactMapError
-from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
 from impact_rs_sim.schema import load
 from impact_rs_trials.bags.reader import TrialBag, told
 from impact_rs_trials.campaign import MANIFEST, Manifest
@@ -58,6 +60,52 @@ class Prediction:
     velocity: float
     error: float
 
+    @classmethod
+    def of(cls, velocity: float, fit: LineFit) -> Prediction:
+        """A predicted velocity beside the estimate of a fit."""
+        return cls(velocity, 100.0 * (velocity - fit.estimate) / fit.estimate)
+
+
+@dataclass(frozen=True)
+class ArmSet:
+    """What a set says of one of its arms.
+
+    Attributes:
+        name: The arm.
+        fit: Line and zero crossing of its own net feedback, signed along the axis.
+        predictions: Predictions by motor-inertia model for the first contact, signed along the axis.
+        predictions_settled: The same for the settled contact.
+    """
+
+    name: str
+    fit: LineFit
+    predictions: dict[str, Prediction]
+    predictions_settled: dict[str, Prediction]
+
+    @property
+    def speed(self) -> float:
+        """Experimental estimate as a speed [m/s]."""
+        return abs(self.fit.estimate)
+
+    @property
+    def half_interval(self) -> float | None:
+        """Larger half of its 95 % interval [m/s]; None where there is none."""
+        interval = self.fit.interval
+        return None if interval is None else max(abs(bound - self.fit.estimate) for bound in interval)
+
+    def to_json(self) -> dict[str, Any]:
+        """One entry of ``arms``; speeds in m/s, errors in percent."""
+        sign = -1.0 if self.fit.estimate < 0.0 else 1.0
+        interval = self.fit.interval
+        return {
+            "arm": self.name,
+            "estimate_m_s": self.speed,
+            "ci95_m_s": None if interval is None else sorted(sign * bound for bound in interval),
+            "r_squared": self.fit.r_squared,
+            "predictions": _told(self.predictions, sign),
+            "predictions_settled": _told(self.predictions_settled, sign),
+        }
+
 
 @dataclass(frozen=True)
 class ExperimentSet:
@@ -77,6 +125,7 @@ class ExperimentSet:
             that the scenario states, signed along the axis, low then high [m/s]; None where there is none.
         ante_velocity: Ante-impact velocity, signed along the axis [m/s]; NaN where it is not known.
         published: Row of the paper that it repeats, with the paper's robot, object and velocity; None: none.
+        arms: The same arm by arm, where there are several.
     """
 
     scenario: str
@@ -91,6 +140,7 @@ class ExperimentSet:
     prediction_interval: tuple[float, float] | None = None
     ante_velocity: float = math.nan
     published: PaperRow | None = None
+    arms: tuple[ArmSet, ...] = ()
 
     @property
     def jump(self) -> Jump:
@@ -131,16 +181,18 @@ class ExperimentSet:
             "ci95_m_s": None if self.interval is None else list(self.interval),
             "r_squared": self.fit.r_squared,
             "trials": self.fit.count,
-            "predictions": self._told(self.predictions),
+            "predictions": _told(self.predictions, self.sign),
             "prediction_ci95_m_s": self._speeds(self.prediction_interval),
-            "predictions_settled": self._told(self.predictions_settled),
+            "predictions_settled": _told(self.predictions_settled, self.sign),
+            "arms": [arm.to_json() for arm in self.arms],
         }
 
-    def _told(self, predictions: dict[str, Prediction]) -> dict[str, dict[str, float]]:
-        return {
-            model: {"v_m_s": self.sign * prediction.velocity, "error_percent": prediction.error}
-            for model, prediction in predictions.items()
-        }
+
+def _told(predictions: dict[str, Prediction], sign: float) -> dict[str, dict[str, float]]:
+    return {
+        model: {"v_m_s": sign * prediction.velocity, "error_percent": prediction.error}
+        for model, prediction in predictions.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -177,6 +229,7 @@ class Analysis:
             stay in the fit.
         sensitivity: How far the estimates move with settings; empty where none was varied.
         unsealed: Bags that carry no checksums, and so may have changed unnoticed.
+        arms: What the trials were run with.
     """
 
     directory: Path
@@ -189,6 +242,7 @@ class Analysis:
     limited: tuple[tuple[str, str, float], ...] = ()
     sensitivity: Sensitivity = Sensitivity()
     unsealed: tuple[str, ...] = ()
+    arms: tuple[ArmDocument, ...] = ()
 
     @property
     def jumps(self) -> list[Jump]:
@@ -233,6 +287,7 @@ class Analysis:
     def to_json(self) -> dict[str, Any]:
         """The document that ``analyze --json`` prints."""
         return {
+            "arms": [arm.model_dump(mode="json") for arm in self.arms],
             "sets": [
                 entry.to_json() | {"systematic_percent": self.sensitivity.band(entry.scenario, entry.object)}
                 for entry in self.sets
@@ -352,6 +407,11 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
             for entry in trial.limited
         ),
         sensitivity=sensitivity_of(measured, others),
+        arms=arms_of(
+            Physics.nominal(scenario, next(iter(scenario.objects)))
+            for text in dict.fromkeys(trial.info.scenario_json for trial in measured)
+            for scenario in [recorded_scenario(text, directory)]
+        ),
     )
 
 
@@ -385,17 +445,20 @@ def _one_scenario_each(trials: list[TrialFeedback], skipped: list[SkippedBag]) -
 
 def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedback) -> ExperimentSet:
     info = example.info
-    fit = fit_zero_crossing(
-        np.array([trial.info.reference_post_velocity for trial in trials]), np.array([trial.net for trial in trials])
-    )
+    references = np.array([trial.info.reference_post_velocity for trial in trials])
+    fit = fit_zero_crossing(references, np.array([trial.net for trial in trials]))
     scenario = recorded_scenario(info.scenario_json, directory / example.name)
+    by_arm = [predict_arms(scenario, info.object, info.case_name, contact) for contact in CONTACTS]
     first, settled = (
-        {
-            model: Prediction(velocity, 100.0 * (velocity - fit.estimate) / fit.estimate)
-            for model, velocity in predict(scenario, info.object, info.case_name, contact).items()
-        }
-        for contact in CONTACTS
+        {model: Prediction.of(float(np.mean(list(own.values()))), fit) for model, own in found.items()}
+        for found in by_arm
     )
+    arms = []
+    for arm in info.robots if len(info.robots) > 1 else ():
+        with suppress(FitError):  # the mean of the arms may have an estimate where one of them has none
+            own = fit_zero_crossing(references, np.array([trial.nets[arm] for trial in trials]))
+            told = [{model: Prediction.of(entry[arm], own) for model, entry in found.items()} for found in by_arm]
+            arms.append(ArmSet(arm, own, *told))
     return ExperimentSet(
         scenario=info.scenario,
         object=info.object,
@@ -409,6 +472,7 @@ def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedba
         prediction_interval=prediction_interval(info.scenario_json, info.object, info.case_name),
         ante_velocity=info.ante_velocity,
         published=published(scenario, info.object, info.case_name),
+        arms=tuple(arms),
     )
 
 

@@ -43,6 +43,7 @@ class TrialFeedback:
         ante_reference: Velocity of the ante-impact reference, ``(k,)`` [m/s].
         post_reference: Velocity of the post-impact reference, ``(k,)`` [m/s].
         net: a_fb,net [m/s].
+        nets: The same of every arm by itself [m/s].
         limited: Joints whose torque was at its limit within the window, with the time they were [s]: what the feedback
             asked for was not delivered, so that its integral is no measure.
     """
@@ -57,6 +58,7 @@ class TrialFeedback:
     ante_reference: Array
     post_reference: Array
     net: float
+    nets: dict[str, float]
     limited: tuple[tuple[str, float], ...] = ()
 
     @property
@@ -116,6 +118,10 @@ def net_feedback(bag: TrialBag) -> TrialFeedback:
             if not np.all(np.isfinite(values)):
                 raise BagError(bag.path, f"arm {arm!r}: the recorded {name} signal is not finite everywhere")
             signals[name].append(np.interp(time, state.time, values))
+    nets = {
+        arm: held_integral(time, values, info.window_start, info.window_end)[1]
+        for arm, values in zip(columns, signals["feedback"], strict=True)
+    }
     mean = {name: np.mean(values, axis=0) for name, values in signals.items()}
     integral, net = held_integral(time, mean["feedback"], info.window_start, info.window_end)
     return TrialFeedback(
@@ -129,6 +135,7 @@ def net_feedback(bag: TrialBag) -> TrialFeedback:
         ante_reference=mean["ante"],
         post_reference=mean["post"],
         net=net,
+        nets=nets,
         limited=tuple(entry for arm, state in columns.items() for entry in _limited(bag, arm, state)),
     )
 

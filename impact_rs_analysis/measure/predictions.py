@@ -55,7 +55,15 @@ def prediction_interval(scenario_json: str, object_name: str, case_name: str) ->
 def predict(
     scenario: Scenario, object_name: str, case_name: str, contact: str = "first", engine: str = REFERENCE_ENGINE
 ) -> dict[str, float]:
-    """Post-impact end-effector velocity along the measured axis by motor-inertia model [m/s], mean over the arms.
+    """As :func:`predict_arms`, mean over the arms, by motor-inertia model [m/s]."""
+    by_arm = predict_arms(scenario, object_name, case_name, contact, engine)
+    return {model: float(np.mean(list(velocities.values()))) for model, velocities in by_arm.items()}
+
+
+def predict_arms(
+    scenario: Scenario, object_name: str, case_name: str, contact: str = "first", engine: str = REFERENCE_ENGINE
+) -> dict[str, dict[str, float]]:
+    """Post-impact end-effector velocity along the measured axis by motor-inertia model and arm [m/s].
 
     Args:
         scenario: The scenario.
@@ -73,5 +81,5 @@ def predict(
     velocities = {}
     for model in MOTOR_INERTIA_MODELS:
         result = predict_impact(ImpactProblem.at_nominal_impact(scene, model), contact, engine)
-        velocities[model] = float(np.mean([twist[scenario.axis_index] for twist in result.end_effector_twist.values()]))
+        velocities[model] = {arm: float(twist[scenario.axis_index]) for arm, twist in result.end_effector_twist.items()}
     return velocities

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from impact_rs_analysis.measure.analyze import Analysis, ExperimentSet
+from impact_rs_analysis.measure.analyze import Analysis, ArmSet, ExperimentSet
+from impact_rs_analysis.measure.arms import ArmDocument
 from impact_rs_analysis.measure.far import far_words
 from impact_rs_analysis.measure.sensitivity import setting_words
 from impact_rs_analysis.measure.table import Row, result_table
@@ -29,6 +30,23 @@ class TableRow:
     """
 
     row: Row
+    best: str
+    best_settled: str
+
+
+@dataclass(frozen=True)
+class ArmRow:
+    """One arm of one set.
+
+    Attributes:
+        label: Object and case.
+        arm: Its own estimate and predictions.
+        best: Motor-inertia model with the smallest error, first contact.
+        best_settled: The same, settled contact.
+    """
+
+    label: str
+    arm: ArmSet
     best: str
     best_settled: str
 
@@ -83,6 +101,8 @@ class AnalysisPage:
         campaign: Name of the folder.
         trials: Number of trials in the fits.
         rows: The table of results; empty: no set has an estimate.
+        arms: What the trials were run with.
+        by_arm: The table of results of every arm by itself, by its title; empty: there is one arm.
         with_paper: Whether a row stands beside a published one.
         sensitivity: How far the estimates move with settings; no rows where none was varied.
         far: What is to be said of predictions far from what was measured; empty: nothing.
@@ -95,6 +115,8 @@ class AnalysisPage:
     campaign: str
     trials: int
     rows: tuple[TableRow, ...]
+    arms: tuple[ArmDocument, ...]
+    by_arm: dict[str, tuple[ArmRow, ...]]
     with_paper: bool
     sensitivity: tuple[SensitivityRow, ...]
     far: str
@@ -152,6 +174,8 @@ def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure
         campaign=analysis.directory.resolve().name,
         trials=sum(entry.fit.count for entry in analysis.sets),
         rows=tuple(TableRow(row, _best(row.errors), _best(row.settled)) for row in rows),
+        arms=analysis.arms,
+        by_arm=arm_rows(analysis),
         with_paper=any(row.paper_errors is not None for row in rows),
         sensitivity=tuple(sensitivity_rows(analysis)),
         far=far_words(analysis.jumps),
@@ -162,6 +186,22 @@ def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure
         ),
         contact=contact,
     )
+
+
+def arm_rows(analysis: Analysis) -> dict[str, tuple[ArmRow, ...]]:
+    """The table of results arm by arm, by the arm's title; empty where every set has one arm."""
+    titles = {arm.name: arm.title for arm in analysis.arms}
+    found: dict[str, list[ArmRow]] = {}
+    for entry in analysis.sets:
+        for arm in entry.arms:
+            first, settled = (
+                {model: told.error for model, told in predictions.items()}
+                for predictions in (arm.predictions, arm.predictions_settled)
+            )
+            found.setdefault(titles.get(arm.name, arm.name), []).append(
+                ArmRow(entry.label, arm, _best(first), _best(settled))
+            )
+    return {title: tuple(rows) for title, rows in found.items()}
 
 
 def sensitivity_rows(analysis: Analysis) -> Iterator[SensitivityRow]:

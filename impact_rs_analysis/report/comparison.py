@@ -13,7 +13,16 @@ from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.tracks import TrackSet
 from impact_rs_analysis.report.history import HistoryPart, history_part
-from impact_rs_analysis.report.labels import CARED_ABOUT, LEVELS, NOISE, REPETITION, SPREAD, phase_text, place_text
+from impact_rs_analysis.report.labels import (
+    CARED_ABOUT,
+    LEVELS,
+    NOISE,
+    REPETITION,
+    SPREAD,
+    phase_text,
+    place_text,
+    signal_text,
+)
 from impact_rs_analysis.report.page import (
     Plot,
     number_text,
@@ -69,6 +78,21 @@ class LevelPart:
 
 
 @dataclass(frozen=True)
+class JointTable:
+    """Signals of one arm, joint by joint.
+
+    Attributes:
+        title: The arm.
+        signals: Headings of the columns.
+        rows: By joint, a cell per column; None: not measured.
+    """
+
+    title: str
+    signals: tuple[str, ...]
+    rows: dict[str, list[SignalLevel | None]]
+
+
+@dataclass(frozen=True)
 class WherePart:
     """Where a model fails.
 
@@ -109,6 +133,7 @@ class ComparisonPage:
         unit: Unit of the score; empty: the score is such a multiple.
         document: The comparison.
         levels: Its levels.
+        joints: A table per arm; empty: no trials.
         where: Where the model fails.
         tracks: Measured against predicted over time.
         history: Of the model; None: it has none.
@@ -120,6 +145,7 @@ class ComparisonPage:
     unit: str
     document: ComparisonDocument
     levels: tuple[LevelPart, ...]
+    joints: tuple[JointTable, ...]
     where: WherePart
     tracks: TracksPart
     history: HistoryPart | None
@@ -152,6 +178,7 @@ def write_comparison(
         unit="" if on_scale(document) else document.score_unit,
         document=document,
         levels=level_parts(document),
+        joints=joint_tables(document),
         where=where_part(document),
         tracks=tracks_part(document, tracks),
         history=history_part(versions) if versions else None,
@@ -220,12 +247,27 @@ def level_parts(document: ComparisonDocument) -> tuple[LevelPart, ...]:
                     PlaceRow(f"{place_text(row, scenario=several)}: {row.signal} {row.index}", row)
                     for row in level.entries
                 ),
-                signals=tuple(
-                    PlaceRow(f"{phase_text(row.phase)}: {row.signal} {row.index}".rstrip(), row)
-                    for row in level.signals
-                ),
+                signals=tuple(PlaceRow(f"{signal_text(row)} {row.index}".rstrip(), row) for row in level.signals),
                 plot=Plot(f"level-{name}", signals_plot(by_joint)) if by_joint else None,
                 open=name == list(filled)[-1],
+            )
+        )
+    return tuple(found)
+
+
+def joint_tables(document: ComparisonDocument) -> tuple[JointTable, ...]:
+    """Signals joint by joint, a table per arm."""
+    titles = {arm.name: arm.title for arm in document.arms}
+    found = []
+    for arm in dict.fromkeys(row.arm for row in document.joints):
+        own = {(row.index, row.phase, row.signal): row for row in document.joints if row.arm == arm}
+        joints = sorted({index for index, *_ in own}, key=lambda index: int(index.removeprefix("joint")))
+        signals = list(dict.fromkeys((phase, signal) for _, phase, signal in own))
+        found.append(
+            JointTable(
+                title=titles.get(arm, "") if arm else ", ".join(titles.values()),
+                signals=tuple(f"{phase_text(phase)}: {signal}" for phase, signal in signals),
+                rows={joint: [own.get((joint, *signal)) for signal in signals] for joint in joints},
             )
         )
     return tuple(found)

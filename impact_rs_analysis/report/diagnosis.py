@@ -19,7 +19,7 @@ from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.tracks import TrackSet
 from impact_rs_analysis.report.comparison import TracksPart, WherePart, tracks_part, where_part, yardstick_of
 from impact_rs_analysis.report.history import HistoryPart, history_part
-from impact_rs_analysis.report.labels import Tag, phase_text, tag_of
+from impact_rs_analysis.report.labels import Tag, signal_text, tag_of
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import effects_plot, joints_plot
 
@@ -83,6 +83,7 @@ class DiagnosisPage:
         on_scale: Whether errors are on the scale on which 1 is what repetition alone gives.
         document: The diagnosis.
         comparison: The model against the same measurements.
+        arms: What arms are called, by name.
         floors: Difference of every signal below which nobody cares.
         effects: Effects that something measured depends on, best first.
         effects_plot: Their errors; None: there are none.
@@ -99,6 +100,7 @@ class DiagnosisPage:
     on_scale: bool
     document: DiagnosisDocument
     comparison: ComparisonDocument
+    arms: dict[str, str]
     floors: tuple[Floor, ...]
     effects: tuple[EffectRow, ...]
     effects_plot: Plot | None
@@ -140,6 +142,7 @@ def write_diagnosis(
         on_scale=document.error_unit == TIMES,
         document=document,
         comparison=comparison,
+        arms={arm.name: arm.title for arm in comparison.arms},
         floors=_floors(comparison),
         effects=tuple(_effect_row(effect) for effect in document.effects if effect.measured),
         effects_plot=None if bars is None else Plot("effects", bars),
@@ -156,7 +159,7 @@ def write_diagnosis(
 
 def _floors(comparison: ComparisonDocument) -> tuple[Floor, ...]:
     def floor(row: SignalLevel) -> Floor:
-        return Floor(f"{phase_text(row.phase)}: {row.signal}", row.floor, row.discrepancy, row.unit)
+        return Floor(signal_text(row), row.floor, row.discrepancy, row.unit)
 
     return tuple(floor(row) for level in comparison.levels.values() for row in level.signals if row.floor > 0.0)
 

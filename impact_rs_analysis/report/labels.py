@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from impact_rs_analysis.diagnosis.document import CONFIRMED, NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE
 
 if TYPE_CHECKING:
-    from impact_rs_analysis.diagnosis.compare import Cell, JumpLevel
+    from impact_rs_analysis.diagnosis.compare import Cell, JumpLevel, SignalLevel
 
 PHASES = {"free": "Free motion", "impact": "Impact (first 80 ms)", "push": "Push"}
 LEVELS = {
@@ -43,6 +43,12 @@ def tag_of(verdict: str) -> Tag:
 def phase_text(phase: str) -> str:
     """A phase of the motion."""
     return PHASES.get(phase, phase.capitalize())
+
+
+def signal_text(row: SignalLevel) -> str:
+    """Phase and signal, with the arm in front where there are several."""
+    text = f"{phase_text(row.phase)}: {row.signal}"
+    return f"{row.arm}, {text[:1].lower()}{text[1:]}" if row.arm else text
 
 
 def place_text(entry: Cell | JumpLevel, scenario: bool = False) -> str:

@@ -209,12 +209,18 @@ def _order_of_phase(phase: str) -> tuple[int, str]:
     return (known.index(phase) if phase in known else len(known), phase)
 
 
+def _arm_first(row: tuple[str, str]) -> tuple[bool, str, tuple[str, str]]:
+    """Order of signals by index: arm after arm, and last what belongs to none."""
+    arm = row[1].rpartition(".")[0]
+    return not arm, arm, row
+
+
 def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]], top: float) -> go.Figure | None:
     """Rows are signals by joint or axis; those that are noticeable nowhere are left out. None: no row is left."""
     shown = {(cell.signal, cell.index) for cell in cells if cell.times_noise > NOTICEABLE}
     if not shown:
         return None
-    rows = sorted(shown)
+    rows = sorted(shown, key=_arm_first)
     names = list(dict.fromkeys(name for name, _ in columns))
     known = {(cell.signal, cell.index, name): cell for name, cell in columns}
     found = [[known.get((*row, name)) for name in names] for row in rows]

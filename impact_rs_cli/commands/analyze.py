@@ -6,13 +6,14 @@ import argparse
 from pathlib import Path
 
 from rich.table import Table
+from rich.text import Text
 
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
 from impact_rs_analysis.measure.far import far_words
 from impact_rs_analysis.measure.laboratory import jumps_of
 from impact_rs_analysis.measure.table import Row, result_table
 from impact_rs_analysis.report import write_report
-from impact_rs_analysis.report.analysis import sensitivity_rows
+from impact_rs_analysis.report.analysis import ArmRow, arm_rows, sensitivity_rows
 from impact_rs_cli.arguments import add_contact, add_jobs, started
 from impact_rs_cli.measurements import read_experiment
 from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
@@ -131,6 +132,8 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
         terminal.say(_table(rows, contact))
         count = analysis.nearest(contact)["reduced"]
         terminal.say(f"{contact} contact: B_θ predicts best in {count} of {len(analysis.sets)} sets")
+    if by_arm := arm_rows(analysis):
+        terminal.say(_arms_table(by_arm))
     if told := far_words(analysis.jumps):
         terminal.warn(told)
     if analysis.sensitivity.shifts:
@@ -157,6 +160,22 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
     if analysis.missing:
         shown = ", ".join(analysis.missing[:5]) + (", ..." if len(analysis.missing) > 5 else "")
         terminal.say(f"{len(analysis.missing)} trials of the manifest are missing: {shown}")
+
+
+def _arms_table(by_arm: dict[str, tuple[ArmRow, ...]]) -> Table:
+    """Estimates and errors of the predictions, arm by arm."""
+    table = Table(title="Arm by arm, first contact [%]")
+    table.add_column("", no_wrap=True)
+    for heading in ("estimate [m/s]", "B_θ (nominal)", "B_ρ", "B = 0"):
+        table.add_column(heading, justify="right", no_wrap=heading.startswith("estimate"))
+    for title, rows in by_arm.items():
+        table.add_section()
+        table.add_row(Text(title, "bold"))
+        for row in rows:
+            half = "" if row.arm.half_interval is None else f" ± {row.arm.half_interval:.3f}"
+            errors = [f"{row.arm.predictions[model].error:+.2f}" for model in MOTOR_INERTIA_MODELS]
+            table.add_row(row.label, f"{row.arm.speed:.3f}{half}", *errors)
+    return table
 
 
 def _bands(analysis: Analysis) -> Table:

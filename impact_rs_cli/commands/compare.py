@@ -111,6 +111,8 @@ def _show(document: ComparisonDocument, terminal: Terminal) -> None:
         f"Model {document.model.name!r} against {document.trials} {document.source.removesuffix('s')}{many}{where}: "
         f"score {number(document.score)}{'' if on_scale else ' ' + document.score_unit}{alone}"
     )
+    if len(document.arms) > 1:
+        terminal.say(f"arms: {'; '.join(arm.title for arm in document.arms)}")
     if (facts := document.recording) is not None:
         terminal.say(
             f"{facts.samples} samples at {number(facts.sampled_Hz)} Hz, {number(facts.used_s)} s used, {facts.robot}, "
@@ -146,7 +148,7 @@ def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
     for name, level in document.levels.items():
         if level.signals:
             row = max(level.signals, key=lambda row: row.times_noise)
-            worst = f"{row.signal}: {number(row.error)} {row.unit} rms"
+            worst = f"{row.arm + ', ' if row.arm else ''}{row.signal}: {number(row.error)} {row.unit} rms"
         elif entries := [entry for entry in level.entries if entry.signal != JOINTS]:
             entry = max(entries, key=lambda entry: entry.times_noise)
             worst = f"{entry.signal} {entry.index}: {entry.error:+.3g} {entry.unit}"
@@ -155,8 +157,9 @@ def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
         table.add_row(name.replace("_", " "), number(level.times_noise), worst)
     terminal.say(table)
     places = Table(title="Where it fails (measured minus model)")
-    for heading in ("object", "case", "phase", "signal", ""):
+    for heading in ("object", "case", "phase", "signal"):
         places.add_column(heading)
+    places.add_column("", no_wrap=True)  # of two arms it begins with the arm's name
     places.add_column("error", justify="right")
     shared = document.source == "impacts" and document.noise_floor is None
     places.add_column("share" if shared else "x noise", justify="right")

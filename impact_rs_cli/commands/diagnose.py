@@ -71,6 +71,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--effects", nargs="+", metavar="NAME", help="consider only these; default: all")
     parser.add_argument("--formulas", type=Path, metavar="FILE.yaml", help="consider your own effects as well")
     parser.add_argument("--report", type=Path, metavar="DIR", help="folder for an HTML report")
+    parser.add_argument(
+        "--each-arm",
+        action="store_true",
+        help="look for effects in every arm by itself, although arms of one kind share their parameters (arms of "
+        "different kinds never do)",
+    )
     add_jobs(parser)
     add_json(parser)
 
@@ -83,7 +89,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("this is a folder; name a file, for example diagnosis.json", file=args.output)
     extended = with_formulas(model, args.formulas)
     check_effects(extended, args.effects)
-    with measured(args, terminal) as measurements:
+    with measured(args, terminal, args.each_arm) as measurements:
         document = diagnosis_of(measurements, model, extended, args.effects, terminal)
         if args.output is not None:
             with output_folder(args.output.parent):
@@ -191,8 +197,8 @@ def report_of(
         source = measurements.against(model)
         versions = history(model_file, measurements.against) if model.parent is not None else None
         parameters = {effect.name: effect.parameters for effect in document.effects}
-        added = added_of(document.named, parameters, model, source.joint_count)
-        tracks = measurements.tracks(model, added)
+        added = added_of(document.named, parameters, source.model, source.joint_count)
+        tracks = measurements.tracks(source.model, added)
     return write_diagnosis(document, compare(source), tracks, versions, directory)
 
 
@@ -249,7 +255,11 @@ def estimates_table(effect: str, parameters: dict[str, EstimateDocument]) -> Tab
     told = any(value.verdict is not None for value in parameters.values())
     if told:
         table.add_column("verdict", overflow="fold")
+    arm = None
     for name, value in parameters.items():
+        if value.arm != arm:
+            table.add_section()
+        arm = value.arm
         interval = "" if value.ci95 is None else f"{number(value.ci95[0])} ... {number(value.ci95[1])}"
         cells = [name, number(value.estimate), interval, value.unit.strip("-")]
         table.add_row(*cells, *([value.verdict or ""] if told else []))

@@ -84,11 +84,12 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ScalarParameter:
-    """One scalar of an effect, spelled out for one arm; fields as in :class:`Parameter`.
+    """One scalar of an effect, spelled out; fields as in :class:`Parameter`.
 
     Attributes:
         step: First change that is tried when looking for its influence.
         joint: Joint it belongs to, counted from 0; None: the effect as a whole.
+        arm: Arm it belongs to; empty: all arms share it.
     """
 
     name: str
@@ -100,10 +101,17 @@ class ScalarParameter:
     meaning: str
     step: float
     joint: int | None = None
+    arm: str = ""
     shape: bool = False
     grid: tuple[float, ...] = ()
     far: tuple[float, ...] = ()
     hidden: tuple[float, float] | None = None
+
+    @property
+    def shared_name(self) -> str:
+        """What it is called where arms share it."""
+        joint = "" if self.joint is None else f"_joint{self.joint + 1}"
+        return self.name if not self.arm else self.name.removesuffix(joint).removesuffix(f"_{self.arm}") + joint
 
 
 class Effect(ABC):
@@ -136,7 +144,11 @@ class Effect(ABC):
 
     def scalars(self, joint_count: int) -> list[ScalarParameter]:
         """The parameters, joint by joint."""
-        return [scalar for parameter in self.parameters for scalar in parameter.scalars(joint_count)]
+        return [scalar for _, own in self.spelled(joint_count) for scalar in own]
+
+    def spelled(self, joint_count: int) -> list[tuple[str, list[ScalarParameter]]]:
+        """Every parameter by name, joint by joint."""
+        return [(parameter.name, parameter.scalars(joint_count)) for parameter in self.parameters]
 
     def apply_vector(self, physics: Physics, vector: Array) -> Physics:
         """As :meth:`apply`, with all scalars in one vector ordered as :meth:`scalars`.
@@ -144,16 +156,15 @@ class Effect(ABC):
         Raises:
             InputError: Wrong length or not finite; or one parameter per joint, and arms with unequal joint counts.
         """
-        joint_count = self._joint_count(physics)
-        count = len(self.scalars(joint_count))
+        spelled = self.spelled(self._joint_count(physics))
+        count = sum(len(own) for _, own in spelled)
         vector = np.asarray(vector, dtype=float)
         if vector.shape != (count,) or not np.isfinite(vector).all():
             raise InputError(f"effect {self.name!r} needs {count} finite numbers, got {vector.tolist()}")
         values, start = {}, 0
-        for parameter in self.parameters:
-            end = start + len(parameter.scalars(joint_count))
-            values[parameter.name] = vector[start:end]
-            start = end
+        for name, own in spelled:
+            values[name] = vector[start : start + len(own)]
+            start += len(own)
         return self.apply(physics, values)
 
     def nominal(self, joint_count: int) -> Array:

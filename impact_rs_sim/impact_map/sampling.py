@@ -102,5 +102,7 @@ def _sample(
 
 
 def _self_motion(jacobian: Array) -> Array:
-    """Joint velocity that leaves the end effector at rest, ``(n,)``, of length 1."""
+    """Joint velocity that leaves the end effector at rest, ``(n,)``, of length 1; 0 where no joint is left over."""
+    if jacobian.shape[1] <= jacobian.shape[0]:
+        return np.zeros(jacobian.shape[1])
     return np.asarray(np.linalg.svd(jacobian)[2][-1])

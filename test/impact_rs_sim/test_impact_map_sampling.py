@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from impact_map_cases import MODEL, PUSH
+from mixed_grab import MIXED
 
 from impact_rs_sim.impact_map import ImpactProblem, check_problem
 from impact_rs_sim.impact_map.contacts import find_contacts, meetings
@@ -59,3 +60,20 @@ def test_a_restitution_that_is_asked_for_is_given_and_the_seed_decides_the_rest(
     assert one.restitution == again.restitution == 0.4
     np.testing.assert_array_equal(one.arms["arm"].velocity, again.arms["arm"].velocity)
     np.testing.assert_array_equal(one.object.position, again.object.position)
+
+
+def test_six_joints_have_no_motion_beside_that_of_the_end_effector() -> None:
+    """The rotation that is drawn is at most 0.3 rad/s about every axis; what it would add cannot be self-motion."""
+    case = MIXED.cases["case_1"]
+    alone = {"right": MIXED.robots["right"]}
+    ur5e = MIXED.model_copy(
+        update={
+            "robots": alone,
+            "cases": {"case_1": case.model_copy(update={"robots": {"right": case.robots["right"]}})},
+        }
+    )
+    for seed in range(5):
+        problem = random_problem(ur5e, np.random.default_rng(seed))
+        state = problem.arms["right"]
+        twist = problem.physics.robot_model("right").jacobian(state.position) @ state.velocity
+        assert np.abs(twist[3:]).max() <= 0.3 + 1e-9

@@ -3,9 +3,10 @@
 from pathlib import Path
 
 import pytest
+from mixed_grab import MIXED
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.model import Model, ModelEffect, check_model, load_model, save_model
+from impact_rs_sim.model import Model, ModelEffect, check_model, load_model, parse_model, save_model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
 
@@ -114,3 +115,43 @@ def test_a_model_that_is_written_is_read_back_and_never_overwritten(tmp_path: Pa
     assert load_model(path).effects == written.effects
     with pytest.raises(InputError, match="never overwritten"):
         save_model(written, path)
+
+
+def mixed_model(*effects):
+    return check_model(Model.model_validate({"name": "m", "arms": {"left": 7, "right": 6}, "effects": effects}), "m")
+
+
+def own_offsets(left=7, right=6):
+    joints = {"left": left, "right": right}
+    return item(
+        "torque_offset",
+        **{f"offset_{arm}_joint{n + 1}": 0.1 * (n + 1) for arm, count in joints.items() for n in range(count)},
+    )
+
+
+def test_arms_of_different_kinds_have_parameters_of_their_own_beside_those_that_they_share(tmp_path):
+    physics = Physics.nominal(MIXED, "parcel")
+    inertia = item("motor_inertia_scale", scale_left=2.0, scale_right=1.0)
+    model = mixed_model(item("joint_stiffness", scale=0.5), own_offsets(), inertia)
+    save_model(model, tmp_path / "m.yaml")
+    read = load_model(tmp_path / "m.yaml")
+    assert read.digest == model.digest
+    applied = read.apply(physics)
+    for name, count in (("left", 7), ("right", 6)):
+        before, after = physics.arms[name], applied.arms[name]
+        assert after.torque_offset == pytest.approx([0.1 * (n + 1) for n in range(count)])
+        assert after.stiffness == pytest.approx(0.5 * before.stiffness)
+    assert applied.arms["left"].motor_inertia_reduced == pytest.approx(2.0 * physics.arms["left"].motor_inertia_reduced)
+
+
+def test_a_model_of_one_arm_each_names_every_joint_of_every_arm(physics):
+    with pytest.raises(InputError, match=r"offset_right_joint6: this key is missing \(added torque \[N m\]\)$"):
+        mixed_model(own_offsets(right=5))
+    with pytest.raises(InputError, match="offset_right_joint7: unknown parameter"):
+        mixed_model(own_offsets(right=7))
+    with pytest.raises(InputError, match="offset_left_joint1: unknown parameter"):
+        checked(own_offsets())
+    with pytest.raises(InputError, match="here is arm 'arm' with 7 joints"):
+        mixed_model(own_offsets()).apply(physics)
+    with pytest.raises(InputError, match="arms.left"):
+        parse_model("{name: m, arms: {left: 0}}", "m.yaml")

@@ -21,6 +21,14 @@ RECORDED = (f"{FOLDER}test_diagnosis_of_recordings.py",)
 
 MUTANTS = [
     Mutant(
+        name="different_arms_share_parameters",
+        file="impact_rs_analysis/evidence/cluster.py",
+        original="(alike and not each_arm)",
+        mutated="(alike or not each_arm)",
+        wrong="Arms of different kinds have one set of parameters.",
+        tests=("test/impact_rs_analysis/evidence/test_cluster.py",),
+    ),
+    Mutant(
         name="contrasts_without_their_mean",
         file=REFERENCE,
         original="rows.append(turned[0])",

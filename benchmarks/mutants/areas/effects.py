@@ -7,6 +7,14 @@ TESTS = "test/impact_rs_sim/effects"
 
 MUTANTS = [
     Mutant(
+        name="each_arm_takes_the_first",
+        file=f"{FOLDER}/each_arm.py",
+        original='values[f"{parameter.name}_{name}"]',
+        mutated='values[f"{parameter.name}_{next(iter(self.joints))}"]',
+        wrong="Every arm gets the parameters of the first.",
+        tests=(f"{TESTS}/test_each_arm.py",),
+    ),
+    Mutant(
         name="torque_offset_sign",
         file=f"{FOLDER}/actuation.py",
         original='torque_offset=arm.torque_offset + values["offset"]',

@@ -16,6 +16,14 @@ SENSITIVITY_TESTS = ("test/impact_rs_analysis/measure/test_sensitivity.py",)
 
 MUTANTS = [
     Mutant(
+        name="net_of_an_arm_of_its_velocity",
+        file="impact_rs_analysis/measure/net_feedback.py",
+        original='zip(columns, signals["feedback"], strict=True)',
+        mutated='zip(columns, signals["velocity"], strict=True)',
+        wrong="The net feedback of one arm is the integral of its velocity.",
+        tests=("test/impact_rs_analysis/measure/test_net_feedback.py",),
+    ),
+    Mutant(
         name="integral_of_the_previous_sample",
         file=FILE,
         original="pieces = signal * np.diff(edges)",
@@ -130,8 +138,8 @@ MUTANTS = [
     Mutant(
         name="prediction_of_the_first_arm",
         file=PREDICTIONS,
-        original="np.mean([twist[scenario.axis_index] for twist in result.end_effector_twist.values()])",
-        mutated="next(iter(result.end_effector_twist.values()))[scenario.axis_index]",
+        original="np.mean(list(velocities.values()))",
+        mutated="next(iter(velocities.values()))",
         wrong="The prediction is that of the first arm.",
         tests=PREDICTION_TESTS,
     ),

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
+from mixed_grab import MIXED
 
 from impact_rs_analysis.diagnosis.fit import Evidence
-from impact_rs_analysis.evidence.cluster import Cluster, Feature, pooled_error, size_of
+from impact_rs_analysis.evidence.cluster import Cluster, Feature, Source, apart, pooled_error, size_of
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import load_model
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.scenario import load_scenario
 
 FEATURES = tuple(Feature("impact", "velocity", "x", number, "m/s", 0.01) for number in range(50))
 
@@ -57,3 +66,27 @@ def test_neighbours_on_the_same_recording_guard_a_stretch_and_those_of_another_d
     evidence = Evidence(Stretches(), tuple(range(6)), items)  # type: ignore[arg-type]
     assert evidence.guard == ((1,), (0, 2), (1,), (4,), (3, 5), (4,))
     assert evidence.only([0, 2, 3, 4]).guard == ((), (), (3,), (2,))
+
+
+def test_arms_of_one_kind_share_their_parameters_and_arms_of_different_kinds_do_not() -> None:
+    nominal, mixed = load_model("nominal"), Physics.nominal(MIXED, "parcel")
+    alike = Physics.nominal(load_scenario("grab"), "parcel")
+    assert apart(nominal, [mixed]).arms == {"left": 7, "right": 6}
+    assert apart(nominal, [alike]) is nominal
+    assert apart(nominal, [alike], each_arm=True).arms == {"left": 7, "right": 7}
+    # Two scenes with an arm of another kind each: their names tell them apart.
+    one, other = (replace(mixed, arms={name: arm}) for name, arm in mixed.arms.items())
+    assert apart(nominal, [one, other]).arms == {"left": 7, "right": 6}
+    known = nominal.model_copy(update={"arms": {"left": 7}})
+    assert apart(known, [mixed]) is known
+
+
+def test_one_name_for_two_robots_is_told_where_parameters_go_by_names() -> None:
+    nominal, mixed = load_model("nominal"), Physics.nominal(MIXED, "parcel")
+    one, other = (replace(mixed, arms={"arm": arm}) for arm in mixed.arms.values())
+    assert apart(nominal, [one, other]) is nominal
+    with pytest.raises(InputError, match="arm 'arm' is another robot in another scenario"):
+        apart(nominal, [one, other], each_arm=True)
+    source = cast(Source, SimpleNamespace(model=nominal, physics=one, worlds=[one, other]))
+    with pytest.raises(InputError, match="arms arm with 6 joints, arm with 7 joints: .* another name for each"):
+        Source.joint_count.fget(source)  # type: ignore[attr-defined]

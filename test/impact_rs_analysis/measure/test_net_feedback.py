@@ -126,6 +126,7 @@ def test_two_arms_count_with_their_mean() -> None:
     """Paper sec. Dual-arm grabbing scenario."""
     trial = net_feedback(recorded({"left": constant(0.0, 0.0, 1.0), "right": constant(0.0, 0.0, 3.0)}))
     assert trial.net == pytest.approx(2.0 * 0.7, abs=1e-12)
+    assert trial.nets == pytest.approx({"left": 0.7, "right": 3.0 * 0.7}, abs=1e-12)
     assert trial.spread == pytest.approx(0.01)
 
 

@@ -9,11 +9,13 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from mixed_grab import MIXED
 
-from impact_rs_analysis.diagnosis.compare import ComparisonDocument
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
+from impact_rs_analysis.diagnosis.compare import ComparisonDocument, SignalLevel
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EstimateDocument, read_document
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.tracks import TrackSet
+from impact_rs_analysis.measure.arms import arms_of
 from impact_rs_analysis.report import page as skeleton
 from impact_rs_analysis.report.analysis import AnalysisPage, Listing
 from impact_rs_analysis.report.comparison import write_comparison
@@ -21,6 +23,7 @@ from impact_rs_analysis.report.diagnosis import write_diagnosis
 from impact_rs_analysis.report.history import write_history
 from impact_rs_analysis.report.page import p_text, quantity_text, sentence_text, subscripts_text
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import Physics
 
 EVIL = "</script><script>alert('x')</script><img src=http://evil.example/x>"
 
@@ -159,6 +162,39 @@ def test_a_comparison_shows_levels_places_and_units(
     assert json.loads((tmp_path / "compare.json").read_text()) == comparison.model_dump(mode="json")
 
 
+def test_two_arms_have_a_table_of_their_joints_each(
+    diagnosis: DiagnosisDocument, comparison: ComparisonDocument, tmp_path: Path
+) -> None:
+    def level(arm: str, joint: int, error: float) -> SignalLevel:
+        return SignalLevel(
+            phase="free", signal="link torque balance", index=f"joint{joint}", arm=arm, error=error, noise_floor=0.01,
+            unit="N m", times_noise=100.0 * error,
+        )  # fmt: skip
+
+    two = comparison.model_copy(
+        update={
+            "arms": arms_of([Physics.nominal(MIXED, "parcel")]),
+            "joints": (level("left", 7, 0.12), level("right", 1, 0.34), level("right", 2, 0.56)),
+        }
+    )
+    text = Page(write_comparison(two, [], None, tmp_path)).text
+    assert "left: franka_fr3, 7 joints Free motion: link torque balance joint7 0.12 N m × 12" in text
+    assert "right: ur5e, 6 joints Free motion: link torque balance joint1 0.34 N m × 34 joint2 0.56 N m × 56" in text
+
+    parameters = {
+        f"coulomb_{arm}_joint1": EstimateDocument(
+            estimate=1.0, ci95=None, unit="N m", joint="joint1", arm=arm, verdict="CONFIRMED"
+        )
+        for arm in ("left", "right")
+    }
+    own = diagnosis.effects[0].model_copy(update={"verdict": "CONFIRMED", "parameters": parameters})
+    found = diagnosis.model_copy(update={"effects": (own,)})
+    text = Page(write_diagnosis(found, two, [], None, tmp_path)).text
+    assert re.search(
+        r"left: franka_fr3, 7 joints coulomb_left_joint1 .*right: ur5e, 6 joints coulomb_right_joint1", text
+    )
+
+
 def test_recordings_are_shown_on_the_same_pages_in_newton_metres(
     diagnosis_of_recordings: DiagnosisDocument,
     comparison_of_recordings: ComparisonDocument,
@@ -283,6 +319,8 @@ def test_no_name_of_a_bag_can_leave_its_place(tmp_path: Path) -> None:
             text,
             0,
             rows=(),
+            arms=(),
+            by_arm={text: ()},
             with_paper=False,
             sensitivity=(),
             far=text,
@@ -294,7 +332,7 @@ def test_no_name_of_a_bag_can_leave_its_place(tmp_path: Path) -> None:
 
     plain, evil = write("bag"), write(EVIL)
     assert evil.elements == plain.elements
-    assert evil.text.count(EVIL) == 4
+    assert evil.text.count(EVIL) == 5
     assert "No set has enough trials" in evil.text
 
 

@@ -1,0 +1,58 @@
+"""The arms that something was measured with, as every report tells them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from pydantic import Field
+
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import RobotFacts, load_facts
+from impact_rs_sim.schema import Schema
+
+
+class ArmDocument(Schema):
+    """One arm."""
+
+    name: str = Field(description="name in the scenario")
+    robot: str = Field(description="robot in config/robots; of another one where its facts come from")
+    joints: int = Field(description="number of joints")
+    torque_loop: bool = Field(description="whether the joints have torque sensors and a loop about them")
+    motor_inertia_rotor_kg_m2: tuple[float, ...] = Field(description="B_rho by joint [kg m^2]")
+    motor_inertia_reduced_kg_m2: tuple[float, ...] = Field(description="what the links feel, B_theta [kg m^2]")
+    torque_limits_Nm: tuple[float, ...] = Field(description="torque limits by joint [N m]")
+
+    @property
+    def title(self) -> str:
+        """Name and robot."""
+        return f"{self.name}: {self.robot}, {self.joints} joints"
+
+
+def robot_name(facts: RobotFacts) -> str:
+    """Name of a robot in ``config/robots``; of one that is not there, where its facts come from."""
+    for file in sorted((config_directory() / "robots").glob("*.yaml")):
+        if load_facts(file.stem) == facts:
+            return file.stem
+    return facts.source
+
+
+def arms_of(worlds: Iterable[Physics]) -> tuple[ArmDocument, ...]:
+    """The different arms of some physics, in order of appearance."""
+    found: dict[ArmDocument, None] = {}
+    names: dict[RobotFacts, str] = {}
+    for physics in worlds:
+        for name, arm in physics.arms.items():
+            if arm.facts not in names:
+                names[arm.facts] = robot_name(arm.facts)
+            document = ArmDocument(
+                name=name,
+                robot=names[arm.facts],
+                joints=arm.facts.joint_count,
+                torque_loop=arm.facts.joint_torque_loop,
+                motor_inertia_rotor_kg_m2=tuple(arm.motor_inertia_rotor.tolist()),
+                motor_inertia_reduced_kg_m2=tuple(arm.motor_inertia_reduced.tolist()),
+                torque_limits_Nm=arm.facts.limits.torque_Nm,
+            )
+            found.setdefault(document)
+    return tuple(found)

@@ -1,0 +1,107 @@
+"""Effects of arms that do not share their parameters.
+
+An :class:`~impact_rs_sim.effects.base.ArmEffect` has one set of parameters, which all arms share. That is a hypothesis
+on a kind of robot, and halves what has to be found. Arms of different kinds have nothing in common that it could be of:
+here every arm has its own, ``coulomb_left_joint1`` beside ``coulomb_right_joint1``, by the arm's name and with as many
+joints as that arm has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from impact_rs_sim.effects.base import ArmEffect, Effect, ScalarParameter, Values, digest
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+
+
+class EachArm(Effect):
+    """An effect of arms with parameters of its own for every arm.
+
+    Args:
+        effect: What it does to one arm.
+        joints: Number of joints by arm; the parameters of one arm come after those of the other, in this order.
+    """
+
+    def __init__(self, effect: ArmEffect, joints: Mapping[str, int]) -> None:
+        self.effect, self.joints = effect, dict(joints)
+        self.name, self.acts_on, self.sentence = effect.name, effect.acts_on, effect.sentence
+        self.phases = effect.phases
+        self.parameters = tuple(
+            replace(parameter, name=f"{parameter.name}_{arm}") for arm in joints for parameter in effect.parameters
+        )
+
+    def apply(self, physics: Physics, values: Values) -> Physics:
+        """See :meth:`Effect.apply`; arms that are not in the scene are left out.
+
+        Raises:
+            InputError: An arm that it has no parameters for, or with another number of joints.
+        """
+        self._check(physics)
+        arms = {}
+        for name in physics.arms:
+            own = {parameter.name: values[f"{parameter.name}_{name}"] for parameter in self.effect.parameters}
+            arms[name] = self.effect.apply(_alone(physics, name), own).arms[name]
+        return replace(physics, arms=arms)
+
+    def spelled(self, joint_count: int) -> list[tuple[str, list[ScalarParameter]]]:
+        """See :meth:`Effect.spelled`; it knows how many joints every arm has."""
+        del joint_count
+        scalars = (
+            [replace(scalar, arm=arm) for scalar in replace(parameter, name=f"{parameter.name}_{arm}").scalars(count)]
+            for arm, count in self.joints.items()
+            for parameter in self.effect.parameters
+        )
+        return list(zip((parameter.name for parameter in self.parameters), scalars, strict=True))
+
+    def bounds(self, physics: Physics) -> tuple[Array, Array]:
+        """See :meth:`Effect.bounds`; an arm that is not in the scene sets none beyond those of its parameters.
+
+        Raises:
+            InputError: As :meth:`apply`.
+        """
+        self._check(physics)
+        scalars = self.scalars(0)
+        lower, upper = np.array([one.lower for one in scalars]), np.array([one.upper for one in scalars])
+        for name in physics.arms:
+            own = [number for number, scalar in enumerate(scalars) if scalar.arm == name]
+            lower[own], upper[own] = self.effect.bounds(_alone(physics, name))
+        return lower, upper
+
+    @property
+    def identity(self) -> str:
+        """See :attr:`Effect.identity`."""
+        return digest(super().identity, self.effect.identity, repr(self.joints))
+
+    def _joint_count(self, physics: Physics) -> int:
+        """None that all arms share."""
+        del physics
+        return 0
+
+    def _check(self, physics: Physics) -> None:
+        for name, arm in physics.arms.items():
+            if self.joints.get(name) != arm.facts.joint_count:
+                known = ", ".join(f"{own} with {count} joints" for own, count in self.joints.items())
+                raise InputError(
+                    f"effect {self.name!r} has parameters for arms {known}; "
+                    f"here is arm {name!r} with {arm.facts.joint_count} joints"
+                )
+
+
+def of_each(effect: Effect, joints: Mapping[str, int]) -> Effect:
+    """The effect with parameters of its own for every arm, where it is one of arms.
+
+    Args:
+        effect: Any effect.
+        joints: Number of joints by arm; empty: arms share their parameters.
+    """
+    return EachArm(effect, joints) if joints and isinstance(effect, ArmEffect) else effect
+
+
+def _alone(physics: Physics, name: str) -> Physics:
+    """The scene with one of its arms."""
+    return replace(physics, arms={name: physics.arms[name]})

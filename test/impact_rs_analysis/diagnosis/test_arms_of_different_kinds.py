@@ -1,0 +1,72 @@
+"""Friction that one arm of two has is found in that arm, where the arms have different numbers of joints."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mixed_grab import MIXED, with_own
+
+from impact_rs_analysis.diagnosis.add import add_effect
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.document import CONFIRMED, DiagnosisDocument, read_document, write_document
+from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.evidence.runs import Runs, read_runs
+from impact_rs_analysis.evidence.store import ReplayStore
+from impact_rs_sim.model import load_model
+from impact_rs_trials.bags.record import record_trial
+from impact_rs_trials.bags.trial_info import TrialInfo
+from impact_rs_trials.campaign import Trial
+from impact_rs_trials.spec import TrialSpec
+
+FRICTION = 2.0  # N m, in the second joint of the UR5e
+CONDITIONS = (("parcel", "case_1"), ("cat_food", "case_1"), ("parcel", "case_2"))
+
+pytestmark = pytest.mark.timeout(600)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
+    directory = tmp_path_factory.mktemp("mixed")
+    values = np.zeros(13)
+    values[7 + 1] = FRICTION
+    for spec in (TrialSpec.of(MIXED, thing, case) for thing, case in CONDITIONS):
+        for repeat in range(2):
+            trial = Trial.of(spec, repeat, 3)
+            info = TrialInfo.of(spec.plan, trial.key, trial.seed, "inprocess")
+            hidden = with_own(spec.plan.scene.physics, "joint_coulomb_friction", values)
+            assert record_trial(spec.plan, info, directory / trial.key.name, hidden)[0].outcome == "OK"
+    return read_runs(directory, map)
+
+
+@pytest.fixture(scope="module")
+def document(runs: Runs, tmp_path_factory: pytest.TempPathFactory) -> DiagnosisDocument:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        model = load_model("nominal")
+        source = ReplaySource.of(runs, model, ReplayStore(map))
+        return diagnose(source, model, ["joint_coulomb_friction", "object_mass"])
+
+
+def test_friction_is_found_in_the_arm_and_joint_that_have_it(document: DiagnosisDocument) -> None:
+    assert document.verdict == "joint_coulomb_friction"
+    assert document.held_out_error_after < 0.1 * document.held_out_error_before
+    found = document.effects[0].parameters
+    assert len(found) == 13 and document.arms == {"left": 7, "right": 6}
+    for name, value in found.items():
+        assert (value.verdict == CONFIRMED) == (name == "coulomb_right_joint2"), name
+    planted = found["coulomb_right_joint2"]
+    assert (planted.arm, planted.joint) == ("right", "joint2")
+    assert planted.ci95 is not None and planted.ci95[0] <= FRICTION <= planted.ci95[1]
+    assert planted.estimate == pytest.approx(FRICTION, rel=0.05)
+
+
+def test_the_added_effect_predicts_the_runs(document: DiagnosisDocument, runs: Runs, tmp_path: Path) -> None:
+    file = tmp_path / "diagnosis.json"
+    write_document(document, file)
+    nominal, output = load_model("nominal"), tmp_path / "model_2.yaml"
+    child = add_effect(
+        nominal, Path("nominal"), read_document(file), file, "joint_coulomb_friction", output, force=False
+    )
+    assert child.arms == {"left": 7, "right": 6}
+    before, after = (ReplaySource.of(runs, model, ReplayStore(map)).size() for model in (nominal, child))
+    assert after < 0.1 * before

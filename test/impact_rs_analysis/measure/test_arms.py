@@ -1,0 +1,74 @@
+"""Arms of different kinds are told one by one: what they are, and what is measured and predicted of each."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mixed_grab import FILE, MIXED
+
+from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
+from impact_rs_analysis.measure.arms import arms_of, robot_name
+from impact_rs_analysis.measure.predictions import predict, predict_arms
+from impact_rs_analysis.report.analysis import write_analysis_report
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import load_facts
+from impact_rs_trials.campaign import make_manifest, run_campaign
+
+
+@pytest.fixture(scope="module")
+def analysis(tmp_path_factory: pytest.TempPathFactory) -> Analysis:
+    directory = tmp_path_factory.mktemp("campaigns") / "mixed"
+    manifest = make_manifest(FILE, ["cat_food"], ["case_1"], [0.8, 1.0, 1.2], trials=1)
+    assert [report.outcome for report in run_campaign(directory, manifest)] == ["OK"] * 3
+    return analyze_campaign(directory)
+
+
+def test_arms_are_told_with_robot_joints_limits_and_motor_inertias() -> None:
+    left, right = arms_of(Physics.nominal(MIXED, thing) for thing in ("parcel", "juice"))
+    assert [left.title, right.title] == ["left: franka_fr3, 7 joints", "right: ur5e, 6 joints"]
+    assert left.torque_limits_Nm == load_facts("franka_fr3").limits.torque_Nm
+    assert left.torque_loop and left.motor_inertia_reduced_kg_m2[0] < left.motor_inertia_rotor_kg_m2[0]
+    assert not right.torque_loop and right.motor_inertia_reduced_kg_m2 == right.motor_inertia_rotor_kg_m2
+
+
+def test_a_robot_that_is_not_shipped_goes_by_where_its_facts_come_from() -> None:
+    facts = load_facts("ur5e")
+    assert robot_name(facts) == "ur5e"
+    assert robot_name(facts.model_copy(update={"source": "my own"})) == "my own"
+
+
+def test_a_prediction_is_the_mean_of_those_of_its_arms() -> None:
+    by_arm = predict_arms(MIXED, "cat_food", "case_1")
+    for model, velocity in predict(MIXED, "cat_food", "case_1").items():
+        assert velocity == pytest.approx((by_arm[model]["left"] + by_arm[model]["right"]) / 2.0)
+    # The UR5e has one motor inertia. Another one of the FR3 moves the FR3 most.
+    change = {arm: abs(by_arm["zero"][arm] - by_arm["rotor"][arm]) for arm in ("left", "right")}
+    assert change["left"] > 1e-3
+
+
+def test_every_arm_has_an_estimate_of_its_own(analysis: Analysis) -> None:
+    (entry,) = analysis.sets
+    assert [arm.name for arm in entry.arms] == ["left", "right"]
+    references = [trial.info.reference_post_velocity for trial in entry.trials]
+    for arm in entry.arms:
+        # The line through an arm's own feedback; its zero crossing is the estimate.
+        slope, intercept = np.polyfit(references, [trial.nets[arm.name] for trial in entry.trials], 1)
+        assert arm.fit.estimate == pytest.approx(-intercept / slope)
+        assert abs(arm.predictions["reduced"].error) < 8.0  # %, of three trials
+    told = analysis.to_json()
+    assert [arm["robot"] for arm in told["arms"]] == ["franka_fr3", "ur5e"]
+    assert [arm["arm"] for arm in told["sets"][0]["arms"]] == ["left", "right"]
+
+
+def test_the_report_tells_arm_by_arm(analysis: Analysis, tmp_path: Path) -> None:
+    page = write_analysis_report(analysis, tmp_path)[0].read_text()
+    part = page[page.index("<h2>Arm by arm</h2>") : page.index("<h2>Figures</h2>")]
+    left, right = part.index("<h3>left: franka_fr3, 7 joints</h3>"), part.index("<h3>right: ur5e, 6 joints</h3>")
+    first, second = analysis.sets[0].arms
+    assert left < part.index(f"{first.speed:.3f}") < right < part.index(f"{second.speed:.3f}", right)
+    assert "joint 7" in part and "the links carry B" in part
+
+
+def test_one_arm_needs_no_table_of_its_own(push_campaign: Path) -> None:
+    found = analyze_campaign(push_campaign)
+    assert found.sets[0].arms == () and [arm.title for arm in found.arms] == ["arm: franka_fer, 7 joints"]
