@@ -92,9 +92,10 @@ class Scene:
                 ) from None
             if np.any(np.abs(dq) > model.velocity_max):
                 joint = int(np.argmax(np.abs(dq) / model.velocity_max))
+                unit = model.facts.units[joint].velocity
                 raise Infeasible(
-                    f"cases.{case_name}: arm {name!r} needs {dq[joint]:.3g} rad/s in joint {joint + 1}, "
-                    f"its limit is {model.velocity_max[joint]:.3g} rad/s"
+                    f"cases.{case_name}: arm {name!r} needs {dq[joint]:.3g} {unit} in joint {joint + 1}, "
+                    f"its limit is {model.velocity_max[joint]:.3g} {unit}"
                 )
             models[name] = model
             arms[name] = ArmState(q, dq)

@@ -15,7 +15,7 @@ gravity and every other finite force drop out.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -236,16 +236,16 @@ def _vector(values: Array, length: int, key: str, unit: str) -> None:
 
 def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
     facts = problem.physics.arms[name].facts
-    count, limits = facts.joint_count, facts.limits
-    _vector(state.position, count, f"arms.{name}.position", "rad")
-    _vector(state.velocity, count, f"arms.{name}.velocity", "rad/s")
-    _vector(problem.motor_inertia[name], count, f"motor_inertia.{name}", "kg m^2")
-    slack = math.inf if problem.measured else 1e-9  # rad, so that a configuration on its limit passes
+    limits, units = facts.limits, facts.units
+    _vector(state.position, len(units), f"arms.{name}.position", _told(unit.position for unit in units))
+    _vector(state.velocity, len(units), f"arms.{name}.velocity", _told(unit.velocity for unit in units))
+    _vector(problem.motor_inertia[name], len(units), f"motor_inertia.{name}", _told(unit.inertia for unit in units))
+    slack = math.inf if problem.measured else 1e-9  # so that a configuration on its limit passes
     for index, value in enumerate(state.position):
         low, high = limits.position_min_rad[index], limits.position_max_rad[index]
         if not low - slack <= value <= high + slack:
             raise Infeasible(
-                f"joint {index + 1} is outside its limits [{low:.4g}, {high:.4g}] rad",
+                f"joint {index + 1} is outside its limits [{low:.4g}, {high:.4g}] {units[index].position}",
                 key=f"arms.{name}.position[{index}]",
                 value=float(value),
             )
@@ -253,15 +253,22 @@ def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
         limit = limits.velocity_rad_s[index]
         if abs(value) > limit + slack:
             raise Infeasible(
-                f"joint {index + 1} is faster than its limit {limit:.4g} rad/s",
+                f"joint {index + 1} is faster than its limit {limit:.4g} {units[index].velocity}",
                 key=f"arms.{name}.velocity[{index}]",
                 value=float(value),
             )
     for index, value in enumerate(problem.motor_inertia[name]):
         if value < 0.0:
             raise InputError(
-                "expected motor inertia >= 0 kg m^2", key=f"motor_inertia.{name}[{index}]", value=float(value)
+                f"expected motor inertia >= 0 {units[index].inertia}",
+                key=f"motor_inertia.{name}[{index}]",
+                value=float(value),
             )
+
+
+def _told(units: Iterable[str]) -> str:
+    """One unit, or those of joints that turn and slide."""
+    return " or ".join(dict.fromkeys(units))
 
 
 def _check_scalars(problem: ImpactProblem) -> None:
