@@ -5,9 +5,8 @@ torque loop must stay stable with the lightest link at its period, and the contr
 the joint. A velocity feedback d on the link side has the loop gain d m / D there, m the inertia that the spring sees;
 with a gain above 1 the joint swings until the torque is at its limit.
 
-A prismatic joint gets the drive of a joint that turns, behind a pinion whose radius r makes the speed limits the same as
-that of a Franka joint: a force F is the torque r F, and inertia, stiffness and damping are those of the turning joint over
-r^2.
+A prismatic joint gets the drive of one that turns, behind a pinion of the radius r that makes a Franka joint's speed
+limit its own: its force F is the torque r F, and inertia, stiffness and damping are those of that joint over r^2.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Robot facts and end effector: what a URDF is written from, and nothing derived from it.
 
-A joint turns about the z of its own frame (``revolute``) or slides along it (``prismatic``). Everything per joint is in the
-units of its own coordinate, :data:`UNITS`; where a text says rad, N m or kg m^2 of joints, read m, N or kg of a prismatic one.
+A joint turns about the z of its own frame (``revolute``) or slides along it (``prismatic``). What is told per joint is
+in the units of its coordinate, :data:`UNITS`; where a docstring says rad, N m, kg m^2, one that slides has m, N, kg.
 """
 
 from __future__ import annotations
@@ -113,18 +113,18 @@ class Link(Schema):
 class Limits(Schema):
     """Hardware limits, one entry per joint; of a prismatic joint m, m/s and N, whatever the names of the keys say."""
 
-    position_min_rad: Vector = Field(description="lower joint position limits [rad; prismatic: m]")
-    position_max_rad: Vector = Field(description="upper joint position limits [rad; prismatic: m]")
-    velocity_rad_s: PositiveVector = Field(description="joint velocity limits [rad/s; prismatic: m/s]")
-    torque_Nm: PositiveVector = Field(description="joint torque limits [N m; prismatic: N]")
+    position_min_rad: Vector = Field(description="lower joint position limits [rad], prismatic [m]")
+    position_max_rad: Vector = Field(description="upper joint position limits [rad], prismatic [m]")
+    velocity_rad_s: PositiveVector = Field(description="joint velocity limits [rad/s], prismatic [m/s]")
+    torque_Nm: PositiveVector = Field(description="joint torque limits [N m], prismatic [N]")
 
 
 class SigmoidFriction(Schema):
     """Joint friction of Gaz et al. 2019: ``a / (1 + exp(-b (dq + c))) - a / (1 + exp(-b c))``."""
 
-    a: NonNegativeVector = Field(description="height of the sigmoid per joint [N m; prismatic: N]")
-    b: PositiveVector = Field(description="slope of the sigmoid per joint [s/rad; prismatic: s/m]")
-    c: Vector = Field(description="shift of the sigmoid per joint [rad/s; prismatic: m/s]")
+    a: NonNegativeVector = Field(description="height of the sigmoid per joint [N m], prismatic [N]")
+    b: PositiveVector = Field(description="slope of the sigmoid per joint [s/rad], prismatic [s/m]")
+    c: Vector = Field(description="shift of the sigmoid per joint [rad/s], prismatic [m/s]")
 
 
 class RobotFacts(Schema):
@@ -137,10 +137,10 @@ class RobotFacts(Schema):
     links: tuple[Link, ...] = Field(min_length=1, description="link inertials")
     friction: SigmoidFriction | None = Field(None, description="identified joint friction")
     reflected_rotor_inertia_other_source_kg_m2: PositiveVector | None = Field(
-        None, description="reflected rotor inertia per joint from another source [kg m^2; prismatic: kg]"
+        None, description="reflected rotor inertia per joint from another source [kg m^2], prismatic [kg]"
     )
     joint_stiffness_typical_Nm_per_rad: PositiveVector | None = Field(
-        None, description="order of magnitude of the joint stiffness [N m/rad; prismatic: N/m]"
+        None, description="order of magnitude of the joint stiffness [N m/rad], prismatic [N/m]"
     )
     joint_torque_loop: bool = Field(
         True, description="whether the joints have torque sensors and a loop about them; without: drive.type rigid"

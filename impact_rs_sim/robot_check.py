@@ -133,7 +133,7 @@ def _check_limits(facts: RobotFacts) -> Check:
             found = f"joint {number}: position from {lower:g} to {upper:g} {joint.units.position}"
             return Check(name, "failed", f"{found}, expected lower < upper")
         spans.setdefault(joint.type, []).append(upper - lower)
-    told = [f"{MOVE[kind]} by {min(span):.3g} to {max(span):.3g} {UNITS[kind].position}" for kind, span in spans.items()]
+    told = (f"{MOVE[kind]} by {min(of):.3g} to {max(of):.3g} {UNITS[kind].position}" for kind, of in spans.items())
     return Check(name, "ok", f"joints {', '.join(told)}")
 
 
@@ -150,7 +150,8 @@ def _check_gravity(model: RobotModel, positions: Array) -> Check:
     name = "the joints carry the arm"
     share = np.abs([model.gravity_torque(q) for q in positions]) / model.torque_max
     joint = int(share.max(axis=0).argmax())
-    found = f"joint {joint + 1}: gravity takes up to {100.0 * share.max():.3g} % of the {EFFORT[model.facts.joints[joint].type]} limit"
+    kind = EFFORT[model.facts.joints[joint].type]
+    found = f"joint {joint + 1}: gravity takes up to {100.0 * share.max():.3g} % of the {kind} limit"
     return Check(name, "warning" if share.max() > 1.0 else "ok", found)
 
 
@@ -175,9 +176,7 @@ def _check_drive(arm: str, robot: Robot, period: float) -> list[Check]:
     return [*checks, Check(f"drive of {arm} is stable", outcome, found_all)]
 
 
-def _unstable(
-    arm: str, joint: int, units: JointUnits, found: JointStability, damping: float, period: float
-) -> Check:
+def _unstable(arm: str, joint: int, units: JointUnits, found: JointStability, damping: float, period: float) -> Check:
     """What is wrong with one joint, and what would do."""
     name = f"drive of {arm}, joint {joint + 1}"
     radius = f"spectral radius {found.spectral_radius:.6g} with {found.link_inertia:.3g} {units.inertia} on the link"

@@ -1,7 +1,7 @@
 """Robot facts from a URDF.
 
-Our facts say that every joint turns about its own +z, or slides along it. A URDF says it of any axis a_i, in the frame of
-the link that the joint carries. With a rotation R_i that takes z to a_i, the frame of that link is written anew:
+Our facts say that every joint turns about its own +z, or slides along it. A URDF says it of any axis a_i, in the frame
+of the link that the joint carries. With a rotation R_i that takes z to a_i, the frame of that link is written anew:
 
     T'_i = (R_{i-1}^T, 0) T_i (R_i, 0)          Rot(a_i, q) R_i = R_i Rot(z, q),  Trans(a_i q) R_i = R_i Trans(z q)
     c'_i = R_i^T c_i                            I'_i = R_i^T I_i R_i

@@ -3,8 +3,7 @@
     (M(q) + B) ddq + h(q, dq) = tau_d + tau_fric + J(q)^T f_c          (paper eq. eom)
 
 M, h and J come from here. The Jacobian is geometric, of frame E, written in E[A]: origin at E, axes of the inertial
-frame A; rows 0..2 are linear, rows 3..5 angular. A prismatic joint has an angular column of zeros, and what is told per joint is
-in its units, see :mod:`impact_rs_sim.robot`.
+frame A; rows 0..2 are linear, rows 3..5 angular. Units per joint are those of :data:`impact_rs_sim.robot.UNITS`.
 """
 
 from __future__ import annotations
