@@ -4,7 +4,7 @@ A model is a list of effects with their parameters. Adding an effect writes a ne
 from the nominal model to the present one can be read back (``impact-rs history``).
 
 A file says nothing about the robot. Where an effect has a parameter per joint the file names joints 1 to n, and the
-model fits arms with n joints; without such an effect it fits any arm.
+model fits arms with n joints that turn or slide as the units say; without such an effect it fits any arm.
 """
 
 from __future__ import annotations
@@ -18,11 +18,15 @@ import yaml
 from pydantic import Field
 
 from impact_rs_sim.effects import Effect, library
+from impact_rs_sim.effects.base import SLIDING, Joints
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import JointType
 from impact_rs_sim.schema import Schema, load, parse_yaml, validate
+
+OF_SLIDING = {unit for unit, _ in SLIDING.values()}  # no parameter of a joint that turns has one of these units
 
 
 class ParameterValue(Schema):
@@ -78,7 +82,14 @@ class Model(Schema):
                     f"model {self.name!r} is for arms with {count} joints (effect {item.name}), "
                     f"this arm has {physics.joint_count}"
                 )
-            vector = np.array([item.parameters[scalar.name].estimate for scalar in effect.scalars(count or 0)])
+            scalars = effect.scalars(0 if count is None else physics.joints)
+            for scalar in scalars:
+                if item.parameters[scalar.name].unit != scalar.unit:
+                    raise InputError(
+                        f"model {self.name!r} has {item.name}.{scalar.name} in {item.parameters[scalar.name].unit}, "
+                        f"this arm has it in {scalar.unit}: that joint moves otherwise"
+                    )
+            vector = np.array([item.parameters[scalar.name].estimate for scalar in scalars])
             physics = effect.apply_vector(physics, vector)
         return physics
 
@@ -105,6 +116,19 @@ def _joint_count(effect: Effect, item: ModelEffect) -> int | None:
     return max((int(found[1]) for name in item.parameters if (found := pattern.fullmatch(name))), default=1)
 
 
+def _joints(effect: Effect, item: ModelEffect) -> Joints:
+    """How the joints that the parameters of an effect name move, as their units tell; where these do not, they turn."""
+    count = _joint_count(effect, item) or 0
+    sliding: JointType = "prismatic"
+    slides = {
+        scalar.joint
+        for scalar in effect.scalars((sliding,) * count)
+        if scalar.unit in OF_SLIDING and scalar.name in item.parameters
+        if item.parameters[scalar.name].unit == scalar.unit
+    }
+    return tuple("prismatic" if joint in slides else "revolute" for joint in range(count))
+
+
 def check_model(model: Model, file: str | Path) -> Model:
     """Check a model against the effects it names.
 
@@ -127,7 +151,7 @@ def check_model(model: Model, file: str | Path) -> Model:
                 value=item.name,
             )
         count = _joint_count(known[item.name], item)
-        scalars = {scalar.name: scalar for scalar in known[item.name].scalars(count or 0)}
+        scalars = {scalar.name: scalar for scalar in known[item.name].scalars(_joints(known[item.name], item))}
         for name in item.parameters:
             if name not in scalars:
                 raise InputError(

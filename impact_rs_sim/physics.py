@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array, EndEffector, RobotFacts, SigmoidFriction
+from impact_rs_sim.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
 from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.scenario import Scenario
 
@@ -254,17 +254,29 @@ class Physics:
         )
 
     @property
+    def joints(self) -> tuple[JointType, ...]:
+        """How the joints of an arm move, base to tip; none where there is no arm.
+
+        Raises:
+            InputError: The arms have unequal numbers of joints, or joints that move otherwise.
+        """
+        kinds = {name: tuple(joint.type for joint in arm.facts.joints) for name, arm in self.arms.items()}
+        if len({len(kind) for kind in kinds.values()}) > 1:
+            found = ", ".join(f"{name} {len(kind)}" for name, kind in kinds.items())
+            raise InputError(f"arms with one number of joints are expected, found: {found}")
+        if len(set(kinds.values())) > 1:
+            found = "; ".join(f"{name} {', '.join(kind)}" for name, kind in kinds.items())
+            raise InputError(f"arms whose joints turn and slide alike are expected, found: {found}")
+        return next(iter(kinds.values()), ())
+
+    @property
     def joint_count(self) -> int:
         """Number of joints of an arm; 0 where there is no arm.
 
         Raises:
-            InputError: The arms have unequal numbers of joints.
+            InputError: As :attr:`joints`.
         """
-        counts = {name: arm.facts.joint_count for name, arm in self.arms.items()}
-        if len(set(counts.values())) > 1:
-            found = ", ".join(f"{name} {count}" for name, count in counts.items())
-            raise InputError(f"arms with one number of joints are expected, found: {found}")
-        return next(iter(counts.values()), 0)
+        return len(self.joints)
 
     def robot_model(self, arm: str) -> RobotModel:
         """Rigid-body model of one arm under these physics."""

@@ -7,6 +7,7 @@ in the units of its coordinate, :data:`UNITS`; where a docstring says rad, N m, 
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -51,6 +52,11 @@ UNITS: dict[JointType, JointUnits] = {
     "revolute": JointUnits("rad", "rad/s", "rad/s^2", "N m", "kg m^2", "N m/rad", "N m s/rad"),
     "prismatic": JointUnits("m", "m/s", "m/s^2", "N", "kg", "N/m", "N s/m"),
 }
+
+
+def told_units(units: Iterable[str]) -> str:
+    """One unit in brackets of a table, or those of joints that turn and slide."""
+    return " or ".join(dict.fromkeys(units))
 
 
 class JointOrigin(Schema):

@@ -132,7 +132,7 @@ def _held_out(version: Version, clusters: tuple[Cluster, ...], source_of: Callab
     effects = tuple(model.known_effects[name] for name in names)
     values = {item.name: item.parameters for item in model.effects}
     point = np.array(
-        [values[effect.name][scalar.name].estimate for effect in effects for scalar in effect.scalars(bare.joint_count)]
+        [values[effect.name][scalar.name].estimate for effect in effects for scalar in effect.scalars(bare.joints)]
     )
     bare_candidate = Candidate.of(effects, bare, point)
     candidate = linearise(

@@ -29,7 +29,7 @@ import numpy as np
 
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robot import Array, JointType
 
 Added = tuple[tuple[str, tuple[float, ...]], ...]
 """Effects on top of a model: names with their parameter vectors."""
@@ -197,10 +197,10 @@ class Source(ABC):
         return [self.physics]
 
     @property
-    def joint_count(self) -> int:
-        """Number of joints of an arm; 0 where there is none."""
+    def joints(self) -> tuple[JointType, ...]:
+        """How the joints of an arm move, base to tip; none where there is no arm."""
         arm = next(iter(self.physics.arms.values()), None)
-        return 0 if arm is None else arm.facts.joint_count
+        return () if arm is None else tuple(joint.type for joint in arm.facts.joints)
 
     @property
     def identity(self) -> Identity:

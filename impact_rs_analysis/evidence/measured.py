@@ -162,7 +162,7 @@ class MeasuredRun:
         numbers = [window.number for window in windows if not window.contact]
         features = layout(
             tuple(run.physics.arms),
-            run.physics.joint_count,
+            run.physics.joints,
             len(numbers),
             pushes,
             bool(run.command),
@@ -212,7 +212,7 @@ class MeasuredRun:
         if not windows:
             return None
         physics, command = self.setup.physics, self.setup.drive == "command"
-        parts = layout(tuple(physics.arms), physics.joint_count, len(windows), None, command, self.setup.motor, False)
+        parts = layout(tuple(physics.arms), physics.joints, len(windows), None, command, self.setup.motor, False)
         numbers = [window.number for window in windows]
         rows = [number for number, feature in enumerate(self.features) if feature.phase == "free"]
         features = tuple(self.features[row] for row in rows)

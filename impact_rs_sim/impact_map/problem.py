@@ -15,7 +15,7 @@ gravity and every other finite force drop out.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ import numpy as np
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.impact_map.contacts import SUPPORT, Meeting, meetings
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, RESTITUTION_LAWS, Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robot import Array, told_units
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 
@@ -237,9 +237,12 @@ def _vector(values: Array, length: int, key: str, unit: str) -> None:
 def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
     facts = problem.physics.arms[name].facts
     limits, units = facts.limits, facts.units
-    _vector(state.position, len(units), f"arms.{name}.position", _told(unit.position for unit in units))
-    _vector(state.velocity, len(units), f"arms.{name}.velocity", _told(unit.velocity for unit in units))
-    _vector(problem.motor_inertia[name], len(units), f"motor_inertia.{name}", _told(unit.inertia for unit in units))
+    for key, values, quantity in (
+        (f"arms.{name}.position", state.position, "position"),
+        (f"arms.{name}.velocity", state.velocity, "velocity"),
+        (f"motor_inertia.{name}", problem.motor_inertia[name], "inertia"),
+    ):
+        _vector(values, len(units), key, told_units(getattr(unit, quantity) for unit in units))
     slack = math.inf if problem.measured else 1e-9  # so that a configuration on its limit passes
     for index, value in enumerate(state.position):
         low, high = limits.position_min_rad[index], limits.position_max_rad[index]
@@ -264,11 +267,6 @@ def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
                 key=f"motor_inertia.{name}[{index}]",
                 value=float(value),
             )
-
-
-def _told(units: Iterable[str]) -> str:
-    """One unit, or those of joints that turn and slide."""
-    return " or ".join(dict.fromkeys(units))
 
 
 def _check_scalars(problem: ImpactProblem) -> None:

@@ -93,7 +93,7 @@ def test_a_pendulum_hits_with_its_inertia_over_the_square_of_its_length(engine: 
     data = scenario(1, (-np.pi / 2.0,), (0.5, 0.0, 0.0), upright=True, **SMOOTH)
     arm = data["robots"]["arm"]["facts"]
     arm["flange"] = {"xyz": (LENGTH, 0.0, 0.0), "rpy": (-np.pi / 2.0, 0.0, 0.0)}  # +y of the link is +x of A there
-    data["robots"]["arm"]["end_effector"]["length"] = 1e-6
+    data["robots"]["arm"]["end_effector"]["length"] = 1e-9
     data["support"]["height"] = 1.0 - LENGTH - data["objects"]["cat_food"]["size"][2] / 2.0
     scene = scene_of(data)
     assert scene.arms["arm"].velocity == pytest.approx([0.5 / LENGTH])
