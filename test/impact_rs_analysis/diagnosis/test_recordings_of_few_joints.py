@@ -20,7 +20,6 @@ from impact_rs_trials.recordings.recording import read_recordings
 RATE, DURATION = 50.0, 36.0  # Hz, s
 NOISE = 0.02  # N m, N
 LENGTH = 0.4  # m
-PAYLOAD = 0.3  # kg
 UPRIGHT, FLAT = (np.pi / 2.0, 0.0, 0.0), (0.0, 0.0, 0.0)  # rpy of the first joint: it turns about -y, or about z
 
 ARMS: dict[str, tuple[tuple[JointType, ...], tuple[float, ...], tuple[float, ...]]] = {
@@ -102,9 +101,9 @@ def test_friction_is_found_in_the_unit_of_its_joint_and_no_payload_is_invented(n
     assert [row.unit for row in found.joints] == ["N" if kind == "prismatic" else "N m" for kind in kinds]
 
 
-@pytest.mark.parametrize("name", ["planar", "pendulum", "cart"])
-def test_a_payload_that_is_there_is_found_beside_friction(name: str, tmp_path: Path) -> None:
-    found = diagnosed(tmp_path, name, payload=PAYLOAD)
+@pytest.mark.parametrize(("name", "payload"), [("planar", 0.3), ("pendulum", 0.3), ("cart", 0.7)])
+def test_a_payload_that_is_there_is_found_beside_friction(name: str, payload: float, tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, name, payload)
     assert set(found.named) == {"joint_coulomb_friction", "end_effector_payload"}
     mass = {effect.name: effect for effect in found.effects}["end_effector_payload"].parameters["mass"]
-    assert mass.interval[0] <= PAYLOAD <= mass.interval[1]
+    assert mass.interval[0] <= payload <= mass.interval[1]
