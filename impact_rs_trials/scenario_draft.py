@@ -98,7 +98,7 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
     if facts.joint_count < 6:
         raise InputError(
             f"{facts_name} has {facts.joint_count} joints: a pad that keeps its orientation on its way needs six; "
-            "write a scenario for impact-rs map by hand, with robots.NAME.impact.joint_position, or use it in recordings"
+            "write a scenario for impact-rs map by hand, with robots.NAME.impact.joint_position, or use recordings"
         )
     shipped = load_scenario(kind)
     effector = next(iter(shipped.robots.values())).end_effector

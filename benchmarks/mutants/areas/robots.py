@@ -46,8 +46,8 @@ MUTANTS = [
     Mutant(
         name="flange_of_the_urdf_not_turned_back",
         file=IMPORT,
-        original="flange = _origin(before.T @ frame.translation, before.T @ frame.rotation)",
-        mutated="flange = _origin(before.T @ frame.translation, frame.rotation)",
+        original="_placement(before.T @ frame.translation, before.T @ frame.rotation)",
+        mutated="_placement(before.T @ frame.translation, frame.rotation)",
         wrong="The flange of an arm whose last axis is not z points elsewhere.",
         tests=IMPORT_TESTS,
     ),
