@@ -21,6 +21,7 @@ from impact_rs_sim.impact_map import predict_impact
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.robot import Array
+from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import Scene
 
 POSE_TASKS = 6  # position and orientation of E
@@ -139,13 +140,7 @@ def plan_trial(
         raise InputError(f"velocity scale = {velocity_scale!r}: expected a number > 0 and <= {LARGEST_SCALE:g} [-]")
     if motor_inertia not in MOTOR_INERTIA_MODELS:
         raise InputError(f"no motor-inertia model {motor_inertia!r}; known: {', '.join(MOTOR_INERTIA_MODELS)}")
-    for name, model in scene.models.items():
-        if model.joint_count < POSE_TASKS:
-            raise InputError(
-                f"the arm has {model.joint_count} joints, and the controller holds the pose of its pad, which takes "
-                f"{POSE_TASKS}: no trials; impact-rs map and recordings take any arm",
-                key=f"robots.{name}",
-            )
+    check_joint_counts(scene.scenario)
     if scene.scenario.excursion is not None:
         arms = {name: _plan_excursion(scene, name) for name in scene.arms}
         return TrialPlan(scene, velocity_scale, motor_inertia, None, arms)
@@ -155,6 +150,21 @@ def plan_trial(
     arms = {name: _plan_hit(scene, name, impact, velocity_scale) for name in scene.arms}
     check_clearance(scene.models, {name: arm.initial for name, arm in arms.items()}, "at the start")
     return TrialPlan(scene, velocity_scale, motor_inertia, impact, arms)
+
+
+def check_joint_counts(scenario: Scenario) -> None:
+    """Refuse arms that the controller cannot lead.
+
+    Raises:
+        InputError: An arm has fewer joints than the pose of its pad has components.
+    """
+    for name, robot in scenario.robots.items():
+        if (count := robot.robot_facts.joint_count) < POSE_TASKS:
+            raise InputError(
+                f"the arm has {count} joints, and the controller holds the pose of its pad, which takes {POSE_TASKS}: "
+                "no trials; impact-rs map and recordings take any arm",
+                key=f"robots.{name}",
+            )
 
 
 def tick_times(scene: Scene) -> Array:

@@ -260,3 +260,14 @@ def test_trials_with_fewer_than_six_joints_are_refused_in_one_line() -> None:
     ) as told:
         plan_trial(scene_of(scenario(3, (0.4, -1.1, 0.9), (0.2, 0.1, 0.0))))
     assert "\n" not in str(told.value)
+
+
+def test_a_campaign_with_such_an_arm_is_refused_before_it_begins(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, folder = tmp_path / "mine.yaml", tmp_path / "trials"
+    file.write_text(json.dumps(scenario(3, (0.4, -1.1, 0.9), (0.2, 0.1, 0.0))), encoding="utf-8")
+    assert main(["campaign", str(file), "-o", str(folder), "--objects", "cat_food", "--trials", "1"]) == 2
+    told = capsys.readouterr().err
+    assert "robots.arm: the arm has 3 joints" in told and len(told.splitlines()) == 1
+    assert not folder.exists()
