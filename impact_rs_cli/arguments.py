@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from impact_rs_cli.terminal import Command, Terminal
+from impact_rs_control.plan import check_joint_counts
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import CONTACTS
 from impact_rs_sim.robot_check import failures_of
@@ -101,8 +102,13 @@ def started(args: argparse.Namespace) -> Iterator[Map]:
         yield map_tasks
 
 
-def warn_of_robots(scenario: Scenario, terminal: Terminal) -> None:
-    """Tell what is wrong with the arms of a scenario before they move."""
+def check_robots(scenario: Scenario, terminal: Terminal) -> None:
+    """Tell what is wrong with the arms of a scenario before they move.
+
+    Raises:
+        InputError: The controller cannot lead one of them.
+    """
+    check_joint_counts(scenario)
     for check in failures_of(scenario):
         terminal.warn(f"robot check failed, trials may diverge: {check.name}: {check.found}")
 

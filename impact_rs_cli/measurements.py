@@ -22,6 +22,7 @@ from impact_rs_analysis.evidence.store import ReplayStore
 from impact_rs_analysis.evidence.tracks import TrackSet, tracks_of_recordings, tracks_of_runs
 from impact_rs_cli.arguments import started, warn_skipped
 from impact_rs_cli.terminal import Terminal
+from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.scenario import load_scenario
@@ -235,14 +236,14 @@ def only_trials(measurements: Measurements, option: str) -> Runs:
     return measurements.trials
 
 
-def added_of(names: tuple[str, ...], parameters: dict[str, Any], model: Model, joints: int) -> Added:
+def added_of(names: tuple[str, ...], parameters: dict[str, Any], model: Model, joints: Joints) -> Added:
     """Named effects with estimates of a diagnosis, as a source takes them.
 
     Args:
         names: Effects.
         parameters: Estimates by effect and parameter.
         model: Knows the effects.
-        joints: Number of joints of an arm.
+        joints: Those of an arm.
     """
     known = model.known_effects
     return tuple(

@@ -21,8 +21,10 @@ from impact_rs_sim.impact_map import predict_impact
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.robot import Array
+from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import Scene
 
+POSE_TASKS = 6  # position and orientation of E
 STANDS = 1e-3  # m/s; what is referred to move more slowly than this is about to stand
 REFERENCE_ENGINE = "pinocchio"
 LARGEST_SCALE = 3.0  # a reference far beyond the prediction is no test of it, and soon beyond the arm
@@ -130,14 +132,15 @@ def plan_trial(
         engine: Engine of the impact map; the settled contact has one solver.
 
     Raises:
-        InputError: A scale or motor-inertia model that is none, or a friction compensation that was not identified for
-            this object and case.
+        InputError: A scale or motor-inertia model that is none, an arm with fewer than six joints, or a friction
+            compensation that was not identified for this object and case.
         Infeasible: A start that cannot be reached, or arms that collide.
     """
     if not 0.0 < velocity_scale <= LARGEST_SCALE:
         raise InputError(f"velocity scale = {velocity_scale!r}: expected a number > 0 and <= {LARGEST_SCALE:g} [-]")
     if motor_inertia not in MOTOR_INERTIA_MODELS:
         raise InputError(f"no motor-inertia model {motor_inertia!r}; known: {', '.join(MOTOR_INERTIA_MODELS)}")
+    check_joint_counts(scene.scenario)
     if scene.scenario.excursion is not None:
         arms = {name: _plan_excursion(scene, name) for name in scene.arms}
         return TrialPlan(scene, velocity_scale, motor_inertia, None, arms)
@@ -147,6 +150,21 @@ def plan_trial(
     arms = {name: _plan_hit(scene, name, impact, velocity_scale) for name in scene.arms}
     check_clearance(scene.models, {name: arm.initial for name, arm in arms.items()}, "at the start")
     return TrialPlan(scene, velocity_scale, motor_inertia, impact, arms)
+
+
+def check_joint_counts(scenario: Scenario) -> None:
+    """Refuse arms that the controller cannot lead.
+
+    Raises:
+        InputError: An arm has fewer joints than the pose of its pad has components.
+    """
+    for name, robot in scenario.robots.items():
+        if (count := robot.robot_facts.joint_count) < POSE_TASKS:
+            raise InputError(
+                f"the arm has {count} joints, and the controller holds the pose of its pad, which takes {POSE_TASKS}: "
+                "no trials; impact-rs map and recordings take any arm",
+                key=f"robots.{name}",
+            )
 
 
 def tick_times(scene: Scene) -> Array:
@@ -159,7 +177,7 @@ def _plan_hit(scene: Scene, name: str, impact: ImpactResult, scale: float) -> Ar
     scenario, model, state = scene.scenario, scene.models[name], scene.arms[name]
     timing, times = scenario.timing, tick_times(scene)
     pose = scenario.impact_placement(name, scene.object_name)
-    normal = np.array(scenario.robots[name].impact.pad_normal)
+    normal = pose.rotation[:, 2]
     velocity = model.jacobian(state.position)[:3] @ state.velocity
     held = posture_of(scene, name)
     ante_position = ante_impact_path(timing, pose.translation, velocity, times)
@@ -194,7 +212,7 @@ def _plan_excursion(scene: Scene, name: str) -> ArmPlan:
     assert excursion is not None
     robot = scenario.cases[scene.case_name].robots[name]
     pose = scenario.impact_placement(name, scene.object_name)
-    normal = np.array(scenario.robots[name].impact.pad_normal)
+    normal = pose.rotation[:, 2]
     leg = scenario.excursion_leg(robot)
 
     def path(start: Array, end: Array) -> SampledPath:
@@ -273,7 +291,7 @@ def _wrench(scene: Scene, name: str, post: SampledPath) -> Array:
     physics, scenario = scene.physics, scene.scenario
     if scenario.control.clamp_force <= 0.0:
         return _pushing_wrench(scene, name, post)
-    normal = np.array(scenario.robots[name].impact.pad_normal)
+    normal = scenario.robots[name].impact_placement.rotation[:, 2]
     share = physics.object.mass / len(scene.arms) * (post.acceleration - np.asarray(physics.gravity))
     force = scenario.control.clamp_force * normal + share
     return np.hstack((force, np.zeros_like(force)))
@@ -288,7 +306,7 @@ def _pushing_wrench(scene: Scene, name: str, post: SampledPath) -> Array:
     made up for, as far as it is one about the vertical: tipping is kept by the support.
     """
     physics, mass = scene.physics, scene.physics.object.mass
-    normal = np.array(scene.scenario.robots[name].impact.pad_normal)
+    normal = scene.scenario.robots[name].impact_placement.rotation[:, 2]
     gravity = np.asarray(physics.gravity, dtype=float)
     weight = mass * float(np.linalg.norm(gravity))
     up = -gravity / np.linalg.norm(gravity) if weight > 0.0 else np.array([0.0, 0.0, 1.0])

@@ -148,7 +148,7 @@ def _motor_inertia(request: ComputeImpactMap.Request, physics: Physics) -> dict[
             parts = [diagonal] * len(counts)
         else:
             raise InputError(
-                f"expected {sum(counts)} values, one per joint [kg m^2], got {diagonal.size}",
+                f"expected {sum(counts)} values, one per joint [kg m^2], prismatic [kg], got {diagonal.size}",
                 key="motor_inertia_diagonal",
             )
         return dict(zip(physics.arms, parts, strict=True))

@@ -4,6 +4,9 @@ Motor inertia and stiffness are scaled from a Franka arm by the torque limits. T
 torque loop must stay stable with the lightest link at its period, and the controller must not excite the resonance of
 the joint. A velocity feedback d on the link side has the loop gain d m / D there, m the inertia that the spring sees;
 with a gain above 1 the joint swings until the torque is at its limit.
+
+A prismatic joint gets the drive of one that turns, behind a pinion of the radius r that makes a Franka joint's speed
+limit its own: its force F is the torque r F, and inertia, stiffness and damping are those of that joint over r^2.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ STIFFNESS = 14000.0 / 87.0  # N m/rad / (N m)
 REDUCED = 1.0 / 3.0
 STIFFEST = 14000.0  # N m/rad; gears of stronger joints are not much stiffer
 DAMPING = 12.0 / 14000.0  # s, of the stiffness
+SPEED = 2.175  # rad/s, its speed limit
 STABLE = 0.25  # of the damping with which the torque loop would lose its stability
 # 1/s, damping over the inertia that the spring sees. At the joint's resonance the velocity feedback 2 sqrt(400 / s^2)
 # has the gain 40 m / D: twice as much damping as would just do, and as much as a Franka arm has.
@@ -35,10 +39,13 @@ def assumed_drive(facts: RobotFacts, end_effector: EndEffector, period: float) -
         end_effector: What it carries.
         period: Of the torque loop [s].
     """
-    torque = np.array(facts.limits.torque_Nm)
-    rotor = np.array(facts.reflected_rotor_inertia_other_source_kg_m2 or np.maximum(ROTOR_INERTIA * torque, 0.05))
+    slides = np.array([joint.type == "prismatic" for joint in facts.joints])
+    radius = np.where(slides, np.array(facts.limits.velocity_rad_s) / SPEED, 1.0)
+    torque = radius * np.array(facts.limits.torque_Nm)
+    usual_rotor = np.maximum(ROTOR_INERTIA * torque, 0.05) / np.square(radius)
+    rotor = np.array(facts.reflected_rotor_inertia_other_source_kg_m2 or usual_rotor)
     reduced = REDUCED * rotor if facts.joint_torque_loop else rotor
-    stiffness = np.minimum(STIFFNESS * torque, STIFFEST)
+    stiffness = np.minimum(STIFFNESS * torque, STIFFEST) / np.square(radius)
     links = link_inertias(inverse_mass_matrices(RobotModel(facts, end_effector)))
     lightest, usual = links.min(axis=0), np.median(links, axis=0)
     damping = np.maximum(DAMPING * stiffness, RESONANCE / (1.0 / usual + 1.0 / reduced))

@@ -4,8 +4,9 @@ A model is a list of effects with their parameters. Adding an effect writes a ne
 from the nominal model to the present one can be read back (``impact-rs history``).
 
 A file says nothing about the robot. Where an effect has a parameter per joint the file names joints 1 to n, and the
-model fits arms with n joints; without such an effect it fits any arm. Where ``arms`` names arms with parameters of
-their own, an effect of arms may have one set for each (``coulomb_left_joint1``), and fits arms of these names.
+model fits arms with n joints that turn or slide as the units say; without such an effect it fits any arm. Where
+``arms`` names arms with parameters of their own, an effect of arms may have one set for each (``coulomb_left_joint1``),
+and fits arms of these names.
 """
 
 from __future__ import annotations
@@ -20,13 +21,17 @@ import yaml
 from pydantic import Field
 
 from impact_rs_sim.effects import Effect, library
+from impact_rs_sim.effects.base import SLIDING, Joints
 from impact_rs_sim.effects.each_arm import EachArm, of_each
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import is_file, write_whole
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import JointType
 from impact_rs_sim.schema import Schema, load, parse_yaml, validate
+
+OF_SLIDING = {unit for unit, _ in SLIDING.values()}  # no parameter of a joint that turns has one of these units
 
 
 class ParameterValue(Schema):
@@ -51,8 +56,9 @@ class Model(Schema):
     parent: str | None = Field(None, description="file of the model this one was made from")
     parent_digest: str | None = Field(None, description="digest of the parent's content when this was made")
     note: str = Field("", description="why it was made")
-    arms: dict[str, Annotated[int, Field(ge=1)]] = Field(
-        {}, description="number of joints of the arms that have parameters of their own; none: arms share them"
+    arms: dict[str, Annotated[int, Field(ge=1)] | tuple[JointType, ...]] = Field(
+        {},
+        description="joints, how many or how each moves, of arms with parameters of their own; none: arms share",
     )
     formulas: tuple[FormulaSpec, ...] = Field((), description="user-defined effects")
     effects: tuple[ModelEffect, ...] = Field((), description="effects that are switched on, in order")
@@ -95,7 +101,14 @@ class Model(Schema):
                     f"model {self.name!r} is for arms with {count} joints (effect {item.name}), "
                     f"this arm has {physics.joint_count}"
                 )
-            vector = np.array([item.parameters[scalar.name].estimate for scalar in effect.scalars(count or 0)])
+            scalars = effect.scalars(0 if count is None else physics.joints)
+            for scalar in scalars:
+                if item.parameters[scalar.name].unit != scalar.unit:
+                    raise InputError(
+                        f"model {self.name!r} has {item.name}.{scalar.name} in {item.parameters[scalar.name].unit}, "
+                        f"this arm has it in {scalar.unit}: that joint moves otherwise"
+                    )
+            vector = np.array([item.parameters[scalar.name].estimate for scalar in scalars])
             physics = effect.apply_vector(physics, vector)
         return physics
 
@@ -125,6 +138,19 @@ def _joint_count(effect: Effect, item: ModelEffect) -> int | None:
     return max((int(found[1]) for name in item.parameters if (found := pattern.fullmatch(name))), default=1)
 
 
+def _joints(effect: Effect, item: ModelEffect) -> Joints:
+    """How the joints that the parameters of an effect name move, as their units tell; where these do not, they turn."""
+    count = _joint_count(effect, item) or 0
+    sliding: JointType = "prismatic"
+    slides = {
+        scalar.joint
+        for scalar in effect.scalars((sliding,) * count)
+        if scalar.unit in OF_SLIDING and scalar.name in item.parameters
+        if item.parameters[scalar.name].unit == scalar.unit
+    }
+    return tuple("prismatic" if joint in slides else "revolute" for joint in range(count))
+
+
 def check_model(model: Model, file: str | Path) -> Model:
     """Check a model against the effects it names.
 
@@ -148,7 +174,7 @@ def check_model(model: Model, file: str | Path) -> Model:
             )
         effect = model.effect_of(item)
         count = _joint_count(effect, item)
-        scalars = {scalar.name: scalar for scalar in effect.scalars(count or 0)}
+        scalars = {scalar.name: scalar for scalar in effect.scalars(_joints(effect, item))}
         for name in item.parameters:
             if name not in scalars:
                 raise InputError(

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array, EndEffector, RobotFacts, SigmoidFriction
+from impact_rs_sim.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
 from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.scenario import Scenario
 
@@ -254,24 +254,36 @@ class Physics:
         )
 
     @property
-    def joints(self) -> tuple[tuple[str, int], ...]:
-        """Names of the arms, each with its number of joints."""
-        return tuple((name, arm.facts.joint_count) for name, arm in self.arms.items())
+    def arm_joints(self) -> tuple[tuple[str, tuple[JointType, ...]], ...]:
+        """Names of the arms, each with how its joints move, base to tip."""
+        return tuple((name, tuple(joint.type for joint in arm.facts.joints)) for name, arm in self.arms.items())
+
+    @property
+    def joints(self) -> tuple[JointType, ...]:
+        """How the joints of an arm move, base to tip; none where there is no arm.
+
+        Raises:
+            InputError: The arms have unequal numbers of joints, or joints that move otherwise.
+        """
+        kinds = dict(self.arm_joints)
+        if len({len(kind) for kind in kinds.values()}) > 1:
+            found = ", ".join(f"{name} {len(kind)}" for name, kind in kinds.items())
+            raise InputError(
+                f"arms with one number of joints are expected where they share a parameter per joint, found: {found}"
+            )
+        if len(set(kinds.values())) > 1:
+            found = "; ".join(f"{name} {', '.join(kind)}" for name, kind in kinds.items())
+            raise InputError(f"arms whose joints turn and slide alike are expected, found: {found}")
+        return next(iter(kinds.values()), ())
 
     @property
     def joint_count(self) -> int:
         """Number of joints of an arm; 0 where there is no arm.
 
         Raises:
-            InputError: The arms have unequal numbers of joints.
+            InputError: As :attr:`joints`.
         """
-        counts = {count for _, count in self.joints}
-        if len(counts) > 1:
-            found = ", ".join(f"{name} {count}" for name, count in self.joints)
-            raise InputError(
-                f"arms with one number of joints are expected where they share a parameter per joint, found: {found}"
-            )
-        return next(iter(counts), 0)
+        return len(self.joints)
 
     def robot_model(self, arm: str) -> RobotModel:
         """Rigid-body model of one arm under these physics."""

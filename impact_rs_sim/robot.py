@@ -1,11 +1,16 @@
-"""Robot facts and end effector: what a URDF is written from, and nothing derived from it."""
+"""Robot facts and end effector: what a URDF is written from, and nothing derived from it.
+
+A joint turns about the z of its own frame (``revolute``) or slides along it (``prismatic``). What is told per joint is
+in the units of its coordinate, :data:`UNITS`; where a docstring says rad, N m, kg m^2, one that slides has m, N, kg.
+"""
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import pinocchio as pin
@@ -18,13 +23,62 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_sim.schema import NonNegativeVector, PositiveVector, Schema, Vector, Vector3, load
 
 Array = NDArray[np.float64]
+JointType = Literal["revolute", "prismatic"]
+
+
+@dataclass(frozen=True)
+class JointUnits:
+    """Units of the coordinate of a joint and of what belongs to it.
+
+    Attributes:
+        position: Of q.
+        velocity: Of dq.
+        acceleration: Of ddq.
+        effort: Of what drives it.
+        inertia: Of what it moves.
+        stiffness: Of its spring.
+        damping: Of its damper.
+    """
+
+    position: str
+    velocity: str
+    acceleration: str
+    effort: str
+    inertia: str
+    stiffness: str
+    damping: str
+
+
+UNITS: dict[JointType, JointUnits] = {
+    "revolute": JointUnits("rad", "rad/s", "rad/s^2", "N m", "kg m^2", "N m/rad", "N m s/rad"),
+    "prismatic": JointUnits("m", "m/s", "m/s^2", "N", "kg", "N/m", "N s/m"),
+}
+
+
+def told_units(units: Iterable[str]) -> str:
+    """One unit in brackets of a table, or those of joints that turn and slide."""
+    return " or ".join(dict.fromkeys(units))
 
 
 class JointOrigin(Schema):
-    """Placement of a joint in the link before it; the axis of every joint is its own +z."""
+    """Placement of a joint in the link before it, and how it moves: about its own +z, or along it."""
 
+    type: JointType = Field("revolute", description="revolute: turns about +z; prismatic: slides along +z")
     xyz: Vector3 = Field(description="origin of the joint in the previous link [m]")
     rpy: Vector3 = Field(description="roll, pitch, yaw of the joint in the previous link [rad]")
+
+    @property
+    def units(self) -> JointUnits:
+        """Units of what is told of this joint."""
+        return UNITS[self.type]
+
+    @model_serializer(mode="wrap")
+    def _without_the_usual_type(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Bags of arms whose joints all turn read as they always did."""
+        data: dict[str, Any] = handler(self)
+        if self.type == "revolute":
+            data.pop("type", None)
+        return data
 
 
 class Flange(Schema):
@@ -64,20 +118,20 @@ class Link(Schema):
 
 
 class Limits(Schema):
-    """Hardware limits, one entry per joint."""
+    """Hardware limits, one entry per joint; of a prismatic joint m, m/s and N, whatever the names of the keys say."""
 
-    position_min_rad: Vector = Field(description="lower joint position limits [rad]")
-    position_max_rad: Vector = Field(description="upper joint position limits [rad]")
-    velocity_rad_s: PositiveVector = Field(description="joint velocity limits [rad/s]")
-    torque_Nm: PositiveVector = Field(description="joint torque limits [N m]")
+    position_min_rad: Vector = Field(description="lower joint position limits [rad], prismatic [m]")
+    position_max_rad: Vector = Field(description="upper joint position limits [rad], prismatic [m]")
+    velocity_rad_s: PositiveVector = Field(description="joint velocity limits [rad/s], prismatic [m/s]")
+    torque_Nm: PositiveVector = Field(description="joint torque limits [N m], prismatic [N]")
 
 
 class SigmoidFriction(Schema):
     """Joint friction of Gaz et al. 2019: ``a / (1 + exp(-b (dq + c))) - a / (1 + exp(-b c))``."""
 
-    a: NonNegativeVector = Field(description="height of the sigmoid per joint [N m]")
-    b: PositiveVector = Field(description="slope of the sigmoid per joint [s/rad]")
-    c: Vector = Field(description="shift of the sigmoid per joint [rad/s]")
+    a: NonNegativeVector = Field(description="height of the sigmoid per joint [N m], prismatic [N]")
+    b: PositiveVector = Field(description="slope of the sigmoid per joint [s/rad], prismatic [s/m]")
+    c: Vector = Field(description="shift of the sigmoid per joint [rad/s], prismatic [m/s]")
 
 
 class RobotFacts(Schema):
@@ -90,10 +144,10 @@ class RobotFacts(Schema):
     links: tuple[Link, ...] = Field(min_length=1, description="link inertials")
     friction: SigmoidFriction | None = Field(None, description="identified joint friction")
     reflected_rotor_inertia_other_source_kg_m2: PositiveVector | None = Field(
-        None, description="reflected rotor inertia per joint from another source [kg m^2]"
+        None, description="reflected rotor inertia per joint from another source [kg m^2], prismatic [kg]"
     )
     joint_stiffness_typical_Nm_per_rad: PositiveVector | None = Field(
-        None, description="order of magnitude of the joint stiffness [N m/rad]"
+        None, description="order of magnitude of the joint stiffness [N m/rad], prismatic [N/m]"
     )
     joint_torque_loop: bool = Field(
         True, description="whether the joints have torque sensors and a loop about them; without: drive.type rigid"
@@ -123,6 +177,11 @@ class RobotFacts(Schema):
     def joint_count(self) -> int:
         """Number of joints."""
         return len(self.joints)
+
+    @property
+    def units(self) -> tuple[JointUnits, ...]:
+        """Units of what is told of every joint, base to tip."""
+        return tuple(joint.units for joint in self.joints)
 
 
 @functools.lru_cache(maxsize=16)

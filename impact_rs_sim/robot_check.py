@@ -14,7 +14,7 @@ import numpy as np
 from impact_rs_sim.bullet_world import mass_matrices
 from impact_rs_sim.drive_stability import JointStability, joint_stability, spectral_radius
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array, EndEffector, RobotFacts
+from impact_rs_sim.robot import UNITS, Array, EndEffector, JointType, JointUnits, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Robot, Scenario
 
@@ -24,6 +24,8 @@ CONFIGURATIONS = 100
 SEED = 0
 ENGINES_AGREE = 1e-6  # of the largest entry of M; Bullet reads a URDF in single precision here and there
 ROUNDING = 1e-3  # by which published, rounded moments may miss the triangle inequality
+MOVE: dict[JointType, str] = {"revolute": "turn", "prismatic": "slide"}
+EFFORT: dict[JointType, str] = {"revolute": "torque", "prismatic": "force"}
 MARGINAL = 1e-9  # of a spectral radius: without damping it is 1 up to rounding
 
 
@@ -124,12 +126,15 @@ def _check_inertias(facts: RobotFacts) -> Check:
 
 def _check_limits(facts: RobotFacts) -> Check:
     name, limits = "limits are sane", facts.limits
-    for number, (lower, upper) in enumerate(zip(limits.position_min_rad, limits.position_max_rad, strict=True), 1):
+    spans: dict[JointType, list[float]] = {}
+    ranges = zip(facts.joints, limits.position_min_rad, limits.position_max_rad, strict=True)
+    for number, (joint, lower, upper) in enumerate(ranges, start=1):
         if lower >= upper:
-            found = f"joint {number}: position from {lower:g} to {upper:g} rad, expected lower < upper"
-            return Check(name, "failed", found)
-    span = np.subtract(limits.position_max_rad, limits.position_min_rad)
-    return Check(name, "ok", f"joints turn by {span.min():.3g} to {span.max():.3g} rad")
+            found = f"joint {number}: position from {lower:g} to {upper:g} {joint.units.position}"
+            return Check(name, "failed", f"{found}, expected lower < upper")
+        spans.setdefault(joint.type, []).append(upper - lower)
+    told = (f"{MOVE[kind]} by {min(of):.3g} to {max(of):.3g} {UNITS[kind].position}" for kind, of in spans.items())
+    return Check(name, "ok", f"joints {', '.join(told)}")
 
 
 def _check_engines(model: RobotModel, positions: Array) -> Check:
@@ -145,7 +150,8 @@ def _check_gravity(model: RobotModel, positions: Array) -> Check:
     name = "the joints carry the arm"
     share = np.abs([model.gravity_torque(q) for q in positions]) / model.torque_max
     joint = int(share.max(axis=0).argmax())
-    found = f"joint {joint + 1}: gravity takes up to {100.0 * share.max():.3g} % of the torque limit"
+    kind = EFFORT[model.facts.joints[joint].type]
+    found = f"joint {joint + 1}: gravity takes up to {100.0 * share.max():.3g} % of the {kind} limit"
     return Check(name, "warning" if share.max() > 1.0 else "ok", found)
 
 
@@ -159,7 +165,8 @@ def _check_drive(arm: str, robot: Robot, period: float) -> list[Check]:
         values = drive.behind_the_links[joint], drive.stiffness[joint], drive.damping[joint]
         found = joint_stability(float(link_inertia), *values, period)
         if found.spectral_radius >= 1.0 - MARGINAL:
-            checks.append(_unstable(arm, joint, found, drive.damping[joint], period))
+            units = robot.robot_facts.units[joint]
+            checks.append(_unstable(arm, joint, units, found, drive.damping[joint], period))
     motors, stiffness, damping = (
         np.array(values) for values in (drive.behind_the_links, drive.stiffness, drive.damping)
     )
@@ -169,15 +176,15 @@ def _check_drive(arm: str, robot: Robot, period: float) -> list[Check]:
     return [*checks, Check(f"drive of {arm} is stable", outcome, found_all)]
 
 
-def _unstable(arm: str, joint: int, found: JointStability, damping: float, period: float) -> Check:
+def _unstable(arm: str, joint: int, units: JointUnits, found: JointStability, damping: float, period: float) -> Check:
     """What is wrong with one joint, and what would do."""
     name = f"drive of {arm}, joint {joint + 1}"
-    radius = f"spectral radius {found.spectral_radius:.6g} with {found.link_inertia:.3g} kg m^2 on the link"
+    radius = f"spectral radius {found.spectral_radius:.6g} with {found.link_inertia:.3g} {units.inertia} on the link"
     if damping == 0.0:
         return Check(name, "failed" if found.spectral_radius > 1.0 + MARGINAL else "warning", f"{radius}: no damping")
     remedies = [f"timing.drive_period < {found.period_below:.3g} s (now {period:g})"]
     if found.damping_below > 0.0:
-        remedies.insert(0, f"drive.damping < {found.damping_below:.3g} N m s/rad (now {damping:g})")
+        remedies.insert(0, f"drive.damping < {found.damping_below:.3g} {units.damping} (now {damping:g})")
     if found.stiffness_below > 0.0:
-        remedies.insert(0, f"drive.stiffness < {found.stiffness_below:.3g} N m/rad")
+        remedies.insert(0, f"drive.stiffness < {found.stiffness_below:.3g} {units.stiffness}")
     return Check(name, "failed", f"{radius}; what would do: {', or '.join(remedies)}")

@@ -1,9 +1,9 @@
 """Robot facts from a URDF.
 
-Our facts say that every joint turns about its own +z. A URDF says it of any axis a_i, in the frame of the link that the
-joint carries. With a rotation R_i that takes z to a_i, the frame of that link is written anew:
+Our facts say that every joint turns about its own +z, or slides along it. A URDF says it of any axis a_i, in the frame
+of the link that the joint carries. With a rotation R_i that takes z to a_i, the frame of that link is written anew:
 
-    T'_i = (R_{i-1}^T, 0) T_i (R_i, 0)          Rot(a_i, q) R_i = R_i Rot(z, q)
+    T'_i = (R_{i-1}^T, 0) T_i (R_i, 0)          Rot(a_i, q) R_i = R_i Rot(z, q),  Trans(a_i q) R_i = R_i Trans(z q)
     c'_i = R_i^T c_i                            I'_i = R_i^T I_i R_i
 
 so that every point of the arm moves as it did, and the dynamics are exactly those of the URDF. R_i is the smallest such
@@ -24,11 +24,12 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array, Flange, JointOrigin, Limits, Link, RobotFacts
+from impact_rs_sim.robot import UNITS, Array, Flange, JointOrigin, JointType, Limits, Link, RobotFacts
 from impact_rs_sim.schema import parse_yaml, validate
-from impact_rs_sim.urdf_chain import Chain, UrdfTree
+from impact_rs_sim.urdf_chain import MOVES_AS, Chain, UrdfTree
 
 FULL_TURN = 2.0 * math.pi  # rad; what a joint without position limits gets to either side
+TYPED: dict[JointType, str] = {"revolute": "", "prismatic": "type: prismatic, "}  # as a file of facts says it
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
@@ -80,17 +81,18 @@ def import_urdf(
                 file=file,
                 key=f"link {'' if link is None else link.get('link')}",
             )
-        joints.append(_origin(before.T @ placement.translation, before.T @ placement.rotation @ turn))
+        origin = _placement(before.T @ placement.translation, before.T @ placement.rotation @ turn)
+        joints.append(JointOrigin.model_validate({"type": _type(joint), **origin}))
         links.append(_link(body, turn))
         limits.append(_limits(tree, joint))
         before = turn
     frame = model.frames[model.getFrameId(chain.tip, pin.FrameType.BODY)].placement
-    flange = _origin(before.T @ frame.translation, before.T @ frame.rotation)
+    flange = Flange.model_validate(_placement(before.T @ frame.translation, before.T @ frame.rotation))
     columns = [tuple(column) for column in zip(*limits, strict=True)]
     facts = RobotFacts(
         source=source or f"imported from {file.name}",
         joints=tuple(joints),
-        flange=Flange(xyz=flange.xyz, rpy=flange.rpy),
+        flange=flange,
         limits=Limits(**dict(zip(Limits.model_fields, columns, strict=True))),
         links=tuple(links),
     )
@@ -119,6 +121,7 @@ def facts_text(robot: ImportedRobot, title: str) -> str:
         title: First comment line.
     """
     facts, limits = robot.facts, robot.facts.limits
+    slides = any(joint.type == "prismatic" for joint in facts.joints)
     lines = [f"# {title}"]
     lines += [f"# {note}" for note in robot.notes]
     lines += [
@@ -126,13 +129,14 @@ def facts_text(robot: ImportedRobot, title: str) -> str:
         "#   robots.NAME.drive.motor_inertia_rotor    B_rho, rotor inertia times gear ratio squared [kg m^2]",
         "#   robots.NAME.drive.motor_inertia_reduced  B_theta that a torque loop leaves; not for drive.type rigid",
         "#   robots.NAME.drive.stiffness, .damping    of the joints [N m/rad, N m s/rad]",
+        *(["# Of prismatic joints all of them, and the limits below, are in kg, N, m and s."] if slides else []),
         "#   robots.NAME.drive.friction               none, or identified with a section friction: in this file",
         f"source: {json.dumps(facts.source, ensure_ascii=False)}",
         "joint_torque_loop: true   # a URDF does not say; false where joints have no torque sensors (drive.type rigid)",
         "joints:   # origin of joint i in link i-1 [m], roll-pitch-yaw [rad]; every axis is +z",
     ]
     lines += [
-        f"  - {{xyz: {_row(origin.xyz)}, rpy: {_row(origin.rpy)}}}  # {name}"
+        f"  - {{{TYPED[origin.type]}xyz: {_row(origin.xyz)}, rpy: {_row(origin.rpy)}}}  # {name}"
         for origin, name in zip(facts.joints, robot.joints, strict=True)
     ]
     rpy = f", rpy: {_row(facts.flange.rpy)}" if any(facts.flange.rpy) else ""
@@ -198,24 +202,30 @@ def _axis(tree: UrdfTree, joint: Xml.Element) -> Array:
     return np.asarray(axis / length)
 
 
+def _type(joint: Xml.Element) -> JointType:
+    return MOVES_AS[joint.get("type", "")]
+
+
 def _limits(tree: UrdfTree, joint: Xml.Element) -> tuple[float, float, float, float]:
-    """Lowest and highest position [rad], velocity [rad/s] and torque [N m]."""
+    """Lowest and highest position, velocity and effort, in the units of the joint."""
+    units = UNITS[_type(joint)]
     limit, key = joint.find("limit"), f"joint {joint.get('name')}: limit"
     if joint.get("type") == "continuous":
         lower, upper = -FULL_TURN, FULL_TURN
     else:
         (lower,), (upper,) = (tree.numbers(limit, name, 1, "0", f"{key} {name}") for name in ("lower", "upper"))
         if lower >= upper:
-            raise InputError(f"expected lower < upper [rad], found {lower:g} and {upper:g}", file=tree.file, key=key)
+            message = f"expected lower < upper [{units.position}], found {lower:g} and {upper:g}"
+            raise InputError(message, file=tree.file, key=key)
     (velocity,), (effort,) = (tree.numbers(limit, name, 1, None, f"{key} {name}") for name in ("velocity", "effort"))
-    for name, value, unit in (("velocity", velocity, "rad/s"), ("effort", effort, "N m")):
+    for name, value, unit in (("velocity", velocity, units.velocity), ("effort", effort, units.effort)):
         if value <= 0.0:
             raise InputError(f"expected > 0 [{unit}], found {value:g}", file=tree.file, key=f"{key} {name}")
     return lower, upper, velocity, effort
 
 
-def _origin(translation: Array, rotation: Array) -> JointOrigin:
-    return JointOrigin(xyz=_clean(translation), rpy=_clean(pin.rpy.matrixToRpy(rotation)))
+def _placement(translation: Array, rotation: Array) -> dict[str, tuple[float, ...]]:
+    return {"xyz": _clean(translation), "rpy": _clean(pin.rpy.matrixToRpy(rotation))}
 
 
 def _link(body: pin.Inertia, turn: Array) -> Link:

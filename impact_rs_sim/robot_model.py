@@ -3,7 +3,7 @@
     (M(q) + B) ddq + h(q, dq) = tau_d + tau_fric + J(q)^T f_c          (paper eq. eom)
 
 M, h and J come from here. The Jacobian is geometric, of frame E, written in E[A]: origin at E, axes of the inertial
-frame A; rows 0..2 are linear, rows 3..5 angular.
+frame A; rows 0..2 are linear, rows 3..5 angular. Units per joint are those of :data:`impact_rs_sim.robot.UNITS`.
 """
 
 from __future__ import annotations
@@ -157,9 +157,10 @@ class RobotModel:
         lower, upper = self.position_min, self.position_max
         for joint, position in held.items():
             if not lower[joint] <= position <= upper[joint]:
+                unit = self.facts.units[joint].position
                 raise UnreachablePose(
-                    f"joint {joint + 1} at {position:.4g} rad is outside its limits "
-                    f"[{lower[joint]:.4g}, {upper[joint]:.4g}] rad"
+                    f"joint {joint + 1} at {position:.4g} {unit} is outside its limits "
+                    f"[{lower[joint]:.4g}, {upper[joint]:.4g}] {unit}"
                 )
         free = np.array([joint for joint in range(self.joint_count) if joint not in held], dtype=int)
         q = np.array(guess, dtype=float)
@@ -183,7 +184,8 @@ class RobotModel:
                 [best, *others], key=lambda found: float(found.cost)
             )
         if np.max(np.abs(best.fun)) > tolerance:
-            told = "".join(f", joint {joint + 1} at {position:.4g} rad" for joint, position in held.items())
+            units = self.facts.units
+            told = "".join(f", joint {joint + 1} at {at:.4g} {units[joint].position}" for joint, at in held.items())
             raise UnreachablePose(
                 f"E cannot be at {np.round(target.translation, 4).tolist()} m{told}: the nearest pose is "
                 f"{np.linalg.norm(best.fun[:3]):.3g} m and {np.linalg.norm(best.fun[3:]):.3g} rad off"

@@ -22,6 +22,7 @@ from impact_rs_sim.files import is_file
 from impact_rs_sim.friction_compensation import FrictionCompensation
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
+from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.schema import (
     Name,
     NonNegativeVector,
@@ -93,17 +94,17 @@ class DriveSettings(Schema):
         "none, and the links carry B_rho whole, whatever the motor is asked",
     )
     motor_inertia_rotor: PositiveVector = Field(
-        description="B_rho, rotor inertia times the square of the gear ratio, per joint [kg m^2]"
+        description="B_rho, rotor inertia times the square of the gear ratio, per joint [kg m^2], prismatic [kg]"
     )
     motor_inertia_reduced: PositiveVector | None = Field(
         None,
-        description="B_theta, motor inertia that the torque loop leaves, per joint [kg m^2]; required for torque_loop, "
-        "absent for rigid, where it is B_rho",
+        description="B_theta, motor inertia that the torque loop leaves, per joint [kg m^2], prismatic [kg]; required "
+        "for torque_loop, absent for rigid, where it is B_rho",
     )
     stiffness: PositiveVector = Field(
-        description="K, joint stiffness per joint, of the gear where it is rigid [N m/rad]"
+        description="K, joint stiffness per joint, of the gear where it is rigid [N m/rad], prismatic [N/m]"
     )
-    damping: NonNegativeVector = Field(description="D, joint damping per joint [N m s/rad]")
+    damping: NonNegativeVector = Field(description="D, joint damping per joint [N m s/rad], prismatic [N s/m]")
     friction: Literal["none", "identified"] = Field(
         "none", description="joint friction in the plant: none, or the robot's identified friction"
     )
@@ -133,23 +134,53 @@ class DriveSettings(Schema):
         return self.motor_inertia_rotor if self.motor_inertia_reduced is None else self.motor_inertia_reduced
 
 
-class ImpactPose(Schema):
-    """Where frame E is when the pad touches the object."""
+POSE = ("position", "pad_normal", "pad_up", "joint_guess")
 
-    position: Vector3 = Field(description="origin of frame E at impact [m]")
-    pad_normal: Vector3 = Field(description="direction out of the pad at impact, unit vector")
-    pad_up: Vector3 = Field(description="direction of E's y axis at impact, unit vector")
-    joint_guess: Vector = Field(description="joint positions to start inverse kinematics from [rad]")
+
+class ImpactPose(Schema):
+    """Where the arm is when its pad touches the object: the pose of frame E, or the position of every joint."""
+
+    position: Vector3 | None = Field(None, description="origin of frame E at impact [m]")
+    pad_normal: Vector3 | None = Field(None, description="direction out of the pad at impact, unit vector")
+    pad_up: Vector3 | None = Field(None, description="direction of E's y axis at impact, unit vector")
+    joint_guess: Vector | None = Field(
+        None, description="joint positions to start inverse kinematics from [rad], prismatic [m]"
+    )
+    joint_position: Vector | None = Field(
+        None,
+        description="joint positions at impact, in the place of the four keys above; for arms that cannot hold a pose, "
+        "with fewer than six joints [rad], prismatic [m]",
+    )
+
+    @model_serializer(mode="wrap")
+    def _as_it_was_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Bags of scenarios with a pose read as they always did."""
+        data: dict[str, Any] = handler(self)
+        return {key: value for key, value in data.items() if value is not None}
 
     @property
     def placement(self) -> pin.SE3:
-        """Placement of E in the inertial frame at impact."""
+        """Placement of E in the inertial frame at impact, where it is given as a pose."""
         normal = np.array(self.pad_normal)
         up = np.array(self.pad_up)
         return pin.SE3(np.column_stack((np.cross(up, normal), up, normal)), np.array(self.position))
 
     @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        missing = [name for name in POSE if getattr(self, name) is None]
+        if self.joint_position is None and missing:
+            raise ValueError(
+                f"expected joint_position, or {', '.join(POSE[:-1])} and {POSE[-1]}; missing: {', '.join(missing)}"
+            )
+        if self.joint_position is not None and len(missing) < len(POSE):
+            given = next(name for name in POSE if name not in missing)
+            raise ValueError(f"joint_position stands beside {given}, expected one of both: it says where E is")
+        return self
+
+    @model_validator(mode="after")
     def _orthonormal(self) -> Self:
+        if self.joint_position is not None:
+            return self
         normal, up = np.array(self.pad_normal), np.array(self.pad_up)
         if abs(np.linalg.norm(normal) - 1.0) > 1e-6 or abs(np.linalg.norm(up) - 1.0) > 1e-6:
             raise ValueError("pad_normal and pad_up must be unit vectors")
@@ -178,8 +209,9 @@ class Robot(Schema):
             found = count if values is None else len(values)
             if found != count:
                 raise ValueError(f"drive.{name} has {found} entries, expected one per joint ({count})")
-        if len(self.impact.joint_guess) != count:
-            raise ValueError(f"impact.joint_guess must have one entry per joint ({count}) [rad]")
+        key = "joint_guess" if self.impact.joint_position is None else "joint_position"
+        if len(getattr(self.impact, key)) != count:
+            raise ValueError(f"impact.{key} must have one entry per joint ({count}) [rad], prismatic [m]")
         if self.drive.type == "torque_loop" and not self.robot_facts.joint_torque_loop:
             raise ValueError(f"{self.facts_name} has no torque loop that could shape its inertia: drive.type: rigid")
         if self.drive.friction == "identified" and self.robot_facts.friction is None:
@@ -207,6 +239,14 @@ class Robot(Schema):
     def robot_facts(self) -> RobotFacts:
         """Kinematics, inertials and limits."""
         return load_facts(self.facts) if isinstance(self.facts, str) else self.facts
+
+    @property
+    def impact_placement(self) -> pin.SE3:
+        """Placement of E in the inertial frame at impact, as given or by forward kinematics."""
+        if self.impact.joint_position is None:
+            return self.impact.placement
+        model = RobotModel(self.robot_facts, self.end_effector.build(), self.base.placement)
+        return model.placement(np.array(self.impact.joint_position))
 
     @property
     def facts_name(self) -> str:
@@ -265,13 +305,15 @@ class CaseRobot(Schema):
     joint_1: float | None = Field(
         None,
         description="position of joint 1 at impact, the posture task that resolves the redundancy of seven joints "
-        "[rad]; absent: free, as for six joints",
+        "[rad], prismatic [m]; absent: free, as for six joints",
     )
     joint_1_velocity: float | None = Field(
-        None, description="velocity of joint 1 at impact [rad/s]; absent: least-norm joint velocity"
+        None, description="velocity of joint 1 at impact [rad/s], prismatic [m/s]; absent: least-norm joint velocity"
     )
     posture: dict[str, float] = Field(
-        {}, description="the same for further joints, or others: position at impact by joint, as in joint_3: 0.2 [rad]"
+        {},
+        description="the same for further joints, or others: position at impact by joint, as in joint_3: 0.2 [rad], "
+        "prismatic [m]",
     )
 
     @model_serializer(mode="wrap")
@@ -315,7 +357,9 @@ class Excursion(Schema):
     start: Vector3 = Field(description="start of frame E from its pose at impact [m]")
     end: Vector3 = Field(description="turning point of frame E from its pose at impact [m]")
     joint_1: float = Field(
-        0.0, description="change of joint 1, where the posture task holds it, from start to turning point [rad]"
+        0.0,
+        description="change of joint 1, where the posture task holds it, from start to turning point [rad], "
+        "prismatic [m]",
     )
     twist: float = Field(description="rotation of E about the pad's normal from start to turning point [rad]")
     begin: Positive = Field(description="when the motion begins [s]")
@@ -413,9 +457,9 @@ class Control(Schema):
 class Sensors(Schema):
     """What the measurement adds to the truth."""
 
-    joint_position_resolution: NonNegative = Field(description="encoder step [rad]")
-    joint_velocity_noise: NonNegative = Field(description="standard deviation [rad/s]")
-    joint_torque_noise: NonNegative = Field(description="standard deviation [N m]")
+    joint_position_resolution: NonNegative = Field(description="encoder step [rad], prismatic [m]")
+    joint_velocity_noise: NonNegative = Field(description="standard deviation [rad/s], prismatic [m/s]")
+    joint_torque_noise: NonNegative = Field(description="standard deviation [N m], prismatic [N]")
     object_position_noise: NonNegative = Field(description="standard deviation [m]")
     object_orientation_noise: NonNegative = Field(description="standard deviation [rad]")
     object_period: Positive = Field(0.004, description="period of the object tracker [s]")
@@ -426,7 +470,7 @@ class Scatter(Schema):
 
     object_position: NonNegative = Field(description="object position in the plane [m]")
     object_yaw: NonNegative = Field(description="object orientation about z [rad]")
-    joint_position: NonNegative = Field(description="initial joint positions [rad]")
+    joint_position: NonNegative = Field(description="initial joint positions [rad], prismatic [m]")
     support_friction: NonNegative = Field(description="relative change of the support's friction [-]")
 
 
@@ -452,10 +496,12 @@ class Uncertainties(Schema):
         0.012, description="object about z; two standard deviations of scatter.object_yaw of push [rad]"
     )
     joint_position: NonNegative = Field(
-        4e-4, description="each joint; two standard deviations of scatter.joint_position of push [rad]"
+        4e-4, description="each joint; two standard deviations of scatter.joint_position of push [rad], prismatic [m]"
     )
     joint_velocity: NonNegative = Field(
-        4e-3, description="each joint; two standard deviations of sensors.joint_velocity_noise of push [rad/s]"
+        4e-3,
+        description="each joint; two standard deviations of sensors.joint_velocity_noise of push [rad/s], "
+        "prismatic [m/s]",
     )
     contact_point: NonNegative = Field(
         0.002, description="contact points along the pad, each axis; assumed: rounded edges of a pad [m]"
@@ -537,6 +583,21 @@ class Scenario(Schema):
         return self
 
     @model_validator(mode="after")
+    def _given_joints_say_where_everything_is(self) -> Self:
+        for name, robot in self.robots.items():
+            if robot.impact.joint_position is None:
+                continue
+            key = f"robots.{name}.impact.joint_position"
+            if self.object_position is not None:
+                raise ValueError(f"{key} says where the object stands, at the pad: leave object_position out [m]")
+            for case_name, case in self.cases.items():
+                if case.robots[name].held:
+                    raise ValueError(
+                        f"{key} holds every joint: leave joint_1 and posture out of cases.{case_name}.robots.{name}"
+                    )
+        return self
+
+    @model_validator(mode="after")
     def _several_arms_need_an_object_between_them(self) -> Self:
         if len(self.robots) > 1 and self.object_position is None:
             raise ValueError("with several arms, object_position must say where the object stands [m]")
@@ -565,10 +626,9 @@ class Scenario(Schema):
         Raises:
             InputError: The scenario has no such object.
         """
-        impact = self.robots[robot].impact
-        placement = impact.placement
+        placement = self.robots[robot].impact_placement
         if self.object_position is not None:
-            normal = np.array(impact.pad_normal)
+            normal = placement.rotation[:, 2]
             centre = np.append(self.object_position, placement.translation[2])
             depth = float(np.abs(normal) @ np.array(self.object(object_name).size)) / 2.0 + self.object_gap
             placement.translation += normal * ((centre - placement.translation) @ normal - depth)

@@ -5,12 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
+import scipy
 
-from impact_rs_sim.errors import Infeasible, UnreachablePose
+from impact_rs_sim.errors import Infeasible, InputError, UnreachablePose
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
+
+SINGULAR = 1e-9  # of the largest singular value of a Jacobian; smaller ones are 0
+LEVEL = 0.95  # cosine; a pad further from looking sideways hits no face
 
 
 @dataclass(frozen=True)
@@ -69,11 +74,11 @@ class Scene:
 
     @staticmethod
     def resolve(scenario: Scenario, object_name: str, case_name: str) -> Scene:
-        """Solve the inverse kinematics of the impact pose and place the object.
+        """Solve the inverse kinematics of the impact pose, where joints are not given, and place the object.
 
         Raises:
-            InputError: No such object or case.
-            Infeasible: The pose cannot be reached, or a joint velocity is beyond its limit.
+            InputError: No such object or case, or a pad that given joints hold where no object can stand.
+            Infeasible: The pose cannot be reached, or a joint is beyond its limit.
         """
         physics = Physics.nominal(scenario, object_name)
         case_name = scenario.case_name(case_name)
@@ -82,19 +87,25 @@ class Scene:
         for name, robot in scenario.robots.items():
             wanted = case.robots[name]
             model = physics.robot_model(name)
-            placement = scenario.impact_placement(name, object_name)
+            linear = np.array(wanted.ante_velocity)
             try:
-                q = model.inverse_kinematics(placement, wanted.held, np.array(robot.impact.joint_guess))
-                dq = _impact_velocity(model, q, np.array(wanted.ante_velocity), wanted.joint_1_velocity)
+                if robot.impact.joint_position is not None:
+                    q = _within_limits(model, np.array(robot.impact.joint_position))
+                    dq = _velocity_of_given_joints(model, q, linear)
+                else:
+                    placement = scenario.impact_placement(name, object_name)
+                    q = model.inverse_kinematics(placement, wanted.held, np.array(robot.impact.joint_guess))
+                    dq = _impact_velocity(model, q, linear, wanted.joint_1_velocity)
             except UnreachablePose as error:
                 raise UnreachablePose(
                     f"cases.{case_name}, robots.{name}.impact of scenario {scenario.name!r}: {error}"
                 ) from None
             if np.any(np.abs(dq) > model.velocity_max):
                 joint = int(np.argmax(np.abs(dq) / model.velocity_max))
+                unit = model.facts.units[joint].velocity
                 raise Infeasible(
-                    f"cases.{case_name}: arm {name!r} needs {dq[joint]:.3g} rad/s in joint {joint + 1}, "
-                    f"its limit is {model.velocity_max[joint]:.3g} rad/s"
+                    f"cases.{case_name}: arm {name!r} needs {dq[joint]:.3g} {unit} in joint {joint + 1}, "
+                    f"its limit is {model.velocity_max[joint]:.3g} {unit}"
                 )
             models[name] = model
             arms[name] = ArmState(q, dq)
@@ -128,6 +139,39 @@ def _impact_velocity(model: RobotModel, q: Array, linear: Array, joint_1: float 
     return np.asarray(dq)
 
 
+def _within_limits(model: RobotModel, q: Array) -> Array:
+    """``q`` ``(n,)``.
+
+    Raises:
+        UnreachablePose: A joint is beyond its limits.
+    """
+    for joint, (position, low, high) in enumerate(zip(q, model.position_min, model.position_max, strict=True)):
+        if not low <= position <= high:
+            unit = model.facts.units[joint].position
+            raise UnreachablePose(
+                f"joint {joint + 1} at {position:.4g} {unit} is outside its limits [{low:.4g}, {high:.4g}] {unit}"
+            )
+    return q
+
+
+def _velocity_of_given_joints(model: RobotModel, q: Array, linear: Array) -> Array:
+    """The least joint velocity with the wanted velocity of E, that turns E as little as these joints let it, ``(n,)``.
+
+    Raises:
+        UnreachablePose: There is none with that velocity.
+    """
+    jacobian = model.jacobian(q)
+    dq = np.linalg.pinv(jacobian[:3], rcond=SINGULAR) @ linear
+    missed = float(np.abs(jacobian[:3] @ dq - linear).max())
+    if missed > 1e-6 * max(1.0, float(np.abs(linear).max())):
+        raise UnreachablePose(
+            f"ante_velocity {linear.tolist()} m/s is beyond these joints there: the nearest is off by {missed:.3g} m/s"
+        )
+    still = scipy.linalg.null_space(jacobian[:3], rcond=SINGULAR)
+    back = np.linalg.pinv(jacobian[3:] @ still, rcond=SINGULAR) @ (jacobian[3:] @ dq)
+    return np.asarray(dq - still @ back)
+
+
 def resting_pose(scenario: Scenario, object_name: str) -> BodyState:
     """Where an object rests on the support: as the scenario says, or with a face in the plane of the only pad.
 
@@ -138,8 +182,47 @@ def resting_pose(scenario: Scenario, object_name: str) -> BodyState:
     height = scenario.support.height + size[2] / 2.0
     if scenario.object_position is not None:
         return BodyState(np.append(scenario.object_position, height), np.eye(3), np.zeros(6))
-    impact = next(iter(scenario.robots.values())).impact
-    normal = np.array(impact.pad_normal)
-    position = np.array(impact.position) + normal * ((np.abs(normal) @ size) / 2.0 + scenario.object_gap)
+    name, robot = next(iter(scenario.robots.items()))
+    pad = robot.impact_placement
+    if robot.impact.joint_position is not None:
+        return _before_given_pad(scenario, name, pad, size, height)
+    normal = pad.rotation[:, 2]
+    position = pad.translation + normal * ((np.abs(normal) @ size) / 2.0 + scenario.object_gap)
     position[2] = height
     return BodyState(position, np.eye(3), np.zeros(6))
+
+
+def _before_given_pad(scenario: Scenario, name: str, pad: pin.SE3, size: Array, height: float) -> BodyState:
+    """On its support, with the face that is turned least to get there square before a pad where the joints hold it.
+
+    A pad that looks a little up or down touches with an edge: the object stands where the first of pad and face does.
+
+    Raises:
+        InputError: The pad looks up or down, or past the object.
+    """
+    key = f"robots.{name}.impact.joint_position"
+    normal, extent = pad.rotation[:, 2], np.array(scenario.robots[name].end_effector.pad.size)
+    level = np.append(normal[:2], 0.0)
+    if (share := float(np.linalg.norm(level))) < LEVEL:
+        way = "up" if normal[2] > 0.0 else "down"
+        raise InputError(
+            f"the pad looks {way} there, by {np.degrees(np.arccos(share)):.0f} degrees; objects are hit from the side, "
+            f"expected at most {np.degrees(np.arccos(LEVEL)):.0f}",
+            key=key,
+        )
+    level /= share
+    yaw = float(np.arctan2(level[1], level[0]))
+    rotation = pin.rpy.rpyToMatrix(0.0, 0.0, yaw - np.pi / 2.0 * round(yaw / (np.pi / 2.0)))
+    reach = float(np.abs(pad.rotation[2, :2]) @ extent[:2]) / 2.0
+    if abs(height - pad.translation[2]) >= size[2] / 2.0 + reach:
+        low, high = height - size[2] / 2.0, height + size[2] / 2.0
+        raise InputError(
+            f"the pad is at z = {pad.translation[2]:.3g} m there, the object stands from {low:.3g} to {high:.3g} m; "
+            "expected another support.height",
+            key=key,
+        )
+    plane = float(np.abs(normal @ rotation) @ size) / 2.0 - (height - pad.translation[2]) * float(normal[2])
+    face = float(np.abs(level @ rotation) @ size + np.abs(level @ pad.rotation[:, :2]) @ extent[:2]) / 2.0
+    position = pad.translation + level * (min(plane / share, face) + scenario.object_gap)
+    position[2] = height
+    return BodyState(position, rotation, np.zeros(6))

@@ -71,10 +71,10 @@ def write_urdf(facts: RobotFacts, end_effector: EndEffector, name: str = "arm", 
     _inertial(base, 1.0, np.zeros(3), 0.01 * np.eye(3))  # fixed to the world; Bullet warns where it is absent
     _visual(base, np.zeros(3), np.array([0.0, 0.0, 0.14]), 0.09, "0.92 0.92 0.94 1")
     limits = facts.limits
-    previous = "base"
+    previous, carrier = "base", base
     for index, (origin, inertials) in enumerate(zip(facts.joints, facts.links, strict=True)):
         link_name = f"link{index + 1}"
-        joint = Xml.SubElement(robot, "joint", name=f"joint{index + 1}", type="revolute")
+        joint = Xml.SubElement(robot, "joint", name=f"joint{index + 1}", type=origin.type)
         Xml.SubElement(joint, "parent", link=f"{prefix}{previous}")
         Xml.SubElement(joint, "child", link=f"{prefix}{link_name}")
         Xml.SubElement(joint, "origin", xyz=_text(origin.xyz), rpy=_text(origin.rpy))
@@ -88,13 +88,18 @@ def write_urdf(facts: RobotFacts, end_effector: EndEffector, name: str = "arm", 
             effort=repr(limits.torque_Nm[index]),
         )
         Xml.SubElement(joint, "dynamics", damping="0.0", friction="0.0")
+        if origin.type == "prismatic":
+            rail = pin.rpy.rpyToMatrix(*origin.rpy)[:, 2]
+            ends = (limits.position_min_rad[index], limits.position_max_rad[index])
+            start, end = (np.array(origin.xyz) + position * rail for position in ends)
+            _visual(carrier, start, end, 0.02, "0.25 0.27 0.30 1")
         link = Xml.SubElement(robot, "link", name=f"{prefix}{link_name}")
         _inertial(link, inertials.mass, np.array(inertials.com), inertials.inertia_matrix)
         axis = np.array([0.0, 0.0, 0.065])
         _visual(link, -axis, axis, 0.055, "0.25 0.27 0.30 1")
         following = facts.joints[index + 1].xyz if index + 1 < facts.joint_count else facts.flange.xyz
         _visual(link, np.zeros(3), np.array(following), 0.045, "0.92 0.92 0.94 1")
-        previous = link_name
+        previous, carrier = link_name, link
 
     mount = Xml.SubElement(robot, "joint", name="end_effector_mount", type="fixed")
     Xml.SubElement(mount, "parent", link=f"{prefix}{previous}")

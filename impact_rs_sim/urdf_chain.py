@@ -16,9 +16,10 @@ from typing import NoReturn
 from xml.etree import ElementTree as Xml
 
 from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.robot import JointType
 
-TURNING = ("revolute", "continuous")
-TYPES = (*TURNING, "fixed", "prismatic", "planar", "floating")
+MOVES_AS: dict[str, JointType] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
+TYPES = (*MOVES_AS, "fixed", "planar", "floating")
 XACRO = "xacro {file} > robot.urdf"
 KEPT = ("origin", "parent", "child", "axis", "inertial")  # what rigid-body dynamics need; no meshes
 
@@ -35,7 +36,7 @@ class Chain:
         merged: Links with a mass that are fixed to a moving link, on the way or beside it.
         left_out: Links beyond the tip.
         dynamics: Joints that the file says damping or friction of.
-        urdf: A URDF of base, way and merged links, without shapes; every joint that moves is revolute.
+        urdf: A URDF of base, way and merged links, without shapes; every joint that moves is revolute or prismatic.
     """
 
     file: Path
@@ -87,7 +88,7 @@ class UrdfTree:
         """The way from ``base`` (default: the root) to ``tip`` (default: the only one there is).
 
         Raises:
-            InputError: There is no such way, several tips, or a joint on it that is not a plain revolute one.
+            InputError: There is no such way, several tips, or a joint on it that neither turns nor slides by itself.
         """
         start = self.root if base is None else self._link(base, "--base")
         end = self._only_tip(start) if tip is None else self._link(tip, "--tip")
@@ -96,7 +97,7 @@ class UrdfTree:
         for joint in joints:
             self._check(joint)
         if not joints:
-            self._fail(f"no joint moves between {start!r} and {end!r}; expected at least one revolute joint")
+            self._fail(f"no joint moves between {start!r} and {end!r}; expected at least one that turns or slides")
         moved = way[way.index(joints[0]) :]
         beside = [joint for carrier in moved[:-1] for joint in self._beside(_child(carrier), way)]
         fixed = (_child(joint) for joint in (*moved, *beside) if joint.get("type") == "fixed")
@@ -167,7 +168,7 @@ class UrdfTree:
     def _only_tip(self, base: str) -> str:
         tips = list(self._tips(base, moves=False))
         if not tips:
-            self._fail(f"no joint moves below {base!r}; expected at least one revolute joint")
+            self._fail(f"no joint moves below {base!r}; expected at least one that turns or slides")
         if len(tips) > 1:
             self._fail(f"the tree has several tips; expected one of them with --tip: {', '.join(tips)}")
         return tips[0]
@@ -192,10 +193,8 @@ class UrdfTree:
     def _check(self, joint: Xml.Element) -> None:
         key = f"joint {_name(joint)}"
         kind = joint.get("type")
-        if kind not in TURNING:
-            self._fail(
-                f"this joint of the chain is {kind}; expected revolute or continuous, no other is known yet", key
-            )
+        if kind not in MOVES_AS:
+            self._fail(f"this joint of the chain is {kind}; expected one of {', '.join(MOVES_AS)}", key)
         if joint.find("mimic") is not None:
             self._fail("this joint of the chain mimics another; expected joints that move by themselves", key)
 
@@ -224,10 +223,10 @@ class UrdfTree:
             link = Xml.SubElement(robot, "link", name=name)
             link.extend(copy.deepcopy(part) for part in self.links[name] if part.tag in KEPT)
         for joint in joints:
-            moves = joint.get("type") != "fixed"
-            kept = Xml.SubElement(robot, "joint", name=_name(joint), type="revolute" if moves else "fixed")
+            kind = joint.get("type", "")
+            kept = Xml.SubElement(robot, "joint", name=_name(joint), type=MOVES_AS.get(kind, kind))
             kept.extend(copy.deepcopy(part) for part in joint if part.tag in KEPT)
-            if moves:  # the real limits are read elsewhere; without any the joint would have two coordinates
+            if kind != "fixed":  # the real limits are read elsewhere; without any the joint would have two coordinates
                 Xml.SubElement(kept, "limit", lower="-1", upper="1", velocity="1", effort="1")
         return Xml.tostring(robot, encoding="unicode")
 

@@ -17,9 +17,11 @@ import numpy as np
 
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.effects import library
+from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import JointType
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.unmodelled import OUTSIDE
 from impact_rs_trials.bags.record import record_trial
@@ -68,7 +70,7 @@ SIZES = {
 
 
 def draw(
-    name: str, magnitude: float, rng: np.random.Generator, joint_count: int, worlds: Sequence[Physics] = ()
+    name: str, magnitude: float, rng: np.random.Generator, joints: Joints, worlds: Sequence[Physics] = ()
 ) -> Hidden:
     """Parameter values of an effect, ``magnitude`` parameter scales away from nominal, in a random direction.
 
@@ -78,7 +80,7 @@ def draw(
     random need not be there.
     """
     effect = library()[name]
-    scalars = effect.scalars(joint_count)
+    scalars = effect.scalars(joints)
     lowest, highest = (np.array([getattr(scalar, side) for scalar in scalars]) for side in ("lower", "upper"))
     if worlds:
         lowest, highest = effect.bounds_in(worlds)
@@ -103,7 +105,7 @@ def draw_truth(
     kind: str,
     effect: str | None,
     magnitude: float | None,
-    joint_count: int | None = None,
+    joints: Joints | None = None,
     worlds: Sequence[Physics] = (),
 ) -> list[Hidden]:
     """The hidden effects of a campaign; of the joints of the shipped arm where no number is given.
@@ -126,10 +128,10 @@ def draw_truth(
             expected = "one effect" if count == 1 else "two effects as FIRST+SECOND"
             raise InputError(f"got effect {effect!r}; expected {expected} for a {kind}")
     hidden = []
-    joint_count = _joint_count(SCENARIOS) if joint_count is None else joint_count
+    joints = _joints(SCENARIOS) if joints is None else joints
     for name in chosen:
         size = magnitude if magnitude is not None else float(np.exp(rng.uniform(0.0, np.log(10.0))))
-        hidden.append(draw(str(name), size, rng, joint_count, worlds))
+        hidden.append(draw(str(name), size, rng, joints, worlds))
     return hidden
 
 
@@ -263,9 +265,9 @@ def make(
         InputError: Unknown kind, effect, size or scenario, arms with different numbers of joints, or a folder that
             holds another blind campaign.
     """
-    joint_count = _joint_count(scenarios)
+    joints = _joints(scenarios)
     worlds = [spec.plan.scene.physics for spec, _ in specs(size, scenarios)]
-    hidden = draw_truth(seed, kind, effect, magnitude, joint_count, worlds)
+    hidden = draw_truth(seed, kind, effect, magnitude, joints, worlds)
     outside, strength = (None, 0.0) if kind != "outside" else draw_outside(seed, effect, magnitude, outsides)
     todo = tasks(directory, seed, size, hidden, outside, strength, scenarios)
     truth = {
@@ -275,7 +277,7 @@ def make(
         "outside": outside,
         "outside_magnitude": strength,
         "effects": [
-            {"name": item.name, "magnitude": item.magnitude, "parameters": named(item, joint_count)} for item in hidden
+            {"name": item.name, "magnitude": item.magnitude, "parameters": named(item, joints)} for item in hidden
         ],
     }
     if tuple(scenarios) != SCENARIOS:
@@ -291,24 +293,27 @@ def make(
             yield done, len(todo)
 
 
-def _joint_count(scenarios: Sequence[str]) -> int:
-    """Joints of every arm of some scenarios.
+def _joints(scenarios: Sequence[str]) -> tuple[JointType, ...]:
+    """How the joints of every arm of some scenarios move.
 
     Raises:
         InputError: They differ, or there is no scenario.
     """
     robots = {name: load_scenario(name).robots.values() for name in scenarios}
-    counts = {name: {robot.robot_facts.joint_count for robot in arms} for name, arms in robots.items()}
-    found = set().union(*counts.values())
-    if len(found) != 1:
-        told = ", ".join(f"{name}: {', '.join(map(str, sorted(own)))}" for name, own in counts.items())
-        raise InputError(f"a blind campaign needs arms with one number of joints, got {told or 'no scenario'}")
-    return found.pop()
+    facts = {name: [robot.robot_facts for robot in arms] for name, arms in robots.items()}
+    kinds = {tuple(joint.type for joint in one.joints) for own in facts.values() for one in own}
+    if len(kinds) != 1:
+        counts = {name: sorted({one.joint_count for one in own}) for name, own in facts.items()}
+        told = ", ".join(f"{name}: {', '.join(map(str, own))}" for name, own in counts.items())
+        raise InputError(
+            f"a blind campaign needs arms that turn and slide alike, with one number of joints, got {told or 'none'}"
+        )
+    return kinds.pop()
 
 
-def named(item: Hidden, joint_count: int) -> dict[str, Any]:
+def named(item: Hidden, joints: Joints) -> dict[str, Any]:
     """Parameters of a hidden effect with their units, as the truth says them."""
-    scalars = library()[item.name].scalars(joint_count)
+    scalars = library()[item.name].scalars(joints)
     return {
         scalar.name: {"value": value, "unit": scalar.unit} for scalar, value in zip(scalars, item.values, strict=True)
     }

@@ -95,7 +95,8 @@ def _names(table: ImpactTable) -> list[str]:
     names = []
     for arm in table.arms:
         label = f"{arm}." if len(table.arms) > 1 else ""
-        names += [f"{label}dq{joint + 1}_after [rad/s]" for joint in range(row.impact.arms[arm].position.size)]
+        units = row.physics.arms[arm].facts.units
+        names += [f"{label}dq{joint}_after [{unit.velocity}]" for joint, unit in enumerate(units, start=1)]
     return [
         *names,
         *(f"v{axis}_after [m/s]" for axis in "xyz"),

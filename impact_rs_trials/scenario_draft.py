@@ -20,7 +20,7 @@ import pinocchio as pin
 from impact_rs_sim.assumed_drive import assumed_drive
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import Array, RobotFacts
+from impact_rs_sim.robot import Array, JointUnits, RobotFacts, told_units
 from impact_rs_sim.robot_check import failures_of, random_positions
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import ImpactPose, Scenario, load_scenario
@@ -37,7 +37,7 @@ POSES = 150  # that are looked at
 BEST = 6  # that are simulated
 SEED = 0
 STEP = 0.02  # m, along the way
-COMFORTABLE = 0.3  # rad from a limit; more is no better
+COMFORTABLE = {"revolute": 0.3, "prismatic": 0.1}  # rad, m from a limit; more is no better
 MOST_DEFLECTED = 0.5  # velocity across the pad's normal over that along it, by an impulse along it; less is better
 REGULAR = 0.1  # smallest singular value of the Jacobian (m, rad); more is no better
 SPEEDS = (1.0, 0.8, 0.6, 0.45)  # of the shipped scenario's, until the joints are fast enough
@@ -98,7 +98,7 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
     if facts.joint_count < 6:
         raise InputError(
             f"{facts_name} has {facts.joint_count} joints: a pad that keeps its orientation on its way needs six; "
-            "write a scenario by hand, or use the arm in recordings"
+            "write a scenario for impact-rs map by hand, with robots.NAME.impact.joint_position, or use recordings"
         )
     shipped = load_scenario(kind)
     effector = next(iter(shipped.robots.values())).end_effector
@@ -186,14 +186,15 @@ def _along(model: RobotModel, start: Array, way: Array, speed: float) -> float:
     length = float(np.linalg.norm(way))
     direction = np.append(way / length, np.zeros(3))
     target, q, worst = model.placement(start), start.copy(), 1.0
+    comfortable = np.array([COMFORTABLE[joint.type] for joint in model.facts.joints])
     for travelled in np.arange(0.0, length + STEP, STEP):
         jacobian = model.jacobian(q)
         inverse = np.linalg.pinv(jacobian)
-        margin = float(np.minimum(q - model.position_min, model.position_max - q).min())
+        margin = float((np.minimum(q - model.position_min, model.position_max - q) / comfortable).min())
         regular = float(np.linalg.svd(jacobian, compute_uv=False)[5])
         fast = float((np.abs(inverse @ direction) * speed / model.velocity_max).max())
         loaded = float((np.abs(model.gravity_torque(q)) / model.torque_max).max())
-        shares = (margin / COMFORTABLE, regular / REGULAR, 2.0 * (1.0 - fast), 2.0 * (1.0 - loaded))
+        shares = (margin, regular / REGULAR, 2.0 * (1.0 - fast), 2.0 * (1.0 - loaded))
         worst = min(worst, float(np.prod(np.clip(shares, 0.0, 1.0))))
         if worst == 0.0:
             break
@@ -252,7 +253,9 @@ def scenario_text(
         "robots:",
     ]
     for number, (name, robot) in enumerate(plain["robots"].items()):
-        lines += _robot_lines(name, facts_name, robot["end_effector"], drive, pose, mirrored if number else None)
+        lines += _robot_lines(
+            name, facts_name, facts.units, robot["end_effector"], drive, pose, mirrored if number else None
+        )
     return "\n".join(
         [
             *lines,
@@ -278,6 +281,7 @@ def _sections(text: str, starts: Sequence[str]) -> list[str]:
 def _robot_lines(
     name: str,
     facts_name: str,
+    units: Sequence[JointUnits],
     effector: dict[str, Any],
     drive: dict[str, list[float]],
     pose: Pose,
@@ -291,6 +295,7 @@ def _robot_lines(
         position = 2.0 * mirrored - pose.position
         position[2] = pose.position[2]
     reduced = drive.get("motor_inertia_reduced")
+    inertia = told_units(unit.inertia for unit in units)
     return [
         f"  {name}:",
         f"    facts: {facts_name}",
@@ -308,15 +313,15 @@ def _robot_lines(
         f"        damping: {float(pad['damping'])}   # N s/m, whole face",
         "    drive:",
         *(["      type: rigid   # no torque loop: the links carry B_rho"] if reduced is None else []),
-        f"      motor_inertia_rotor: {drive['motor_inertia_rotor']}   # kg m^2, B_rho",
-        *([] if reduced is None else [f"      motor_inertia_reduced: {reduced}   # kg m^2, B_theta"]),
-        f"      stiffness: {drive['stiffness']}   # N m/rad, K",
-        f"      damping: {drive['damping']}   # N m s/rad, D",
+        f"      motor_inertia_rotor: {drive['motor_inertia_rotor']}   # {inertia}, B_rho",
+        *([] if reduced is None else [f"      motor_inertia_reduced: {reduced}   # {inertia}, B_theta"]),
+        f"      stiffness: {drive['stiffness']}   # {told_units(unit.stiffness for unit in units)}, K",
+        f"      damping: {drive['damping']}   # {told_units(unit.damping for unit in units)}, D",
         "    impact:",
         f"      position: {_row(position)}   # m",
         f"      pad_normal: {_row(sign * NORMAL)}",
         f"      pad_up: {_row(UP)}",
-        f"      joint_guess: {_row(pose.q)}   # rad",
+        f"      joint_guess: {_row(pose.q)}   # {told_units(unit.position for unit in units)}",
     ]
 
 
@@ -333,7 +338,7 @@ def _case_lines(cases: dict[str, Any], facts: RobotFacts, pose: Pose, speed: flo
         own = []
         for arm, wanted in case["robots"].items():
             velocity = (speed * np.array(wanted["ante_velocity"], dtype=float)).round(4)
-            own.append(f"      {arm}: {{ante_velocity: {_row(velocity)}{held}}}   # m/s, rad")
+            own.append(f"      {arm}: {{ante_velocity: {_row(velocity)}{held}}}   # m/s, {facts.units[0].position}")
         if own not in seen:
             lines += [f"  {name}:", f"    label: {case['label']}", "    robots:", *own]
             seen.append(own)

@@ -66,7 +66,7 @@ class Candidate:
     @staticmethod
     def of(effects: tuple[Effect, ...], source: Source, point: Array | None = None, origin: Added = ()) -> Candidate:
         """Effects without sensitivities, at ``point`` (None: where they do nothing)."""
-        joints = source.joint_count
+        joints = source.joints
         bounds = [effect.bounds_in(source.worlds) for effect in effects]
         if point is None:
             point = np.concatenate([effect.nominal(joints) for effect in effects])
@@ -175,7 +175,7 @@ class Candidate:
 
 def wanted(candidate: Candidate, numbers: Sequence[int], source: Source, where: Where) -> list[tuple[int, Added]]:
     """Predictions that :func:`linearise` needs, so that those of many effects can be made in one batch."""
-    joints = source.joint_count
+    joints = source.joints
     at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
     result: list[tuple[int, Added]] = []
     for number in numbers:
@@ -212,7 +212,7 @@ def linearise(
         what: What it is for, to tell the user.
         where: In which clusters an effect is looked at; elsewhere its sensitivities are zero.
     """
-    joints = source.joint_count
+    joints = source.joints
     at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
     results = iter(source.predict(wanted(candidate, numbers, source, where), what))
     offsets, jacobians = [], []

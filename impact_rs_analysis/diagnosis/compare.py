@@ -30,6 +30,7 @@ from impact_rs_analysis.evidence.cluster import TIMES, Cluster, Source, size_of
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.replays import ReplaySource, clusters_of
+from impact_rs_analysis.evidence.torque_balance import ARM
 from impact_rs_analysis.measure.arms import ArmDocument, arms_of
 from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import Schema
@@ -324,7 +325,7 @@ def _of_recordings(source: RecordingSource) -> ComparisonDocument:
     total = float(np.sum(np.square(rest)))
     files = ", ".join(str(recording.path.name) for recording in source.recordings)
     cells, signals = [], []
-    for joint in range(rest.shape[1]):
+    for joint, units in enumerate(source.physics.arms[ARM].facts.units):
         own = rest[:, joint]
         signals.append(
             SignalLevel(
@@ -334,7 +335,7 @@ def _of_recordings(source: RecordingSource) -> ComparisonDocument:
                 error=rounded(root_mean_square(own)),
                 mean=rounded(float(own.mean())),
                 noise_floor=rounded(float(noise[joint])),
-                unit="N m",
+                unit=units.effort,
                 times_noise=rounded(root_mean_square(own) / float(noise[joint])),
             )
         )
@@ -351,7 +352,7 @@ def _of_recordings(source: RecordingSource) -> ComparisonDocument:
                     signal="torque",
                     index=f"joint{joint + 1}",
                     error=rounded(float(part.mean())),
-                    unit="N m",
+                    unit=units.effort,
                     floor=0.0,
                     share=rounded(float(np.sum(np.square(part))) / max(total, 1e-300)),
                     times_noise=rounded(root_mean_square(part) / float(noise[joint])),
@@ -375,7 +376,7 @@ def _of_recordings(source: RecordingSource) -> ComparisonDocument:
         ),
         score=rounded(root_mean_square(rest)),
         score_is="root mean square of recorded minus predicted joint torque over all joints and samples",
-        score_unit="N m",
+        score_unit=source.told_unit,
         arms=arms_of(source.worlds),
         noise_floor=rounded(root_mean_square(noise)),
         levels={

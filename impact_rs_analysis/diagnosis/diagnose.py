@@ -42,6 +42,7 @@ from impact_rs_analysis.diagnosis.verdicts import (
 from impact_rs_analysis.diagnosis.words import summary_of
 from impact_rs_analysis.evidence.cluster import Source
 from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.evidence.torque_balance import ARM
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
@@ -176,9 +177,9 @@ def _whole(source: Source, held: Sequence[int]) -> bool:
 def _joints(source: Source, before: Sequence[Array], after: Sequence[Array]) -> tuple[JointError, ...]:
     if not isinstance(source, RecordingSource):
         return ()
-    count = source.joint_count
+    units = source.physics.arms[ARM].facts.units
     first, second = (
-        np.sqrt(np.mean(np.square(np.concatenate(rest).reshape(-1, count)), axis=0)) * source.sigma
+        np.sqrt(np.mean(np.square(np.concatenate(rest).reshape(-1, len(units))), axis=0)) * source.sigma
         for rest in (before, after)
     )
     return tuple(
@@ -187,8 +188,9 @@ def _joints(source: Source, before: Sequence[Array], after: Sequence[Array]) -> 
             before=float(first[joint]),
             after=float(second[joint]),
             noise=float(source.balance.noise[joint]),
+            unit=unit.effort,
         )
-        for joint in range(count)
+        for joint, unit in enumerate(units)
     )
 
 

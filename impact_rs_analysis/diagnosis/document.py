@@ -181,9 +181,10 @@ class JointError(Schema):
     """Held-out error of one joint."""
 
     joint: str = Field(description="joint")
-    before: float = Field(description="of the model [N m]")
-    after: float = Field(description="with the chosen effects [N m]")
-    noise: float = Field(description="noise of the recorded torque [N m]")
+    before: float = Field(description="of the model [unit]")
+    after: float = Field(description="with the chosen effects [unit]")
+    noise: float = Field(description="noise of the recorded torque [unit]")
+    unit: str = Field("N m", description="unit of all of them; N of a joint that slides")
 
 
 class RecordingDocument(Schema):

@@ -136,7 +136,7 @@ def _held_out(version: Version, clusters: tuple[Cluster, ...], source_of: Callab
             (own.get(scalar.name) or own[scalar.shared_name]).estimate
             for effect in effects
             for own in [values[effect.name]]
-            for scalar in effect.scalars(bare.joint_count)
+            for scalar in effect.scalars(bare.joints)
         ]
     )
     bare_candidate = Candidate.of(effects, bare, point)

@@ -175,7 +175,7 @@ class Search:
         if evidence.reference.freedom < LEAST_FREEDOM:
             return {}
         seen = [effect for effect in effects if any(in_free_motion(effect, item) for item in evidence.clusters)]
-        dear = {effect.name for effect in seen if len(effect.scalars(self.source.joint_count)) > 1}
+        dear = {effect.name for effect in seen if len(effect.scalars(self.source.joints)) > 1}
         if not dear:
             return {}
         self._prefetch(seen, in_free_motion, evidence)
@@ -340,7 +340,7 @@ class Search:
         if not found:
             return None
         best = min(found, key=lambda proposal: proposal.score)
-        joints = self.source.joint_count
+        joints = self.source.joints
         alike = [entry for entry in found if entry.score <= best.score * math.exp(TIE)]
         return min(alike, key=lambda entry: (entry.candidate.effects[-1].complexity(joints), entry.score))
 
@@ -410,7 +410,7 @@ class Search:
 
         A constant vertical pull is a payload before it is a spring, and a payload before it is a gain of every joint.
         """
-        joints = self.source.joint_count
+        joints = self.source.joints
         known = {name: single.effects[0] for name, single in self.singles.items()}
         rivals = self.rivals(chosen)
         for _ in range(MOST_EFFECTS):

@@ -60,7 +60,7 @@ def _rest(document: DiagnosisDocument) -> str:
     rests = [entry for entry in document.unexplained.where if entry.value > max(entry.floor, 1e-12)]
     if document.error_unit != TIMES and document.joints:
         worst = max(document.joints, key=lambda joint: joint.after, default=None)
-        return "" if worst is None else f"Left is at most {worst.after:.2g} N m, in {worst.joint}."
+        return "" if worst is None else f"Left is at most {worst.after:.2g} {worst.unit}, in {worst.joint}."
     if not rests:
         return "What is left is below what matters in every signal."
     shown = "; ".join(f"{e.value:.2g} {e.unit} of the {e.signal} {e.index} ({e.phase})" for e in rests[:2])

@@ -27,10 +27,11 @@ from functools import cached_property
 
 import numpy as np
 
+from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array, RobotFacts
+from impact_rs_sim.robot import Array, JointType, RobotFacts
 
 Added = tuple[tuple[str, tuple[float, ...]], ...]
 """Effects on top of a model: names with their parameter vectors."""
@@ -200,20 +201,20 @@ class Source(ABC):
         return [self.physics]
 
     @property
-    def joint_count(self) -> int:
-        """Number of joints of an arm that shares its parameters with all others; 0 where there is none.
+    def joints(self) -> tuple[JointType, ...]:
+        """How the joints of an arm that shares its parameters with all others move, base to tip; none without an arm.
 
         Raises:
-            InputError: Arms with different numbers of joints go by one name, so that they cannot be told apart.
+            InputError: Arms whose joints are not alike go by one name, so that they cannot be told apart.
         """
-        counts = {(name, arm.facts.joint_count) for world in self.worlds for name, arm in world.arms.items()}
-        if not self.model.arms and len({count for _, count in counts}) > 1:
-            told = ", ".join(f"{name} with {count} joints" for name, count in sorted(counts))
+        found = {(name, joints) for world in self.worlds for name, joints in world.arm_joints}
+        if not self.model.arms and len({joints for _, joints in found}) > 1:
+            told = ", ".join(f"{name} with {len(joints)} joints" for name, joints in sorted(found))
             raise InputError(
                 f"arms {told}: parameters of different arms go by their names; expected another name for each"
             )
         arm = next(iter(self.physics.arms.values()), None)
-        return 0 if arm is None else arm.facts.joint_count
+        return () if arm is None else tuple(joint.type for joint in arm.facts.joints)
 
     @property
     def identity(self) -> Identity:
@@ -301,7 +302,13 @@ def apart(model: Model, worlds: Iterable[Physics], each_arm: bool = False) -> Mo
     alike = all(kinds == first for kinds in found.values())
     if model.arms or several or (alike and not each_arm):
         return model
-    return model.model_copy(update={"arms": {name: kinds[0].joint_count for name, kinds in found.items()}})
+    return model.model_copy(update={"arms": {name: _joints_of(kinds[0]) for name, kinds in found.items()}})
+
+
+def _joints_of(facts: RobotFacts) -> Joints:
+    """The joints of an arm as a model file says them."""
+    kinds = tuple(joint.type for joint in facts.joints)
+    return kinds if "prismatic" in kinds else len(kinds)
 
 
 def difference(before: Array | None, after: Array | None) -> Array | None:

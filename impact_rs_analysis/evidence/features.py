@@ -23,7 +23,7 @@ import scipy
 from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_analysis.evidence.signals import ArmSignals, Signals
 from impact_rs_sim.physics import ArmPhysics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robot import UNITS, Array, JointType
 from impact_rs_sim.robot_model import RobotModel
 
 EDGE = 0.006  # s, averaged at each end of a bin for its momentum change
@@ -45,12 +45,18 @@ AXES = ("x", "y", "z")
 
 @functools.cache
 def layout(
-    arms: tuple[tuple[str, int], ...], free: int, pushes: int | None, command: bool, motor: bool, tracked: bool
+    arms: tuple[tuple[str, tuple[JointType, ...]], ...],
+    free: int,
+    pushes: int | None,
+    command: bool,
+    motor: bool,
+    tracked: bool,
 ) -> tuple[Feature, ...]:
     """What the entries of a feature vector are.
 
     Args:
-        arms: Names of the arms, each with its number of joints.
+        arms: Names of the arms, each with how its joints move; floors in N and m are those in N m and rad at a lever
+            of 1 m.
         free: Windows of free motion.
         pushes: Bins of the push that were recorded; None: nothing is hit.
         command: Whether the desired torque is known.
@@ -58,30 +64,39 @@ def layout(
         tracked: Whether the object was tracked.
     """
     result: list[Feature] = []
-    for arm, joint_count in arms:
+    for arm, moves in arms:
         label = f"{arm}." if len(arms) > 1 else ""
-        joints = [f"{label}joint{index + 1}" for index in range(joint_count)]
-        axes = [f"{label}{axis}" for axis in AXES]
+        joints = [(f"{label}joint{index}", UNITS[kind]) for index, kind in enumerate(moves, start=1)]
+        torques = [(name, units.effort) for name, units in joints]
+        positions = [(name, units.position) for name, units in joints]
+        speeds = [(name, units.velocity) for name, units in joints]
+        velocity, turning, force, moment = (
+            [(f"{label}{axis}", unit) for axis in AXES] for unit in ("m/s", "rad/s", "N", "N m")
+        )
 
-        def add(phase: str, signal: str, names: list[str], bins: int, unit: str, floor: float, arm: str = arm) -> None:
-            result.extend(Feature(phase, signal, name, b, unit, floor, arm) for b in range(bins) for name in names)
+        def add(
+            phase: str, signal: str, entries: list[tuple[str, str]], bins: int, floor: float, arm: str = arm
+        ) -> None:
+            result.extend(
+                Feature(phase, signal, name, b, unit, floor, arm) for b in range(bins) for name, unit in entries
+            )
 
         if command:
-            add("free", "motor torque balance", joints, free, "N m", 0.01)
-        add("free", "link torque balance", joints, free, "N m", 0.02)
+            add("free", "motor torque balance", torques, free, 0.01)
+        add("free", "link torque balance", torques, free, 0.02)
         if motor:
-            add("free", "elastic deflection", joints, free, "rad", 4e-6)
+            add("free", "elastic deflection", positions, free, 4e-6)
         if pushes is None:
             continue
-        add("impact", "joint velocity jump", joints, 1, "rad/s", 0.004)
-        add("impact", "end-effector velocity", axes, len(JUMP_WINDOWS), "m/s", 0.003)
-        add("impact", "contact force", axes, len(JUMP_WINDOWS), "N", 1.0)
-        add("impact", "end-effector rotation", axes, len(JUMP_WINDOWS), "rad/s", 0.02)
+        add("impact", "joint velocity jump", speeds, 1, 0.004)
+        add("impact", "end-effector velocity", velocity, len(JUMP_WINDOWS), 0.003)
+        add("impact", "contact force", force, len(JUMP_WINDOWS), 1.0)
+        add("impact", "end-effector rotation", turning, len(JUMP_WINDOWS), 0.02)
         if command:
-            add("push", "motor torque balance", joints, pushes, "N m", 0.01)
-        add("push", "contact force", axes, pushes, "N", 0.05)
-        add("push", "contact moment", axes, pushes, "N m", 0.02)
-        add("push", "end-effector velocity", axes, pushes, "m/s", 0.001)
+            add("push", "motor torque balance", torques, pushes, 0.01)
+        add("push", "contact force", force, pushes, 0.05)
+        add("push", "contact moment", moment, pushes, 0.02)
+        add("push", "end-effector velocity", velocity, pushes, 0.001)
     if pushes is not None and tracked:
         for number in range(len(OBJECT_WINDOWS)):
             result.extend(Feature("impact", "object velocity", axis, number, "m/s", 0.003) for axis in AXES[:2])

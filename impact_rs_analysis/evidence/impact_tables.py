@@ -51,7 +51,7 @@ LEAST_CONDITIONS = 3  # that are repeated, for repeats to be what is counted on
 LEAST_REPEATS = 3  # degrees of freedom of the pure error
 FLOOR_LINEAR = 0.005  # m/s; motion capture knows no velocity of a body better
 FLOOR_ANGULAR = 0.05  # rad/s; the same at a lever of 0.1 m
-FLOOR_JOINT = 0.005  # rad/s; the same at a lever of 1 m
+FLOOR_JOINT = 0.005  # rad/s; the same at a lever of 1 m, or of a joint that slides
 LEAST_SCALE = 1e-6  # m/s; a model that leaves less is exact
 GAINED = 1.05  # kinetic energy after over before, from which a row is suspect
 
@@ -132,10 +132,10 @@ class ImpactTableSource(Source):
     def signals(self) -> tuple[Feature, ...]:
         """What the entries of a row are, whatever it hits with, ``nv`` of them."""
         found = []
-        for name, state in self.table.rows[0].impact.arms.items():
+        for name in self.table.rows[0].impact.arms:
             label = f"{name}." if len(self.table.arms) > 1 else ""
-            for joint in range(state.position.size):
-                found.append(Feature("impact", JOINTS, f"{label}joint{joint + 1}", 0, "rad/s", FLOOR_JOINT, name))
+            for joint, units in enumerate(self.table.rows[0].physics.arms[name].facts.units, start=1):
+                found.append(Feature("impact", JOINTS, f"{label}joint{joint}", 0, units.velocity, FLOOR_JOINT, name))
         names = AXES if self.table.arms else CONTACT_AXES
         found += [Feature("impact", LINEAR, axis, 0, "m/s", FLOOR_LINEAR) for axis in names]
         found += [Feature("impact", ANGULAR, axis, 0, "rad/s", FLOOR_ANGULAR) for axis in names]

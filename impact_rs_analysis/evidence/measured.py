@@ -161,7 +161,7 @@ class MeasuredRun:
         tracked = bool(impacts) and run.signals.object_time.size > 1
         numbers = [window.number for window in windows if not window.contact]
         features = layout(
-            run.physics.joints,
+            run.physics.arm_joints,
             len(numbers),
             pushes,
             bool(run.command),
@@ -211,7 +211,7 @@ class MeasuredRun:
         if not windows:
             return None
         physics, command = self.setup.physics, self.setup.drive == "command"
-        parts = layout(physics.joints, len(windows), None, command, self.setup.motor, False)
+        parts = layout(physics.arm_joints, len(windows), None, command, self.setup.motor, False)
         numbers = [window.number for window in windows]
         rows = [number for number, feature in enumerate(self.features) if feature.phase == "free"]
         features = tuple(self.features[row] for row in rows)

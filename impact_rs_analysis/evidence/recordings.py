@@ -17,14 +17,14 @@ from impact_rs_analysis.evidence.torque_balance import ARM, Motion, TorqueBalanc
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robot import Array, told_units
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import Recording
 
 STRETCHES = 24  # at least, if they are not shorter than SHORTEST
 LONGEST, SHORTEST = 2.0, 0.5  # s
 LEAST_STRETCHES = 12
-SLOW = 0.05  # rad/s
+SLOW = 0.05  # rad/s, m/s
 SIGNAL = "torque"
 PHASES = ("moving up", "moving down", "slow")
 
@@ -113,6 +113,7 @@ class RecordingSource(Source):
         self.balance = TorqueBalance(list(motions))
         self.rest = self.balance.recorded - self.balance.predict(physics)
         self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.rest), axis=0)), 1e-12)
+        self.told_unit = told_units(joint.effort for joint in physics.arms[ARM].facts.units)
         self._stretches = tuple(stretches)
         self._predicted: dict[Added, Array | None] = {}
         self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))
@@ -199,7 +200,8 @@ class RecordingSource(Source):
         stretch = self._stretches[number]
         rest, velocity = self.rest[stretch.rows], self.balance.velocity[stretch.rows]
         phase = np.where(velocity > SLOW, 0, np.where(velocity < -SLOW, 1, 2))
-        labels = [[_feature(name, joint) for name in PHASES] for joint in range(rest.shape[1])]
+        units = [joint.effort for joint in self.physics.arms[ARM].facts.units]
+        labels = [[_feature(name, joint, unit) for name in PHASES] for joint, unit in enumerate(units)]
         sigma = np.broadcast_to(self.sigma, rest.shape).ravel()
         return Cluster(
             name=stretch.name,
@@ -215,8 +217,8 @@ class RecordingSource(Source):
         )
 
 
-def _feature(phase: str, joint: int) -> Feature:
-    return Feature(phase, SIGNAL, f"joint{joint + 1}", 0, "N m", 0.0)
+def _feature(phase: str, joint: int, unit: str) -> Feature:
+    return Feature(phase, SIGNAL, f"joint{joint + 1}", 0, unit, 0.0)
 
 
 def _cut(recordings: Sequence[Recording], motions: Sequence[Motion]) -> list[Stretch]:

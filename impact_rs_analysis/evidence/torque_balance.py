@@ -131,7 +131,7 @@ def physics_of(mapping: Mapping, motions: list[Motion]) -> Physics:
     inertia = np.zeros(count)
     if mapping.torque_measured_at == "motor":
         if mapping.motor_inertia is None:
-            raise InputError("torque_measured_at: motor needs motor_inertia [kg m^2]")
+            raise InputError("torque_measured_at: motor needs motor_inertia [kg m^2], prismatic [kg]")
         inertia = np.array(mapping.motor_inertia)
     model = RobotModel(facts, end_effector, base)
     places = [model.placement(q).translation for motion in motions for q in motion.position[:: len(motion.time) // 50]]

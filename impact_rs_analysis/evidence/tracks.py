@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from impact_rs_analysis.evidence.torque_balance import ARM
 from impact_rs_sim.robot import Array
 
 if TYPE_CHECKING:  # a page that shows tracks does not need what they are made from
@@ -85,6 +86,7 @@ def tracks_of_recordings(source: RecordingSource, rests: Mapping[str, Array]) ->
     """
     found = []
     recorded = source.balance.recorded
+    units = [joint.effort for joint in source.physics.arms[ARM].facts.units]
     for label, rest in rests.items():
         start = 0
         for recording, motion in zip(source.recordings, source.motions, strict=True):
@@ -98,8 +100,8 @@ def tracks_of_recordings(source: RecordingSource, rests: Mapping[str, Array]) ->
                     impact=None,
                     time=time,
                     signals=tuple(
-                        TrackSignal(f"torque of joint {joint + 1}", "N m", measured[:, joint], predicted[:, joint])
-                        for joint in range(recorded.shape[1])
+                        TrackSignal(f"torque of joint {joint + 1}", unit, measured[:, joint], predicted[:, joint])
+                        for joint, unit in enumerate(units)
                     ),
                 )
             )
@@ -110,25 +112,26 @@ def _signals(item: AlignedRun) -> list[TrackSignal]:
     """What is shown of a run: end effectors along the main axis first, then their joints, then the object."""
     found: list[TrackSignal] = []
     main = item.run.axis
-    axes = [(axis, AXES[axis]) for axis in (main, *(axis for axis in range(3) if axis != main))]
+    axes = [(axis, AXES[axis], "m/s") for axis in (main, *(axis for axis in range(3) if axis != main))]
     for arm, measured in item.measured.arms.items():
         predicted = item.predicted.arms[arm]
-        joints = [(joint, str(joint + 1)) for joint in range(measured.position.shape[1])]
+        units = item.run.setup.physics.arms[arm].facts.units
+        torques = [(joint, str(joint + 1), unit.effort) for joint, unit in enumerate(units)]
+        speeds = [(joint, str(joint + 1), unit.velocity) for joint, unit in enumerate(units)]
         own = [
-            *_columns("end-effector velocity", "m/s", measured.twist, predicted.twist, axes),
-            *_columns("torque of joint", "N m", measured.torque, predicted.torque, joints),
-            *_columns("velocity of joint", "rad/s", measured.velocity, predicted.velocity, joints),
+            *_columns("end-effector velocity", measured.twist, predicted.twist, axes),
+            *_columns("torque of joint", measured.torque, predicted.torque, torques),
+            *_columns("velocity of joint", measured.velocity, predicted.velocity, speeds),
         ]
         several = len(item.measured.arms) > 1
         found += [replace(signal, name=f"{arm}: {signal.name}") for signal in own] if several else own
     a, b = item.measured, item.predicted
     if np.isfinite(a.object_yaw).any():
-        found += _columns("object position", "m", a.object_position, b.object_position, list(enumerate(AXES[:2])))
+        plane = [(axis, AXES[axis], "m") for axis in range(2)]
+        found += _columns("object position", a.object_position, b.object_position, plane)
         found.append(TrackSignal("object yaw", "rad", a.object_yaw, b.object_yaw))
     return found
 
 
-def _columns(
-    name: str, unit: str, measured: Array, predicted: Array, picks: Iterable[tuple[int, str]]
-) -> list[TrackSignal]:
-    return [TrackSignal(f"{name} {label}", unit, measured[:, i], predicted[:, i]) for i, label in picks]
+def _columns(name: str, measured: Array, predicted: Array, picks: Iterable[tuple[int, str, str]]) -> list[TrackSignal]:
+    return [TrackSignal(f"{name} {label}", unit, measured[:, i], predicted[:, i]) for i, label, unit in picks]

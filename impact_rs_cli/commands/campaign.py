@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import nullcontext
 from typing import Any
 
-from impact_rs_cli.arguments import add_jobs, warn_of_robots, workforce_of
+from impact_rs_cli.arguments import add_jobs, check_robots, workforce_of
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.scenario import load_scenario
@@ -107,7 +107,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     manifest = make_manifest(
         args.scenario, args.objects, args.cases, args.scales, args.trials, args.seed, dict(args.settings)
     )
-    warn_of_robots(load_scenario(args.scenario).with_settings(dict(args.settings)), terminal)
+    check_robots(load_scenario(args.scenario).with_settings(dict(args.settings)), terminal)
     campaigns: Mapping[Store, Manifest] = {store: manifest}
     if args.sensitivity:
         if not isinstance(store, Folder):

@@ -17,6 +17,7 @@ from impact_rs_cli.arguments import add_jobs, add_runs, number, on_local_runs
 from impact_rs_cli.measurements import Measurements, add_source, measured, only_trials
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 from impact_rs_sim.model import Model, load_model
+from impact_rs_sim.robot import told_units
 
 TEXT = f"""\
 Compare a model with measurements, and show where it fails.
@@ -129,13 +130,15 @@ def _show(document: ComparisonDocument, terminal: Terminal) -> None:
 
 def _show_joints(document: ComparisonDocument, terminal: Terminal) -> None:
     table = Table(title="Torque that the model does not explain")
-    for heading in ("joint", "rms [N m]", "mean [N m]", "noise [N m]"):
+    rows = document.levels["recording"].signals
+    unit = told_units(row.unit for row in rows)
+    for heading in ("joint", f"rms [{unit}]", f"mean [{unit}]", f"noise [{unit}]"):
         table.add_column(heading, justify="left" if heading == "joint" else "right")
-    for row in document.levels["recording"].signals:
+    for row in rows:
         table.add_row(row.index, f"{row.error:.3f}", f"{row.mean or 0.0:+.3f}", f"{row.noise_floor:.3f}")
     terminal.say(table)
     for cell in document.where[:4]:
-        terminal.say(f"  {100 * cell.share:.0f} %: {cell.index} {cell.phase}, mean {cell.error:+.2f} N m")
+        terminal.say(f"  {100 * cell.share:.0f} %: {cell.index} {cell.phase}, mean {cell.error:+.2f} {cell.unit}")
 
 
 def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:

@@ -26,6 +26,7 @@ from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_
 from impact_rs_sim.effects.formula import FormulaEffect, load_formulas
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.model import Model, load_model
+from impact_rs_sim.robot import told_units
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 
@@ -197,7 +198,7 @@ def report_of(
         source = measurements.against(model)
         versions = history(model_file, measurements.against) if model.parent is not None else None
         parameters = {effect.name: effect.parameters for effect in document.effects}
-        added = added_of(document.named, parameters, source.model, source.joint_count)
+        added = added_of(document.named, parameters, source.model, source.joints)
         tracks = measurements.tracks(source.model, added)
     return write_diagnosis(document, compare(source), tracks, versions, directory)
 
@@ -207,7 +208,8 @@ def _show(document: DiagnosisDocument, terminal: Terminal) -> None:
     if document.hold_out.folds:
         terminal.say(f"held out: {document.hold_out.what}")
     if document.joints:
-        table = Table(title="Held-out torque error by joint [N m rms]")
+        unit = told_units(row.unit for row in document.joints)
+        table = Table(title=f"Held-out torque error by joint [{unit} rms]")
         for heading in ("", *(row.joint for row in document.joints)):
             table.add_column(heading, justify="right")
         for name in ("before", "after", "noise"):

@@ -19,16 +19,16 @@ TEXT = f"""\
 Bring a robot of your own: read its URDF, and check what was read.
 
 import writes robot facts (kinematics, inertials, limits) of the serial chain from --base to --tip. Joints may turn
-about any axis; meshes need not be there. What a URDF does not hold stands in comments of the new file. Robot facts are
-never overwritten. check looks at facts before anything is simulated with them, with --scenario also at the drives of
-the arms that are this robot.
+about any axis or slide along it; meshes need not be there. What a URDF does not hold stands in comments of the file.
+Robot facts are never overwritten. check looks at facts before anything is simulated with them, with --scenario also at
+the drives of the arms that are this robot.
 
 example:
   {PROGRAM} robot import my_robot.urdf --tip flange -o my_robot.yaml
   {PROGRAM} robot check my_robot.yaml
   {PROGRAM} robot check my_robot.yaml --scenario my_push.yaml
 
-Units: SI; angles in rad."""
+Units: SI; angles in rad. Of prismatic joints m, N and kg stand where others have rad, N m and kg m^2."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from impact_rs_cli.arguments import warn_of_robots
+from impact_rs_cli.arguments import check_robots
 from impact_rs_cli.terminal import Terminal, declare
 from impact_rs_ros.graph import up
 from impact_rs_sim.scenario import load_scenario
@@ -27,5 +27,5 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    warn_of_robots(load_scenario(args.scenario), terminal)
+    check_robots(load_scenario(args.scenario), terminal)
     return up(args.scenario)

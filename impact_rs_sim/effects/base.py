@@ -14,15 +14,28 @@ import hashlib
 import inspect
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robot import Array, JointType
 
+# Parameters per joint have the units and ranges of a joint that turns. One that slides has those of a joint behind a
+# pinion of this radius: by the unit that turns, the unit that slides, and the factor of the range.
+PINION = 0.05  # m
+SLIDING = {
+    "N m": ("N", 1.0 / PINION),
+    "N m s/rad": ("N s/m", 1.0 / PINION**2),
+    "N m/rad": ("N/m", 1.0 / PINION**2),
+    "rad/s": ("m/s", PINION),
+    "rad": ("m", PINION),
+    "kg m^2": ("kg", 1.0 / PINION**2),
+}
+
+Joints = int | Sequence[JointType]  # of an arm: how many there are, if all of them turn, or how each of them moves
 Values = dict[str, Array]  # by parameter name: (n,) for a parameter per joint, (1,) otherwise, in its unit
 
 
@@ -60,26 +73,48 @@ class Parameter:
     far: tuple[float, ...] = ()
     hidden: tuple[float, float] | None = None
 
-    def scalars(self, joint_count: int) -> list[ScalarParameter]:
-        """One scalar, or one per joint: ``coulomb_joint1`` ... for a parameter per joint."""
-        return [
-            ScalarParameter(
-                name=self.name if joint is None else f"{self.name}_joint{joint + 1}",
-                unit=self.unit,
-                nominal=self.nominal,
-                lower=self.lower,
-                upper=self.upper,
-                scale=self.scale,
-                meaning=self.meaning,
-                step=self.scale if self.step is None else self.step,
-                joint=joint,
-                shape=self.shape,
-                grid=self.grid,
-                far=self.far,
-                hidden=self.hidden,
-            )
-            for joint in (range(joint_count) if self.per_joint else (None,))
-        ]
+    def scalars(self, joints: Joints) -> list[ScalarParameter]:
+        """One scalar, or one per joint: ``coulomb_joint1`` ... for a parameter per joint, each in its joint's unit."""
+        if not self.per_joint:
+            return [self._scalar(self.name, None)]
+        turning: JointType = "revolute"
+        kinds = (turning,) * joints if isinstance(joints, int) else joints
+        return [self._of(kind)._scalar(f"{self.name}_joint{joint + 1}", joint) for joint, kind in enumerate(kinds)]
+
+    def _of(self, kind: JointType) -> Parameter:
+        """The parameter of a joint that moves so."""
+        if kind == "revolute" or self.unit not in SLIDING:
+            return self
+        unit, factor = SLIDING[self.unit]
+        return replace(
+            self,
+            unit=unit,
+            nominal=factor * self.nominal,
+            lower=factor * self.lower,
+            upper=factor * self.upper,
+            scale=factor * self.scale,
+            step=None if self.step is None else factor * self.step,
+            grid=tuple(factor * value for value in self.grid),
+            far=tuple(factor * value for value in self.far),
+            hidden=None if self.hidden is None else (factor * self.hidden[0], factor * self.hidden[1]),
+        )
+
+    def _scalar(self, name: str, joint: int | None) -> ScalarParameter:
+        return ScalarParameter(
+            name=name,
+            unit=self.unit,
+            nominal=self.nominal,
+            lower=self.lower,
+            upper=self.upper,
+            scale=self.scale,
+            meaning=self.meaning,
+            step=self.scale if self.step is None else self.step,
+            joint=joint,
+            shape=self.shape,
+            grid=self.grid,
+            far=self.far,
+            hidden=self.hidden,
+        )
 
 
 @dataclass(frozen=True)
@@ -142,13 +177,13 @@ class Effect(ABC):
             values: By parameter name: ``(n,)`` for a parameter per joint, ``(1,)`` otherwise, in its unit.
         """
 
-    def scalars(self, joint_count: int) -> list[ScalarParameter]:
+    def scalars(self, joints: Joints) -> list[ScalarParameter]:
         """The parameters, joint by joint."""
-        return [scalar for _, own in self.spelled(joint_count) for scalar in own]
+        return [scalar for _, own in self.spelled(joints) for scalar in own]
 
-    def spelled(self, joint_count: int) -> list[tuple[str, list[ScalarParameter]]]:
+    def spelled(self, joints: Joints) -> list[tuple[str, list[ScalarParameter]]]:
         """Every parameter by name, joint by joint."""
-        return [(parameter.name, parameter.scalars(joint_count)) for parameter in self.parameters]
+        return [(parameter.name, parameter.scalars(joints)) for parameter in self.parameters]
 
     def apply_vector(self, physics: Physics, vector: Array) -> Physics:
         """As :meth:`apply`, with all scalars in one vector ordered as :meth:`scalars`.
@@ -156,7 +191,7 @@ class Effect(ABC):
         Raises:
             InputError: Wrong length or not finite; or one parameter per joint, and arms with unequal joint counts.
         """
-        spelled = self.spelled(self._joint_count(physics))
+        spelled = self.spelled(self._joints(physics))
         count = sum(len(own) for _, own in spelled)
         vector = np.asarray(vector, dtype=float)
         if vector.shape != (count,) or not np.isfinite(vector).all():
@@ -167,22 +202,22 @@ class Effect(ABC):
             start += len(own)
         return self.apply(physics, values)
 
-    def nominal(self, joint_count: int) -> Array:
+    def nominal(self, joints: Joints) -> Array:
         """Values of all scalars at which the effect does nothing, ``(p,)``."""
-        return np.array([scalar.nominal for scalar in self.scalars(joint_count)])
+        return np.array([scalar.nominal for scalar in self.scalars(joints)])
 
-    def steps(self, joint_count: int, at: Array) -> Array:
+    def steps(self, joints: Joints, at: Array) -> Array:
         """Finite-difference steps from ``at`` ``(p,)``, the other way where a bound is in the way, ``(p,)``."""
         return np.array(
             [
                 scalar.step if scalar.lower <= value + scalar.step <= scalar.upper else -scalar.step
-                for scalar, value in zip(self.scalars(joint_count), at, strict=True)
+                for scalar, value in zip(self.scalars(joints), at, strict=True)
             ]
         )
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
         """Lower and upper bound of every scalar under ``physics`` (without the effect), ``(p,)`` each."""
-        scalars = self.scalars(self._joint_count(physics))
+        scalars = self.scalars(self._joints(physics))
         return np.array([scalar.lower for scalar in scalars]), np.array([scalar.upper for scalar in scalars])
 
     def bounds_in(self, worlds: Iterable[Physics]) -> tuple[Array, Array]:
@@ -190,9 +225,9 @@ class Effect(ABC):
         bounds = [self.bounds(physics) for physics in worlds]
         return np.max([low for low, _ in bounds], axis=0), np.min([high for _, high in bounds], axis=0)
 
-    def complexity(self, joint_count: int) -> int:
+    def complexity(self, joints: Joints) -> int:
         """Number of scalars that are no shape: of two effects that look alike, the one with fewer is preferred."""
-        return sum(not scalar.shape for scalar in self.scalars(joint_count))
+        return sum(not scalar.shape for scalar in self.scalars(joints))
 
     def seen_in(self, contact: bool) -> bool:
         """Whether it can be seen in a motion with (``contact``) or without contact; the former has a free part too."""
@@ -207,9 +242,9 @@ class Effect(ABC):
         kind = type(self)
         return digest(kind.__qualname__, self.name, repr(self.parameters), _source(kind.__module__))
 
-    def _joint_count(self, physics: Physics) -> int:
-        """Joints that the parameters per joint count; 0 where there is no such parameter."""
-        return physics.joint_count if any(parameter.per_joint for parameter in self.parameters) else 0
+    def _joints(self, physics: Physics) -> Joints:
+        """Joints that the parameters per joint count; none where there is no such parameter."""
+        return physics.joints if any(parameter.per_joint for parameter in self.parameters) else ()
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,15 @@ joints as that arm has.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from impact_rs_sim.effects.base import ArmEffect, Effect, ScalarParameter, Values, digest
+from impact_rs_sim.effects.base import ArmEffect, Effect, Joints, ScalarParameter, Values, digest
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robot import Array, JointType
 
 
 class EachArm(Effect):
@@ -24,10 +24,10 @@ class EachArm(Effect):
 
     Args:
         effect: What it does to one arm.
-        joints: Number of joints by arm; the parameters of one arm come after those of the other, in this order.
+        joints: Joints by arm; the parameters of one arm come after those of the other, in this order.
     """
 
-    def __init__(self, effect: ArmEffect, joints: Mapping[str, int]) -> None:
+    def __init__(self, effect: ArmEffect, joints: Mapping[str, Joints]) -> None:
         self.effect, self.joints = effect, dict(joints)
         self.name, self.acts_on, self.sentence = effect.name, effect.acts_on, effect.sentence
         self.phases = effect.phases
@@ -48,12 +48,12 @@ class EachArm(Effect):
             arms[name] = self.effect.apply(_alone(physics, name), own).arms[name]
         return replace(physics, arms=arms)
 
-    def spelled(self, joint_count: int) -> list[tuple[str, list[ScalarParameter]]]:
-        """See :meth:`Effect.spelled`; it knows how many joints every arm has."""
-        del joint_count
+    def spelled(self, joints: Joints) -> list[tuple[str, list[ScalarParameter]]]:
+        """See :meth:`Effect.spelled`; it knows which joints every arm has."""
+        del joints
         scalars = (
-            [replace(scalar, arm=arm) for scalar in replace(parameter, name=f"{parameter.name}_{arm}").scalars(count)]
-            for arm, count in self.joints.items()
+            [replace(scalar, arm=arm) for scalar in replace(parameter, name=f"{parameter.name}_{arm}").scalars(own)]
+            for arm, own in self.joints.items()
             for parameter in self.effect.parameters
         )
         return list(zip((parameter.name for parameter in self.parameters), scalars, strict=True))
@@ -77,29 +77,40 @@ class EachArm(Effect):
         """See :attr:`Effect.identity`."""
         return digest(super().identity, self.effect.identity, repr(self.joints))
 
-    def _joint_count(self, physics: Physics) -> int:
+    def _joints(self, physics: Physics) -> Joints:
         """None that all arms share."""
         del physics
-        return 0
+        return ()
 
     def _check(self, physics: Physics) -> None:
-        for name, arm in physics.arms.items():
-            if self.joints.get(name) != arm.facts.joint_count:
-                known = ", ".join(f"{own} with {count} joints" for own, count in self.joints.items())
+        for name, joints in physics.arm_joints:
+            if name not in self.joints or _spelled_out(self.joints[name]) != joints:
+                known = ", ".join(f"{own} with {_told(_spelled_out(has))}" for own, has in self.joints.items())
                 raise InputError(
-                    f"effect {self.name!r} has parameters for arms {known}; "
-                    f"here is arm {name!r} with {arm.facts.joint_count} joints"
+                    f"effect {self.name!r} has parameters for arms {known}; here is arm {name!r} with {_told(joints)}"
                 )
 
 
-def of_each(effect: Effect, joints: Mapping[str, int]) -> Effect:
+def of_each(effect: Effect, joints: Mapping[str, Joints]) -> Effect:
     """The effect with parameters of its own for every arm, where it is one of arms.
 
     Args:
         effect: Any effect.
-        joints: Number of joints by arm; empty: arms share their parameters.
+        joints: Joints by arm; empty: arms share their parameters.
     """
     return EachArm(effect, joints) if joints and isinstance(effect, ArmEffect) else effect
+
+
+def _spelled_out(joints: Joints) -> tuple[JointType, ...]:
+    """How every joint moves."""
+    turning: JointType = "revolute"
+    return (turning,) * joints if isinstance(joints, int) else tuple(joints)
+
+
+def _told(joints: Sequence[JointType]) -> str:
+    """Joints in words."""
+    sliding = joints.count("prismatic")
+    return f"{len(joints)} joints" + (f", {sliding} of them sliding" if sliding else "")
 
 
 def _alone(physics: Physics, name: str) -> Physics:

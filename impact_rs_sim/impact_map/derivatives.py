@@ -8,7 +8,7 @@ u^+ = u^- + H^-1 J^T L, a parameter theta moves u^+ by
 
 where L and s turn with the contact normals. What a parameter does to H, J and the normals is closed as well:
 
-* a serial chain of revolute joints with the columns (l_i, z_i) of J in E[A]: dl_i / dq_j = z_j x l_i and
+* a serial chain with the columns (l_i, z_i) of J in E[A], z_i = 0 where it slides: dl_i / dq_j = z_j x l_i and
   dz_i / dq_j = z_j x z_i for j <= i, else z_i x l_j and 0; (dM / dq) a from Pinocchio's derivatives of the inverse
   dynamics;
 * the object: dH a = W H a - H W a for a turn dphi with W = blockdiag(dphi x, dphi x);
@@ -387,7 +387,7 @@ class _Changes:
 
 
 def chain_derivative(jacobian: Array) -> Array:
-    """dJ / dq_j of a serial chain of revolute joints from its J in E[A] ``(6, n)``, ``(n, 6, n)``, j first."""
+    """dJ / dq_j of a serial chain from its J in E[A] ``(6, n)``, ``(n, 6, n)``, j first."""
     linear, axes = jacobian[:3].T, jacobian[3:].T
     count = len(axes)
     slopes = np.zeros((count, 6, count))

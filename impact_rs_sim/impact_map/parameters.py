@@ -18,6 +18,8 @@ name                                  unit      what it is
 ``pad_friction`` ``support_friction``  -        Coulomb coefficients
 ``restitution``                       -         Newton restitution
 ====================================  ========  ==============================================================
+
+Of a prismatic joint kg, m and m/s stand in the place of kg m^2, rad and rad/s.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ OF_OBJECT = {
     "velocity": "m/s",
     "angular_velocity": "rad/s",
 }
-OF_JOINTS = {"motor_inertia": "kg m^2", "position": "rad", "velocity": "rad/s"}
+OF_JOINTS = {"motor_inertia": "inertia", "position": "position", "velocity": "velocity"}  # whose unit each has
 
 
 @dataclass(frozen=True)
@@ -61,11 +63,11 @@ def parameters_of(problem: ImpactProblem) -> tuple[MapParameter, ...]:
     """All parameters of a question."""
     found = [MapParameter("object.mass", "kg")]
     found += [MapParameter(f"object.{kind}.{axis}", unit) for kind, unit in OF_OBJECT.items() for axis in AXES]
-    for name, state in problem.arms.items():
+    for name in problem.arms:
         found += [
-            MapParameter(f"{name}.{kind}.{joint + 1}", unit)
-            for kind, unit in OF_JOINTS.items()
-            for joint in range(state.position.size)
+            MapParameter(f"{name}.{kind}.{joint}", getattr(units, quantity))
+            for kind, quantity in OF_JOINTS.items()
+            for joint, units in enumerate(problem.physics.arms[name].facts.units, start=1)
         ]
         found.append(MapParameter(f"{name}.link_inertia", "-"))
         found += [MapParameter(f"{name}.contact_point.{axis}", "m") for axis in "xy"]

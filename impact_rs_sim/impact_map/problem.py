@@ -23,7 +23,7 @@ import numpy as np
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.impact_map.contacts import SUPPORT, Meeting, meetings
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, RESTITUTION_LAWS, Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robot import Array, told_units
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 
@@ -236,16 +236,19 @@ def _vector(values: Array, length: int, key: str, unit: str) -> None:
 
 def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
     facts = problem.physics.arms[name].facts
-    count, limits = facts.joint_count, facts.limits
-    _vector(state.position, count, f"arms.{name}.position", "rad")
-    _vector(state.velocity, count, f"arms.{name}.velocity", "rad/s")
-    _vector(problem.motor_inertia[name], count, f"motor_inertia.{name}", "kg m^2")
-    slack = math.inf if problem.measured else 1e-9  # rad, so that a configuration on its limit passes
+    limits, units = facts.limits, facts.units
+    for key, values, quantity in (
+        (f"arms.{name}.position", state.position, "position"),
+        (f"arms.{name}.velocity", state.velocity, "velocity"),
+        (f"motor_inertia.{name}", problem.motor_inertia[name], "inertia"),
+    ):
+        _vector(values, len(units), key, told_units(getattr(unit, quantity) for unit in units))
+    slack = math.inf if problem.measured else 1e-9  # so that a configuration on its limit passes
     for index, value in enumerate(state.position):
         low, high = limits.position_min_rad[index], limits.position_max_rad[index]
         if not low - slack <= value <= high + slack:
             raise Infeasible(
-                f"joint {index + 1} is outside its limits [{low:.4g}, {high:.4g}] rad",
+                f"joint {index + 1} is outside its limits [{low:.4g}, {high:.4g}] {units[index].position}",
                 key=f"arms.{name}.position[{index}]",
                 value=float(value),
             )
@@ -253,14 +256,16 @@ def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
         limit = limits.velocity_rad_s[index]
         if abs(value) > limit + slack:
             raise Infeasible(
-                f"joint {index + 1} is faster than its limit {limit:.4g} rad/s",
+                f"joint {index + 1} is faster than its limit {limit:.4g} {units[index].velocity}",
                 key=f"arms.{name}.velocity[{index}]",
                 value=float(value),
             )
     for index, value in enumerate(problem.motor_inertia[name]):
         if value < 0.0:
             raise InputError(
-                "expected motor inertia >= 0 kg m^2", key=f"motor_inertia.{name}[{index}]", value=float(value)
+                f"expected motor inertia >= 0 {units[index].inertia}",
+                key=f"motor_inertia.{name}[{index}]",
+                value=float(value),
             )
 
 

@@ -58,8 +58,8 @@ def _sample(
     )
     shift = rng.uniform(-0.4, 0.4)
     held = next(iter(scenario.cases.values())).robots[name].held
-    near = {joint: robot.impact.joint_guess[joint] + shift for joint in held}
-    q = model.inverse_kinematics(target, near, np.array(robot.impact.joint_guess))
+    guess = np.array(robot.impact.joint_guess)
+    q = model.inverse_kinematics(target, {joint: float(guess[joint]) + shift for joint in held}, guess)
     normal = target.rotation[:, 2]
     speed = rng.uniform(0.2, 1.0)
     twist = np.concatenate((speed * (normal + rng.uniform(-0.3, 0.3, 3)), rng.uniform(-0.3, 0.3, 3)))

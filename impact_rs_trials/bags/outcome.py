@@ -172,11 +172,12 @@ def _runaway(name: str, arm: ArmRecord, model: RobotModel) -> Iterator[_Finding]
         speed = np.abs(joints.velocity) / model.velocity_max
         for row in np.flatnonzero(~(speed <= RUNAWAY).all(axis=1))[:1]:  # a NaN is below no bound
             joint, time = int(np.argmax(speed[row])), float(joints.time[row])
+            unit = model.facts.units[joint].velocity
             yield _Finding(
                 "DIVERGED",
                 time,
-                f"{name} joint{joint + 1} at {abs(joints.velocity[row, joint]):.4g} rad/s against "
-                f"{model.velocity_max[joint]:.4g} rad/s at {time:.3f} s",
+                f"{name} joint{joint + 1} at {abs(joints.velocity[row, joint]):.4g} {unit} against "
+                f"{model.velocity_max[joint]:.4g} {unit} at {time:.3f} s",
             )
     for what, times, values in (
         ("position", joints.time, joints.position),
@@ -192,11 +193,11 @@ def _beyond_limits(name: str, arm: ArmRecord, model: RobotModel, period: float) 
     """Every joint that was beyond one of its limits for too long."""
     joints, torque = arm.joints, model.torque_max
     stops = (model.position_min, model.position_max)
-    for what, unit, time, values, (low, high), margin, longest in (
-        ("position", "rad", joints.time, joints.position, stops, 1.0, LONGEST),
-        ("speed", "rad/s", joints.time, joints.velocity, (-model.velocity_max, model.velocity_max), 1.0, LONGEST),
-        ("torque", "N m", joints.time, joints.effort, (-torque, torque), MEASURED, LONGEST_TORQUE),
-        ("commanded torque", "N m", arm.command_time, arm.command, (-torque, torque), COMMANDED, LONGEST_TORQUE),
+    for what, quantity, time, values, (low, high), margin, longest in (
+        ("position", "position", joints.time, joints.position, stops, 1.0, LONGEST),
+        ("speed", "velocity", joints.time, joints.velocity, (-model.velocity_max, model.velocity_max), 1.0, LONGEST),
+        ("torque", "effort", joints.time, joints.effort, (-torque, torque), MEASURED, LONGEST_TORQUE),
+        ("commanded torque", "effort", arm.command_time, arm.command, (-torque, torque), COMMANDED, LONGEST_TORQUE),
     ):
         if not time.size:
             continue
@@ -207,7 +208,7 @@ def _beyond_limits(name: str, arm: ArmRecord, model: RobotModel, period: float) 
             excess = np.maximum(values[rows, joint] - high[joint], low[joint] - values[rows, joint])
             worst = values[rows[np.argmax(excess)], joint]
             limit = high[joint] if worst > high[joint] else low[joint]
-            since = float(time[rows[0]])
+            since, unit = float(time[rows[0]]), getattr(model.facts.units[joint], quantity)
             yield _Finding(
                 "LIMIT",
                 since,

@@ -326,12 +326,12 @@ class BagFile:
         holder = getattr(holder, "wrench", holder)
         if not (hasattr(holder, "force") and hasattr(holder, "torque")):
             raise InputError(f"{place}: expected a WrenchStamped, or a field that holds a wrench", file=self._path)
-        factor = self._mapping.factor("wrench")
+        factor = float(self._mapping.factor("wrench"))
         return [factor * number for number in (*_xyz(holder.force), *_xyz(holder.torque))]
 
     def _pose(self, place: str, holder: Any) -> list[float]:
         """Position and quaternion, x y z w, of a pose or transform, however deep it lies."""
-        scale = self._mapping.factor("object_pose")
+        scale = float(self._mapping.factor("object_pose"))
         for _ in range(3):  # PoseWithCovarianceStamped and Odometry hold a pose in a pose
             for position, orientation in _POSE_PARTS:
                 if hasattr(holder, position) and hasattr(holder, orientation):

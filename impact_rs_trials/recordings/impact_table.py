@@ -276,14 +276,26 @@ class _Reader:
     def _of_joints(self, arm: str, stem: str, tail: str = "") -> list[str]:
         return [f"{self._label(arm)}{stem}{joint + 1}{tail}" for joint in range(self._joints(arm))]
 
+    def _with_units(self, arm: str, names: list[str], quantity: str) -> dict[str, str]:
+        """Columns of an arm's joints with their units."""
+        assert self.scenario is not None
+        units = self.scenario.robots[arm].robot_facts.units
+        return {name: getattr(unit, quantity) for name, unit in zip(names, units, strict=True)}
+
+    def _state_of(self, arm: str) -> dict[str, str]:
+        """Columns of positions and velocities of an arm's joints with their units."""
+        return {
+            **self._with_units(arm, self._of_joints(arm, "q"), "position"),
+            **self._with_units(arm, self._of_joints(arm, "dq", "_before"), "velocity"),
+            **self._with_units(arm, self._of_joints(arm, "dq", "_after"), "velocity"),
+        }
+
     def _columns(self) -> list[str]:
         """Find the columns that are known, with their units; returns the others."""
         known = {**POSE, **TWISTS, **BODY}
         for arm in self._arms:
-            known |= dict.fromkeys(self._of_joints(arm, "q"), "rad")
-            known |= dict.fromkeys(self._of_joints(arm, "dq", "_before"), "rad/s")
-            known |= dict.fromkeys(self._of_joints(arm, "dq", "_after"), "rad/s")
-            known |= dict.fromkeys(self._of_joints(arm, "B"), "kg m^2")
+            known |= self._state_of(arm)
+            known |= self._with_units(arm, self._of_joints(arm, "B"), "inertia")
         unread = []
         for text in self.header:
             name, bracket, unit = text.partition("[")
@@ -325,16 +337,15 @@ class _Reader:
         """Refuse a table that lacks a column."""
         needed = {**POSE, **TWISTS}
         for arm in self._arms:
-            needed |= dict.fromkeys(self._of_joints(arm, "q"), "rad")
-            needed |= dict.fromkeys(self._of_joints(arm, "dq", "_before"), "rad/s")
-            needed |= dict.fromkeys(self._of_joints(arm, "dq", "_after"), "rad/s")
+            needed |= self._state_of(arm)
         if self.scenario is None:
             needed["mass"] = "kg"
         for group in (_triple("n"), _triple("size_"), ["ixx", "iyy", "izz"], *self._point_columns()):
             if any(name in self._where for name in group):
                 needed |= {name: BODY[name] for name in group}
         if any(f"{self._label(arm)}B1" in self._where for arm in self._arms):
-            needed |= {name: "kg m^2" for arm in self._arms for name in self._of_joints(arm, "B")}
+            for arm in self._arms:
+                needed |= self._with_units(arm, self._of_joints(arm, "B"), "inertia")
         for name, unit in needed.items():
             if self.questions and name.endswith("_after"):
                 continue
@@ -499,12 +510,9 @@ class _Reader:
         for arm, values in motors.items():
             if min(values) < 0.0:
                 joint = int(np.argmin(values))
-                raise self._wrong(
-                    number,
-                    f"column '{self._of_joints(arm, 'B')[joint]}'",
-                    values[joint],
-                    "expected a number >= 0 [kg m^2]",
-                )
+                name = self._of_joints(arm, "B")[joint]
+                unit = self._with_units(arm, self._of_joints(arm, "B"), "inertia")[name]
+                raise self._wrong(number, f"column {name!r}", values[joint], f"expected a number >= 0 [{unit}]")
         key = (thing, *own.items(), *motors.items())
         if key not in self._physics:
             physics = self._free(own) if self.scenario is None else self._of_scene(thing, own, motors)

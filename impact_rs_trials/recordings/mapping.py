@@ -21,11 +21,20 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
 from impact_rs_sim.schema import NonNegativeVector, Schema, Vector3, load
 
-UNITS: dict[str, dict[str, float]] = {  # factor to SI, by quantity
+TURNS: dict[str, dict[str, float]] = {  # factor to SI of joints that turn, by quantity
     "position": {"rad": 1.0, "mrad": 1e-3, "deg": np.pi / 180.0},
     "velocity": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": np.pi / 180.0},
     "torque": {"N m": 1.0, "mN m": 1e-3},
     "torque_rate": {"N m/s": 1.0},
+}
+SLIDES: dict[str, dict[str, float]] = {  # of joints that slide
+    "position": {"m": 1.0, "mm": 1e-3},
+    "velocity": {"m/s": 1.0, "mm/s": 1e-3},
+    "torque": {"N": 1.0, "mN": 1e-3},
+    "torque_rate": {"N/s": 1.0},
+}
+UNITS: dict[str, dict[str, float]] = {
+    **{quantity: TURNS[quantity] | SLIDES[quantity] for quantity in TURNS},
     "length": {"m": 1.0, "mm": 1e-3},
     "orientation": {"-": 1.0},
     "wrench": {"N, N m": 1.0},
@@ -83,8 +92,15 @@ class SignalSource(Schema):
     file: str | None = Field(None, description="file in the folder of a run; absent: the run's own file")
     quaternion_order: Literal["xyzw", "wxyz"] = Field("xyzw", description="order of a quaternion's numbers in a table")
     delay: float = Field(0.0, description="added to the time stamps [s]")
-    unit: str = Field(description="unit of the numbers in the file")
+    unit: str | tuple[str, ...] = Field(
+        description="unit of the numbers in the file; of joints of which some turn and some slide, a list with one each"
+    )
     factor: Annotated[float, Field(description="the numbers are multiplied by this as well, for example -1 [-]")] = 1.0
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The unit, or those of all joints."""
+        return (self.unit,) if isinstance(self.unit, str) else self.unit
 
 
 class TimeSource(Schema):
@@ -124,7 +140,9 @@ class Mapping(Schema):
     """A mapping file."""
 
     description: str = Field(description="what kind of recording this reads")
-    robot: str = Field(description="robot facts: name of a file in config/robots, or a path")
+    robot: str = Field(
+        description="robot facts: name of a file in config/robots, or a path, seen from the mapping file's folder"
+    )
     joints: tuple[str, ...] = Field(min_length=1, description="joint names in order; * stands for anything")
     end_effector: MountedEndEffector = Field(
         default_factory=MountedEndEffector, description="what was mounted on the flange"
@@ -136,7 +154,7 @@ class Mapping(Schema):
         "the motor's own inertia as well",
     )
     motor_inertia: NonNegativeVector | None = Field(
-        None, description="motor inertia at the joint, only with torque_measured_at: motor [kg m^2]"
+        None, description="motor inertia at the joint, only with torque_measured_at: motor [kg m^2], prismatic [kg]"
     )
     command_includes_gravity: bool = Field(
         True, description="whether the commanded torque holds the arm's own weight; libfranka's does not"
@@ -153,9 +171,13 @@ class Mapping(Schema):
                 raise ValueError(f"signals.{name} is missing; position, velocity and torque are needed")
         for name, source in self.signals.items():
             units = UNITS[QUANTITY[name]]
-            if source.unit not in units:
-                raise ValueError(f"signals.{name}.unit is {source.unit!r}, expected one of: {', '.join(units)}")
             wanted = self.width(name)
+            for unit in source.units:
+                if unit not in units:
+                    raise ValueError(f"signals.{name}.unit is {unit!r}, expected one of: {', '.join(units)}")
+            if not isinstance(source.unit, str) and (name not in JOINT_SIGNALS or len(source.unit) != wanted):
+                expected = f"one or {wanted}, one per joint" if name in JOINT_SIGNALS else "one"
+                raise ValueError(f"signals.{name}.unit lists {len(source.unit)} units, expected {expected}")
             if source.columns is not None and len(source.columns) != wanted:
                 raise ValueError(f"signals.{name}.columns names {len(source.columns)}, expected {wanted}")
             if source.columns is not None and source.column is not None:
@@ -181,17 +203,33 @@ class Mapping(Schema):
         """Facts of the robot.
 
         Raises:
-            InputError: There is no such robot, or it has another number of joints.
+            InputError: There is no such robot, it has another number of joints, or a unit is none of its joint.
         """
         facts = load_facts(self.robot)
         if facts.joint_count != len(self.joints):
             raise InputError(f"{self.robot} has {facts.joint_count} joints, the mapping names {len(self.joints)}")
+        for name in self.signals:
+            for joint, origin in enumerate(facts.joints if name in JOINT_SIGNALS else ()):
+                moves, known = ("slides", SLIDES) if origin.type == "prismatic" else ("turns", TURNS)
+                if (unit := self.unit(name, joint)) not in known[QUANTITY[name]]:
+                    expected = " or ".join(known[QUANTITY[name]])
+                    raise InputError(
+                        f"joint {joint + 1} of {self.robot} {moves}, expected {expected}; a list has one for each",
+                        key=f"signals.{name}.unit",
+                        value=unit,
+                    )
         return facts
 
-    def factor(self, signal: SignalName) -> float:
-        """From the numbers in the file to SI."""
+    def unit(self, signal: SignalName, joint: int) -> str:
+        """Unit of a joint's numbers in the file."""
+        units = self.signals[signal].units
+        return units[joint] if len(units) > 1 else units[0]
+
+    def factor(self, signal: SignalName) -> Array:
+        """From the numbers in the file to SI, ``()`` or ``(n,)``."""
         source = self.signals[signal]
-        return UNITS[QUANTITY[signal]][source.unit] * source.factor
+        factors = [UNITS[QUANTITY[signal]][unit] for unit in source.units]
+        return np.asarray(factors if len(factors) > 1 else factors[0]) * source.factor
 
     def to_si(self, signal: SignalName, values: Array) -> Array:
         """Numbers of a table or array in SI units; quaternions end up in the order x y z w.
@@ -225,4 +263,7 @@ def load_mapping(name: str | Path) -> Mapping:
         if not is_file(path):
             known, given = mapping_names(), shortened(str(name))
             raise InputError(f"no mapping {given!r}{did_you_mean(given, known)}; known: {', '.join(known)}")
-    return load(Mapping, path)
+    mapping = load(Mapping, path)
+    if not mapping.robot.endswith(".yaml"):
+        return mapping
+    return mapping.model_copy(update={"robot": str(path.parent / mapping.robot)})

@@ -6,16 +6,16 @@ What cannot be used is refused with one line that names file, topic, field and w
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.rosbag2 import Reader
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robot import Array, told_units
 from impact_rs_trials.recordings.clock import check_stamps, gaps, tell_gaps
 from impact_rs_trials.recordings.mapping import JOINT_SIGNALS, REQUIRED, Mapping, SignalName
 from impact_rs_trials.recordings.sources import BAG_SUFFIXES, FILE_SUFFIXES, read_series
@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 LARGEST_GAP = 5.0  # sampling periods, or
 GAP_IN_LOW_PASS = 0.1  # periods of the low-pass, which is what a gap falls into
 LEAST_SAMPLES = 100
-MARGIN = 0.1  # rad, how far a measured position may lie outside the data sheet's limits
+MARGIN = 0.1  # rad or m, how far a measured position may lie outside the data sheet's limits
 
 
 @dataclass(frozen=True)
@@ -163,18 +163,18 @@ def check_recording(recording: Recording, mapping: Mapping, briefly: float = 0.0
     limits = mapping.facts.limits
     low, high = np.array(limits.position_min_rad) - MARGIN, np.array(limits.position_max_rad) + MARGIN
     _refuse(
-        recording, "position", (recording.position < low) | (recording.position > high), "rad",
-        lambda j: f"{low[j] + MARGIN:.3g} ... {high[j] - MARGIN:.3g} rad", mapping,
+        recording, "position", (recording.position < low) | (recording.position > high), "position",
+        lambda j: f"{low[j] + MARGIN:.3g} ... {high[j] - MARGIN:.3g}", mapping,
     )  # fmt: skip
     fastest = 1.2 * np.array(limits.velocity_rad_s)
     _refuse(
-        recording, "velocity", _often(np.abs(recording.velocity) > fastest, briefly), "rad/s",
-        lambda j: f"at most {fastest[j] / 1.2:.3g} rad/s", mapping,
+        recording, "velocity", _often(np.abs(recording.velocity) > fastest, briefly), "velocity",
+        lambda j: f"at most {fastest[j] / 1.2:.3g}", mapping,
     )  # fmt: skip
     strongest = 1.2 * np.array(limits.torque_Nm)
     _refuse(
-        recording, "torque", _often(np.abs(recording.torque) > strongest, briefly), "N m",
-        lambda j: f"at most {strongest[j] / 1.2:.3g} N m", mapping,
+        recording, "torque", _often(np.abs(recording.torque) > strongest, briefly), "effort",
+        lambda j: f"at most {strongest[j] / 1.2:.3g}", mapping,
     )  # fmt: skip
     derived = np.gradient(recording.position, recording.time, axis=0)
     power = float(np.sum(np.square(derived)))
@@ -183,7 +183,7 @@ def check_recording(recording: Recording, mapping: Mapping, briefly: float = 0.0
         if not 0.5 < ratio < 2.0:
             raise InputError(
                 f"velocity is {ratio:.3g} times the derivative of position, expected 1: wrong unit (now "
-                f"{mapping.signals['velocity'].unit}), wrong sign or other joints",
+                f"{told_units(mapping.signals['velocity'].units)}), wrong sign or other joints",
                 file=recording.path,
             )
 
@@ -194,14 +194,20 @@ def _often(wrong: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
 
 
 def _refuse(
-    recording: Recording, name: SignalName, wrong: NDArray[np.bool_], unit: str, expected: Any, mapping: Mapping
+    recording: Recording,
+    name: SignalName,
+    wrong: NDArray[np.bool_],
+    quantity: str,
+    expected: Callable[[int], str],
+    mapping: Mapping,
 ) -> None:
     if not np.any(wrong):
         return
     row, joint = np.argwhere(wrong)[0]
-    value = getattr(recording, name)[row, joint]
+    value, unit = getattr(recording, name)[row, joint], getattr(mapping.facts.units[joint], quantity)
     raise InputError(
         f"{name} of joint {joint + 1} is {value:.4g} {unit} at t = {recording.time[row] - recording.time[0]:.3f} s, "
-        f"expected {expected(joint)} for {mapping.robot}: wrong unit (now {mapping.signals[name].unit}) or joints?",
+        f"expected {expected(joint)} {unit} for {mapping.robot}: wrong unit (now {mapping.unit(name, joint)}) or "
+        "joints?",
         file=recording.path,
     )

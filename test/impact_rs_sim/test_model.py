@@ -1,5 +1,7 @@
 """Model files: checked without the robot, and refused when they meet one with another number of joints."""
 
+import copy
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -44,6 +46,25 @@ def test_a_model_for_another_number_of_joints_does_not_fit_the_arm(count, physic
     model = checked(offsets(*range(1, count + 1)))
     with pytest.raises(InputError, match=rf"'m' is for arms with {count} joints \(effect torque_offset\).* has 7"):
         model.apply(physics)
+
+
+def test_a_model_of_an_arm_that_slides_says_newtons_and_fits_no_other(physics):
+    facts = physics.arms["arm"].facts
+    joints = (facts.joints[0].model_copy(update={"type": "prismatic"}), *facts.joints[1:])
+    rail = replace(physics.arms["arm"], facts=facts.model_copy(update={"joints": joints}))
+    on_rail, turning = replace(physics, arms={"arm": rail}), offsets(*range(1, 8))
+    sliding = copy.deepcopy(turning)
+    sliding["parameters"]["offset_joint1"] = {"estimate": 60.0, "unit": "N"}
+    assert checked(sliding).apply(on_rail).arms["arm"].torque_offset[0] == 60.0  # one that turns: 5 N m
+    with pytest.raises(
+        InputError, match="'m' has torque_offset.offset_joint1 in N, this arm has it in N m: that joint"
+    ):
+        checked(sliding).apply(physics)
+    with pytest.raises(InputError, match="offset_joint1 in N m, this arm has it in N: that joint moves otherwise"):
+        checked(turning).apply(on_rail)
+    sliding["parameters"]["offset_joint1"]["estimate"] = 120.0
+    with pytest.raises(InputError, match=r"expected -100 ... 100 N \(added torque\)"):
+        checked(sliding)
 
 
 def test_a_model_without_parameters_per_joint_fits_any_arm(physics):

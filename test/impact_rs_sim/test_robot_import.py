@@ -55,7 +55,7 @@ def weightless() -> EndEffector:
 
 
 def random_chain(rng: np.random.Generator, count: int) -> str:
-    """A URDF with random axes, placements and bodies, a link fixed beside each moving one, and a flange askew."""
+    """Joints that turn or slide, with random axes, placements and bodies; a link beside each; a flange askew."""
 
     def numbers(values: np.ndarray) -> str:
         return " ".join(repr(float(value)) for value in values)
@@ -74,10 +74,10 @@ def random_chain(rng: np.random.Generator, count: int) -> str:
     parts, before = [link("base", "")], "base"
     for index in range(count):
         axis = named[rng.integers(4)] if rng.random() < 0.3 else numbers(rng.standard_normal(3))
-        inside = f'<axis xyz="{axis}"/>{LIMIT}'
+        inside, moves = f'<axis xyz="{axis}"/>{LIMIT}', "prismatic" if rng.random() < 0.35 else "revolute"
         name, beside = f"link_{index}", f"beside_{index}"
         parts += [link(name, body()), link(beside, body())]
-        for child, kind, what in ((name, "revolute", inside), (beside, "fixed", "")):
+        for child, kind, what in ((name, moves, inside), (beside, "fixed", "")):
             parent = before if child == name else name
             parts.append(
                 f'<joint name="to_{child}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
@@ -230,9 +230,17 @@ def test_the_file_tells_what_a_urdf_does_not_hold(tmp_path: Path) -> None:
 
 
 REFUSED = {
-    "prismatic": (
-        [*ARM[:4], joint("elbow", "upper", "fore", "prismatic")],
-        "joint elbow: this joint of the chain is prismatic; expected revolute",
+    "planar": (
+        [*ARM[:4], joint("elbow", "upper", "fore", "planar")],
+        "joint elbow: this joint of the chain is planar; expected one of revolute, continuous, prismatic",
+    ),
+    "no force": (
+        [*ARM[:4], joint("elbow", "upper", "fore", "prismatic", LIMIT.replace("40", "0"))],
+        r"joint elbow: limit effort: expected > 0 \[N\], found 0",
+    ),
+    "no way": (
+        [*ARM[:4], joint("elbow", "upper", "fore", "prismatic", '<limit velocity="3" effort="40"/>')],
+        r"joint elbow: limit: expected lower < upper \[m\], found 0 and 0",
     ),
     "mimic": ([*ARM[:4], joint("elbow", "upper", "fore", inside=f'{LIMIT}<mimic joint="shoulder"/>')], "mimics"),
     "several tips": (

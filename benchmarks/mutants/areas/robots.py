@@ -5,6 +5,8 @@ from mutant import Mutant
 IMPORT = "impact_rs_sim/robot_import.py"
 IMPORT_TESTS = ("test/impact_rs_sim/test_robot_import.py",)
 CHECK_TESTS = ("test/impact_rs_sim/test_robot_check.py",)
+SLIDING_TESTS = ("test/impact_rs_sim/test_prismatic.py",)
+FEW_TESTS = ("test/impact_rs_sim/test_few_joints.py",)
 STABILITY = "impact_rs_sim/drive_stability.py"
 STABILITY_TESTS = ("test/impact_rs_sim/test_drive_stability.py",)
 
@@ -44,8 +46,8 @@ MUTANTS = [
     Mutant(
         name="flange_of_the_urdf_not_turned_back",
         file=IMPORT,
-        original="flange = _origin(before.T @ frame.translation, before.T @ frame.rotation)",
-        mutated="flange = _origin(before.T @ frame.translation, frame.rotation)",
+        original="_placement(before.T @ frame.translation, before.T @ frame.rotation)",
+        mutated="_placement(before.T @ frame.translation, frame.rotation)",
         wrong="The flange of an arm whose last axis is not z points elsewhere.",
         tests=IMPORT_TESTS,
     ),
@@ -56,6 +58,62 @@ MUTANTS = [
         mutated="    return lower, upper, effort, velocity\n",
         wrong="Velocity and torque limits of a URDF are swapped.",
         tests=IMPORT_TESTS,
+    ),
+    Mutant(
+        name="prismatic_joint_of_a_urdf_turns",
+        file=IMPORT,
+        original='joints.append(JointOrigin.model_validate({"type": _type(joint), **origin}))',
+        mutated="joints.append(JointOrigin.model_validate(origin))",
+        wrong="A prismatic joint of a URDF becomes one that turns.",
+        tests=IMPORT_TESTS,
+    ),
+    Mutant(
+        name="prismatic_joint_written_as_revolute",
+        file="impact_rs_sim/urdf.py",
+        original='joint = Xml.SubElement(robot, "joint", name=f"joint{index + 1}", type=origin.type)',
+        mutated='joint = Xml.SubElement(robot, "joint", name=f"joint{index + 1}", type="revolute")',
+        wrong="Every joint turns in the URDF that both engines read.",
+        tests=SLIDING_TESTS,
+    ),
+    Mutant(
+        name="assumed_force_without_the_pinion",
+        file="impact_rs_sim/assumed_drive.py",
+        original="torque = radius * np.array(facts.limits.torque_Nm)",
+        mutated="torque = np.array(facts.limits.torque_Nm)",
+        wrong="The assumed drive of a joint that slides takes newtons for newton metres.",
+        tests=SLIDING_TESTS,
+    ),
+    Mutant(
+        name="damping_of_a_pinion_over_its_radius",
+        file="impact_rs_sim/effects/base.py",
+        original='"N m s/rad": ("N s/m", 1.0 / PINION**2),',
+        mutated='"N m s/rad": ("N s/m", 1.0 / PINION),',
+        wrong="The range of viscous friction of a joint that slides is off by the pinion's radius.",
+        tests=("test/impact_rs_sim/effects/test_base.py",),
+    ),
+    Mutant(
+        name="given_joints_turn_the_pad_the_other_way",
+        file="impact_rs_sim/scene.py",
+        original="return np.asarray(dq - still @ back)",
+        mutated="return np.asarray(dq + still @ back)",
+        wrong="Where joints at impact are given, the pad turns twice as fast instead of as little as it can.",
+        tests=FEW_TESTS,
+    ),
+    Mutant(
+        name="object_before_a_tilted_pad_too_far",
+        file="impact_rs_sim/scene.py",
+        original="position = pad.translation + level * (min(plane / share, face) + scenario.object_gap)",
+        mutated="position = pad.translation + level * (max(plane / share, face) + scenario.object_gap)",
+        wrong="Before a pad that looks a little up the object stands where it is not touched.",
+        tests=FEW_TESTS,
+    ),
+    Mutant(
+        name="robot_of_a_mapping_from_the_working_directory",
+        file="impact_rs_trials/recordings/mapping.py",
+        original='return mapping.model_copy(update={"robot": str(path.parent / mapping.robot)})',
+        mutated="return mapping",
+        wrong="The robot of a mapping file is looked for where the user stands.",
+        tests=("test/impact_rs_trials/recordings/test_mapping.py",),
     ),
     Mutant(
         name="drive_check_without_the_link",
@@ -100,8 +158,8 @@ MUTANTS = [
     Mutant(
         name="a_way_beyond_the_limits_is_fine",
         file="impact_rs_trials/scenario_draft.py",
-        original="margin = float(np.minimum(q - model.position_min, model.position_max - q).min())",
-        mutated="margin = float(np.maximum(q - model.position_min, model.position_max - q).min())",
+        original="margin = float((np.minimum(q - model.position_min, model.position_max - q) / comfortable).min())",
+        mutated="margin = float((np.maximum(q - model.position_min, model.position_max - q) / comfortable).min())",
         wrong="A drafted pose may leave the joint limits on its way.",
         tests=("test/impact_rs_trials/test_scenario_draft.py",),
     ),

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 from impact_rs_analysis.evidence.aligned import AlignedRun, ArmTrack, Track
+from impact_rs_analysis.evidence.torque_balance import ARM
 from impact_rs_analysis.evidence.tracks import tracks_of_recordings, tracks_of_runs
+from impact_rs_sim.robot import UNITS, load_facts
 
 TIME = np.linspace(0.0, 1.8, 19)
+UR5E = load_facts("ur5e")
 SECOND = 10  # row in which the second window begins
 
 
@@ -32,6 +35,7 @@ def aligned(*, hit: bool, arms: tuple[str, ...] = ("arm",), condition: str = "pu
         hit=hit,
         axis=1,
         impacts={"arm": 0.9} if hit else {},
+        setup=SimpleNamespace(physics=SimpleNamespace(arms=dict.fromkeys(arms, SimpleNamespace(facts=UR5E)))),
     )
     seen = 1.0 if hit else np.nan
     sides = [
@@ -94,10 +98,12 @@ def test_recordings_are_cut_where_one_ends_and_the_next_begins() -> None:
         SimpleNamespace(time=np.arange(5.0), kept=slice(1, 4)),
     ]
     recorded = np.arange(14.0).reshape(7, 2)
+    rail, turn = UNITS["prismatic"], UNITS["revolute"]
     source = SimpleNamespace(
         motions=motions,
         recordings=[SimpleNamespace(path=Path("a.db3")), SimpleNamespace(path=Path("b.db3"))],
         balance=SimpleNamespace(recorded=recorded),
+        physics=SimpleNamespace(arms={ARM: SimpleNamespace(facts=SimpleNamespace(units=(rail, turn)))}),
     )
     rest = np.ones((7, 2))
     found = tracks_of_recordings(source, {"the model": rest, "with friction": 0.0 * rest})  # type: ignore[arg-type]
@@ -110,6 +116,7 @@ def test_recordings_are_cut_where_one_ends_and_the_next_begins() -> None:
     second = found[1]
     assert second.time == pytest.approx([1.0, 2.0, 3.0])
     assert second.signals[1].name == "torque of joint 2"
+    assert [signal.unit for signal in second.signals] == ["N", "N m"]
     assert second.signals[1].measured == pytest.approx(recorded[4:, 1])
     assert second.signals[1].measured - second.signals[1].predicted == pytest.approx(1.0)
     assert found[3].signals[0].predicted == pytest.approx(recorded[4:, 0])

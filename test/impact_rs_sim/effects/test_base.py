@@ -50,6 +50,28 @@ def test_shape_parameters_are_no_part_of_the_complexity_and_move_nothing_while_t
             assert all(same.arms[name] is arm for name, arm in physics.arms.items())
 
 
+def test_joints_that_slide_have_newtons_and_ranges_of_a_pinion():
+    """A torque of 1 N m behind a pinion of 50 mm is a force of 20 N, and 1 N m s/rad is 400 N s/m."""
+    kinds = ("prismatic", "revolute")
+    coulomb = library()["joint_coulomb_friction"]
+    assert [(scalar.name, scalar.unit) for scalar in coulomb.scalars(kinds)] == [
+        ("coulomb_joint1", "N"),
+        ("coulomb_joint2", "N m"),
+    ]
+    assert [scalar.upper for scalar in coulomb.scalars(kinds)] == pytest.approx([100.0, 5.0])
+    np.testing.assert_allclose(coulomb.steps(kinds, np.zeros(2)), [2.0, 0.1])
+    (rail, _) = library()["joint_viscous_friction"].scalars(kinds)
+    assert (rail.unit, rail.upper) == ("N s/m", pytest.approx(2000.0))
+    assert [scalar.unit for scalar in library()["torque_gain"].scalars(kinds)] == ["-", "-"]
+    assert coulomb.scalars(2) == coulomb.scalars(("revolute",) * 2)
+    facts = bench().arms["arm"].facts
+    rails = facts.model_copy(update={"joints": tuple(j.model_copy(update={"type": "prismatic"}) for j in facts.joints)})
+    physics = replace(bench(), arms={"arm": replace(bench().arms["arm"], facts=rails)})
+    lower, upper = library()["torque_offset"].bounds(physics)
+    np.testing.assert_allclose(upper, 100.0)
+    np.testing.assert_allclose(lower, -100.0)
+
+
 def test_steps_go_the_other_way_where_a_bound_is_in_the_way():
     stiffness = library()["joint_stiffness"]
     np.testing.assert_allclose(stiffness.steps(7, np.array([1.0])), [0.1])
