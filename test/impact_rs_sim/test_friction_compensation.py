@@ -27,7 +27,7 @@ def content():
 
 
 def loaded(folder, content, change="", named="friction.yaml"):
-    (folder / "friction.yaml").write_text(yaml.safe_dump(copy.deepcopy(content)))
+    (folder / "friction.yaml").write_text(yaml.safe_dump(json.loads(json.dumps(content))))
     text = scenario_path("push").read_text(encoding="utf-8") + change
     (folder / "push.yaml").write_text(f"{text}\nfriction_compensation: {named}\n")
     return load_scenario(str(folder / "push.yaml"))
@@ -90,7 +90,7 @@ def test_another_scenario_is_refused_and_another_number_of_trials_is_not(tmp_pat
 def test_a_changed_compensation_is_read_again(tmp_path, content):
     assert loaded(tmp_path, content).friction_compensation.runs == 5
     content["runs"] = 6
-    (tmp_path / "friction.yaml").write_text(yaml.safe_dump(content))
+    (tmp_path / "friction.yaml").write_text(yaml.safe_dump(json.loads(json.dumps(content))))
     assert load_scenario(str(tmp_path / "push.yaml")).friction_compensation.runs == 6
 
 

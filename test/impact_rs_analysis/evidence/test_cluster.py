@@ -89,4 +89,4 @@ def test_one_name_for_two_robots_is_told_where_parameters_go_by_names() -> None:
         apart(nominal, [one, other], each_arm=True)
     source = cast(Source, SimpleNamespace(model=nominal, physics=one, worlds=[one, other]))
     with pytest.raises(InputError, match="arms arm with 6 joints, arm with 7 joints: .* another name for each"):
-        Source.joint_count.fget(source)  # type: ignore[attr-defined]
+        Source.joints.fget(source)  # type: ignore[attr-defined]

@@ -56,10 +56,21 @@ def test_both_arms_have_the_discrepancy_of_one_and_what_was_not_measured_has_non
     assert not np.any(NO_DISCREPANCY.of([feature(0)], "square"))
 
 
+ARMS = (("arm", ("revolute",) * 7),)
+
+
+def test_features_of_a_joint_that_slides_are_in_newtons_and_metres() -> None:
+    features = layout((("arm", ("prismatic", "revolute")),), 1, 1, True, True, False)
+    units = {(feature.signal, feature.index): feature.unit for feature in features}
+    signals = ("motor torque balance", "link torque balance", "elastic deflection", "joint velocity jump")
+    assert [units[signal, "joint1"] for signal in signals] == ["N", "N", "m", "m/s"]
+    assert [units[signal, "joint2"] for signal in signals] == ["N m", "N m", "rad", "rad/s"]
+
+
 @pytest.mark.parametrize("kind", ["free", "square", "oblique"])
 def test_the_shipped_one_covers_every_feature_of_a_run_in_its_unit(kind: str) -> None:
     known = measured_discrepancy()
-    features = layout((("arm", 7),), 4 if kind != "free" else 12, None if kind == "free" else 4, True, True, True)
+    features = layout(ARMS, 4 if kind != "free" else 12, None if kind == "free" else 4, True, True, True)
     entries = {(e.phase, e.signal, e.index): e for e in known.entries if e.kind == kind}
     assert {f.group for f in features} <= entries.keys()
     assert all(entries[f.group].unit == f.unit for f in features)
@@ -70,7 +81,7 @@ def test_the_shipped_one_covers_every_feature_of_a_run_in_its_unit(kind: str) ->
 @pytest.mark.parametrize("kind", ["free", "square", "oblique"])
 def test_patterns_have_the_size_of_every_feature_and_move_several_at_a_time(kind: str) -> None:
     known = measured_discrepancy()
-    features = layout((("arm", 7),), 4 if kind != "free" else 12, None if kind == "free" else 4, True, True, True)
+    features = layout(ARMS, 4 if kind != "free" else 12, None if kind == "free" else 4, True, True, True)
     patterns, size = known.patterns_of(features, kind), known.of(features, kind)
     np.testing.assert_allclose(np.sqrt(np.square(patterns).sum(axis=0)), size, rtol=1e-9, atol=1e-30)
     assert np.count_nonzero(patterns, axis=1).max() > 50
