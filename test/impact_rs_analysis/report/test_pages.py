@@ -195,6 +195,21 @@ def test_two_arms_have_a_table_of_their_joints_each(
     )
 
 
+def test_joints_of_the_only_arm_need_no_name_of_it(
+    diagnosis: DiagnosisDocument, comparison: ComparisonDocument, tmp_path: Path
+) -> None:
+    parameters = {
+        f"offset_joint{joint}": EstimateDocument(
+            estimate=1.0, ci95=None, unit="N m", joint=f"joint{joint}", verdict="CONFIRMED"
+        )
+        for joint in (1, 2)
+    }
+    own = diagnosis.effects[0].model_copy(update={"verdict": "CONFIRMED", "parameters": parameters})
+    found = diagnosis.model_copy(update={"effects": (own,)})
+    text = Page(write_diagnosis(found, comparison, [], None, tmp_path)).text
+    assert re.search(r"p offset_joint1 joint1 1 N m CONFIRMED \S+ offset_joint2 joint2 1 N m CONFIRMED", text)
+
+
 def test_recordings_are_shown_on_the_same_pages_in_newton_metres(
     diagnosis_of_recordings: DiagnosisDocument,
     comparison_of_recordings: ComparisonDocument,
