@@ -1,6 +1,5 @@
 """The file with the friction compensation: what it holds, and what a user reads when it does not fit."""
 
-import copy
 import json
 
 import pytest
