@@ -66,7 +66,9 @@ def test_the_truth_is_never_read(push_campaign: Path, tmp_path: Path, rewrite_ba
     for path in push_campaign.glob("cat_food__*"):
         rewrite_bag(path, stripped / path.name, lambda topic: not topic.startswith(TRUTH))
         assert not any(topic.startswith(TRUTH) for topic in TrialBag.open(stripped / path.name).counts)
-    assert analyze_campaign(stripped).to_json() == analyze_campaign(push_campaign).to_json()
+    found, whole = analyze_campaign(stripped).to_json(), analyze_campaign(push_campaign).to_json()
+    assert (len(found.pop("unsealed")), whole.pop("unsealed")) == (3, [])  # they were written again
+    assert found == whole
 
 
 def test_a_trial_without_impact_never_enters_the_fit(campaign: Path, tmp_path: Path, rewrite_bag: Callable) -> None:
@@ -175,8 +177,12 @@ def test_html_and_png_are_drawn_from_the_same_numbers(push_campaign: Path) -> No
         assert [trace.name or "" for trace in curves_plot(figure).data] == [curve.label for curve in curves]
 
 
-def test_trials_that_went_wrong_are_left_out_with_the_reason(campaign: Path) -> None:
+def test_trials_that_went_wrong_are_left_out_with_the_reason(
+    campaign: Path, push_campaign: Path, rewrite_bag: Callable
+) -> None:
     name = NAME.format(1.2)
+    shutil.rmtree(campaign / name)
+    rewrite_bag(push_campaign / name, campaign / name, lambda topic: True)
     metadata = campaign / name / "metadata.yaml"
     reason = "arm joint7 at 12 rad/s against 2.61 rad/s at 0.035 s"
     text = metadata.read_text().replace("outcome: OK", f"outcome: DIVERGED\n    outcome_reason: {reason}")
