@@ -73,12 +73,14 @@ def failures_of(scenario: Scenario) -> list[Check]:
     """What is wrong with the arms of a scenario, as far as it is told without a simulator: inertias, limits, drives."""
     checks = []
     for name, robot in scenario.robots.items():
-        facts = robot.robot_facts
-        own = [_check_inertias(facts), _check_limits(facts)]
-        if all(check.outcome != "failed" for check in own):
-            own = _check_drive(name, robot, scenario.timing.drive_period)
-        checks += own
+        own = failures_of_facts(robot.robot_facts)
+        checks += own or _check_drive(name, robot, scenario.timing.drive_period)
     return [check for check in checks if check.outcome == "failed"]
+
+
+def failures_of_facts(facts: RobotFacts) -> list[Check]:
+    """What is wrong with an arm by itself: inertias and limits."""
+    return [check for check in (_check_inertias(facts), _check_limits(facts)) if check.outcome == "failed"]
 
 
 def empty_flange() -> EndEffector:

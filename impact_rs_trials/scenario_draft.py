@@ -21,7 +21,7 @@ from impact_rs_sim.assumed_drive import assumed_drive
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, JointUnits, RobotFacts, told_units
-from impact_rs_sim.robot_check import failures_of, random_positions
+from impact_rs_sim.robot_check import failures_of, failures_of_facts, random_positions
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import ImpactPose, Scenario, load_scenario
 from impact_rs_sim.schema import parse_yaml, validate
@@ -92,7 +92,8 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
         report: Called with (what, done, total).
 
     Raises:
-        InputError: An arm with fewer than six joints, which cannot hold a pad upright wherever it goes.
+        InputError: An arm with fewer than six joints, which cannot hold a pad upright wherever it goes, or facts that are
+            not those of an arm.
         Infeasible: No pose works.
     """
     if facts.joint_count < 6:
@@ -100,6 +101,8 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
             f"{facts_name} has {facts.joint_count} joints: a pad that keeps its orientation on its way needs six; "
             "write a scenario for impact-rs map by hand, with robots.NAME.impact.joint_position, or use recordings"
         )
+    if wrong := failures_of_facts(facts):
+        raise InputError(f"{facts_name}: {wrong[0].name}: {wrong[0].found}")
     shipped = load_scenario(kind)
     effector = next(iter(shipped.robots.values())).end_effector
     model = RobotModel(facts, replace(effector.build(), mount_yaw=0.0))

@@ -88,6 +88,13 @@ def test_too_few_joints_are_told_in_one_line() -> None:
         draft("small", few, "push")
 
 
+def test_links_that_are_no_bodies_are_told_before_any_pose_is_tried() -> None:
+    flat = UR5E.links[1].model_copy(update={"inertia": (0.1, 0.0, 0.0, 0.1, 0.0, 0.3)})
+    wrong = UR5E.model_copy(update={"links": (UR5E.links[0], flat, *UR5E.links[2:])})
+    with pytest.raises(InputError, match=r"^mine: inertias are those of bodies: link 2: .* 1.5 of the sum"):
+        draft("mine", wrong, "push", lambda *_: pytest.fail("a pose was tried"))
+
+
 def test_a_slower_motion_there_and_back_is_a_shorter_one_and_takes_as_long() -> None:
     model = RobotModel(FR3, empty_flange())
     pose = Pose(np.array([0.4, 0.1, 0.6]), np.zeros(7), 1.0)
