@@ -92,8 +92,7 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
         report: Called with (what, done, total).
 
     Raises:
-        InputError: An arm with fewer than six joints, which cannot hold a pad upright wherever it goes, or facts that are
-            not those of an arm.
+        InputError: An arm with fewer than six joints, which cannot hold a pad upright on its way, or no arm at all.
         Infeasible: No pose works.
     """
     if facts.joint_count < 6:
