@@ -186,9 +186,10 @@ def test_bags_that_cannot_be_used_are_named_and_left_out(
 
 
 def _spoil(source: Path, target: Path, spoil: Callable[[int, Any], None]) -> None:
-    """Copy a bag and change some messages of the arm's joint states."""
+    """Copy a bag, as another program does (no checksums), and change some messages of the arm's joint states."""
     from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
+    from impact_rs_trials.bags import checksums
     from impact_rs_trials.bags.types import typestore
 
     store = typestore()
@@ -196,7 +197,8 @@ def _spoil(source: Path, target: Path, spoil: Callable[[int, Any], None]) -> Non
     with Reader(source) as reader:
         writer = Writer(target, version=9, storage_plugin=StoragePlugin.MCAP)
         for name, value in (reader.storage.metadata.custom or {}).items():
-            writer.set_custom_data(name, value)
+            if name != checksums.NAME:
+                writer.set_custom_data(name, value)
         with writer:
             connections = {
                 c.topic: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections
