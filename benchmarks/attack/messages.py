@@ -139,17 +139,22 @@ def main() -> int:
         publishers = [graph.node.create_publisher(JointState, topic, STREAM) for topic in awaited]
         for number in range(arguments.count):
             try:
+                name = "run_trial"
                 if number % TRIALS == 0:
                     told[f"trial {disturb(graph, nonsense, Path(folder) / str(number), publishers, names)}"] += 1
                 kind, name, request = nonsense.request()
-                answer = graph.call(kind, name, request, timeout=20.0)
+                try:
+                    answer = graph.call(kind, name, request, timeout=20.0)
+                except GraphError:  # a request into the discovery of a new client can be lost
+                    told[f"{name} asked again"] += 1
+                    answer = graph.call(kind, name, request, timeout=20.0)
                 told[f"{name} {'answered' if answer.success else 'refused'}"] += 1
                 if answer.success and not all(map(math.isfinite, numbers_of(answer))):
                     wrong.append(f"{name}: success with a number that is none")
                 for publisher in publishers:
                     publisher.publish(nonsense.joint_state(names))
             except GraphError as error:
-                wrong.append(str(error))
+                wrong.append(f"{name}: {error}")
             dead = graph.nodes.dead()
             wrong += [f"node {name} ended with {how}: {graph.nodes.last_words(name)}" for name, how in dead.items()]
             if dead:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 
+MOST_MISSED = 0.5  # of the runs with a hit; with more of them left out, the model says nothing of what was measured
 SQUARE = 0.02  # rad; measured: up to 1 degree off, two simulators agree as they do on square hits
 
 
@@ -187,7 +189,7 @@ class ReplaySource(Source):
         discrepancy: Discrepancy | None = None,
         each_arm: bool = False,
     ) -> ReplaySource:
-        """Replay every run with the model.
+        """Replay every run with the model; runs in which it hits nothing are left out, which is told.
 
         Args:
             runs: The runs.
@@ -197,18 +199,27 @@ class ReplaySource(Source):
             each_arm: Whether arms of one kind have parameters of their own (:func:`apart`).
 
         Raises:
-            InputError: With this model nothing is hit, or the model blows up.
+            InputError: With this model hardly anything is hit, or the model blows up.
         """
         discrepancy = measured_discrepancy() if discrepancy is None else discrepancy
         model = apart(model, [run.setup.physics for run in runs.runs], each_arm)
         predicted = store([Replay(run.setup, model) for run in runs.runs], "replays of the model")
-        residuals = []
+        residuals, kept, missed = [], [], []
         for run, values in zip(runs.runs, predicted, strict=True):
             if values is None:
-                raise InputError(f"with model {model.name!r} the replay hits nothing", file=run.path)
+                missed.append(run)
+                continue
             if not np.isfinite(values).all():
                 raise InputError(f"with model {model.name!r} the replay is not finite", file=run.path)
             residuals.append(run.measured - values)
+            kept.append(run)
+        if missed:
+            words = f"with model {model.name!r} the replay hits nothing"
+            if len(missed) > MOST_MISSED * sum(run.hit for run in runs.runs):
+                raise InputError(words, file=missed[0].path)
+            names = ", ".join(Path(run.path).name for run in missed)
+            remark = f"left out, because {words}: {names}"
+            runs = replace(runs, runs=tuple(kept), remarks=(*runs.remarks, remark))
         clusters, remarks = clusters_of(runs, residuals, discrepancy)
         return cls(runs, model, store, clusters, discrepancy, (*runs.remarks, *remarks))
 

@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from impact_rs_analysis.evidence.aligned import align, write_aligned
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY
 from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_analysis.evidence.runs import Runs, read_runs
-from impact_rs_analysis.evidence.store import ReplayStore
+from impact_rs_analysis.evidence.store import Replay, ReplayStore
 from impact_rs_analysis.evidence.tracks import tracks_of_runs
 from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_sim.errors import InputError
@@ -130,3 +130,25 @@ def test_the_discrepancy_of_the_twin_is_told_and_can_be_left_out(runs: Runs, nom
     assert without.score > nominal.score
     force = {s.signal: s for s in nominal.levels["trial"].signals if s.phase == "impact"}["contact force"]
     assert force.unit == "N" and 0.1 < force.discrepancy < 5.0
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_runs_in_which_the_replay_hits_nothing_are_left_out_as_long_as_they_are_few(runs: Runs, count: int) -> None:
+    hits = [run for run in runs.runs if run.hit]
+    missed = hits[:count]
+    store = ReplayStore(map)
+
+    def blind(tasks: Sequence[Replay], what: str = "") -> list[np.ndarray | None]:
+        lost = {run.setup.digest for run in missed}
+        done = zip(tasks, store(tasks, what), strict=True)
+        return [None if task.setup.digest in lost else found for task, found in done]
+
+    model = load_model("nominal")
+    if count > len(hits) / 2:
+        with pytest.raises(InputError, match="the replay hits nothing"):
+            ReplaySource.of(runs, model, blind)  # type: ignore[arg-type]
+        return
+    found = ReplaySource.of(runs, model, blind)  # type: ignore[arg-type]
+    assert sum(len(item.residuals) for item in found.clusters) == len(runs.runs) - count
+    (remark,) = (line for line in found.remarks if line.startswith("left out, because with model 'nominal' the replay"))
+    assert all(Path(run.path).name in remark for run in missed)
