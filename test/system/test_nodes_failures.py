@@ -27,7 +27,7 @@ from impact_rs_sim.model import ParameterValue as ParameterBelief
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
-from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.campaign import FAILURES, make_manifest
 
@@ -37,6 +37,15 @@ PATIENCE = 60.0  # s, of the tests; never reached on a machine that works
 def goal(folder: Path, **changes: object) -> RunTrial.Goal:
     values = {"scenario": "push", "object_name": "parcel", "case_name": "1", "velocity_scale": 1.0, "seed": 5}
     return RunTrial.Goal(**values | {"output_directory": str(folder)} | changes)
+
+
+def readable(path: Path) -> bool:
+    """Whether a bag is closed: its checksums come last."""
+    try:
+        TrialBag.open(path)
+    except BagError:
+        return False
+    return True
 
 
 def spin_until(graph: Graph, condition: Callable[[], bool], what: str) -> None:
@@ -102,13 +111,13 @@ def test_a_trial_whose_experiment_node_is_killed_leaves_a_readable_bag(graph: Gr
 
     with pytest.raises(GraphError, match="node experiment died"):
         graph.call_trial(goal(tmp_path), kill)
+    graph.revive()
+    graph.wait_until_ready()
     (path,) = tmp_path.glob(".partial/*")
-    spin_until(graph, lambda: (path / "metadata.yaml").is_file(), "the recorder closes no bag")
+    spin_until(graph, lambda: readable(path), "the recorder closes no bag")
     bag = TrialBag.open(path)
     assert bag.outcome == "ABORTED"
     assert bag.counts[topics.joint_states("arm")] > 200
-    graph.revive()
-    graph.wait_until_ready()
 
 
 @pytest.mark.parametrize("victim", ["plant", "experiment"])
