@@ -16,7 +16,6 @@ from rclpy.executors import Executor, MultiThreadedExecutor
 
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.process import NodeProgram, run
-from impact_rs_ros.roots import scenario_below
 from impact_rs_ros.trial_session import Progress, TrialResult, TrialSession
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.scenario import Scenario
@@ -139,7 +138,7 @@ class ExperimentNode(NodeProgram):
         with self._busy, ExitStack() as held:
             try:
                 manifest = make_manifest(
-                    scenario_below(goal.scenario, self.parameter("scenario"), self.parameter("config_root")),
+                    self.scenario_name(goal.scenario),
                     list(goal.objects) or None,
                     list(goal.cases) or None,
                     list(goal.velocity_scales) or None,

@@ -153,8 +153,7 @@ def declare(node: Node, kind: str) -> None:
         wrong = [complaint for one in changed if (complaint := complaint_about(kind, one.name, one.value))]
         return SetParametersResult(successful=not wrong, reason="; ".join(wrong))
 
-    started = [*PARAMETERS[kind], NodeParameter("use_sim_time", False, "-", "")]
-    for name in (parameter.name for parameter in started):
+    for name in (*(parameter.name for parameter in PARAMETERS[kind]), "use_sim_time"):
         if complaint := complaint_about(kind, name, value(node, name)):
             raise InputError(complaint, key=f"parameter {name}")
     node.add_on_set_parameters_callback(check)

@@ -79,16 +79,21 @@ class NodeProgram:
         """Present value of a parameter."""
         return parameters.value(self.node, name)
 
-    def scenario(self, requested: str) -> Scenario:
-        """The scenario of a request.
+    def scenario_name(self, requested: str) -> str:
+        """Name or path of the scenario of a request; empty: the node's own.
 
-        Args:
-            requested: Name or path; empty: the node's own.
+        Raises:
+            InputError: The file lies where requests may not read.
+        """
+        return scenario_below(requested, self.parameter("scenario"), self.parameter("config_root"))
+
+    def scenario(self, requested: str) -> Scenario:
+        """The scenario of a request, as :meth:`scenario_name` finds it.
 
         Raises:
             InputError: There is none of this name, or the file lies where requests may not read.
         """
-        return load_scenario(scenario_below(requested, self.parameter("scenario"), self.parameter("config_root")))
+        return load_scenario(self.scenario_name(requested))
 
     def output(self, requested: str, key: str) -> Path:
         """Where a request wants something written.

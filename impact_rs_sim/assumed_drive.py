@@ -39,7 +39,7 @@ def assumed_drive(facts: RobotFacts, end_effector: EndEffector, period: float) -
         end_effector: What it carries.
         period: Of the torque loop [s].
     """
-    slides = np.array([joint.type == "prismatic" for joint in facts.joints])
+    slides = np.array(facts.joint_types) == "prismatic"
     radius = np.where(slides, np.array(facts.limits.velocity_rad_s) / SPEED, 1.0)
     torque = radius * np.array(facts.limits.torque_Nm)
     usual_rotor = np.maximum(ROTOR_INERTIA * torque, 0.05) / np.square(radius)

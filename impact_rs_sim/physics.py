@@ -256,7 +256,7 @@ class Physics:
     @property
     def arm_joints(self) -> tuple[tuple[str, tuple[JointType, ...]], ...]:
         """Names of the arms, each with how its joints move, base to tip."""
-        return tuple((name, tuple(joint.type for joint in arm.facts.joints)) for name, arm in self.arms.items())
+        return tuple((name, arm.facts.joint_types) for name, arm in self.arms.items())
 
     @property
     def joints(self) -> tuple[JointType, ...]:

@@ -179,6 +179,11 @@ class RobotFacts(Schema):
         return len(self.joints)
 
     @property
+    def joint_types(self) -> tuple[JointType, ...]:
+        """How every joint moves, base to tip."""
+        return tuple(joint.type for joint in self.joints)
+
+    @property
     def units(self) -> tuple[JointUnits, ...]:
         """Units of what is told of every joint, base to tip."""
         return tuple(joint.units for joint in self.joints)

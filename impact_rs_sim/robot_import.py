@@ -121,7 +121,7 @@ def facts_text(robot: ImportedRobot, title: str) -> str:
         title: First comment line.
     """
     facts, limits = robot.facts, robot.facts.limits
-    slides = any(joint.type == "prismatic" for joint in facts.joints)
+    slides = "prismatic" in facts.joint_types
     lines = [f"# {title}"]
     lines += [f"# {note}" for note in robot.notes]
     lines += [

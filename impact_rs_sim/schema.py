@@ -119,9 +119,7 @@ class _Loader(yaml.SafeLoader):
             raise _Mistake(f"{found}, expected at most {LONGEST_NUMBER} for a {kind}", node.start_mark, path)
         try:
             return self.construct_object(node)
-        except (
-            Exception
-        ):  # int('x'), a date that there is not, ...: whatever a constructor makes of what it cannot take
+        except Exception:  # whatever a constructor makes of what it cannot take: int('x'), a date that there is not
             raise _Mistake(f"{node.value!r} is no {kind}", node.start_mark, path) from None
 
     def _key(self, node: yaml.Node, path: tuple[str, ...]) -> Any:

@@ -301,7 +301,7 @@ def _joints(scenarios: Sequence[str]) -> tuple[JointType, ...]:
     """
     robots = {name: load_scenario(name).robots.values() for name in scenarios}
     facts = {name: [robot.robot_facts for robot in arms] for name, arms in robots.items()}
-    kinds = {tuple(joint.type for joint in one.joints) for own in facts.values() for one in own}
+    kinds = {one.joint_types for own in facts.values() for one in own}
     if len(kinds) != 1:
         counts = {name: sorted({one.joint_count for one in own}) for name, own in facts.items()}
         told = ", ".join(f"{name}: {', '.join(map(str, own))}" for name, own in counts.items())

@@ -1,4 +1,4 @@
-"""Kills or freezes nodes in mid-trial: ``./run python benchmarks/attack/kills.py [--count 200] [--seed 0]``.
+"""Kills or freezes nodes in mid-trial: ``./run python -m benchmarks.attack.kills [--count 200] [--seed 0]``.
 
 Every attack hits one of the five nodes at a random time of a trial, with SIGKILL, SIGSTOP, SIGTERM or SIGINT. What
 counts: how long the trial lasts from there, whether its bag can be read up to there, and whether the next trial is OK.
@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 from impact_rs.action import RunTrial
 
+from benchmarks.attack.trials import trial_in
 from impact_rs_ros.graph import Graph, GraphError
 from impact_rs_ros.node_processes import NODES
 from impact_rs_sim.errors import InputError
@@ -64,12 +65,10 @@ def attack(graph: Graph, folder: Path, node: str, kind: signal.Signals, at: floa
             graph.processes[node].send_signal(kind)
             hit.append(time.monotonic())
 
-    goal = RunTrial.Goal(scenario="push", object_name="juice", case_name="case_1", velocity_scale=1.0)
-    goal.output_directory = str(folder / "hit")
     failures = []
     path = ""
     with suppress(GraphError):  # that it ended is what counts
-        path = graph.call_trial(goal, strike).bag_path
+        path = graph.call_trial(trial_in(folder / "hit"), strike).bag_path
     seconds = time.monotonic() - hit[0] if hit else 0.0
     if seconds > ENOUGH:
         failures.append(f"ended after {seconds:.1f} s")
@@ -78,8 +77,7 @@ def attack(graph: Graph, folder: Path, node: str, kind: signal.Signals, at: floa
     graph.revive()
     try:
         graph.wait_until_ready()
-        goal.output_directory = str(folder / "next")
-        result = graph.call_trial(goal)
+        result = graph.call_trial(trial_in(folder / "next"))
         if result.outcome != "OK":
             failures.append(f"next trial: {result.outcome}, {result.message}")
     except GraphError as error:

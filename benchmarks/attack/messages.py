@@ -22,6 +22,7 @@ from impact_rs.srv import ComputeImpactMap, ConfigureTrial, FinishTrial
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 
+from benchmarks.attack.trials import trial_in
 from impact_rs_ros.graph import Graph, GraphError
 from impact_rs_ros.node_processes import NODES
 from impact_rs_ros.qos import STREAM
@@ -119,9 +120,7 @@ def disturb(graph: Graph, nonsense: Nonsense, folder: Path, publishers: list[Pub
         for publisher in publishers:
             publisher.publish(nonsense.joint_state(names))
 
-    goal = RunTrial.Goal(scenario="push", object_name="juice", case_name="case_1", velocity_scale=1.0)
-    goal.output_directory = str(folder)
-    return str(graph.call_trial(goal, throw).outcome)
+    return str(graph.call_trial(trial_in(folder), throw).outcome)
 
 
 def main() -> int:
@@ -166,9 +165,7 @@ def main() -> int:
         for publisher in publishers:
             graph.node.destroy_publisher(publisher)
         wrong += [f"node {name} does not answer" for name in NODES if not graph.answers(name)]
-        goal = RunTrial.Goal(scenario="push", object_name="juice", case_name="case_1", velocity_scale=1.0)
-        goal.output_directory = str(Path(folder) / "last")
-        last = graph.call_trial(goal)
+        last = graph.call_trial(trial_in(Path(folder) / "last"))
         wrong += [] if last.outcome == "OK" else [f"the last trial: {last.outcome}, {last.message}"]
         lost = [name for name, process in graph.processes.items() if process.pid != pids[name]]
     for what, count in sorted(told.items()):

@@ -214,7 +214,7 @@ class Source(ABC):
                 f"arms {told}: parameters of different arms go by their names; expected another name for each"
             )
         arm = next(iter(self.physics.arms.values()), None)
-        return () if arm is None else tuple(joint.type for joint in arm.facts.joints)
+        return () if arm is None else arm.facts.joint_types
 
     @property
     def identity(self) -> Identity:
@@ -307,8 +307,7 @@ def apart(model: Model, worlds: Iterable[Physics], each_arm: bool = False) -> Mo
 
 def _joints_of(facts: RobotFacts) -> Joints:
     """The joints of an arm as a model file says them."""
-    kinds = tuple(joint.type for joint in facts.joints)
-    return kinds if "prismatic" in kinds else len(kinds)
+    return facts.joint_types if "prismatic" in facts.joint_types else facts.joint_count
 
 
 def difference(before: Array | None, after: Array | None) -> Array | None:

@@ -39,6 +39,12 @@ Joints = int | Sequence[JointType]  # of an arm: how many there are, if all of t
 Values = dict[str, Array]  # by parameter name: (n,) for a parameter per joint, (1,) otherwise, in its unit
 
 
+def types_of(joints: Joints) -> tuple[JointType, ...]:
+    """How every joint moves."""
+    turning: JointType = "revolute"
+    return (turning,) * joints if isinstance(joints, int) else tuple(joints)
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One number of an effect, or one per joint.
@@ -77,9 +83,8 @@ class Parameter:
         """One scalar, or one per joint: ``coulomb_joint1`` ... for a parameter per joint, each in its joint's unit."""
         if not self.per_joint:
             return [self._scalar(self.name, None)]
-        turning: JointType = "revolute"
-        kinds = (turning,) * joints if isinstance(joints, int) else joints
-        return [self._of(kind)._scalar(f"{self.name}_joint{joint + 1}", joint) for joint, kind in enumerate(kinds)]
+        kinds = enumerate(types_of(joints))
+        return [self._of(kind)._scalar(f"{self.name}_joint{joint + 1}", joint) for joint, kind in kinds]
 
     def _of(self, kind: JointType) -> Parameter:
         """The parameter of a joint that moves so."""

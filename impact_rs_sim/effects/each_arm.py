@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from impact_rs_sim.effects.base import ArmEffect, Effect, Joints, ScalarParameter, Values, digest
+from impact_rs_sim.effects.base import ArmEffect, Effect, Joints, ScalarParameter, Values, digest, types_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array, JointType
@@ -84,8 +84,8 @@ class EachArm(Effect):
 
     def _check(self, physics: Physics) -> None:
         for name, joints in physics.arm_joints:
-            if name not in self.joints or _spelled_out(self.joints[name]) != joints:
-                known = ", ".join(f"{own} with {_told(_spelled_out(has))}" for own, has in self.joints.items())
+            if name not in self.joints or types_of(self.joints[name]) != joints:
+                known = ", ".join(f"{own} with {_told(types_of(has))}" for own, has in self.joints.items())
                 raise InputError(
                     f"effect {self.name!r} has parameters for arms {known}; here is arm {name!r} with {_told(joints)}"
                 )
@@ -99,12 +99,6 @@ def of_each(effect: Effect, joints: Mapping[str, Joints]) -> Effect:
         joints: Joints by arm; empty: arms share their parameters.
     """
     return EachArm(effect, joints) if joints and isinstance(effect, ArmEffect) else effect
-
-
-def _spelled_out(joints: Joints) -> tuple[JointType, ...]:
-    """How every joint moves."""
-    turning: JointType = "revolute"
-    return (turning,) * joints if isinstance(joints, int) else tuple(joints)
 
 
 def _told(joints: Sequence[JointType]) -> str:
