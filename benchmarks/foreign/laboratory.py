@@ -14,6 +14,7 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -35,16 +36,16 @@ from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_analysis.evidence.store import ReplayStore
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
-from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.scene import BodyState, Scene
-from impact_rs_trials.blind import RUNS, TRUTH, draw_truth, hide, named
+from impact_rs_trials.blind import RUNS, TRUTH, Hidden, draw_truth, hide, named
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.workers import Map, Workforce, workers
 
 MAGNITUDE, OUTSIDE_MAGNITUDE, NULLS, FIRST_SEED = 3.0, 4.0, 5, 3000
+BOXES = ("parcel", "juice")
 CONDITIONS = {"pose_a_fast": ("case_1", 1.0), "pose_a_slow": ("case_1", 0.6), "pose_b_fast": ("case_2", 1.0)}
 ASKEW = {"case_1": ((0.0, 0.0), (0.0, 0.0)), "case_2": ((0.02, -0.03), (0.1, 0.05))}  # rad; share of the speed
 RUN_UP, RAMP, AFTER = 0.2, 0.5, 0.5  # m, s, s
@@ -128,9 +129,11 @@ class RunTask:
     entry: Entry
 
 
-def physics_of(entry: Entry, physics: Physics) -> Physics:
-    """Physics with what the entry hides."""
-    return hide(physics, draw_truth(entry.seed, entry.kind, entry.effect, entry.magnitude))
+@lru_cache
+def hidden_in(entry: Entry) -> list[Hidden]:
+    """What an entry hides, as it can be in every box of the campaign."""
+    worlds = [hit_of(name, condition).scene.physics for name in BOXES for condition in CONDITIONS]
+    return draw_truth(entry.seed, entry.kind, entry.effect, entry.magnitude, worlds=worlds)
 
 
 def record(task: RunTask) -> None:
@@ -150,7 +153,7 @@ def record(task: RunTask) -> None:
         scene, far = hit.scene, hit.scene.object
         (name,) = scene.models
         torque, start, duration = impedance(hit)
-    physics = physics_of(task.entry, scene.physics)
+    physics = hide(scene.physics, hidden_in(task.entry))
     outside = task.entry.kind == "outside"
     modify = OUTSIDE[str(task.entry.effect)](physics, task.entry.magnitude or 0.0) if outside else None
     cell = MujocoCell(lasting(scene.scenario, duration), physics, {name: start}, far, task.seed, modify=modify)
@@ -172,7 +175,7 @@ def record(task: RunTask) -> None:
 
 def rows(entry: Entry, folder: Path, repeats: int = 2) -> Iterator[tuple[RunTask, str]]:
     """Every run, with its row in the table."""
-    kinds = [(thing, condition) for thing in ("parcel", "juice") for condition in CONDITIONS]
+    kinds = [(thing, condition) for thing in BOXES for condition in CONDITIONS]
     kinds += [("none", condition) for condition in FREE]
     for number, (thing, condition) in enumerate([kind for kind in kinds for _ in range(repeats)], start=1):
         name = f"run_{number:02d}"
@@ -192,8 +195,7 @@ def make(entry: Entry, directory: Path, map_tasks: Map) -> None:
         pass
     (folder / "runs.csv").write_text("\n".join(["bag,object,kind,condition", *(row for _, row in planned)]) + "\n")
     (folder / "experiment.yaml").write_text(EXPERIMENT)
-    hidden = draw_truth(entry.seed, entry.kind, entry.effect, entry.magnitude)
-    effects = [{"name": item.name, "parameters": named(item)} for item in hidden]
+    effects = [{"name": item.name, "parameters": named(item)} for item in hidden_in(entry)]
     outside = entry.effect if entry.kind == "outside" else None
     (directory / TRUTH).write_text(json.dumps({"kind": entry.kind, "outside": outside, "effects": effects}) + "\n")
 

@@ -278,19 +278,22 @@ def look_elsewhere(fitted: Fit) -> Fit:
         evidence = fitted.evidence
         if fitted.misfit <= POOR * float(evidence.expected.mean()):
             break
+        glance = replace(evidence, thrifty=True)
         places = []
         for index, scalar in enumerate(scalars):
             for value in scalar.far:
                 point = fitted.estimate.copy()
                 point[index] = value
-                if (moved := evaluate_at(fitted.candidate, point, evidence)) is not None:
+                if (moved := evaluate_at(fitted.candidate, point, glance)) is not None:
                     places.append(moved)
         if not places:
             break
         errors = [float(np.mean(evidence.problem(moved).errors(np.zeros_like(moved.point)))) for moved in places]
         if min(errors) >= fitted.misfit:
             break
-        again = refine(_relinearised(places[int(np.argmin(errors))], evidence), evidence)
+        best = places[int(np.argmin(errors))]
+        best = best if evidence.thrifty else evaluate_at(best, best.point, evidence) or best
+        again = refine(_relinearised(best, evidence), evidence)
         if again.misfit >= fitted.misfit:
             break
         fitted = again
