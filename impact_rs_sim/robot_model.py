@@ -21,6 +21,8 @@ from impact_rs_sim.urdf import write_urdf
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s^2
 FURTHER_STARTS = 30  # of inverse kinematics, where the guess leads nowhere
+NEWTON_STEPS = 30  # of inverse kinematics; from a guess within a radian six to ten do
+LONGEST_STEP = 0.5  # rad or m, of any joint in one of them
 
 
 @dataclass
@@ -141,7 +143,9 @@ class RobotModel:
     ) -> Array:
         """Joint positions that reach ``target`` with frame E while some joints stand where they shall.
 
-        Where the guess leads nowhere, others are tried; of what they find the nearest to the guess counts.
+        Newton's method where six joints are free; where it leaves the joint limits or leads nowhere, and for any other
+        number, least squares within the limits. Where the guess leads nowhere, others are tried; of what they find
+        the nearest to the guess counts.
 
         Args:
             target: Wanted placement of E in A.
@@ -166,15 +170,15 @@ class RobotModel:
         q = np.array(guess, dtype=float)
         q[list(held)] = list(held.values())
 
-        def error(angles: Array) -> Array:
-            q[free] = angles
-            placement = self.placement(q)
-            return np.concatenate(
-                (target.translation - placement.translation, pin.log3(placement.rotation.T @ target.rotation))
-            )
-
         inside = np.clip(q, lower + 1e-6, upper - 1e-6)[free]
         bounds = (lower[free], upper[free])
+        if free.size == 6 and (found := self._newton(target, q.copy(), free)) is not None:
+            return found
+
+        def error(angles: Array) -> Array:
+            q[free] = angles
+            return _missing(target, self.placement(q))
+
         best = _least(error, inside, bounds)
         if np.max(np.abs(best.fun)) > tolerance:
             rng = np.random.default_rng(0)
@@ -193,6 +197,25 @@ class RobotModel:
         q[free] = best.x
         return q
 
+    def _newton(self, target: pin.SE3, q: Array, free: Array) -> Array | None:
+        """Joint positions that reach ``target`` up to rounding by six free joints; None: steps end outside, or never."""
+        least = np.inf
+        for _ in range(NEWTON_STEPS):
+            placement = self.placement(q)
+            error = _missing(target, placement)
+            size = float(np.abs(error).max())
+            if size < 1e-12 or (size < 1e-10 and size >= least):
+                return q if np.all((self.position_min <= q) & (q <= self.position_max)) else None
+            least = min(least, size)
+            jacobian = self.jacobian(q)[:, free]
+            jacobian[3:] = placement.rotation.T @ jacobian[3:]
+            try:
+                step = np.linalg.solve(jacobian, error)
+            except np.linalg.LinAlgError:
+                return None
+            q[free] += step * min(1.0, LONGEST_STEP / float(np.abs(step).max()))
+        return None
+
     def effective_mass(self, q: Array, direction: Array, motor_inertia: Array) -> float:
         """Mass felt along ``direction`` at E: ``1 / (n^T J (M + B)^-1 J^T n)`` [kg].
 
@@ -204,6 +227,13 @@ class RobotModel:
         row = np.asarray(direction) @ self.jacobian(q)[:3]
         inertia = self.mass_matrix(q) + np.diag(motor_inertia)
         return float(1.0 / (row @ np.linalg.solve(inertia, row)))
+
+
+def _missing(target: pin.SE3, placement: pin.SE3) -> Array:
+    """What a placement lacks, ``(6,)``: translation in A [m], then the rotation vector in its own axes [rad]."""
+    return np.concatenate(
+        (target.translation - placement.translation, pin.log3(placement.rotation.T @ target.rotation))
+    )
 
 
 def _least(error: Callable[[Array], Array], start: Array, bounds: tuple[Array, Array]) -> scipy.optimize.OptimizeResult:

@@ -85,6 +85,28 @@ def test_inverse_kinematics_reaches_the_pose_with_joint_1_where_it_shall_be(scen
         assert np.all(q >= model.position_min) and np.all(q <= model.position_max)
 
 
+def test_inverse_kinematics_by_newton_finds_the_joints_that_made_the_pose(scene):
+    model = scene.models["arm"]
+    rng = np.random.default_rng(4)
+    free = np.arange(1, 7)
+    for q in random_configurations(model, 30):
+        guess = q + np.concatenate(([0.0], rng.uniform(-0.05, 0.05, 6)))
+        found = model._newton(model.placement(q), guess, free)
+        if np.linalg.cond(model.jacobian(q)[:, 1:]) < 30.0:
+            np.testing.assert_allclose(found, q, atol=1e-9)
+
+
+def test_inverse_kinematics_stays_inside_the_limits_where_newton_would_leave_them(scene, monkeypatch):
+    model = scene.models["arm"]
+    q = scene.arms["arm"].position
+    target = model.placement(q)
+    narrow = model.position_min.copy()
+    narrow[3] = q[3] + 0.2
+    monkeypatch.setattr(model, "position_min", narrow)
+    with pytest.raises(UnreachablePose, match="nearest pose is"):
+        model.inverse_kinematics(target, {0: float(q[0])}, q, further_starts=0)
+
+
 def test_unreachable_pose_says_so(scene):
     model = scene.models["arm"]
     far = pin.SE3(np.eye(3), np.array([2.0, 0.0, 0.5]))
