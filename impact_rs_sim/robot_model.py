@@ -198,7 +198,7 @@ class RobotModel:
         return q
 
     def _newton(self, target: pin.SE3, q: Array, free: Array) -> Array | None:
-        """Joint positions that reach ``target`` up to rounding by six free joints; None: steps end outside, or never."""
+        """Joint positions that reach ``target`` up to rounding by six joints; None: steps end outside, or never."""
         least = np.inf
         for _ in range(NEWTON_STEPS):
             placement = self.placement(q)
