@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from impact_rs_cli.main import parser
+from impact_rs_trials.blind import draw_truth
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -34,3 +35,11 @@ def test_every_page_is_in_the_index() -> None:
 def test_pictures_are_small() -> None:
     for picture in (ROOT / "docs" / "images").iterdir():
         assert picture.stat().st_size < 300_000, picture.name
+
+
+def test_the_effect_that_the_tutorial_hides_and_finds_is_the_one_that_its_seed_hides() -> None:
+    ((hidden, named),) = re.findall(
+        r"hidden (\w+), named (\w+)", (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    )
+    assert [hidden] == [named] == [effect.name for effect in draw_truth(7, "single", None, None)]
+    assert f"    {hidden}\n" in (ROOT / "docs" / "missing_effects.md").read_text(encoding="utf-8")

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from impact_rs_analysis.diagnosis.add import add_effect
 from impact_rs_analysis.diagnosis.document import read_document
-from impact_rs_cli.arguments import add_model, number
+from impact_rs_analysis.diagnosis.words import estimate_in_line
+from impact_rs_cli.arguments import add_model
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 from impact_rs_sim.model import load_model, save_model
 
@@ -57,6 +58,5 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     found = document.effect(args.effect)
     terminal.say(f"{args.output}: {model.name!r} and {args.effect} ({found.verdict if found else ''})")
     for name, value in item.parameters.items():
-        interval = "" if value.ci95 is None else f" [{number(value.ci95[0])}, {number(value.ci95[1])}]"
-        terminal.say(f"  {name} = {number(value.estimate)}{interval} {value.unit}")
+        terminal.say(f"  {name} = {estimate_in_line(value.estimate, value.ci95)} {value.unit}")
     return 0

@@ -14,6 +14,7 @@ from pydantic import Field
 from impact_rs_analysis.diagnosis.add import add_effect
 from impact_rs_analysis.diagnosis.document import write_document
 from impact_rs_analysis.diagnosis.history import history
+from impact_rs_analysis.diagnosis.words import estimate_in_line
 from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_cli.arguments import number
 from impact_rs_cli.commands.analyze import report_on
@@ -168,7 +169,7 @@ def _walk_the_loop(
     terminal.say(
         "",
         f"The plant hid {hidden.name} = {truth.estimate:g}. The diagnosis named {' and '.join(document.named)} = "
-        f"{number(estimate.estimate)} [{number(estimate.interval[0])}, {number(estimate.interval[1])}], "
+        f"{estimate_in_line(estimate.estimate, estimate.ci95)}, "
         f"and the error of the model fell from {number(before.score)} to {number(after.score)} times what repetition "
         "alone gives.",
         f"Reports: {(reports / 'diagnosis.html').resolve()}",

@@ -19,6 +19,7 @@ from impact_rs_analysis.diagnosis.document import (
     write_document,
 )
 from impact_rs_analysis.diagnosis.history import history
+from impact_rs_analysis.diagnosis.words import estimate_text
 from impact_rs_analysis.report.diagnosis import write_diagnosis
 from impact_rs_cli.arguments import add_jobs, add_runs, number, on_local_runs
 from impact_rs_cli.measurements import Measurements, add_source, added_of, measured
@@ -262,7 +263,7 @@ def estimates_table(effect: str, parameters: dict[str, EstimateDocument]) -> Tab
         if value.arm != arm:
             table.add_section()
         arm = value.arm
-        interval = "" if value.ci95 is None else f"{number(value.ci95[0])} ... {number(value.ci95[1])}"
-        cells = [name, number(value.estimate), interval, value.unit.strip("-")]
+        estimate, *interval = estimate_text(value.estimate, value.ci95)
+        cells = [name, estimate, " ... ".join(interval), value.unit.strip("-")]
         table.add_row(*cells, *([value.verdict or ""] if told else []))
     return table
