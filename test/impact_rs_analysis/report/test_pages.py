@@ -8,20 +8,21 @@ from collections.abc import Callable, Sequence
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mixed_grab import MIXED
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, SignalLevel
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EstimateDocument, read_document
 from impact_rs_analysis.diagnosis.history import VersionError
-from impact_rs_analysis.evidence.tracks import TrackSet
+from impact_rs_analysis.evidence.tracks import TrackSet, TrackSignal
 from impact_rs_analysis.measure.arms import arms_of
 from impact_rs_analysis.report import page as skeleton
 from impact_rs_analysis.report.analysis import AnalysisPage, Listing
 from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_analysis.report.diagnosis import write_diagnosis
 from impact_rs_analysis.report.history import write_history
-from impact_rs_analysis.report.page import p_text, quantity_text, sentence_text, subscripts_text
+from impact_rs_analysis.report.page import p_text, quantity_text, sentence_text, subscripts_text, track_data
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 
@@ -127,6 +128,15 @@ def test_figures_and_tracks_lie_beside_the_page(diagnosed: Page) -> None:
     assert (hit["impact"], free["impact"]) == (0.9, None)
     assert len(hit["time"]) == len(hit["signals"][0]["measured"]) <= 500
     assert hit["signals"][0]["predicted"][-1] is None  # what is missing stays missing
+
+
+def test_a_line_breaks_between_windows_however_long_the_track_is() -> None:
+    time = np.arange(5000.0)
+    time[[1111, 3333]] = np.nan
+    (shown,) = track_data([TrackSet("run", None, time, (TrackSignal("velocity", "m/s", time, time),))])
+    assert shown["time"].count(None) == 2
+    assert shown["signals"][0]["measured"] == shown["time"]
+    assert len(shown["time"]) <= skeleton.MOST_POINTS + 2
 
 
 def test_errors_that_lie_decades_apart_are_all_seen(diagnosed: Page) -> None:
