@@ -93,7 +93,7 @@ def test_a_diagnosis_shows_everything_that_it_knows(diagnosed: Page) -> None:
         "impact (first 80 ms): end-effector velocity 3 mm/s 2.2 mm/s",
         "No free motion was measured.",
         "object_mass CONFIRMED 61.8 → 1.3 < 0.0005 5 of 6 Predicts unseen data.",
-        "mass = 1.1 [1.08, 1.12] kg",
+        "mass = 1.100 [1.080, 1.120] kg",
         "moves end-effector velocity by up to 4 mm/s (impact; floor 3 mm/s)",
         "CONFUSABLE-WITH{joint_stribeck_friction}",
         "coulomb_joint4 joint4 0.31 [0.29, 0.33] N m AT-BOUND 0.004 0.44 → 0.12",
@@ -296,7 +296,7 @@ def test_a_diagnosis_of_version_0_1_0_is_shown(comparison_of_recordings: Compari
     (tmp_path / "old.json").write_text(json.dumps(old))
     document = read_document(tmp_path / "old.json")
     text = Page(write_diagnosis(document, comparison_of_recordings, (), None, tmp_path)).text
-    assert "coulomb_joint1 = 0.4 [0.3, 0.5] N m" in text
+    assert "coulomb_joint1 = 0.40 [0.30, 0.50] N m" in text
     assert "< 0.0005" in text  # whatever was written then
     assert "slow: torque joint1 – – 100 % 2" in text
     assert "Not measured: restitution." in text
