@@ -120,16 +120,7 @@ class World:
         relative = velocity - self.velocity
         return self._contact(normal, depth, relative, stiffness, arm.pad_damping, self.physics.pad_friction, duration)
 
-    def _contact(
-        self,
-        normal: np.ndarray,
-        depth: float,
-        velocity: np.ndarray,
-        stiffness: float,
-        damping: float,
-        friction: float,
-        duration: float,
-    ) -> np.ndarray:
+    def _contact(self, normal, depth, velocity, stiffness, damping, friction, duration) -> np.ndarray:
         """Force [N] on what moves with ``velocity`` and is ``depth`` [m] inside; friction sticks as a stiff damper."""
         if depth <= 0.0:
             return np.zeros(3)
@@ -158,7 +149,7 @@ class ForeignPlant:
         self.commands: dict[str, Subscription] = {}
         self.over: Future | None = None  # present while a trial runs
         self.ready = self.begun = False
-        self.node.get_logger().info("ready: a foreign plant")
+        self.node.get_logger().info("ready")
 
     def configure(self, request: ConfigureTrial.Request, response: ConfigureTrial.Response) -> ConfigureTrial.Response:
         """Get ready for a trial, whatever became of the one before."""

@@ -188,8 +188,10 @@ class Graph:
         """Services and actions of a node that nobody offers."""
         if name == "experiment":
             actions = {"run_trial": self.run_trial, "run_campaign": self.run_campaign}
-            return [self.node.resolve_service_name(name) for name, one in actions.items() if not one.server_is_ready()]
-        return [client.srv_name for client in self._clients[name] if not client.service_is_ready()]
+            missing = [action for action, client in actions.items() if not client.server_is_ready()]
+        else:
+            missing = [client.srv_name for client in self._clients[name] if not client.service_is_ready()]
+        return [self.node.resolve_service_name(service) for service in missing]
 
     def _ended(self, name: str) -> bool:
         """Whether a node of ours does not run any more; of somebody else's nobody knows."""

@@ -78,7 +78,7 @@ class NodeProgram:
     def served(self) -> list[str]:
         """Services and actions of its own that it offers, by their full names."""
         own = [service for service in self.node.services if service.srv_type.__module__.startswith(OWN_SERVICES)]
-        return [service.srv_name for service in own]
+        return [self.node.resolve_service_name(service.srv_name) for service in own]
 
     def trial_time(self) -> int:
         """Trial time for ``/diagnostics`` [ns]."""
@@ -166,7 +166,7 @@ def run(program: type[NodeProgram]) -> None:
         try:
             node = program()
         except (InputError, ParameterException) as error:
-            get_logger(program.kind).fatal(str(error))
+            get_logger(program.kind).fatal(f"parameter refused: {error}")
             raise SystemExit(2) from None
         try:
             node.start()

@@ -191,7 +191,8 @@ class TrialSession:
         finally:
             for future in asked:
                 client.remove_pending_request(future)
-        raise TrialError(f"{name} does not answer {client.srv_name}; is the node running?")
+        service = self._node.resolve_service_name(client.srv_name)
+        raise TrialError(f"{name} does not answer {service}; is the node running?")
 
     def _call_all(self, calls: dict[str, tuple[Client, Any]], timeout: float) -> tuple[dict[str, Any], dict[str, str]]:
         """Answers, and failures, of several services at once."""
