@@ -107,8 +107,9 @@ def test_a_campaign_runs_with_the_example_in_the_place_of_our_plant(
         with running([sys.executable, str(EXAMPLE)], surroundings) as plant:
             told = campaign.stdout.read()
             assert campaign.wait() == 0, told
-        assert plant.stdout is not None
-        said = plant.stdout.read()
+            plant.terminate()
+            assert plant.stdout is not None
+            said = plant.stdout.read()
     assert "3 of 3 trials are there (3 OK)" in told
     assert said.count("push/cat_food, case_2: OK after 1.800 s") >= 3
     assert "Traceback" not in said
