@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -35,8 +35,11 @@ TRIAL = "cat_food__case_2__s1.000__r0"
 
 
 @contextmanager
-def silent_plant(domain_id: int, best_effort: bool = False) -> Iterator[Node]:
-    """A node that serves what a plant serves and agrees to everything; it publishes nothing, or not reliably."""
+def silent_plant(domain_id: int, best_effort: bool = False) -> Iterator[list[ConfigureTrial.Request]]:
+    """A node that serves what a plant serves and agrees to everything; it publishes nothing, or not reliably.
+
+    Hands out what it is asked to configure.
+    """
     context = Context()
     rclpy.init(context=context, domain_id=domain_id)
     node = Node("plant", context=context)
@@ -56,7 +59,6 @@ def silent_plant(domain_id: int, best_effort: bool = False) -> Iterator[Node]:
         node.create_service(kind, f"~/{name}", agree)
     if best_effort:
         node.create_publisher(JointState, topics.joint_states("arm"), qos_profile_sensor_data)
-    node.asked = asked
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     over = threading.Event()
@@ -68,7 +70,7 @@ def silent_plant(domain_id: int, best_effort: bool = False) -> Iterator[Node]:
     thread = threading.Thread(target=spin)
     thread.start()
     try:
-        yield node
+        yield asked
     finally:
         over.set()
         thread.join()
@@ -139,21 +141,28 @@ def test_a_graph_waits_for_a_node_that_others_provide_and_tells_what_is_wrong_wi
     goal = RunTrial.Goal(
         scenario="push", object_name="cat_food", case_name="2", velocity_scale=1.0, output_directory=str(tmp_path)
     )
-    told: list[str] = []
+    asked: list[list[ConfigureTrial.Request]] = []
     with (
-        silent_plant(domain_id) as plant,
-        Graph.running("push", domain_id, root=tmp_path, without=["plant"], tell=told.append) as graph,
+        ExitStack() as provided,
+        Graph.running(
+            "push",
+            domain_id,
+            root=tmp_path,
+            without=["plant"],
+            tell=lambda line: asked.append(provided.enter_context(silent_plant(domain_id))),
+        ) as graph,
     ):
         assert list(graph.processes) == ["impact_map", "controller", "recorder", "experiment"]
         nobody = graph.call_trial(goal)
-        (request,) = plant.asked[:1]
+        request = asked[0][0]
         with silent_plant(domain_id, best_effort=True):
             unheard = graph.call_trial(goal)
-        plant.destroy_node()
+        provided.close()
         monkeypatch.setattr(graphs, "FOREIGN_TIMEOUT", 0.5)
         while not graph._missing("plant"):
             graph.spin(0.05)
-        told.clear()
+        told: list[str] = []
+        monkeypatch.setattr(graph, "_tell", told.append)
         with pytest.raises(GraphError, match=f"no plant came within 0.5 s: .* in ROS domain {domain_id}"):
             graph.wait_until_ready()
     assert told == [f"{WAITING}0.5 s at most"]
