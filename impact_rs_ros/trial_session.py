@@ -213,10 +213,7 @@ class TrialSession:
         return answers, failures
 
     def _configure_all(self, plan: TrialPlan, trial: Any, secret: Any, description: str, path: Path) -> None:
-        """The recorder comes last, when the others publish what it records.
-
-        Only the plant is told the ``secret`` variant of the trial, and where everything stands.
-        """
+        """Only the plant is told the ``secret`` variant of the trial, and where everything stands."""
         requests = {name: ConfigureTrial.Request(trial=trial) for name in self._configure}
         requests["plant"].trial = secret
         requests["plant"].start = [
@@ -230,12 +227,17 @@ class TrialSession:
         requests["recorder"].bag_path = str(path)
         requests["recorder"].robot_description = description
         timeout = parameters.value(self._node, "service_timeout")
-        for names in (("controller", "plant"), ("recorder",)):
-            calls = {name: (self._configure[name], requests[name]) for name in names}
-            answers, failures = self._call_all(calls, timeout)
-            failures |= {name: answer.message for name, answer in answers.items() if not answer.success}
-            if failures:
-                raise TrialError("; ".join(failures.values()))
+        failures = self._refusals(list(requests), requests, timeout)
+        if list(failures) == ["recorder"]:  # it may have looked for publishers before the others had them
+            failures = self._refusals(["recorder"], requests, timeout)
+        if failures:
+            raise TrialError("; ".join(failures.values()))
+
+    def _refusals(self, names: list[str], requests: dict[str, Any], timeout: float) -> dict[str, str]:
+        """Configure some nodes at once; returns why those are not ready that are not."""
+        calls = {name: (self._configure[name], requests[name]) for name in names}
+        answers, failures = self._call_all(calls, timeout)
+        return failures | {name: answer.message for name, answer in answers.items() if not answer.success}
 
     def _follow(
         self,
