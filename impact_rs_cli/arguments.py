@@ -78,6 +78,17 @@ def add_jobs(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_without(parser: argparse.ArgumentParser) -> None:
+    """The option ``--without``."""
+    parser.add_argument(
+        "--without",
+        nargs="+",
+        default=[],
+        metavar="NODE",
+        help="nodes that are not started, because you provide them: they are waited for",
+    )
+
+
 def workforce_of(args: argparse.Namespace) -> Workforce:
     """Who does the work, by ``--jobs`` and ``--scheduler``; neither: one process per core that we may use.
 

@@ -57,6 +57,9 @@ class ExperimentNode(NodeProgram):
             )
         ]
 
+    def served(self) -> list[str]:
+        return [self.node.resolve_service_name(name) for name in ("run_trial", "run_campaign")]
+
     def connect(self, arms: list[str]) -> None:
         self._session.watch(arms)
 
@@ -76,7 +79,7 @@ class ExperimentNode(NodeProgram):
     def _on_goal(self, goal: Any) -> GoalResponse:
         del goal
         if self._busy.locked() or self._cancelling.is_set():
-            self.log.warning("goal rejected: another trial or campaign is running")
+            self.log.warning("goal rejected: another trial or campaign is running; wait for its end, or cancel it")
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
 
@@ -93,17 +96,18 @@ class ExperimentNode(NodeProgram):
         def cancelled() -> bool:
             return bool(handle.is_cancel_requested or self._cancelling.is_set())
 
-        self.log.info(f"running {key.name}")
+        name = f"{plan.scene.scenario.name}/{key.name}"
+        self.log.debug(f"running {name}")
         started = time.monotonic()
         result = self._session.run(plan, key, seed, directory, feedback, cancelled, plant_model)
         self._trials += 1
         if result.outcome == "ABORTED":
             self._aborted += 1
-            self.log.warning(f"aborted {key.name}: {result.message}")
-        elif result.outcome != "OK":
-            self.log.warning(f"ended {key.name}: {result.outcome}, {result.message}")
+        text = f"{name}: {result.outcome} after {time.monotonic() - started:.1f} s of wall time"
+        if result.outcome == "OK":
+            self.log.info(text)
         else:
-            self.log.info(f"ended {key.name}: {result.outcome} after {time.monotonic() - started:.1f} s")
+            self.log.warning(f"{text}: {result.message}")
         return result
 
     def _run_trial(self, handle: Any) -> RunTrial.Result:

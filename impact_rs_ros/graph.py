@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
 import rclpy
 from impact_rs.action import RunCampaign, RunTrial
-from impact_rs.srv import ComputeImpactMap, ConfigureTrial
+from impact_rs.srv import ComputeImpactMap, ConfigureTrial, FinishTrial
 from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from std_srvs.srv import Trigger
 
-from impact_rs_ros.node_processes import NODES, STOP_TIMEOUT, NodeProcesses
+from impact_rs_ros.node_processes import STOP_TIMEOUT, NodeProcesses, ours
 from impact_rs_sim.model import Model, model_text
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.trial_info import TrialKey
@@ -29,10 +32,25 @@ from impact_rs_trials.campaign import Manifest, TrialReport, keep_failure
 from impact_rs_trials.store import open_store
 
 START_TIMEOUT = 60.0  # s, for all nodes to answer; imports take some seconds on a busy machine
+FOREIGN_TIMEOUT = 120.0  # s, for somebody else's node in the place of one of ours; a person may have to start it
 ANSWER_TIMEOUT = 3.0  # s, for a node to answer something harmless
 SILENCE = 1.0  # s, after which an experiment node that tells nothing of a trial is asked whether it is there
 ATTEMPTS = 2  # of a trial
 RESULT_TIMEOUT = 10.0  # s, for the answer to a goal, beyond what the experiment node may wait itself
+
+_CONFIGURABLE = {"configure_trial": ConfigureTrial, "finish_trial": FinishTrial}
+SERVICES: dict[str, dict[str, Any]] = {
+    "plant": {f"plant/{name}": kind for name, kind in (_CONFIGURABLE | {"run_trial": Trigger}).items()},
+    "impact_map": {"compute_impact_map": ComputeImpactMap},
+    "controller": {f"controller/{name}": kind for name, kind in _CONFIGURABLE.items()},
+    "recorder": {f"recorder/{name}": kind for name, kind in _CONFIGURABLE.items()},
+    "experiment": {},
+}
+"""Services of every node, with their types: what somebody else's node in its place has to offer as well."""
+
+Tell = Callable[[str], None]
+
+log = logging.getLogger(__name__)
 
 
 class GraphError(RuntimeError):
@@ -44,24 +62,27 @@ class NodeHangs(GraphError):
 
 
 class Graph:
-    """The five nodes, and this process as somebody who calls them; :meth:`running` starts all.
+    """The five nodes, and this process as somebody who calls them; :meth:`running` starts them.
 
     Args:
         nodes: Processes of the nodes.
         node: Node of this process.
+        foreign: Nodes that somebody else provides, by the name of the one in whose place they stand.
+        tell: Told what is waited for.
     """
 
-    def __init__(self, nodes: NodeProcesses, node: Node) -> None:
+    def __init__(self, nodes: NodeProcesses, node: Node, foreign: Sequence[str] = (), tell: Tell = log.info) -> None:
         self.nodes = nodes
+        self.foreign = list(dict.fromkeys(foreign))
+        self._tell = tell
         self.processes = nodes.processes
         self.node = node
         self.run_trial = ActionClient(node, RunTrial, "run_trial")
         self.run_campaign = ActionClient(node, RunCampaign, "run_campaign")
-        self._services = [
-            node.create_client(ConfigureTrial, f"{name}/configure_trial")
-            for name in ("plant", "controller", "recorder")
-        ]
-        self._services.append(node.create_client(ComputeImpactMap, "compute_impact_map"))
+        self._clients: dict[str, list[Any]] = {
+            owner: [node.create_client(kind, name) for name, kind in services.items()]
+            for owner, services in SERVICES.items()
+        }
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
         self._revived: list[str] = []
@@ -75,6 +96,8 @@ class Graph:
         parameters: Path | None = None,
         quiet: bool = True,
         root: Path | None = None,
+        without: Sequence[str] = (),
+        tell: Tell = log.info,
     ) -> Iterator[Self]:
         """A context manager with the nodes, which end with it.
 
@@ -87,16 +110,19 @@ class Graph:
             parameters: Parameter file; None: ``config/nodes.yaml``.
             quiet: Nodes write to a file, shown when one dies, and not to the terminal.
             root: Folder in which requests may have bags written and name scenarios; None: the working directory.
+            without: Nodes that somebody else provides; they are not started, and waited for.
+            tell: Told what is waited for.
 
         Raises:
-            InputError: There is no such scenario.
+            InputError: There is no such scenario, or no such node.
             GraphError: A node ended, or does not come up.
         """
+        names = ours(without)
         with ExitStack() as stack:
             logs = stack.enter_context(tempfile.TemporaryDirectory(prefix="impact_rs_"))
             nodes = NodeProcesses.of(scenario, Path(logs), domain_id, parameters, quiet, root)
             stack.callback(nodes.stop)
-            for name in NODES:
+            for name in names:
                 nodes.start(name)
             os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")  # this process talks to them
             context = Context()
@@ -104,7 +130,7 @@ class Graph:
                 context=context, domain_id=int(os.environ.get("ROS_DOMAIN_ID") or 0) if domain_id is None else domain_id
             )
             stack.callback(rclpy.try_shutdown, context=context)
-            graph = cls(nodes, rclpy.create_node(f"runner_{os.getpid()}", context=context))
+            graph = cls(nodes, rclpy.create_node(f"runner_{os.getpid()}", context=context), without, tell)
             stack.callback(graph.close)
             graph.wait_until_ready()
             yield graph
@@ -121,27 +147,55 @@ class Graph:
         self._executor.spin_once(timeout_sec=timeout)
 
     def wait_until_ready(self) -> None:
-        """Wait until every node offers its services.
+        """Wait until every node offers its services and actions, somebody else's too.
 
         Raises:
             GraphError: A node ended, or does not come up.
         """
         deadline = time.monotonic() + START_TIMEOUT
-        while not (
-            self.run_trial.server_is_ready()
-            and self.run_campaign.server_is_ready()
-            and all(client.service_is_ready() for client in self._services)
-        ):
+        while missing := [name for name in SERVICES if name not in self.foreign and self._missing(name)]:
             self._check_starting()
             if time.monotonic() > deadline:
-                raise GraphError(f"the nodes did not all come up within {START_TIMEOUT:g} s")
+                raise GraphError(f"node {', '.join(missing)} did not come up within {START_TIMEOUT:g} s")
             self.spin(0.02)
+        for name in self.foreign:
+            self._await_foreign(name)
         while self._revived:  # the middleware still knows the dead ones and takes their services for ready
             self._check_starting()
             if time.monotonic() > deadline:
                 raise GraphError(f"the {self._revived[-1]} node does not answer")
             if self.answers(self._revived[-1]):
                 self._revived.pop()
+
+    def _await_foreign(self, name: str) -> None:
+        """Wait for a node of somebody else, and say so."""
+        deadline = time.monotonic() + FOREIGN_TIMEOUT
+        told = False
+        while missing := self._missing(name):
+            what = "actions" if name == "experiment" else "services"
+            if not told:
+                self._tell(f"waiting for a {name}: {what} {', '.join(missing)}; for {FOREIGN_TIMEOUT:g} s at most")
+                told = True
+            self._check_starting()
+            if time.monotonic() > deadline:
+                raise GraphError(
+                    f"no {name} came within {FOREIGN_TIMEOUT:g} s: nobody offers the {what} {', '.join(missing)} in "
+                    f"ROS domain {self.node.context.get_domain_id()}"
+                )
+            self.spin(0.1)
+
+    def _missing(self, name: str) -> list[str]:
+        """Services and actions of a node that nobody offers."""
+        if name == "experiment":
+            actions = {"run_trial": self.run_trial, "run_campaign": self.run_campaign}
+            missing = [action for action, client in actions.items() if not client.server_is_ready()]
+        else:
+            missing = [client.srv_name for client in self._clients[name] if not client.service_is_ready()]
+        return [self.node.resolve_service_name(service) for service in missing]
+
+    def _ended(self, name: str) -> bool:
+        """Whether a node of ours does not run any more; of somebody else's nobody knows."""
+        return name in self.processes and self.processes[name].poll() is not None
 
     def _check_starting(self) -> None:
         for name, how in self.nodes.dead().items():
@@ -152,7 +206,7 @@ class Graph:
         client = self.node.create_client(GetParameters, f"{name}/get_parameters")
         deadline = time.monotonic() + ANSWER_TIMEOUT
         try:
-            while time.monotonic() < deadline and self.processes[name].poll() is None:
+            while time.monotonic() < deadline and not self._ended(name):
                 future = client.call_async(GetParameters.Request(names=["scenario"]))
                 attempt = time.monotonic() + 0.5  # a request into the discovery of a new client can be lost
                 while not future.done() and time.monotonic() < attempt:
@@ -203,7 +257,7 @@ class Graph:
         except (NodeHangs, KeyboardInterrupt):  # nobody is left to ask, or all are told to stop
             raise
         except BaseException:
-            if self.processes["experiment"].poll() is None:
+            if not self._ended("experiment"):
                 with suppress(GraphError):  # what went wrong first is what is told
                     self._wait(handle.cancel_goal_async(), STOP_TIMEOUT)
                     self._wait(ended, RESULT_TIMEOUT)  # else the next goal would be rejected
@@ -239,7 +293,7 @@ class Graph:
         while not future.done():
             self.spin(0.1)
             for name in watched:
-                if self.processes[name].poll() is not None:
+                if self._ended(name):
                     raise GraphError(f"node {name} died: {self.nodes.last_words(name)}")
             if deadline is not None and time.monotonic() > deadline:
                 raise GraphError(f"no answer within {timeout:g} s")
@@ -256,6 +310,8 @@ def run_trials_through_nodes(
     keys: list[TrialKey],
     domain_id: int | None = None,
     plant_model: Model | None = None,
+    without: Sequence[str] = (),
+    tell: Tell = log.info,
 ) -> Iterator[TrialReport]:
     """Run trials of a campaign through the nodes, one after the other; yields a report per trial as it ends.
 
@@ -267,14 +323,18 @@ def run_trials_through_nodes(
         keys: Trials to run.
         domain_id: ``ROS_DOMAIN_ID`` of the nodes; None: the environment's.
         plant_model: Effects that the plant has and nobody else knows; None: none.
+        without: Nodes that somebody else provides; they are waited for before every trial.
+        tell: Told what is waited for.
 
     Raises:
-        GraphError: The nodes cannot be started.
+        InputError: There is no node of a name in ``without``.
+        GraphError: The nodes cannot be started, or somebody else's does not come.
     """
     if not keys:
         return
-    with Graph.running(manifest.scenario, domain_id, root=directory) as graph:
+    with Graph.running(manifest.scenario, domain_id, root=directory, without=without, tell=tell) as graph:
         for key in keys:
+            graph.wait_until_ready()
             yield run_trial(graph, directory, manifest, key, plant_model)
 
 
@@ -316,28 +376,38 @@ def run_trial(
     return keep_failure(open_store(directory), report)
 
 
-def up(scenario: str, domain_id: int | None = None) -> int:
+def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = ()) -> int:
     """Run the nodes until Ctrl-C, and tell how to call them.
 
     Args:
         scenario: Name or path of the scenario.
         domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
+        without: Nodes that somebody else provides; they are not started, and waited for.
 
     Returns:
         Exit code of the process.
+
+    Raises:
+        InputError: There is no such scenario, or no such node.
+        KeyboardInterrupt: It was told to stop before the nodes were up.
     """
     known = load_scenario(scenario)
-    stopping = False
+    started = stopping = False
 
     def stop(number: int, frame: object) -> None:
         nonlocal stopping
         del number, frame
         stopping = True
+        if not started:
+            raise KeyboardInterrupt
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        with Graph.running(scenario, domain_id, quiet=False) as graph:
-            print(_instructions(known.name, next(iter(known.objects)), next(iter(known.cases))), flush=True)
+        tell = partial(print, flush=True)
+        with Graph.running(scenario, domain_id, quiet=False, without=without, tell=tell) as graph:
+            started = True
+            names = [*graph.processes, *(f"{name} (somebody else's)" for name in graph.foreign)]
+            print(_instructions(names, known.name, next(iter(known.objects)), next(iter(known.cases))), flush=True)
             while not stopping:
                 for line in graph.revive():
                     print(line, file=sys.stderr, flush=True)
@@ -352,11 +422,11 @@ def up(scenario: str, domain_id: int | None = None) -> int:
     return 0
 
 
-def _instructions(scenario: str, object_name: str, case: str) -> str:
+def _instructions(nodes: Sequence[str], scenario: str, object_name: str, case: str) -> str:
     what = f"{{scenario: {scenario}, object_name: {object_name}, case_name: {case}"
     return "\n".join(
         (
-            f"The nodes are up: {', '.join(NODES)}. Ctrl-C stops them.",
+            f"The nodes are up: {', '.join(nodes)}. Ctrl-C stops them.",
             "",
             "Run a trial into the folder trials/:",
             "  ros2 action send_goal --feedback /run_trial impact_rs/action/RunTrial \\",

@@ -7,17 +7,31 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Self
 
 from impact_rs_ros.process import SUPERVISOR
+from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenario import scenario_path
 
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
 STOP_TIMEOUT = 4.0  # s, for all nodes to leave in order
 CLOSING = 2.5  # s of it, for the experiment node to end its trial
+
+
+def ours(without: Sequence[str]) -> list[str]:
+    """The nodes that are started where somebody else provides those of ``without``.
+
+    Raises:
+        InputError: There is no such node.
+    """
+    for name in without:
+        if name not in NODES:
+            known = f"expected one or more of {', '.join(NODES)}"
+            raise InputError(f"no node {name!r}{did_you_mean(name, NODES)}; {known}", key="without")
+    return [name for name in NODES if name not in without]
 
 
 class NodeProcesses:
@@ -121,7 +135,7 @@ class NodeProcesses:
         running = {name: process for name, process in self.processes.items() if process.poll() is None}
         began = time.monotonic()
         # The experiment first: it closes the trial that runs.
-        for name in ("experiment", *NODES):
+        for name in ("experiment", *self.processes):
             if name in running:
                 process = running.pop(name)
                 process.terminate()  # SIGTERM: also a node that still imports ends without a word

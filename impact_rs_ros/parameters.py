@@ -155,7 +155,7 @@ def declare(node: Node, kind: str) -> None:
 
     for name in (*(parameter.name for parameter in PARAMETERS[kind]), "use_sim_time"):
         if complaint := complaint_about(kind, name, value(node, name)):
-            raise InputError(complaint, key=f"parameter {name}")
+            raise InputError(complaint)
     node.add_on_set_parameters_callback(check)
 
 
@@ -180,7 +180,7 @@ def complaint_about(kind: str, name: str, wanted: Any) -> str:
         try:
             load_scenario(wanted)
         except InputError as error:
-            return str(error)
+            return f"scenario: {error}"
     return ""
 
 

@@ -245,7 +245,7 @@ class PlantNode(TrialNode[PlantTrial]):
             if self.outbox.unmatched():
                 time.sleep(MATCHING)
                 return
-            self.log.info("the trial begins")
+            self.log.debug("the trial begins")
             trial.begin()
         trial.work(until)
         if trial.over:
@@ -265,7 +265,6 @@ class PlantNode(TrialNode[PlantTrial]):
     def _answer(self, over: Future, trial: PlantTrial) -> None:
         """Tell whoever waits for the end of the trial."""
         self._over = None
-        self.log.info(f"the trial is over after {1e-9 * trial.now:.3f} s")
         over.set_result(trial.failure)
 
     def _leave(self) -> str:

@@ -28,6 +28,7 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.spec import TrialSpec
 
 SUPERVISOR = "IMPACT_RS_SUPERVISOR"  # process id of the runner; a node does not outlive it
+OWN_SERVICES = ("impact_rs.", "std_srvs.")  # packages of the types of services that only our nodes have
 IDLE = 0.05  # s, how long an idle node waits for work before it looks around
 
 
@@ -63,13 +64,21 @@ class NodeProgram:
         except InputError as error:
             self.log.error(str(error))
         self.offer()
-        self.log.info(f"ready: {parameters.text(self.node, self.kind)}")
+        self.log.info(
+            f"ready: serves {', '.join(self.served())} in ROS domain {self.node.context.get_domain_id()}, namespace "
+            f"{self.node.get_namespace()}; {parameters.text(self.node, self.kind)}"
+        )
 
     def connect(self, arms: list[str]) -> None:
         """Publish and subscribe what there is to these arms; again with others, with theirs in place of that."""
 
     def offer(self) -> None:
         """Offer services and actions."""
+
+    def served(self) -> list[str]:
+        """Services and actions of its own that it offers, by their full names."""
+        own = [service for service in self.node.services if service.srv_type.__module__.startswith(OWN_SERVICES)]
+        return [self.node.resolve_service_name(service.srv_name) for service in own]
 
     def trial_time(self) -> int:
         """Trial time for ``/diagnostics`` [ns]."""
@@ -157,7 +166,7 @@ def run(program: type[NodeProgram]) -> None:
         try:
             node = program()
         except (InputError, ParameterException) as error:
-            get_logger(program.kind).fatal(str(error))
+            get_logger(program.kind).fatal(f"parameter refused: {error}")
             raise SystemExit(2) from None
         try:
             node.start()

@@ -28,11 +28,11 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.outcome import ArmRecord, TrialRecord, Verdict, judge
 from impact_rs_trials.bags.reader import ControllerColumns, JointColumns, PoseColumns, columns_of
 from impact_rs_trials.bags.trial_info import TrialInfo
-from impact_rs_trials.bags.writer import LATCHED, BagWriter
+from impact_rs_trials.bags.writer import LATCHED, BagWriter, partial_path
 
-MATCHING = 5.0  # s, for publishers to be discovered
+MATCHING = 2.0  # s, for publishers to be discovered; less than a caller waits for the answer before it asks again
 SILENCE = 3.0  # s, after which a trial of which nothing more comes is over, and nobody is left to say so
-OPTIONAL = (topics.TF, topics.DIAGNOSTICS, topics.TRUTH_MODEL)  # nobody may publish these, and nothing is wrong
+UNAWAITED = (topics.TF, topics.DIAGNOSTICS, topics.TRUTH_MODEL)  # of these some messages are as good as all
 _HEADER_FIRST = 4  # byte of the stamp behind the CDR encapsulation
 _SEQUENCE_FIRST = 8  # the same with the length of a sequence before it
 
@@ -41,13 +41,16 @@ class OpenTrial:
     """One trial on its way into a bag.
 
     Args:
+        name: Scenario and name of the trial.
         bag: Its bag, open.
         arms: Names of the arms.
         plan: The trial, where it is one of ours.
+        tracked: Whether somebody tells the pose of the object.
     """
 
-    def __init__(self, bag: BagWriter, arms: list[str], plan: TrialPlan | None) -> None:
+    def __init__(self, name: str, bag: BagWriter, arms: list[str], plan: TrialPlan | None, tracked: bool) -> None:
         self.bag = bag
+        self._name = name
         self.counts: Counter[str] = Counter()
         self._arms = arms
         self._plan = plan
@@ -55,7 +58,8 @@ class OpenTrial:
             topic: _SEQUENCE_FIRST if kind == topics.TF_MESSAGE else _HEADER_FIRST
             for topic, kind in topics.recorded(arms).items()
         }
-        self._transforms = Transforms(plan) if plan is not None and not available(topics.TF_MESSAGE) else None
+        makes_transforms = plan is not None and not available(topics.TF_MESSAGE)
+        self._transforms = Transforms(plan, tracked) if plan is not None and makes_transforms else None
         self._last: dict[str, int] = {}
         per_arm = (topics.joint_states, topics.controller_state)
         judged = {topics.OBJECT_POSE, *(name(arm) for arm in arms for name in per_arm)}
@@ -80,6 +84,15 @@ class OpenTrial:
             for at, transforms in self._transforms.receive(topic, now, data):
                 self.bag.write_raw(topics.TF, at, transforms)
                 self.counts[topics.TF] += 1
+
+    @property
+    def time(self) -> float:
+        """Trial time of the newest message [s]."""
+        return 1e-9 * max(self._last.values(), default=0)
+
+    def said(self, outcome: str) -> str:
+        """How it ended, for the log; a path follows."""
+        return f"{self._name}: {outcome} after {self.time:.3f} s, {self.bag.messages} messages in"
 
     def missing(self, expected: dict[str, int]) -> str:
         """Which of the expected numbers of messages are not reached yet, in words; empty: none."""
@@ -148,22 +161,33 @@ class RecorderNode(NodeProgram):
             self._arms = arms
 
     def _await_publishers(self) -> None:
-        """Wait until every topic of the trial has its publishers; a recorder that was just started meets them late.
+        """Wait until the topics of the trial have their publishers; a recorder that was just started meets them late.
 
         Raises:
-            InputError: Some topics stay without a publisher.
+            InputError: Nobody publishes what a trial cannot do without, or not so that the recorder receives it.
         """
         deadline = time.monotonic() + MATCHING
-        while missing := self._unmatched():
+        needed = topics.needed(self._arms)
+        while unmatched := self._unmatched(needed):
             if time.monotonic() > deadline:
-                raise InputError(f"recorder: nobody publishes {', '.join(missing)}; are plant and controller running?")
+                break
             time.sleep(0.005)
+        absent = [topic for topic in unmatched if not self.node.count_publishers(topic)]
+        unheard = [topic for topic in unmatched if topic not in absent]
+        told = [f"nobody publishes {', '.join(absent)}; are plant and controller running?"] if absent else []
+        if unheard:
+            told.append(f"{', '.join(unheard)}: published by somebody whom the recorder does not receive; reliable?")
+        if told and not set(needed).isdisjoint(unmatched):
+            raise InputError(f"recorder: {'; '.join(told)}")
+        for line in told:
+            self.log.warning(line)
 
-    def _unmatched(self) -> list[str]:
+    def _unmatched(self, needed: list[str]) -> list[str]:
+        """Topics with a publisher that is not met yet, and needed ones without any."""
         return [
             topic
             for topic, count in self._inbox.publishers().items()
-            if topic not in OPTIONAL and count < max(1, self.node.count_publishers(topic))
+            if topic not in UNAWAITED and count < max(int(topic in needed), self.node.count_publishers(topic))
         ]
 
     def _drain(self) -> None:
@@ -182,8 +206,11 @@ class RecorderNode(NodeProgram):
         """Close the bag of a trial whose nodes are all gone."""
         recording = self._recording
         if recording is not None and self._heard and time.monotonic() > self._heard + SILENCE:
-            self.log.warning(f"recorded {recording.bag.path}: ABORTED: nothing came for {SILENCE:g} s")
             self._abort()
+            self.log.warning(
+                f"{recording.said('ABORTED')} {partial_path(recording.bag.path)}: nothing came for {SILENCE:g} s, and "
+                "nobody ended the trial: is the experiment node gone?"
+            )
 
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
@@ -198,11 +225,13 @@ class RecorderNode(NodeProgram):
             self.connect(list(info.robots))
             self._await_publishers()
             self._inbox.clear()
+            name = f"{info.scenario}/{info.key.name}"
+            tracked = self._inbox.publishers()[topics.OBJECT_POSE] > 0
             bag = self._open.enter_context(BagWriter.create(path, self._arms))
             bag.describe(info)
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
             bag.write_raw(topics.ROBOT_DESCRIPTION, 0, serialize_message(String(data=request.robot_description)))
-            self._recording = OpenTrial(bag, self._arms, plan)
+            self._recording = OpenTrial(name, bag, self._arms, plan, tracked)
             self._heard = 0.0
         except InputError as error:
             self.log.error(f"trial refused: {error}")
@@ -213,7 +242,7 @@ class RecorderNode(NodeProgram):
             self.log.error(f"cannot open the bag: {full_traceback(error)}")
             response.message = f"recorder: {type(error).__name__}: {error}"
             return response
-        self.log.info(f"recording {request.bag_path}")
+        self.log.debug(f"recording {path}")
         response.success = True
         return response
 
@@ -235,7 +264,8 @@ class RecorderNode(NodeProgram):
                 verdict = Verdict("ABORTED", f"the bag cannot be closed: {error}")
             self._recording = None
             self._open.close()
-        text = f"recorded {bag.path}: {verdict.outcome}, {bag.messages} messages"
+        path = bag.path if verdict.outcome != "ABORTED" else partial_path(bag.path)
+        text = f"{recording.said(verdict.outcome)} {path}"
         if verdict.outcome == "OK":
             self.log.info(text)
         else:

@@ -23,9 +23,11 @@ class Transforms:
 
     Args:
         plan: The trial.
+        tracked: Whether somebody tells the pose of the object; else its frame is left out.
     """
 
-    def __init__(self, plan: TrialPlan) -> None:
+    def __init__(self, plan: TrialPlan, tracked: bool = True) -> None:
+        self._tracked = tracked
         timing, sensors = plan.scene.scenario.timing, plan.scene.scenario.sensors
         self._store = typestore()
         self._maker = MessageMaker(RosbagsTypes(), plan)
@@ -38,14 +40,14 @@ class Transforms:
 
     def receive(self, topic: str, nanoseconds: int, data: bytes) -> Iterator[tuple[int, bytes]]:
         """Take a recorded message; hands out time [ns] and serialized transforms as soon as they are known."""
-        if topic != topics.OBJECT_POSE and topic not in self._sources:
+        if topic not in self._sources and not (self._tracked and topic == topics.OBJECT_POSE):
             return
         tick = nanoseconds // self._period_ns
         if not self._frames.due(tick):
             return
         known = self._known.setdefault(tick, {})
         known[topic] = data
-        sees_object = tick % self._object_every == 0
+        sees_object = self._tracked and tick % self._object_every == 0
         if len(known) < len(self._sources) + sees_object:
             return
         del self._known[tick]
@@ -55,5 +57,8 @@ class Transforms:
             pose = self._store.deserialize_cdr(known[topics.OBJECT_POSE], topics.POSE).pose  # type: ignore[attr-defined]
             at, turn = pose.position, pose.orientation
             seen = np.array([at.x, at.y, at.z]), np.array([turn.x, turn.y, turn.z, turn.w])
-        message = self._maker.transforms(tick, self._frames.placements(arms, seen))
+        placements = self._frames.placements(arms, seen)
+        if not self._tracked:
+            del placements["object"]
+        message = self._maker.transforms(tick, placements)
         yield nanoseconds, bytes(self._store.serialize_cdr(message, topics.TF_MESSAGE))

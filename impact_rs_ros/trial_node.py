@@ -155,7 +155,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         gc.collect()
         gc.freeze()  # the next trial's collection looks at what is new, and no more
         gc.disable()  # a collection takes longer than a tick
-        self.log.info(f"configured {self._name}, seed {info.seed}")
+        self.log.debug(f"configured {self._name}, seed {info.seed}")
         response.success = True
         return response
 
@@ -172,7 +172,8 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         response.messages = sum(self.outbox.counts.values())
         response.topics = list(self.outbox.counts)
         response.counts = list(self.outbox.counts.values())
-        text = f"finished {self._name}: {response.outcome}, {response.messages} messages published"
+        after = f"after {1e-9 * self.trial.now:.3f} s, {response.messages} messages published"
+        text = f"{self._name}: {response.outcome} {after}"
         if response.outcome == "ABORTED":
             self.log.warning(f"{text}: {failure or request.reason}")
         else:

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
+from impact_rs.msg import RobotState
 from impact_rs.msg import TrialInfo as TrialInfoMessage
 from impact_rs.srv import ConfigureTrial, FinishTrial
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -19,6 +21,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from impact_msgs_py.conversions import pose_to_message
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros import parameters
 from impact_rs_ros.exchange import Inbox
@@ -148,7 +151,7 @@ class TrialSession:
             secret = replace(info, model_yaml=plant_model)
             if plant_model and not parameters.value(self._node, "hide_model"):
                 trial = maker.trial_info(secret)
-            self._configure_all(trial, maker.trial_info(secret), description, path)
+            self._configure_all(plan, trial, maker.trial_info(secret), description, path)
             self._trial_info.publish(trial)
             self._description.publish(String(data=description))
             self._follow(progress, plan, feedback, cancelled)
@@ -157,23 +160,39 @@ class TrialSession:
         return self._finish_all(progress, reason, path)
 
     def _call(self, name: str, client: Client, request: Any, timeout: float) -> Any:
-        """Answers of a service that may be called twice.
+        """Answer of a service to a request that is sent again where none comes.
+
+        A node that is slow answers every one of them. To configure once more undoes the first time, so that what counts
+        is the answer to the last request; but who refuses one would refuse the next, and what is finished is finished.
 
         Raises:
             TrialError: No answer.
         """
+        again = max(ATTEMPT, timeout / 4.0)
         deadline = time.monotonic() + timeout
-        while (left := deadline - time.monotonic()) > 0.0:
-            if not client.service_is_ready():
-                time.sleep(min(left, 0.01))
-                continue
-            answered = threading.Event()
-            future = client.call_async(request)
-            future.add_done_callback(lambda _, answered=answered: answered.set())
-            if answered.wait(min(left, max(ATTEMPT, timeout / 4.0))):
-                return future.result()
-            client.remove_pending_request(future)
-        raise TrialError(f"{name} does not answer {client.srv_name}; is the node running?")
+        sent, answered = 0.0, threading.Event()
+        asked: list[Any] = []
+        try:
+            while (now := time.monotonic()) < deadline:
+                if not asked or now > sent + again:
+                    if not client.service_is_ready():
+                        time.sleep(min(deadline - now, 0.01))
+                        continue
+                    asked.append(client.call_async(request))
+                    asked[-1].add_done_callback(lambda _: answered.set())
+                    sent = now
+                answered.wait(min(deadline, sent + again) - now)
+                answered.clear()
+                for future in asked:
+                    if future.done():
+                        answer = future.result()
+                        if future is asked[-1] or isinstance(request, FinishTrial.Request) or not answer.success:
+                            return answer
+        finally:
+            for future in asked:
+                client.remove_pending_request(future)
+        service = self._node.resolve_service_name(client.srv_name)
+        raise TrialError(f"{name} does not answer {service}; is the node running?")
 
     def _call_all(self, calls: dict[str, tuple[Client, Any]], timeout: float) -> tuple[dict[str, Any], dict[str, str]]:
         """Answers, and failures, of several services at once."""
@@ -193,18 +212,32 @@ class TrialSession:
             thread.join()
         return answers, failures
 
-    def _configure_all(self, trial: Any, secret: Any, description: str, path: Path) -> None:
-        """Only the plant is told the ``secret`` variant of the trial."""
+    def _configure_all(self, plan: TrialPlan, trial: Any, secret: Any, description: str, path: Path) -> None:
+        """Only the plant is told the ``secret`` variant of the trial, and where everything stands."""
         requests = {name: ConfigureTrial.Request(trial=trial) for name in self._configure}
         requests["plant"].trial = secret
+        requests["plant"].start = [
+            RobotState(robot=name, joint_position=arm.initial.tolist(), joint_velocity=[0.0] * arm.initial.size)
+            for name, arm in plan.arms.items()
+        ]
+        placed = plan.scene.object
+        requests["plant"].object_pose = pose_to_message(
+            np.concatenate((placed.position, pin.Quaternion(placed.rotation).coeffs()))
+        )
         requests["recorder"].bag_path = str(path)
         requests["recorder"].robot_description = description
         timeout = parameters.value(self._node, "service_timeout")
-        calls = {name: (client, requests[name]) for name, client in self._configure.items()}
-        answers, failures = self._call_all(calls, timeout)
-        failures |= {name: answer.message for name, answer in answers.items() if not answer.success}
+        failures = self._refusals(list(requests), requests, timeout)
+        if list(failures) == ["recorder"]:  # it may have looked for publishers before the others had them
+            failures = self._refusals(["recorder"], requests, timeout)
         if failures:
             raise TrialError("; ".join(failures.values()))
+
+    def _refusals(self, names: list[str], requests: dict[str, Any], timeout: float) -> dict[str, str]:
+        """Configure some nodes at once; returns why those are not ready that are not."""
+        calls = {name: (self._configure[name], requests[name]) for name in names}
+        answers, failures = self._call_all(calls, timeout)
+        return failures | {name: answer.message for name, answer in answers.items() if not answer.success}
 
     def _follow(
         self,

@@ -1,7 +1,10 @@
-"""Starts the five nodes: ``ros2 launch impact_rs impact_rs.launch.py scenario:=push``."""
+"""Starts the five nodes: ``ros2 launch impact_rs impact_rs.launch.py scenario:=push``.
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+``without:=plant`` leaves one out, or several (``without:="plant controller"``), because you provide it yourself.
+"""
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
@@ -10,27 +13,41 @@ NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the five nodes, all with the same parameter file and scenario."""
+    """Return the five nodes, or those that are wanted of them, all with the same parameter file and scenario."""
     return LaunchDescription(
         [
             DeclareLaunchArgument("scenario", default_value="push", description="Name or path of the scenario."),
+            DeclareLaunchArgument(
+                "without", default_value="", description="Nodes that are not started: names with a space in between."
+            ),
             DeclareLaunchArgument(
                 "params_file",
                 default_value=PathJoinSubstitution([FindPackageShare("impact_rs"), "config", "nodes.yaml"]),
                 description="Parameters of the nodes.",
             ),
-            *(
-                Node(
-                    package="impact_rs",
-                    executable=node,
-                    name=node,
-                    output="screen",
-                    parameters=[
-                        LaunchConfiguration("params_file"),
-                        {"scenario": LaunchConfiguration("scenario")},
-                    ],
-                )
-                for node in NODES
-            ),
+            OpaqueFunction(function=wanted_nodes),
         ]
     )
+
+
+def wanted_nodes(context: LaunchContext) -> list[Node]:
+    """Return the nodes that ``without`` does not name.
+
+    Raises:
+        RuntimeError: It names one that there is not; ``ros2 launch`` tells it and starts nothing.
+    """
+    without = LaunchConfiguration("without").perform(context).split()
+    for name in without:
+        if name not in NODES:
+            raise RuntimeError(f"without: no node {name!r}; expected one or more of {', '.join(NODES)}")
+    return [
+        Node(
+            package="impact_rs",
+            executable=node,
+            name=node,
+            output="screen",
+            parameters=[LaunchConfiguration("params_file"), {"scenario": LaunchConfiguration("scenario")}],
+        )
+        for node in NODES
+        if node not in without
+    ]

@@ -3,11 +3,17 @@
 import ast
 import os
 import re
+import runpy
+import sys
 import tomllib
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import pytest
 from catkin_pkg.package import parse_package
+
+from impact_rs_ros.node_processes import NODES
 
 ROOT = Path(__file__).resolve().parent.parent
 INTERFACES = sorted(
@@ -89,6 +95,42 @@ def test_an_interface_says_what_it_is_and_comments_every_field(interface: Path) 
         assert comment.strip(), f"{line!r} has no comment"
         if declaration.startswith(PHYSICAL):
             assert re.search(r"\[.+\]|unit quaternion", comment), f"{line!r} has no unit"
+
+
+@pytest.fixture
+def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What the launch file defines, on stand-ins for ``launch``, which is not on the package index."""
+
+    class Configuration(SimpleNamespace):
+        def perform(self, context: dict[str, str]) -> str:
+            return context[self.name]
+
+    stand_ins = {
+        "launch": {"LaunchContext": dict, "LaunchDescription": list},
+        "launch.actions": {"DeclareLaunchArgument": SimpleNamespace, "OpaqueFunction": SimpleNamespace},
+        "launch.substitutions": {
+            "LaunchConfiguration": lambda name: Configuration(name=name),
+            "PathJoinSubstitution": list,
+        },
+        "launch_ros": {},
+        "launch_ros.actions": {"Node": SimpleNamespace},
+        "launch_ros.substitutions": {"FindPackageShare": str},
+    }
+    for name, content in stand_ins.items():
+        module = ModuleType(name)
+        vars(module).update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    return runpy.run_path(str(ROOT / "launch" / "impact_rs.launch.py"))
+
+
+def test_the_launch_file_leaves_out_what_others_provide_and_knows_no_other_names(launch_file: dict[str, Any]) -> None:
+    def started(without: str) -> list[str]:
+        return [node.executable for node in launch_file["wanted_nodes"]({"without": without})]
+
+    assert started("") == list(NODES)
+    assert started("plant recorder") == ["impact_map", "controller", "experiment"]
+    with pytest.raises(RuntimeError, match="no node 'wall'; expected one or more of plant, impact_map"):
+        started("plant wall")
 
 
 def test_launch_files_compile() -> None:

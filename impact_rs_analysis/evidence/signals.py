@@ -71,6 +71,12 @@ def signals_of_bag(bag: TrialBag) -> Signals:
         motor = bag.joints(topics.motor_states(arm))
         controller = bag.controller(arm)
         _check_times(bag, topics.joint_states(arm), measured.time)
+        if topics.motor_states(arm) in bag.missing:
+            raise BagError(
+                bag.path,
+                f"no {topics.motor_states(arm)}, which the replay of a model starts from: describe such bags with an "
+                "experiment file (docs/laboratory.md)",
+            )
         count = measured.time.size
         for topic, size in (
             (topics.motor_states(arm), motor.time.size),

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Any
 
-from impact_rs_cli.arguments import add_jobs, check_robots, workforce_of
+from impact_rs_cli.arguments import add_jobs, add_without, check_robots, workforce_of
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.scenario import load_scenario
@@ -39,6 +39,7 @@ example:
   impact-rs campaign push -o campaigns/quick --objects cat_food --cases 2 --scales 0.8 1.0 1.2 --trials 2
   impact-rs campaign grab -o campaigns/firm --set control.clamp_force=90
   impact-rs campaign push -o s3://bucket/push --scheduler tcp://10.0.0.1:8786
+  impact-rs campaign push -o campaigns/mine --via nodes --without plant
   impact-rs analyze campaigns/push
 
 Units: scales have none (post-impact reference velocity over predicted velocity)."""
@@ -76,6 +77,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         default="inprocess",
         help="run trials in this program, or through the ROS 2 nodes (one at a time); default: %(default)s",
     )
+    add_without(parser)
     add_json(parser)
     parser.set_defaults(resumable=True)
 
@@ -102,6 +104,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("--set and --sensitivity are for --via inprocess: the nodes read the scenario's own file")
     if args.via == "nodes" and (args.jobs not in (None, 1) or args.scheduler is not None):
         raise InputError("--jobs and --scheduler are for --via inprocess: the nodes run one trial at a time")
+    if args.without:
+        check_without(args.without, args.via)
     store = open_store(args.output)
     workforce = workforce_of(args)
     manifest = make_manifest(
@@ -115,7 +119,10 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         campaigns = with_sensitivity(store, manifest)
     with output_folder(store.path) if isinstance(store, Folder) else nullcontext():
         nodes = args.via == "nodes"
-        reports = through_nodes(store, manifest) if nodes else owned_campaigns(store, campaigns, workforce)
+        if nodes:
+            reports = through_nodes(store, manifest, args.without, terminal.warn)
+        else:
+            reports = owned_campaigns(store, campaigns, workforce)
         ran = follow(reports, campaigns, terminal)
     outcomes = Counter(report.outcome for report in ran)
     done = len({key.name for key in manifest.keys} & store.names())  # bags, whatever the reports say
@@ -156,8 +163,25 @@ def tell_wrong(reports: Iterable[TrialReport], terminal: Terminal) -> None:
         terminal.warn(line)
 
 
-def through_nodes(store: Store, manifest: Manifest) -> Iterator[tuple[Store, TrialReport]]:
-    """Run what is missing through the ROS 2 nodes; yields as :func:`owned_campaigns`.
+def check_without(without: Sequence[str], via: str) -> None:
+    """Check that nodes which somebody else provides are nodes, and that trials run through them.
+
+    Raises:
+        InputError: They are not, or do not.
+    """
+    if via != "nodes":
+        raise InputError("--without is for --via nodes: trials in this program have no nodes")
+    from impact_rs_ros.node_processes import ours  # as below
+
+    ours(without)
+
+
+def through_nodes(
+    store: Store, manifest: Manifest, without: Sequence[str] = (), tell: Callable[[str], None] = lambda line: None
+) -> Iterator[tuple[Store, TrialReport]]:
+    """Run what is missing through the ROS 2 nodes, without those that somebody else provides.
+
+    Yields as :func:`owned_campaigns`; ``tell`` hears what is waited for.
 
     Raises:
         InputError: The campaign does not lie in a folder, or another process works on it.
@@ -168,7 +192,8 @@ def through_nodes(store: Store, manifest: Manifest) -> Iterator[tuple[Store, Tri
     if not isinstance(store, Folder):
         raise InputError("the nodes record in a folder of this machine; expected a path", file=str(store))
     with owned(store):
-        for report in run_trials_through_nodes(store.path, manifest, open_campaign(store, manifest)):
+        todo = open_campaign(store, manifest)
+        for report in run_trials_through_nodes(store.path, manifest, todo, without=without, tell=tell):
             yield store, report
 
 

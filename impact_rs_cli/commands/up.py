@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from impact_rs_cli.arguments import check_robots
+from impact_rs_cli.arguments import add_without, check_robots
 from impact_rs_cli.terminal import Terminal, declare
 from impact_rs_ros.graph import up
 from impact_rs_sim.scenario import load_scenario
@@ -15,17 +15,21 @@ Start the ROS 2 nodes (plant, controller, impact map, recorder, experiment) and 
 Says which services and actions they offer. What `ros2 launch impact_rs impact_rs.launch.py` does where the ROS 2
 command line is installed.
 
+With --without, a node of your own takes the place of one of them; what it must do is in docs/foreign_plant.md.
+
 example:
-  impact-rs up push"""
+  impact-rs up push
+  impact-rs up push --without plant"""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
     declare(parser, run, TEXT)
     parser.add_argument("scenario", metavar="SCENARIO", help="name of a scenario, or path of its YAML file")
+    add_without(parser)
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     check_robots(load_scenario(args.scenario), terminal)
-    return up(args.scenario)
+    return up(args.scenario, without=args.without)

@@ -272,11 +272,13 @@ def _tipped(seen: PoseColumns) -> Iterator[_Finding]:
 
 def _dropped(plan: TrialPlan, seen: PoseColumns) -> Iterator[_Finding]:
     """An object that was to be lifted and did not rise enough."""
+    if not seen.time.size:  # nobody tracked it
+        return
     meant = plan.expected_lift
-    lift = float(seen.position[-1, 2] - seen.position[0, 2]) if seen.time.size else 0.0
+    lift = float(seen.position[-1, 2] - seen.position[0, 2])
     if meant > 0.0 and lift < LEAST_LIFT * meant:
         yield _Finding(
             "DROPPED",
-            float(seen.time[-1]) if seen.time.size else 0.0,
+            float(seen.time[-1]),
             f"the object rose {lift:.3f} m, it was to rise {meant:.3f} m",
         )

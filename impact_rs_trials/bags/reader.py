@@ -184,6 +184,11 @@ class TrialBag:
         """Why it had this outcome, in one line: what was told, or what the outcome means."""
         return self.metadata.get("outcome_reason") or OUTCOMES.get(self.outcome, "an outcome that is not known here")
 
+    @property
+    def missing(self) -> list[str]:
+        """Topics of a trial that this one has no message of; ``/truth`` stands for everything below it."""
+        return topics.lacking(list(self.info.robots), [topic for topic, count in self.counts.items() if count])
+
     def serialized(self, topic: str) -> list[bytes]:
         """All messages of a topic as they were recorded (CDR).
 

@@ -5,6 +5,8 @@ Per arm: ``/ARM/...``. Everything below ``/truth`` comes from the plant and is n
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 CLOCK = "/clock"
 TRIAL_INFO = "/trial_info"
 ROBOT_DESCRIPTION = "/robot_description"
@@ -88,4 +90,27 @@ def recorded(arms: list[str], truth: bool = True) -> dict[str, str]:
             truth_joint_states(arm): JOINT_STATE,
             truth_contact_wrench(arm): WRENCH,
         }
-    return {topic: kind for topic, kind in topics.items() if truth or not topic.startswith(f"{TRUTH}/")}
+    return {topic: kind for topic, kind in topics.items() if truth or not _is_truth(topic)}
+
+
+def needed(arms: list[str]) -> list[str]:
+    """Topics without which a trial cannot be analysed; a plant that publishes no others still gives a whole bag."""
+    return [name(arm) for arm in arms for name in (joint_states, joint_command, controller_state, impact_event)]
+
+
+def lacking(arms: list[str], present: Collection[str]) -> list[str]:
+    """What a trial has no message of and could have; ``/truth`` stands for everything below it.
+
+    Args:
+        arms: Names of the arms.
+        present: Topics with messages.
+    """
+    occasional = {DIAGNOSTICS, TRUTH_MODEL, *(impact_event(arm) for arm in arms)}
+    absent = [topic for topic in recorded(arms) if topic not in present and topic not in occasional]
+    if any(_is_truth(topic) for topic in present):
+        return absent
+    return [topic for topic in absent if not _is_truth(topic)] + [TRUTH]
+
+
+def _is_truth(topic: str) -> bool:
+    return topic.startswith(f"{TRUTH}/")

@@ -20,6 +20,7 @@ from impact_rs_trials.bags.trial_info import Outcome, TrialInfo
 from impact_rs_trials.bags.types import typestore
 
 LATCHED = (topics.TRIAL_INFO, topics.ROBOT_DESCRIPTION)
+MISSING = "missing"  # key of the metadata: topics without a message
 FILES = ("scenario_json", "model_yaml")  # with a friction compensation 200 kB, which YAML takes a second for
 LARGEST_BLOCK = 100_000  # messages kept in memory; several trials' worth
 
@@ -54,17 +55,22 @@ class BagWriter:
     Args:
         path: Folder of the bag when it is complete.
         writer: Open, on the hidden folder.
+        arms: Names of the arms.
         connections: Connections of the writer, by topic.
         store: Definitions of their types.
     """
 
-    def __init__(self, path: Path, writer: Writer, connections: dict[str, Connection], store: Typestore) -> None:
+    def __init__(
+        self, path: Path, writer: Writer, arms: list[str], connections: dict[str, Connection], store: Typestore
+    ) -> None:
         self.path = path
+        self._arms = arms
         self.messages = 0
         self._writer = writer
         self._connections = connections
         self._store = store
         self._ended = False
+        self._present: set[str] = set()
         self._pending: list[tuple[str, int, Any]] = []
 
     @classmethod
@@ -98,7 +104,7 @@ class BagWriter:
             )
             for topic, kind in topics.recorded(arms, truth).items()
         }
-        return cls(path, writer, connections, store)
+        return cls(path, writer, arms, connections, store)
 
     def describe(self, info: TrialInfo) -> None:
         """Put the trial's identity into the bag's metadata; whole files are in ``/trial_info`` alone."""
@@ -112,6 +118,7 @@ class BagWriter:
         Messages are kept and serialized together, which is several times faster than one by one.
         """
         self._pending.append((topic, nanoseconds, message))
+        self._present.add(topic)
         self.messages += 1
         if len(self._pending) >= LARGEST_BLOCK:
             self._flush()
@@ -120,6 +127,7 @@ class BagWriter:
         """Write a serialized (CDR) message at trial time [ns]."""
         self._flush()
         self._writer.write(self._connections[topic], nanoseconds, data)
+        self._present.add(topic)
         self.messages += 1
 
     def _flush(self) -> None:
@@ -138,12 +146,14 @@ class BagWriter:
             self._writer.write(self._connections[topic], nanoseconds, next(encoded[topic]))
 
     def finish(self, outcome: Outcome, reason: str = "") -> None:
-        """Close the bag and give it its name.
+        """Close the bag and give it its name; what it lacks is noted in its metadata.
 
         Args:
             outcome: How the trial ended.
             reason: Why, in one line; empty where there is nothing to say.
         """
+        if lacking := topics.lacking(self._arms, self._present):
+            self._writer.set_custom_data(MISSING, ", ".join(lacking))
         self._close(outcome, reason)
         partial_path(self.path).rename(self.path)
         self._tidy()

@@ -80,15 +80,24 @@ def test_a_value_that_cannot_be_worked_with_is_refused_with_a_reason(
     assert told in answer.results[0].reason
 
 
-@pytest.mark.parametrize("arguments", [["engine:=foo"], ["use_sim_time:=maybe"], ["scenario:=nonsense"]])
-def test_a_node_does_not_start_with_such_a_value(arguments: list[str], domain_ids: Callable[[], int]) -> None:
-    command = [sys.executable, "-m", "impact_rs_ros.impact_map_node", "--ros-args"]
-    for argument in arguments:
-        command += ["-p", argument]
+@pytest.mark.parametrize(
+    ("node", "argument"),
+    [
+        ("impact_map", "engine:=foo"),
+        ("impact_map", "use_sim_time:=maybe"),
+        ("controller", "scenario:=nonsense"),
+        ("plant", "use_sim_time:=true"),
+        ("plant", "answer_timeout:=.nan"),
+        ("recorder", "data_root:=/nowhere/at/all"),
+    ],
+)
+def test_a_node_does_not_start_with_such_a_value(node: str, argument: str, domain_ids: Callable[[], int]) -> None:
+    command = [sys.executable, "-m", f"impact_rs_ros.{node}_node", "--ros-args", "-p", argument]
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain_ids()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
     assert ended.returncode == 2
-    assert arguments[0].partition(":=")[0] in ended.stderr
+    assert "parameter refused: " in ended.stderr
+    assert argument.partition(":=")[0] in ended.stderr
     assert "Traceback" not in ended.stderr
 
 

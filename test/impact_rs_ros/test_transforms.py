@@ -61,5 +61,17 @@ def test_transforms_follow_from_the_messages_in_whatever_order_they_come(
     assert len(found) == 3
 
 
+def test_the_frame_of_an_object_that_nobody_tracks_is_left_out(plan: TrialPlan, recorded: tuple[list, dict]) -> None:
+    messages, expected = recorded
+    transforms = Transforms(plan, tracked=False)
+    found = dict(pair for message in messages for pair in transforms.receive(*message))
+    assert list(found) == list(expected)
+    for now, data in found.items():
+        frames = [one.child_frame_id for one in STORE.deserialize_cdr(data, topics.TF_MESSAGE).transforms]
+        whole = [one.child_frame_id for one in STORE.deserialize_cdr(expected[now], topics.TF_MESSAGE).transforms]
+        assert frames == [name for name in whole if name != "object"]
+        assert len(frames) == len(whole) - 1
+
+
 def test_other_topics_change_nothing(plan: TrialPlan) -> None:
     assert list(Transforms(plan).receive(topics.CLOCK, 0, b"")) == []

@@ -190,6 +190,8 @@ def test_what_is_pushed_cannot_be_dropped_whichever_way_its_height_is_rounded(li
 def test_what_is_clamped_is_dropped_when_it_rises_too_little() -> None:
     enough = LEAST_LIFT * GRAB.expected_lift
     assert judge(GRAB, record(GRAB, lift=1.01 * enough)) == Verdict("OK")
+    unseen = replace(record(GRAB), object=PoseColumns(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4))))
+    assert judge(GRAB, unseen) == Verdict("OK")  # a laboratory without a tracker
     told = f"the object rose {0.99 * enough:.3f} m, it was to rise {GRAB.expected_lift:.3f} m"
     assert judge(GRAB, record(GRAB, lift=0.99 * enough)) == Verdict("DROPPED", told)
 

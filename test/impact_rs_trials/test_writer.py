@@ -57,6 +57,31 @@ def test_a_finished_bag_has_its_name_and_outcome_and_nothing_is_left_beside_it(t
     assert [entry.name for entry in path.parent.iterdir()] == ["trial"]
 
 
+def missing(path: Path) -> str | None:
+    with Reader(path) as reader:
+        return (reader.storage.metadata.custom or {}).get("missing")
+
+
+def test_a_bag_says_which_topics_it_could_have_and_lacks(tmp_path: Path) -> None:
+    whole = [name for name in topics.recorded(["arm"]) if name != topics.DIAGNOSTICS]
+    for name, present in (
+        ("whole", whole),
+        ("robot", [name for name in whole if not name.startswith((topics.TRUTH, topics.CLOCK))]),
+        ("careless", [name for name in whole if name not in (topics.truth_joint_states("arm"), topics.OBJECT_POSE)]),
+        ("without impact", [name for name in whole if name != topics.impact_event("arm")]),
+    ):
+        with BagWriter.create(tmp_path / name, ["arm"]) as bag:
+            for topic in present:
+                bag.write_raw(topic, 0, b"\0\1\0\0")
+            bag.finish("OK")
+    assert [missing(tmp_path / name) for name in ("whole", "robot", "careless", "without impact")] == [
+        None,
+        "/clock, /truth",
+        "/object/pose, /truth/arm/joint_states",
+        None,
+    ]
+
+
 def test_topics_are_written_in_the_order_they_came_whatever_is_kept_back(tmp_path: Path) -> None:
     path = tmp_path / "trial"
     raw = bytes(STORE.serialize_cdr(message(7), topics.JOINT_STATE))

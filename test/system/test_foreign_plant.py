@@ -1,0 +1,174 @@
+"""A node of somebody else in the plant's place: waited for, told what is wrong with it, and good for whole trials."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+from impact_rs.action import RunTrial
+from impact_rs.srv import ConfigureTrial, FinishTrial
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from impact_rs_cli.main import main
+from impact_rs_ros import graph as graphs
+from impact_rs_ros.graph import Graph, GraphError
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.reader import TrialBag
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "foreign_plant.py"
+WAITING = "waiting for a plant: services /plant/configure_trial, /plant/finish_trial, /plant/run_trial; for "
+TRIAL = "cat_food__case_2__s1.000__r0"
+
+
+@contextmanager
+def silent_plant(domain_id: int, best_effort: bool = False) -> Iterator[list[ConfigureTrial.Request]]:
+    """A node that serves what a plant serves and agrees to everything; it publishes nothing, or not reliably.
+
+    Hands out what it is asked to configure.
+    """
+    context = Context()
+    rclpy.init(context=context, domain_id=domain_id)
+    node = Node("plant", context=context)
+    asked: list[ConfigureTrial.Request] = []
+
+    def agree(request: object, response: object) -> object:
+        if isinstance(request, ConfigureTrial.Request):
+            asked.append(request)
+        response.success = True
+        return response
+
+    for kind, name in (
+        (ConfigureTrial, "configure_trial"),
+        (FinishTrial, "finish_trial"),
+        (Trigger, "run_trial"),
+    ):
+        node.create_service(kind, f"~/{name}", agree)
+    if best_effort:
+        node.create_publisher(JointState, topics.joint_states("arm"), qos_profile_sensor_data)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    over = threading.Event()
+
+    def spin() -> None:
+        while not over.is_set():
+            executor.spin_once(timeout_sec=0.05)
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    try:
+        yield asked
+    finally:
+        over.set()
+        thread.join()
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)
+
+
+@contextmanager
+def running(command: list[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
+    """A process, which is told to end with the context."""
+    with subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.terminate()
+
+
+def environment(domain_id: int) -> dict[str, str]:
+    return os.environ | {"ROS_DOMAIN_ID": str(domain_id), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+
+def test_a_campaign_runs_with_the_example_in_the_place_of_our_plant(
+    domain_ids: Callable[[], int], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The campaign waits for it, its bags are whole without what it does not tell, and are analysed."""
+    surroundings = environment(domain_ids())
+    runs = tmp_path / "runs"
+    scope = ["--objects", "cat_food", "--cases", "2", "--scales", "0.8", "1.0", "1.2", "--trials", "1"]
+    command = [sys.executable, "-m", "impact_rs_cli.main", "campaign", "push", "-o", str(runs), *scope]
+    with running([*command, "--via", "nodes", "--without", "plant"], surroundings) as campaign:
+        assert campaign.stdout is not None
+        assert campaign.stdout.readline().startswith(WAITING)
+        with running([sys.executable, str(EXAMPLE)], surroundings) as plant:
+            told = campaign.stdout.read()
+            assert campaign.wait() == 0, told
+            plant.terminate()
+            assert plant.stdout is not None
+            said = plant.stdout.read()
+    assert "3 of 3 trials are there (3 OK)" in told
+    assert said.count("push/cat_food, case_2: OK after 1.800 s") >= 3
+    assert "Traceback" not in said
+
+    bag = TrialBag.open(runs / TRIAL)
+    assert bag.missing == ["/clock", "/arm/motor_states", "/truth"]
+    assert bag.metadata["missing"] == "/clock, /arm/motor_states, /truth"
+    assert bag.counts[topics.joint_states("arm")] == bag.counts[topics.joint_command("arm")] == 1801
+    assert (bag.counts[topics.OBJECT_POSE], bag.counts[topics.TF]) == (451, 91)
+    pushed = bag.poses(topics.OBJECT_POSE)
+    assert pushed.position[-1, 1] < pushed.position[0, 1] - 0.1  # m, along -y
+    assert np.ptp(pushed.position[:, 2]) < 1e-3  # m, it stays on its support
+
+    capfd.readouterr()
+    assert main(["analyze", str(runs), "-o", str(tmp_path / "report"), "--json"]) == 0
+    (measured,) = json.loads(capfd.readouterr().out)["sets"]
+    assert abs(measured["predictions"]["reduced"]["error_percent"]) < 3.0  # it carries B_theta and hides nothing
+    assert main(["compare", str(runs), "-o", str(tmp_path / "compare")]) != 0
+    assert "no /arm/motor_states, which the replay of a model starts from" in capfd.readouterr().err
+
+
+def test_a_graph_waits_for_a_node_that_others_provide_and_tells_what_is_wrong_with_it(
+    domain_ids: Callable[[], int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    domain_id = domain_ids()
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    goal = RunTrial.Goal(
+        scenario="push", object_name="cat_food", case_name="2", velocity_scale=1.0, output_directory=str(tmp_path)
+    )
+    asked: list[list[ConfigureTrial.Request]] = []
+    with (
+        ExitStack() as provided,
+        Graph.running(
+            "push",
+            domain_id,
+            root=tmp_path,
+            without=["plant"],
+            tell=lambda line: asked.append(provided.enter_context(silent_plant(domain_id))),
+        ) as graph,
+    ):
+        assert list(graph.processes) == ["impact_map", "controller", "recorder", "experiment"]
+        nobody = graph.call_trial(goal)
+        request = asked[0][0]
+        with silent_plant(domain_id, best_effort=True):
+            unheard = graph.call_trial(goal)
+        provided.close()
+        monkeypatch.setattr(graphs, "FOREIGN_TIMEOUT", 0.5)
+        while not graph._missing("plant"):
+            graph.spin(0.05)
+        told: list[str] = []
+        monkeypatch.setattr(graph, "_tell", told.append)
+        with pytest.raises(GraphError, match=f"no plant came within 0.5 s: .* in ROS domain {domain_id}"):
+            graph.wait_until_ready()
+    assert told == [f"{WAITING}0.5 s at most"]
+    assert (nobody.success, nobody.outcome) == (False, "ABORTED")
+    assert nobody.message == "recorder: nobody publishes /arm/joint_states; are plant and controller running?"
+    assert unheard.message.startswith("recorder: /arm/joint_states: published by somebody whom the recorder does not")
+    assert [state.robot for state in request.start] == ["arm"]
+    assert len(request.start[0].joint_position) == 7
+    assert request.object_pose.position.z == pytest.approx(0.405 + 0.16 / 2)
