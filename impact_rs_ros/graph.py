@@ -21,6 +21,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from impact_rs_ros.names import full_namespace, within
 from impact_rs_ros.node_processes import NODES, STOP_TIMEOUT, NodeProcesses
 from impact_rs_sim.model import Model, model_text
 from impact_rs_sim.scenario import load_scenario
@@ -75,11 +76,12 @@ class Graph:
         parameters: Path | None = None,
         quiet: bool = True,
         root: Path | None = None,
+        namespace: str = "",
     ) -> Iterator[Self]:
         """A context manager with the nodes, which end with it.
 
-        Nodes that run already in the same domain would answer as well; where that matters, give the graph its own
-        domain.
+        Nodes that run already in the same domain and namespace would answer as well; where that matters, give the graph
+        its own domain or namespace.
 
         Args:
             scenario: Name or path of the scenario the nodes start with.
@@ -87,14 +89,15 @@ class Graph:
             parameters: Parameter file; None: ``config/nodes.yaml``.
             quiet: Nodes write to a file, shown when one dies, and not to the terminal.
             root: Folder in which requests may have bags written and name scenarios; None: the working directory.
+            namespace: ROS namespace of the nodes; empty: the root.
 
         Raises:
-            InputError: There is no such scenario.
+            InputError: There is no such scenario, or no such namespace.
             GraphError: A node ended, or does not come up.
         """
         with ExitStack() as stack:
             logs = stack.enter_context(tempfile.TemporaryDirectory(prefix="impact_rs_"))
-            nodes = NodeProcesses.of(scenario, Path(logs), domain_id, parameters, quiet, root)
+            nodes = NodeProcesses.of(scenario, Path(logs), domain_id, parameters, quiet, root, namespace)
             stack.callback(nodes.stop)
             for name in NODES:
                 nodes.start(name)
@@ -104,7 +107,8 @@ class Graph:
                 context=context, domain_id=int(os.environ.get("ROS_DOMAIN_ID") or 0) if domain_id is None else domain_id
             )
             stack.callback(rclpy.try_shutdown, context=context)
-            graph = cls(nodes, rclpy.create_node(f"runner_{os.getpid()}", context=context))
+            runner = rclpy.create_node(f"runner_{os.getpid()}", context=context, namespace=full_namespace(namespace))
+            graph = cls(nodes, runner)
             stack.callback(graph.close)
             graph.wait_until_ready()
             yield graph
@@ -256,6 +260,7 @@ def run_trials_through_nodes(
     keys: list[TrialKey],
     domain_id: int | None = None,
     plant_model: Model | None = None,
+    namespace: str = "",
 ) -> Iterator[TrialReport]:
     """Run trials of a campaign through the nodes, one after the other; yields a report per trial as it ends.
 
@@ -267,13 +272,15 @@ def run_trials_through_nodes(
         keys: Trials to run.
         domain_id: ``ROS_DOMAIN_ID`` of the nodes; None: the environment's.
         plant_model: Effects that the plant has and nobody else knows; None: none.
+        namespace: ROS namespace of the nodes; empty: the root.
 
     Raises:
+        InputError: There is no such namespace.
         GraphError: The nodes cannot be started.
     """
     if not keys:
         return
-    with Graph.running(manifest.scenario, domain_id, root=directory) as graph:
+    with Graph.running(manifest.scenario, domain_id, root=directory, namespace=namespace) as graph:
         for key in keys:
             yield run_trial(graph, directory, manifest, key, plant_model)
 
@@ -316,15 +323,19 @@ def run_trial(
     return keep_failure(open_store(directory), report)
 
 
-def up(scenario: str, domain_id: int | None = None) -> int:
+def up(scenario: str, domain_id: int | None = None, namespace: str = "") -> int:
     """Run the nodes until Ctrl-C, and tell how to call them.
 
     Args:
         scenario: Name or path of the scenario.
         domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
+        namespace: ROS namespace of the nodes; empty: the root.
 
     Returns:
         Exit code of the process.
+
+    Raises:
+        InputError: There is no such scenario, or no such namespace.
     """
     known = load_scenario(scenario)
     stopping = False
@@ -336,8 +347,9 @@ def up(scenario: str, domain_id: int | None = None) -> int:
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        with Graph.running(scenario, domain_id, quiet=False) as graph:
-            print(_instructions(known.name, next(iter(known.objects)), next(iter(known.cases))), flush=True)
+        with Graph.running(scenario, domain_id, quiet=False, namespace=namespace) as graph:
+            space = full_namespace(namespace)
+            print(_instructions(known.name, next(iter(known.objects)), next(iter(known.cases)), space), flush=True)
             while not stopping:
                 for line in graph.revive():
                     print(line, file=sys.stderr, flush=True)
@@ -352,20 +364,20 @@ def up(scenario: str, domain_id: int | None = None) -> int:
     return 0
 
 
-def _instructions(scenario: str, object_name: str, case: str) -> str:
+def _instructions(scenario: str, object_name: str, case: str, namespace: str) -> str:
     what = f"{{scenario: {scenario}, object_name: {object_name}, case_name: {case}"
     return "\n".join(
         (
             f"The nodes are up: {', '.join(NODES)}. Ctrl-C stops them.",
             "",
             "Run a trial into the folder trials/:",
-            "  ros2 action send_goal --feedback /run_trial impact_rs/action/RunTrial \\",
+            f"  ros2 action send_goal --feedback {within(namespace, 'run_trial')} impact_rs/action/RunTrial \\",
             f'    "{what}, velocity_scale: 1.0, seed: 1, output_directory: trials}}"',
             "Ask the impact map:",
-            "  ros2 service call /compute_impact_map impact_rs/srv/ComputeImpactMap \\",
+            f"  ros2 service call {within(namespace, 'compute_impact_map')} impact_rs/srv/ComputeImpactMap \\",
             f'    "{what}, motor_inertia: reduced, restitution: -1.0}}"',
             "Look on:",
             "  ros2 topic echo /diagnostics",
-            "  ros2 param describe /plant realtime",
+            f"  ros2 param describe {within(namespace, 'plant')} realtime",
         )
     )

@@ -1,8 +1,9 @@
 """The recorder as a node: stores what it receives, as it receives it, in one bag per trial.
 
-Messages are stored undecoded; trial time is read from the stamp, which stands at a fixed place. Two topics are special:
-``/truth/model`` has no stamp, and ``/tf`` is worked out from others where its type is not installed. ``/trial_info``
-and ``/robot_description`` are latched for others; the recorder is told them when the trial is configured.
+Messages are stored undecoded; trial time is read from the stamp, which stands at a fixed place. ``/truth/model`` has no
+stamp. ``/trial_info`` and ``/robot_description`` are latched for others; the recorder is told them when the trial is
+configured. Other graphs publish on ``/tf``, ``/clock`` and ``/diagnostics`` as well: the first two are worked out from
+what was measured in this one, and of the third only what its own nodes say is stored.
 """
 
 from __future__ import annotations
@@ -12,16 +13,17 @@ import time
 from collections import Counter, defaultdict
 from contextlib import ExitStack
 
+from diagnostic_msgs.msg import DiagnosticArray
 from impact_rs.srv import ConfigureTrial, FinishTrial
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import String
 
 from impact_rs_control.plan import TrialPlan
+from impact_rs_ros.derived import DERIVED, DerivedMessages
 from impact_rs_ros.exchange import Inbox
-from impact_rs_ros.message_types import available
-from impact_rs_ros.process import NodeProgram, run
+from impact_rs_ros.names import SHARED, on_network
+from impact_rs_ros.process import HARDWARE, NodeProgram, run
 from impact_rs_ros.qos import RECORD
-from impact_rs_ros.transforms import Transforms
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
@@ -55,7 +57,7 @@ class OpenTrial:
             topic: _SEQUENCE_FIRST if kind == topics.TF_MESSAGE else _HEADER_FIRST
             for topic, kind in topics.recorded(arms).items()
         }
-        self._transforms = Transforms(plan) if plan is not None and not available(topics.TF_MESSAGE) else None
+        self._derived = None if plan is None else DerivedMessages(plan)
         self._last: dict[str, int] = {}
         per_arm = (topics.joint_states, topics.controller_state)
         judged = {topics.OBJECT_POSE, *(name(arm) for arm in arms for name in per_arm)}
@@ -63,7 +65,9 @@ class OpenTrial:
         self._judged: dict[str, list[bytes]] = defaultdict(list)  # messages of these topics
 
     def store(self, topic: str, data: bytes) -> None:
-        """Write a message, unless it was sent again because the answer to it was lost."""
+        """Write a message, unless it is derived here, or was sent again because the answer to it was lost."""
+        if self._derived is not None and topic in DERIVED:
+            return
         now = 0
         if topic != topics.TRUTH_MODEL:  # said once, and without a stamp
             seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_at[topic])
@@ -76,17 +80,17 @@ class OpenTrial:
         self.counts[topic] += 1
         if topic in self._kinds:
             self._judged[topic].append(data)
-        if self._transforms is not None:
-            for at, transforms in self._transforms.receive(topic, now, data):
-                self.bag.write_raw(topics.TF, at, transforms)
-                self.counts[topics.TF] += 1
+        if self._derived is not None:
+            for name, derived in self._derived.receive(topic, now, data):
+                self.bag.write_raw(name, now, derived)
+                self.counts[name] += 1
 
     def missing(self, expected: dict[str, int]) -> str:
         """Which of the expected numbers of messages are not reached yet, in words; empty: none."""
         return ", ".join(
             f"{topic} {self.counts[topic]} of {count}"
             for topic, count in expected.items()
-            if self.counts[topic] < count
+            if self.counts[topic] < count and (self._derived is None or topic not in DERIVED)
         )
 
     def verdict(self) -> Verdict:
@@ -126,6 +130,7 @@ class RecorderNode(NodeProgram):
         self._open = ExitStack()  # the bag of the trial that is recorded
         self._recording: OpenTrial | None = None
         self._messages = 0
+        self._finished: FinishTrial.Response | None = None  # of the last trial, for who did not get the answer in time
         self._heard = 0.0  # when the last message of the trial came, on the monotonic clock [s]; 0: none did
 
     def offer(self) -> None:
@@ -163,7 +168,8 @@ class RecorderNode(NodeProgram):
         return [
             topic
             for topic, count in self._inbox.publishers().items()
-            if topic not in OPTIONAL and count < max(1, self.node.count_publishers(topic))
+            if topic not in OPTIONAL
+            and count < max(1, self.node.count_publishers(self.node.resolve_topic_name(on_network(topic))))
         ]
 
     def _drain(self) -> None:
@@ -173,10 +179,19 @@ class RecorderNode(NodeProgram):
             return
         self._inbox.gather()
         for topic, data in self._inbox.take():
+            if topic == topics.DIAGNOSTICS and self._of_other_graph(data):
+                continue
             self._recording.store(topic, data)
-            if topic != topics.DIAGNOSTICS:  # which nodes tell without a trial as well
+            if topic not in SHARED:  # of which other graphs tell as well, and nodes without a trial
                 self._heard = time.monotonic()
         self._messages = self._recording.counts.total()
+
+    def _of_other_graph(self, data: bytes) -> bool:
+        """Whether diagnostics are those of a node like ours in another namespace."""
+        return any(
+            status.hardware_id == HARDWARE and status.name.rpartition("/")[0] != self.node.get_namespace().rstrip("/")
+            for status in deserialize_message(data, DiagnosticArray).status
+        )
 
     def _end_silent(self) -> None:
         """Close the bag of a trial whose nodes are all gone."""
@@ -189,6 +204,7 @@ class RecorderNode(NodeProgram):
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
         self._abort()
+        self._finished = None
         try:
             info = TrialInfo.from_message(request.trial)
             plan = info.spec.plan if info.scenario_json else None
@@ -221,7 +237,7 @@ class RecorderNode(NodeProgram):
         recording = self._recording
         if recording is None:
             response.message = "recorder: there is no bag to finish"
-            return response
+            return self._finished or response
         bag = recording.bag
         missing = self._complete(recording, dict(zip(request.topics, request.counts, strict=False)))
         if request.aborted or missing:
@@ -246,6 +262,7 @@ class RecorderNode(NodeProgram):
         response.messages = bag.messages
         response.topics = list(recording.counts)
         response.counts = list(recording.counts.values())
+        self._finished = response
         return response
 
     def _complete(self, recording: OpenTrial, expected: dict[str, int]) -> str:

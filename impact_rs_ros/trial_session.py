@@ -23,6 +23,7 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_ros import parameters
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.message_types import RosidlTypes
+from impact_rs_ros.names import on_network
 from impact_rs_ros.qos import EVENT, LATCHED, WATCH
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
@@ -93,8 +94,8 @@ class TrialSession:
         self._configure = {name: client(ConfigureTrial, f"{name}/configure_trial") for name in members}
         self._finish = {name: client(FinishTrial, f"{name}/finish_trial") for name in members}
         self._run = client(Trigger, "plant/run_trial")
-        self._trial_info = node.create_publisher(TrialInfoMessage, topics.TRIAL_INFO, LATCHED)
-        self._description = node.create_publisher(String, topics.ROBOT_DESCRIPTION, LATCHED)
+        self._trial_info = node.create_publisher(TrialInfoMessage, on_network(topics.TRIAL_INFO), LATCHED)
+        self._description = node.create_publisher(String, on_network(topics.ROBOT_DESCRIPTION), LATCHED)
         self._arms: list[str] = []
         self._states = Inbox(node, "states", WATCH)
         self._events = Inbox(node, "events", EVENT)

@@ -1,4 +1,4 @@
-"""Starts the five nodes: ``ros2 launch impact_rs impact_rs.launch.py scenario:=push``."""
+"""Starts the five nodes: ``ros2 launch impact_rs impact_rs.launch.py scenario:=push namespace:=cell_a``."""
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
@@ -14,6 +14,7 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             DeclareLaunchArgument("scenario", default_value="push", description="Name or path of the scenario."),
+            DeclareLaunchArgument("namespace", default_value="", description="Namespace of the nodes."),
             DeclareLaunchArgument(
                 "params_file",
                 default_value=PathJoinSubstitution([FindPackageShare("impact_rs"), "config", "nodes.yaml"]),
@@ -24,6 +25,7 @@ def generate_launch_description() -> LaunchDescription:
                     package="impact_rs",
                     executable=node,
                     name=node,
+                    namespace=LaunchConfiguration("namespace"),
                     output="screen",
                     parameters=[
                         LaunchConfiguration("params_file"),

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import nullcontext
 from typing import Any
 
-from impact_rs_cli.arguments import add_jobs, check_robots, workforce_of
+from impact_rs_cli.arguments import add_jobs, add_namespace, check_robots, workforce_of
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.scenario import load_scenario
@@ -76,6 +76,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         default="inprocess",
         help="run trials in this program, or through the ROS 2 nodes (one at a time); default: %(default)s",
     )
+    add_namespace(parser)
     add_json(parser)
     parser.set_defaults(resumable=True)
 
@@ -102,6 +103,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("--set and --sensitivity are for --via inprocess: the nodes read the scenario's own file")
     if args.via == "nodes" and (args.jobs not in (None, 1) or args.scheduler is not None):
         raise InputError("--jobs and --scheduler are for --via inprocess: the nodes run one trial at a time")
+    if args.via != "nodes" and args.namespace:
+        raise InputError("--namespace is for --via nodes: there is none in this program")
     store = open_store(args.output)
     workforce = workforce_of(args)
     manifest = make_manifest(
@@ -115,7 +118,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         campaigns = with_sensitivity(store, manifest)
     with output_folder(store.path) if isinstance(store, Folder) else nullcontext():
         nodes = args.via == "nodes"
-        reports = through_nodes(store, manifest) if nodes else owned_campaigns(store, campaigns, workforce)
+        reports = (
+            through_nodes(store, manifest, args.namespace) if nodes else owned_campaigns(store, campaigns, workforce)
+        )
         ran = follow(reports, campaigns, terminal)
     outcomes = Counter(report.outcome for report in ran)
     done = len({key.name for key in manifest.keys} & store.names())  # bags, whatever the reports say
@@ -156,19 +161,22 @@ def tell_wrong(reports: Iterable[TrialReport], terminal: Terminal) -> None:
         terminal.warn(line)
 
 
-def through_nodes(store: Store, manifest: Manifest) -> Iterator[tuple[Store, TrialReport]]:
+def through_nodes(store: Store, manifest: Manifest, namespace: str) -> Iterator[tuple[Store, TrialReport]]:
     """Run what is missing through the ROS 2 nodes; yields as :func:`owned_campaigns`.
 
     Raises:
-        InputError: The campaign does not lie in a folder, or another process works on it.
+        InputError: The campaign does not lie in a folder, another process works on it, or ROS has no such namespace.
     """
     # ROS 2 takes part in --via nodes alone: where it is not installed, trials still run in this program.
     from impact_rs_ros.graph import run_trials_through_nodes
+    from impact_rs_ros.names import full_namespace
 
     if not isinstance(store, Folder):
         raise InputError("the nodes record in a folder of this machine; expected a path", file=str(store))
+    namespace = full_namespace(namespace)
     with owned(store):
-        for report in run_trials_through_nodes(store.path, manifest, open_campaign(store, manifest)):
+        keys = open_campaign(store, manifest)
+        for report in run_trials_through_nodes(store.path, manifest, keys, namespace=namespace):
             yield store, report
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from impact_rs_cli.arguments import check_robots
+from impact_rs_cli.arguments import add_namespace, check_robots
 from impact_rs_cli.terminal import Terminal, declare
 from impact_rs_ros.graph import up
 from impact_rs_sim.scenario import load_scenario
@@ -16,16 +16,18 @@ Says which services and actions they offer. What `ros2 launch impact_rs impact_r
 command line is installed.
 
 example:
-  impact-rs up push"""
+  impact-rs up push
+  impact-rs up push --namespace cell_a"""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
     declare(parser, run, TEXT)
     parser.add_argument("scenario", metavar="SCENARIO", help="name of a scenario, or path of its YAML file")
+    add_namespace(parser)
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     check_robots(load_scenario(args.scenario), terminal)
-    return up(args.scenario)
+    return up(args.scenario, namespace=args.namespace)

@@ -1,4 +1,4 @@
-"""Topic names and types; the only place they are spelled.
+"""Topic names, as they are in bags and in the root namespace, and types; the only place they are spelled.
 
 Per arm: ``/ARM/...``. Everything below ``/truth`` comes from the plant and is never read by the analysis.
 """
@@ -9,6 +9,7 @@ CLOCK = "/clock"
 TRIAL_INFO = "/trial_info"
 ROBOT_DESCRIPTION = "/robot_description"
 TF = "/tf"
+TF_STATIC = "/tf_static"
 DIAGNOSTICS = "/diagnostics"
 OBJECT_POSE = "/object/pose"
 TRUTH = "/truth"
