@@ -58,6 +58,6 @@ class DerivedMessages:
             pose = self._store.deserialize_cdr(known[topics.OBJECT_POSE], topics.POSE).pose  # type: ignore[attr-defined]
             at, turn = pose.position, pose.orientation
             seen = np.array([at.x, at.y, at.z]), np.array([turn.x, turn.y, turn.z, turn.w])
-        transforms = self._maker.transforms(tick, self._frames.placements(arms, seen))
+        transforms = self._maker.transforms(tick, self._frames.at(arms, seen))
         yield topics.TF, bytes(self._store.serialize_cdr(transforms, topics.TF_MESSAGE))
         yield topics.CLOCK, bytes(self._store.serialize_cdr(self._maker.clock(tick), topics.CLOCK_TYPE))

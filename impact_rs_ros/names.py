@@ -43,6 +43,14 @@ def full_namespace(namespace: str) -> str:
     return full
 
 
+def frame_prefix(namespace: str) -> str:
+    """What stands before every frame of a graph on ``/tf``: ``cell_a/`` in ``/cell_a``, nothing in the root.
+
+    The parameter of this name of robot_state_publisher does the same.
+    """
+    return within(namespace, "").removeprefix("/")
+
+
 def within(namespace: str, name: str) -> str:
     """Full name, ``/cell_a/run_trial``, of what a node in a full ``namespace`` calls ``name``."""
     return f"{namespace.rstrip('/')}/{name}"

@@ -1,9 +1,9 @@
 """The recorder as a node: stores what it receives, as it receives it, in one bag per trial.
 
 Messages are stored undecoded; trial time is read from the stamp, which stands at a fixed place. ``/truth/model`` has no
-stamp. ``/trial_info`` and ``/robot_description`` are latched for others; the recorder is told them when the trial is
-configured. Other graphs publish on ``/tf``, ``/clock`` and ``/diagnostics`` as well: the first two are worked out from
-what was measured in this one, and of the third only what its own nodes say is stored.
+stamp. ``/trial_info`` and the descriptions are latched for others; the recorder is told the first when the trial is
+configured, and the others follow from it. Other graphs publish on ``/tf``, ``/clock`` and ``/diagnostics`` as well: the
+first two are worked out from what was measured in this one, and of the third only what its own nodes say is stored.
 """
 
 from __future__ import annotations
@@ -29,8 +29,9 @@ from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.outcome import ArmRecord, TrialRecord, Verdict, judge
 from impact_rs_trials.bags.reader import ControllerColumns, JointColumns, PoseColumns, columns_of
+from impact_rs_trials.bags.record import descriptions
 from impact_rs_trials.bags.trial_info import TrialInfo
-from impact_rs_trials.bags.writer import LATCHED, BagWriter
+from impact_rs_trials.bags.writer import BagWriter
 
 MATCHING = 5.0  # s, for publishers to be discovered
 SILENCE = 3.0  # s, after which a trial of which nothing more comes is over, and nobody is left to say so
@@ -148,8 +149,8 @@ class RecorderNode(NodeProgram):
 
     def connect(self, arms: list[str]) -> None:
         if arms != self._arms:
-            recorded = topics.recorded(arms).items()
-            self._inbox.connect({topic: kind for topic, kind in recorded if topic not in LATCHED})
+            recorded, said = topics.recorded(arms).items(), topics.latched(arms)
+            self._inbox.connect({topic: kind for topic, kind in recorded if topic not in said})
             self._arms = arms
 
     def _await_publishers(self) -> None:
@@ -217,7 +218,9 @@ class RecorderNode(NodeProgram):
             bag = self._open.enter_context(BagWriter.create(path, self._arms))
             bag.describe(info)
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
-            bag.write_raw(topics.ROBOT_DESCRIPTION, 0, serialize_message(String(data=request.robot_description)))
+            own = {topics.ROBOT_DESCRIPTION: request.robot_description}
+            for topic, urdf in (own if plan is None else descriptions(plan)).items():
+                bag.write_raw(topic, 0, serialize_message(String(data=urdf)))
             self._recording = OpenTrial(bag, self._arms, plan)
             self._heard = 0.0
         except InputError as error:

@@ -16,6 +16,7 @@ from impact_rs.srv import ConfigureTrial, FinishTrial
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.client import Client
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -29,7 +30,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import MessageMaker
-from impact_rs_trials.bags.record import scene_urdf
+from impact_rs_trials.bags.record import descriptions
 from impact_rs_trials.bags.trial_info import Outcome, TrialInfo, TrialKey
 from impact_rs_trials.bags.writer import partial_path
 
@@ -95,7 +96,7 @@ class TrialSession:
         self._finish = {name: client(FinishTrial, f"{name}/finish_trial") for name in members}
         self._run = client(Trigger, "plant/run_trial")
         self._trial_info = node.create_publisher(TrialInfoMessage, on_network(topics.TRIAL_INFO), LATCHED)
-        self._description = node.create_publisher(String, on_network(topics.ROBOT_DESCRIPTION), LATCHED)
+        self._descriptions: dict[str, Publisher] = {}  # by topic
         self._arms: list[str] = []
         self._states = Inbox(node, "states", WATCH)
         self._events = Inbox(node, "events", EVENT)
@@ -145,17 +146,26 @@ class TrialSession:
         progress = Progress()
         reason = ""
         try:
-            trial, description = maker.trial_info(info), scene_urdf(plan)
+            trial = maker.trial_info(info)
             secret = replace(info, model_yaml=plant_model)
             if plant_model and not parameters.value(self._node, "hide_model"):
                 trial = maker.trial_info(secret)
-            self._configure_all(trial, maker.trial_info(secret), description, path)
+            self._configure_all(trial, maker.trial_info(secret), path)
             self._trial_info.publish(trial)
-            self._description.publish(String(data=description))
+            self._describe(descriptions(plan))
             self._follow(progress, plan, feedback, cancelled)
         except (TrialError, InputError) as error:
             reason = str(error)
         return self._finish_all(progress, reason, path)
+
+    def _describe(self, urdfs: dict[str, str]) -> None:
+        """Publish what there is, and take back what there was of other arms."""
+        for topic in self._descriptions.keys() - urdfs.keys():
+            self._node.destroy_publisher(self._descriptions.pop(topic))
+        for topic, urdf in urdfs.items():
+            if topic not in self._descriptions:
+                self._descriptions[topic] = self._node.create_publisher(String, on_network(topic), LATCHED)
+            self._descriptions[topic].publish(String(data=urdf))
 
     def _call(self, name: str, client: Client, request: Any, timeout: float) -> Any:
         """Answers of a service that may be called twice.
@@ -194,12 +204,11 @@ class TrialSession:
             thread.join()
         return answers, failures
 
-    def _configure_all(self, trial: Any, secret: Any, description: str, path: Path) -> None:
+    def _configure_all(self, trial: Any, secret: Any, path: Path) -> None:
         """Only the plant is told the ``secret`` variant of the trial."""
         requests = {name: ConfigureTrial.Request(trial=trial) for name in self._configure}
         requests["plant"].trial = secret
         requests["recorder"].bag_path = str(path)
-        requests["recorder"].robot_description = description
         timeout = parameters.value(self._node, "service_timeout")
         calls = {name: (client, requests[name]) for name, client in self._configure.items()}
         answers, failures = self._call_all(calls, timeout)

@@ -12,10 +12,16 @@ TF = "/tf"
 TF_STATIC = "/tf_static"
 DIAGNOSTICS = "/diagnostics"
 OBJECT_POSE = "/object/pose"
+OBJECT_DESCRIPTION = "/object/robot_description"
 TRUTH = "/truth"
 TRUTH_MODEL = "/truth/model"
 TRUTH_OBJECT_POSE = "/truth/object/pose"
 TRUTH_OBJECT_TWIST = "/truth/object/twist"
+
+
+def robot_description(arm: str) -> str:
+    """URDF of the arm alone."""
+    return f"/{arm}/robot_description"
 
 
 def joint_states(arm: str) -> str:
@@ -66,12 +72,18 @@ IMPACT_EVENT = "impact_rs/msg/ImpactEvent"
 TRIAL_INFO_TYPE = "impact_rs/msg/TrialInfo"
 
 
+def latched(arms: list[str]) -> list[str]:
+    """Topics on which something is said once per trial, and who comes late still hears it."""
+    return [TRIAL_INFO, ROBOT_DESCRIPTION, OBJECT_DESCRIPTION, *(robot_description(arm) for arm in arms)]
+
+
 def recorded(arms: list[str], truth: bool = True) -> dict[str, str]:
     """Every recorded topic of a trial with its type; those below ``/truth`` only where there is somebody to tell it."""
     topics = {
         CLOCK: CLOCK_TYPE,
         TRIAL_INFO: TRIAL_INFO_TYPE,
         ROBOT_DESCRIPTION: STRING,
+        OBJECT_DESCRIPTION: STRING,
         TF: TF_MESSAGE,
         DIAGNOSTICS: DIAGNOSTIC_ARRAY,
         OBJECT_POSE: POSE,
@@ -81,6 +93,7 @@ def recorded(arms: list[str], truth: bool = True) -> dict[str, str]:
     }
     for arm in arms:
         topics |= {
+            robot_description(arm): STRING,
             joint_states(arm): JOINT_STATE,
             motor_states(arm): JOINT_STATE,
             joint_command(arm): JOINT_STATE,
