@@ -13,7 +13,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.robot import Array, EndEffector, RobotFacts
+from impact_rs_sim.robot import Array, EndEffector, Mesh, RobotFacts
 
 WORLD = "world"  # the inertial frame A
 _FIXED = (1.0, np.zeros(3), 0.01 * np.eye(3))  # of links fixed to the world; Bullet warns where an inertial is absent
@@ -52,6 +52,15 @@ def _visual(link: Xml.Element, start: Array, end: Array, radius: float, colour: 
     Xml.SubElement(material, "color", rgba=colour)
 
 
+def _meshes(link: Xml.Element, meshes: tuple[Mesh, ...]) -> bool:
+    """Whether there are meshes, which are added then."""
+    for mesh in meshes:
+        visual = Xml.SubElement(link, "visual")
+        Xml.SubElement(visual, "origin", xyz=_text(mesh.xyz), rpy=_text(mesh.rpy))
+        Xml.SubElement(Xml.SubElement(visual, "geometry"), "mesh", filename=mesh.file, scale=_text(mesh.scale))
+    return bool(meshes)
+
+
 def _mount_rpy(facts: RobotFacts, end_effector: EndEffector) -> Array:
     """Roll, pitch, yaw of E in the last link, ``(3,)`` [rad]."""
     if not any(facts.flange.rpy):
@@ -60,7 +69,9 @@ def _mount_rpy(facts: RobotFacts, end_effector: EndEffector) -> Array:
     return np.asarray(pin.rpy.matrixToRpy(facts.flange.rotation @ yaw))
 
 
-def write_urdf(facts: RobotFacts, end_effector: EndEffector, name: str = "arm", prefix: str = "") -> str:
+def write_urdf(
+    facts: RobotFacts, end_effector: EndEffector, name: str = "arm", prefix: str = "", meshes: bool = False
+) -> str:
     """URDF of an arm with its end effector.
 
     Args:
@@ -68,11 +79,14 @@ def write_urdf(facts: RobotFacts, end_effector: EndEffector, name: str = "arm", 
         end_effector: Mass, inertia and pad.
         name: Robot name of the URDF.
         prefix: Prefix of every name of a link and of a joint, where several arms are in one URDF.
+        meshes: Show the meshes of the facts, where they have some; a viewer finds them, a physics engine need not.
     """
     robot = Xml.Element("robot", name=name)
     base = Xml.SubElement(robot, "link", name=f"{prefix}base")
     _inertial(base, *_FIXED)
-    _visual(base, np.zeros(3), np.array([0.0, 0.0, 0.14]), 0.09, "0.92 0.92 0.94 1")
+    if not (meshes and _meshes(base, facts.base_meshes)):
+        _visual(base, np.zeros(3), np.array([0.0, 0.0, 0.14]), 0.09, "0.92 0.92 0.94 1")
+        _visual(base, np.zeros(3), np.array(facts.joints[0].xyz), 0.06, "0.92 0.92 0.94 1")
     limits = facts.limits
     previous, carrier = "base", base
     for index, (origin, inertials) in enumerate(zip(facts.joints, facts.links, strict=True)):
@@ -98,10 +112,11 @@ def write_urdf(facts: RobotFacts, end_effector: EndEffector, name: str = "arm", 
             _visual(carrier, start, end, 0.02, "0.25 0.27 0.30 1")
         link = Xml.SubElement(robot, "link", name=f"{prefix}{link_name}")
         _inertial(link, inertials.mass, np.array(inertials.com), inertials.inertia_matrix)
-        axis = np.array([0.0, 0.0, 0.065])
-        _visual(link, -axis, axis, 0.055, "0.25 0.27 0.30 1")
-        following = facts.joints[index + 1].xyz if index + 1 < facts.joint_count else facts.flange.xyz
-        _visual(link, np.zeros(3), np.array(following), 0.045, "0.92 0.92 0.94 1")
+        if not (meshes and _meshes(link, inertials.meshes)):
+            axis = np.array([0.0, 0.0, 0.065])
+            _visual(link, -axis, axis, 0.055, "0.25 0.27 0.30 1")
+            following = facts.joints[index + 1].xyz if index + 1 < facts.joint_count else facts.flange.xyz
+            _visual(link, np.zeros(3), np.array(following), 0.045, "0.92 0.92 0.94 1")
         previous, carrier = link_name, link
 
     mount = Xml.SubElement(robot, "joint", name=f"{prefix}end_effector_mount", type="fixed")
@@ -145,7 +160,7 @@ def write_description(
     scene = Xml.Element("robot", name="_".join(arms))
     Xml.SubElement(scene, "link", name=WORLD)
     for name, (facts, end_effector, base) in arms.items():
-        scene.extend(Xml.fromstring(write_urdf(facts, end_effector, prefix=f"{name}_")))
+        scene.extend(Xml.fromstring(write_urdf(facts, end_effector, prefix=f"{name}_", meshes=True)))
         _fix(scene, f"{name}_mount", f"{name}_base", base)
     if support is not None:
         height, (x, y) = support
