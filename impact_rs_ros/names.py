@@ -6,11 +6,12 @@ network it is relative to the namespace of its graph (``/cell_a/arm/joint_states
 
 from __future__ import annotations
 
-from rclpy.exceptions import InvalidNamespaceException
-from rclpy.validate_namespace import validate_namespace
+import re
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags import topics
+
+NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")  # of ROS 2, the root aside
 
 SHARED = frozenset({topics.TF, topics.TF_STATIC, topics.CLOCK, topics.DIAGNOSTICS})
 """Topics that every graph publishes under the same name."""
@@ -32,14 +33,12 @@ def full_namespace(namespace: str) -> str:
         InputError: ROS has no such namespace.
     """
     full = f"/{namespace.strip('/')}"
-    try:
-        validate_namespace(full)
-    except InvalidNamespaceException:
+    if full != "/" and not NAMESPACE.fullmatch(full):
         raise InputError(
             "expected names of letters, digits and _ that begin with no digit, with / between them",
             key="namespace",
             value=namespace,
-        ) from None
+        )
     return full
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from impact_rs_cli.arguments import add_jobs, add_namespace, check_robots, workforce_of
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
+from impact_rs_ros.names import full_namespace
 from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import parse_value
@@ -169,7 +170,6 @@ def through_nodes(store: Store, manifest: Manifest, namespace: str) -> Iterator[
     """
     # ROS 2 takes part in --via nodes alone: where it is not installed, trials still run in this program.
     from impact_rs_ros.graph import run_trials_through_nodes
-    from impact_rs_ros.names import full_namespace
 
     if not isinstance(store, Folder):
         raise InputError("the nodes record in a folder of this machine; expected a path", file=str(store))
