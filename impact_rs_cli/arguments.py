@@ -89,6 +89,16 @@ def add_without(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_namespace(parser: argparse.ArgumentParser) -> None:
+    """The option ``--namespace``."""
+    parser.add_argument(
+        "--namespace",
+        default="",
+        metavar="NAME",
+        help="ROS namespace of the nodes, so that several sets of them run side by side; default: none",
+    )
+
+
 def workforce_of(args: argparse.Namespace) -> Workforce:
     """Who does the work, by ``--jobs`` and ``--scheduler``; neither: one process per core that we may use.
 

@@ -22,6 +22,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from impact_rs_ros.message_types import available, message_type
+from impact_rs_ros.names import on_network
 from impact_rs_ros.streams import Stream
 
 BURST = 40  # samples that wait for each other, some ten ticks
@@ -31,7 +32,8 @@ BURST_AGE = 0.1  # s, wall clock: a slow trial still shows that it goes on
 class Inbox:
     """Subscriptions that their owner reads; none until :meth:`connect`.
 
-    They belong to a hidden node, ``_NODE_NAME``, with remappings and namespace of their owner's.
+    They belong to a hidden node, ``_NODE_NAME``, with remappings and namespace of their owner's. Topics are named as in
+    :mod:`impact_rs_ros.names`, here and in :class:`Outbox`.
 
     Args:
         node: Node that they are for.
@@ -65,7 +67,7 @@ class Inbox:
         self._subscriptions = {
             topic: self._node.create_subscription(
                 message_type(kind),
-                self._owner.resolve_topic_name(topic),
+                self._owner.resolve_topic_name(on_network(topic)),
                 partial(self._receive, topic),
                 self._qos,
                 raw=self._raw,
@@ -129,7 +131,7 @@ class Outbox:
         for publisher in self._publishers.values():
             self._node.destroy_publisher(publisher)
         self._publishers = {
-            topic: self._node.create_publisher(message_type(kind), topic, self._qos)
+            topic: self._node.create_publisher(message_type(kind), on_network(topic), self._qos)
             for topic, kind in topics.items()
             if available(kind)
         }
@@ -191,5 +193,5 @@ class Outbox:
         return [
             topic
             for topic, publisher in self._publishers.items()
-            if publisher.get_subscription_count() < max(1, self._node.count_subscribers(topic))
+            if publisher.get_subscription_count() < max(1, self._node.count_subscribers(publisher.topic_name))
         ]

@@ -24,6 +24,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from impact_rs_ros.names import full_namespace, within
 from impact_rs_ros.node_processes import STOP_TIMEOUT, NodeProcesses, ours
 from impact_rs_sim.model import Model, model_text
 from impact_rs_sim.scenario import load_scenario
@@ -98,11 +99,12 @@ class Graph:
         root: Path | None = None,
         without: Sequence[str] = (),
         tell: Tell = log.info,
+        namespace: str = "",
     ) -> Iterator[Self]:
         """A context manager with the nodes, which end with it.
 
-        Nodes that run already in the same domain would answer as well; where that matters, give the graph its own
-        domain.
+        Nodes that run already in the same domain and namespace would answer as well; where that matters, give the graph
+        its own domain or namespace.
 
         Args:
             scenario: Name or path of the scenario the nodes start with.
@@ -112,15 +114,16 @@ class Graph:
             root: Folder in which requests may have bags written and name scenarios; None: the working directory.
             without: Nodes that somebody else provides; they are not started, and waited for.
             tell: Told what is waited for.
+            namespace: ROS namespace of the nodes; empty: the root.
 
         Raises:
-            InputError: There is no such scenario, or no such node.
+            InputError: There is no such scenario, no such node, or no such namespace.
             GraphError: A node ended, or does not come up.
         """
         names = ours(without)
         with ExitStack() as stack:
             logs = stack.enter_context(tempfile.TemporaryDirectory(prefix="impact_rs_"))
-            nodes = NodeProcesses.of(scenario, Path(logs), domain_id, parameters, quiet, root)
+            nodes = NodeProcesses.of(scenario, Path(logs), domain_id, parameters, quiet, root, namespace)
             stack.callback(nodes.stop)
             for name in names:
                 nodes.start(name)
@@ -130,7 +133,8 @@ class Graph:
                 context=context, domain_id=int(os.environ.get("ROS_DOMAIN_ID") or 0) if domain_id is None else domain_id
             )
             stack.callback(rclpy.try_shutdown, context=context)
-            graph = cls(nodes, rclpy.create_node(f"runner_{os.getpid()}", context=context), without, tell)
+            runner = rclpy.create_node(f"runner_{os.getpid()}", context=context, namespace=full_namespace(namespace))
+            graph = cls(nodes, runner, without, tell)
             stack.callback(graph.close)
             graph.wait_until_ready()
             yield graph
@@ -312,6 +316,7 @@ def run_trials_through_nodes(
     plant_model: Model | None = None,
     without: Sequence[str] = (),
     tell: Tell = log.info,
+    namespace: str = "",
 ) -> Iterator[TrialReport]:
     """Run trials of a campaign through the nodes, one after the other; yields a report per trial as it ends.
 
@@ -325,14 +330,17 @@ def run_trials_through_nodes(
         plant_model: Effects that the plant has and nobody else knows; None: none.
         without: Nodes that somebody else provides; they are waited for before every trial.
         tell: Told what is waited for.
+        namespace: ROS namespace of the nodes; empty: the root.
 
     Raises:
-        InputError: There is no node of a name in ``without``.
+        InputError: There is no such namespace, or no node of a name in ``without``.
         GraphError: The nodes cannot be started, or somebody else's does not come.
     """
     if not keys:
         return
-    with Graph.running(manifest.scenario, domain_id, root=directory, without=without, tell=tell) as graph:
+    with Graph.running(
+        manifest.scenario, domain_id, root=directory, without=without, tell=tell, namespace=namespace
+    ) as graph:
         for key in keys:
             graph.wait_until_ready()
             yield run_trial(graph, directory, manifest, key, plant_model)
@@ -376,19 +384,20 @@ def run_trial(
     return keep_failure(open_store(directory), report)
 
 
-def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = ()) -> int:
+def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (), namespace: str = "") -> int:
     """Run the nodes until Ctrl-C, and tell how to call them.
 
     Args:
         scenario: Name or path of the scenario.
         domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
         without: Nodes that somebody else provides; they are not started, and waited for.
+        namespace: ROS namespace of the nodes; empty: the root.
 
     Returns:
         Exit code of the process.
 
     Raises:
-        InputError: There is no such scenario, or no such node.
+        InputError: There is no such scenario, no such node, or no such namespace.
         KeyboardInterrupt: It was told to stop before the nodes were up.
     """
     known = load_scenario(scenario)
@@ -404,10 +413,11 @@ def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = ())
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         tell = partial(print, flush=True)
-        with Graph.running(scenario, domain_id, quiet=False, without=without, tell=tell) as graph:
+        with Graph.running(scenario, domain_id, quiet=False, without=without, tell=tell, namespace=namespace) as graph:
             started = True
             names = [*graph.processes, *(f"{name} (somebody else's)" for name in graph.foreign)]
-            print(_instructions(names, known.name, next(iter(known.objects)), next(iter(known.cases))), flush=True)
+            which = known.name, next(iter(known.objects)), next(iter(known.cases))
+            print(_instructions(names, *which, full_namespace(namespace)), flush=True)
             while not stopping:
                 for line in graph.revive():
                     print(line, file=sys.stderr, flush=True)
@@ -422,20 +432,20 @@ def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = ())
     return 0
 
 
-def _instructions(nodes: Sequence[str], scenario: str, object_name: str, case: str) -> str:
+def _instructions(nodes: Sequence[str], scenario: str, object_name: str, case: str, namespace: str) -> str:
     what = f"{{scenario: {scenario}, object_name: {object_name}, case_name: {case}"
     return "\n".join(
         (
             f"The nodes are up: {', '.join(nodes)}. Ctrl-C stops them.",
             "",
             "Run a trial into the folder trials/:",
-            "  ros2 action send_goal --feedback /run_trial impact_rs/action/RunTrial \\",
+            f"  ros2 action send_goal --feedback {within(namespace, 'run_trial')} impact_rs/action/RunTrial \\",
             f'    "{what}, velocity_scale: 1.0, seed: 1, output_directory: trials}}"',
             "Ask the impact map:",
-            "  ros2 service call /compute_impact_map impact_rs/srv/ComputeImpactMap \\",
+            f"  ros2 service call {within(namespace, 'compute_impact_map')} impact_rs/srv/ComputeImpactMap \\",
             f'    "{what}, motor_inertia: reduced, restitution: -1.0}}"',
             "Look on:",
             "  ros2 topic echo /diagnostics",
-            "  ros2 param describe /plant realtime",
+            f"  ros2 param describe {within(namespace, 'plant')} realtime",
         )
     )

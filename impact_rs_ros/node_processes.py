@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Self
 
+from impact_rs_ros.names import full_namespace
 from impact_rs_ros.process import SUPERVISOR
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.paths import config_directory
@@ -63,6 +64,7 @@ class NodeProcesses:
         parameters: Path | None = None,
         quiet: bool = True,
         root: Path | None = None,
+        namespace: str = "",
     ) -> Self:
         """The nodes of a scenario.
 
@@ -73,17 +75,18 @@ class NodeProcesses:
             parameters: Parameter file; None: ``config/nodes.yaml``.
             quiet: Whether they write to files there, and not to the terminal; then only what is wrong.
             root: Folder in which requests may have bags written and name scenarios; None: the working directory.
+            namespace: ROS namespace of the nodes; empty: the root.
 
         Raises:
-            InputError: There is no such scenario.
+            InputError: There is no such scenario, or no such namespace.
         """
         path = scenario_path(scenario)
         known = str(path.resolve()) if scenario.endswith((".yaml", ".yml")) else scenario
         arguments = ["--params-file", str(parameters or config_directory() / "nodes.yaml"), "-p", f"scenario:={known}"]
+        arguments += ["-r", f"__ns:={full_namespace(namespace)}"]
         if root is not None:
-            arguments += ["-p", f"config_root:={root.resolve()}"]
-            for name in ("recorder", "experiment"):
-                arguments += ["-p", f"{name}:data_root:={root.resolve()}"]
+            for name in ("config_root", "data_root"):  # nodes without it do not mind
+                arguments += ["-p", f"{name}:={root.resolve()}"]
         environment = dict(os.environ)
         environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         environment.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small; more threads only get in the way

@@ -19,6 +19,7 @@ from impact_rs_control.closed_loop import make_plant, ran_away
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.joint_signals import JointReader
+from impact_rs_ros.names import frame_prefix
 from impact_rs_ros.process import run
 from impact_rs_ros.streams import Stream, StreamMaker
 from impact_rs_ros.trial_node import LockstepTrial, TrialNode
@@ -58,13 +59,16 @@ class PlantTrial(LockstepTrial):
         pace: How long to wait for a torque.
         inbox: Where torques come in.
         outbox: Where the state goes out.
+        frames: Where ``/tf`` comes from.
 
     Attributes:
         begun: Whether the first state was published.
         over: Whether there is nothing left to do; ``failure`` says whether that was so at the end.
     """
 
-    def __init__(self, plan: TrialPlan, plant: Plant, pace: Pace, inbox: Inbox, outbox: Outbox) -> None:
+    def __init__(
+        self, plan: TrialPlan, plant: Plant, pace: Pace, inbox: Inbox, outbox: Outbox, frames: FrameSource
+    ) -> None:
         super().__init__(plan)
         self._plan = plan
         self.begun = False
@@ -74,7 +78,7 @@ class PlantTrial(LockstepTrial):
         self._inbox = inbox
         self._outbox = outbox
         self._period = plan.scene.scenario.timing.control_period
-        self._frames = FrameSource(plan.scene)
+        self._frames = frames
         self._states = {arm: topics.joint_states(arm) for arm in plan.arms}
         self._arm_of = {topics.joint_command(arm): arm for arm in plan.arms}
         self._readers = {arm: JointReader(names, ("effort",)) for arm, names in self._maker.joints.items()}
@@ -235,7 +239,8 @@ class PlantNode(TrialNode[PlantTrial]):
             physics = parse_model(info.model_yaml, "TrialInfo.model_yaml").apply(physics)
             self.outbox.later(topics.TRUTH_MODEL, String(data=info.model_yaml))
         pace = Pace(self.parameter("realtime"), self.parameter("repeat_after"), self.parameter("answer_timeout"))
-        return PlantTrial(plan, make_plant(plan, info.seed, physics), pace, self.inbox, self.outbox)
+        frames = FrameSource(plan.scene, frame_prefix(self.node.get_namespace()))
+        return PlantTrial(plan, make_plant(plan, info.seed, physics), pace, self.inbox, self.outbox, frames)
 
     def work(self, trial: PlantTrial, until: float) -> None:
         if self._over is None:

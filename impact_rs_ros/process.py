@@ -29,6 +29,7 @@ from impact_rs_trials.spec import TrialSpec
 
 SUPERVISOR = "IMPACT_RS_SUPERVISOR"  # process id of the runner; a node does not outlive it
 OWN_SERVICES = ("impact_rs.", "std_srvs.")  # packages of the types of services that only our nodes have
+HARDWARE = "impact_rs"  # who tells, on /diagnostics
 IDLE = 0.05  # s, how long an idle node waits for work before it looks around
 
 
@@ -136,7 +137,7 @@ class NodeProgram:
                 level=DiagnosticStatus.OK if line.startswith("ok") else DiagnosticStatus.WARN,
                 name=self.node.get_fully_qualified_name(),
                 message=line,
-                hardware_id="impact_rs",
+                hardware_id=HARDWARE,
                 values=[KeyValue(key=key, value=str(number)) for key, number in numbers.items()],
             )
         ]

@@ -53,4 +53,4 @@ LATCHED = QoSProfile(
     history=QoSHistoryPolicy.KEEP_LAST,
     depth=1,
 )
-"""What is said once per trial (``/trial_info``, ``/robot_description``): who comes late still hears it."""
+"""What is said once per trial (``/trial_info``, ``/robot_description`` and the like): who comes late still hears it."""

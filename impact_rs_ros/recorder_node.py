@@ -1,8 +1,9 @@
 """The recorder as a node: stores what it receives, as it receives it, in one bag per trial.
 
-Messages are stored undecoded; trial time is read from the stamp, which stands at a fixed place. Two topics are special:
-``/truth/model`` has no stamp, and ``/tf`` is worked out from others where its type is not installed. ``/trial_info``
-and ``/robot_description`` are latched for others; the recorder is told them when the trial is configured.
+Messages are stored undecoded; trial time is read from the stamp, which stands at a fixed place. ``/truth/model`` has no
+stamp. ``/trial_info`` and the descriptions are latched for others; the recorder is told the first when the trial is
+configured, and the others follow from it. Other graphs publish on ``/tf``, ``/clock`` and ``/diagnostics`` as well: the
+first two are worked out from what was measured in this one, and of the third only what its own nodes say is stored.
 """
 
 from __future__ import annotations
@@ -12,23 +13,25 @@ import time
 from collections import Counter, defaultdict
 from contextlib import ExitStack
 
+from diagnostic_msgs.msg import DiagnosticArray
 from impact_rs.srv import ConfigureTrial, FinishTrial
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import String
 
 from impact_rs_control.plan import TrialPlan
+from impact_rs_ros.derived import DERIVED, DerivedMessages
 from impact_rs_ros.exchange import Inbox
-from impact_rs_ros.message_types import available
-from impact_rs_ros.process import NodeProgram, run
+from impact_rs_ros.names import SHARED, on_network
+from impact_rs_ros.process import HARDWARE, NodeProgram, run
 from impact_rs_ros.qos import RECORD
-from impact_rs_ros.transforms import Transforms
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.outcome import ArmRecord, TrialRecord, Verdict, judge
 from impact_rs_trials.bags.reader import ControllerColumns, JointColumns, PoseColumns, columns_of
+from impact_rs_trials.bags.record import descriptions
 from impact_rs_trials.bags.trial_info import TrialInfo
-from impact_rs_trials.bags.writer import LATCHED, BagWriter, partial_path
+from impact_rs_trials.bags.writer import BagWriter, partial_path
 
 MATCHING = 2.0  # s, for publishers to be discovered; less than a caller waits for the answer before it asks again
 SILENCE = 3.0  # s, after which a trial of which nothing more comes is over, and nobody is left to say so
@@ -58,8 +61,7 @@ class OpenTrial:
             topic: _SEQUENCE_FIRST if kind == topics.TF_MESSAGE else _HEADER_FIRST
             for topic, kind in topics.recorded(arms).items()
         }
-        makes_transforms = plan is not None and not available(topics.TF_MESSAGE)
-        self._transforms = Transforms(plan, tracked) if plan is not None and makes_transforms else None
+        self._derived = None if plan is None else DerivedMessages(plan, tracked)
         self._last: dict[str, int] = {}
         per_arm = (topics.joint_states, topics.controller_state)
         judged = {topics.OBJECT_POSE, *(name(arm) for arm in arms for name in per_arm)}
@@ -67,7 +69,9 @@ class OpenTrial:
         self._judged: dict[str, list[bytes]] = defaultdict(list)  # messages of these topics
 
     def store(self, topic: str, data: bytes) -> None:
-        """Write a message, unless it was sent again because the answer to it was lost."""
+        """Write a message, unless it is derived here, or was sent again because the answer to it was lost."""
+        if self._derived is not None and topic in DERIVED:
+            return
         now = 0
         if topic != topics.TRUTH_MODEL:  # said once, and without a stamp
             seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_at[topic])
@@ -80,10 +84,10 @@ class OpenTrial:
         self.counts[topic] += 1
         if topic in self._kinds:
             self._judged[topic].append(data)
-        if self._transforms is not None:
-            for at, transforms in self._transforms.receive(topic, now, data):
-                self.bag.write_raw(topics.TF, at, transforms)
-                self.counts[topics.TF] += 1
+        if self._derived is not None:
+            for name, derived in self._derived.receive(topic, now, data):
+                self.bag.write_raw(name, now, derived)
+                self.counts[name] += 1
 
     @property
     def time(self) -> float:
@@ -99,7 +103,7 @@ class OpenTrial:
         return ", ".join(
             f"{topic} {self.counts[topic]} of {count}"
             for topic, count in expected.items()
-            if self.counts[topic] < count
+            if self.counts[topic] < count and (self._derived is None or topic not in DERIVED)
         )
 
     def verdict(self) -> Verdict:
@@ -139,6 +143,7 @@ class RecorderNode(NodeProgram):
         self._open = ExitStack()  # the bag of the trial that is recorded
         self._recording: OpenTrial | None = None
         self._messages = 0
+        self._finished: FinishTrial.Response | None = None  # of the last trial, for who did not get the answer in time
         self._heard = 0.0  # when the last message of the trial came, on the monotonic clock [s]; 0: none did
 
     def offer(self) -> None:
@@ -156,8 +161,8 @@ class RecorderNode(NodeProgram):
 
     def connect(self, arms: list[str]) -> None:
         if arms != self._arms:
-            recorded = topics.recorded(arms).items()
-            self._inbox.connect({topic: kind for topic, kind in recorded if topic not in LATCHED})
+            recorded, said = topics.recorded(arms).items(), topics.latched(arms)
+            self._inbox.connect({topic: kind for topic, kind in recorded if topic not in said})
             self._arms = arms
 
     def _await_publishers(self) -> None:
@@ -172,7 +177,7 @@ class RecorderNode(NodeProgram):
             if time.monotonic() > deadline:
                 break
             time.sleep(0.005)
-        absent = [topic for topic in unmatched if not self.node.count_publishers(topic)]
+        absent = [topic for topic in unmatched if not self._publishers(topic)]
         unheard = [topic for topic in unmatched if topic not in absent]
         told = [f"nobody publishes {', '.join(absent)}; are plant and controller running?"] if absent else []
         if unheard:
@@ -187,8 +192,12 @@ class RecorderNode(NodeProgram):
         return [
             topic
             for topic, count in self._inbox.publishers().items()
-            if topic not in UNAWAITED and count < max(int(topic in needed), self.node.count_publishers(topic))
+            if topic not in UNAWAITED and count < max(int(topic in needed), self._publishers(topic))
         ]
+
+    def _publishers(self, topic: str) -> int:
+        """How many publishers there are of a topic of this graph."""
+        return self.node.count_publishers(self.node.resolve_topic_name(on_network(topic)))
 
     def _drain(self) -> None:
         """Write what has been received; outside a trial, throw it away."""
@@ -197,10 +206,19 @@ class RecorderNode(NodeProgram):
             return
         self._inbox.gather()
         for topic, data in self._inbox.take():
+            if topic == topics.DIAGNOSTICS and self._of_other_graph(data):
+                continue
             self._recording.store(topic, data)
-            if topic != topics.DIAGNOSTICS:  # which nodes tell without a trial as well
+            if topic not in SHARED:  # of which other graphs tell as well, and nodes without a trial
                 self._heard = time.monotonic()
         self._messages = self._recording.counts.total()
+
+    def _of_other_graph(self, data: bytes) -> bool:
+        """Whether diagnostics are those of a node like ours in another namespace."""
+        return any(
+            status.hardware_id == HARDWARE and status.name.rpartition("/")[0] != self.node.get_namespace().rstrip("/")
+            for status in deserialize_message(data, DiagnosticArray).status
+        )
 
     def _end_silent(self) -> None:
         """Close the bag of a trial whose nodes are all gone."""
@@ -216,6 +234,7 @@ class RecorderNode(NodeProgram):
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
         self._abort()
+        self._finished = None
         try:
             info = TrialInfo.from_message(request.trial)
             plan = info.spec.plan if info.scenario_json else None
@@ -230,7 +249,9 @@ class RecorderNode(NodeProgram):
             bag = self._open.enter_context(BagWriter.create(path, self._arms))
             bag.describe(info)
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
-            bag.write_raw(topics.ROBOT_DESCRIPTION, 0, serialize_message(String(data=request.robot_description)))
+            own = {topics.ROBOT_DESCRIPTION: request.robot_description}
+            for topic, urdf in (own if plan is None else descriptions(plan)).items():
+                bag.write_raw(topic, 0, serialize_message(String(data=urdf)))
             self._recording = OpenTrial(name, bag, self._arms, plan, tracked)
             self._heard = 0.0
         except InputError as error:
@@ -250,7 +271,7 @@ class RecorderNode(NodeProgram):
         recording = self._recording
         if recording is None:
             response.message = "recorder: there is no bag to finish"
-            return response
+            return self._finished or response
         bag = recording.bag
         missing = self._complete(recording, dict(zip(request.topics, request.counts, strict=False)))
         if request.aborted or missing:
@@ -276,6 +297,7 @@ class RecorderNode(NodeProgram):
         response.messages = bag.messages
         response.topics = list(recording.counts)
         response.counts = list(recording.counts.values())
+        self._finished = response
         return response
 
     def _complete(self, recording: OpenTrial, expected: dict[str, int]) -> str:

@@ -18,6 +18,7 @@ from impact_rs.srv import ConfigureTrial, FinishTrial
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.client import Client
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -26,12 +27,13 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_ros import parameters
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.message_types import RosidlTypes
+from impact_rs_ros.names import on_network
 from impact_rs_ros.qos import EVENT, LATCHED, WATCH
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import MessageMaker
-from impact_rs_trials.bags.record import scene_urdf
+from impact_rs_trials.bags.record import descriptions
 from impact_rs_trials.bags.trial_info import Outcome, TrialInfo, TrialKey
 from impact_rs_trials.bags.writer import partial_path
 
@@ -96,8 +98,8 @@ class TrialSession:
         self._configure = {name: client(ConfigureTrial, f"{name}/configure_trial") for name in members}
         self._finish = {name: client(FinishTrial, f"{name}/finish_trial") for name in members}
         self._run = client(Trigger, "plant/run_trial")
-        self._trial_info = node.create_publisher(TrialInfoMessage, topics.TRIAL_INFO, LATCHED)
-        self._description = node.create_publisher(String, topics.ROBOT_DESCRIPTION, LATCHED)
+        self._trial_info = node.create_publisher(TrialInfoMessage, on_network(topics.TRIAL_INFO), LATCHED)
+        self._descriptions: dict[str, Publisher] = {}  # by topic
         self._arms: list[str] = []
         self._states = Inbox(node, "states", WATCH)
         self._events = Inbox(node, "events", EVENT)
@@ -147,17 +149,26 @@ class TrialSession:
         progress = Progress()
         reason = ""
         try:
-            trial, description = maker.trial_info(info), scene_urdf(plan)
+            trial = maker.trial_info(info)
             secret = replace(info, model_yaml=plant_model)
             if plant_model and not parameters.value(self._node, "hide_model"):
                 trial = maker.trial_info(secret)
-            self._configure_all(plan, trial, maker.trial_info(secret), description, path)
+            self._configure_all(plan, trial, maker.trial_info(secret), path)
             self._trial_info.publish(trial)
-            self._description.publish(String(data=description))
+            self._describe(descriptions(plan))
             self._follow(progress, plan, feedback, cancelled)
         except (TrialError, InputError) as error:
             reason = str(error)
         return self._finish_all(progress, reason, path)
+
+    def _describe(self, urdfs: dict[str, str]) -> None:
+        """Publish what there is, and take back what there was of other arms."""
+        for topic in self._descriptions.keys() - urdfs.keys():
+            self._node.destroy_publisher(self._descriptions.pop(topic))
+        for topic, urdf in urdfs.items():
+            if topic not in self._descriptions:
+                self._descriptions[topic] = self._node.create_publisher(String, on_network(topic), LATCHED)
+            self._descriptions[topic].publish(String(data=urdf))
 
     def _call(self, name: str, client: Client, request: Any, timeout: float) -> Any:
         """Answer of a service to a request that is sent again where none comes.
@@ -212,7 +223,7 @@ class TrialSession:
             thread.join()
         return answers, failures
 
-    def _configure_all(self, plan: TrialPlan, trial: Any, secret: Any, description: str, path: Path) -> None:
+    def _configure_all(self, plan: TrialPlan, trial: Any, secret: Any, path: Path) -> None:
         """Only the plant is told the ``secret`` variant of the trial, and where everything stands."""
         requests = {name: ConfigureTrial.Request(trial=trial) for name in self._configure}
         requests["plant"].trial = secret
@@ -225,7 +236,6 @@ class TrialSession:
             np.concatenate((placed.position, pin.Quaternion(placed.rotation).coeffs()))
         )
         requests["recorder"].bag_path = str(path)
-        requests["recorder"].robot_description = description
         timeout = parameters.value(self._node, "service_timeout")
         failures = self._refusals(list(requests), requests, timeout)
         if list(failures) == ["recorder"]:  # it may have looked for publishers before the others had them

@@ -101,6 +101,15 @@ class Flange(Schema):
         return data
 
 
+class Mesh(Schema):
+    """What viewers show of a link in the place of simple shapes; physics knows nothing of it."""
+
+    file: str = Field(pattern=r"^(package|file)://", description="where a viewer finds it, package://... or file://...")
+    xyz: Vector3 = Field((0.0, 0.0, 0.0), description="origin of the mesh in the link [m]")
+    rpy: Vector3 = Field((0.0, 0.0, 0.0), description="roll, pitch, yaw of the mesh in the link [rad]")
+    scale: Vector3 = Field((1.0, 1.0, 1.0), description="scale along the axes of the mesh [-]")
+
+
 class Link(Schema):
     """Inertial parameters of one link, in the axes of the link frame."""
 
@@ -109,6 +118,15 @@ class Link(Schema):
     inertia: tuple[float, float, float, float, float, float] = Field(
         description="ixx, ixy, ixz, iyy, iyz, izz about the centre of mass [kg m^2]"
     )
+    meshes: tuple[Mesh, ...] = Field((), description="what viewers show; none: a simple shape")
+
+    @model_serializer(mode="wrap")
+    def _without_no_meshes(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Bags of arms without meshes read as they always did."""
+        data: dict[str, Any] = handler(self)
+        if not self.meshes:
+            data.pop("meshes", None)
+        return data
 
     @property
     def inertia_matrix(self) -> Array:
@@ -142,6 +160,7 @@ class RobotFacts(Schema):
     flange: Flange = Field(description="flange on the last link")
     limits: Limits = Field(description="hardware limits")
     links: tuple[Link, ...] = Field(min_length=1, description="link inertials")
+    base_meshes: tuple[Mesh, ...] = Field((), description="what viewers show of the base; none: a simple shape")
     friction: SigmoidFriction | None = Field(None, description="identified joint friction")
     reflected_rotor_inertia_other_source_kg_m2: PositiveVector | None = Field(
         None, description="reflected rotor inertia per joint from another source [kg m^2], prismatic [kg]"
@@ -154,11 +173,13 @@ class RobotFacts(Schema):
     )
 
     @model_serializer(mode="wrap")
-    def _without_the_usual_loop(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Bags of robots with a torque loop read as they always did."""
+    def _without_what_is_usual(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Bags of robots with a torque loop, or without meshes, read as they always did."""
         data: dict[str, Any] = handler(self)
         if self.joint_torque_loop:
             data.pop("joint_torque_loop", None)
+        if not self.base_meshes:
+            data.pop("base_meshes", None)
         return data
 
     @model_validator(mode="after")

@@ -24,7 +24,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import UNITS, Array, Flange, JointOrigin, JointType, Limits, Link, RobotFacts
+from impact_rs_sim.robot import UNITS, Array, Flange, JointOrigin, JointType, Limits, Link, Mesh, RobotFacts
 from impact_rs_sim.schema import parse_yaml, validate
 from impact_rs_sim.urdf_chain import MOVES_AS, Chain, UrdfTree
 
@@ -71,6 +71,7 @@ def import_urdf(
         raise InputError(f"Pinocchio does not read it: {error}", file=file) from None
     joints, links, limits = [], [], []
     before = np.eye(3)
+    meshes = _meshes(tree, chain, model)
     for index, joint in enumerate(chain.joints, start=1):
         turn = frame_of_axis(np.array(_axis(tree, joint)))
         placement, body = model.jointPlacements[index], model.inertias[index]
@@ -83,7 +84,7 @@ def import_urdf(
             )
         origin = _placement(before.T @ placement.translation, before.T @ placement.rotation @ turn)
         joints.append(JointOrigin.model_validate({"type": _type(joint), **origin}))
-        links.append(_link(body, turn))
+        links.append(_link(body, turn, meshes.get(index, [])))
         limits.append(_limits(tree, joint))
         before = turn
     frame = model.frames[model.getFrameId(chain.tip, pin.FrameType.BODY)].placement
@@ -95,6 +96,7 @@ def import_urdf(
         flange=flange,
         limits=Limits(**dict(zip(Limits.model_fields, columns, strict=True))),
         links=tuple(links),
+        base_meshes=tuple(_mesh(one, np.eye(3)) for one in meshes.get(0, [])),
     )
     return ImportedRobot(facts, tuple(joint.get("name", "") for joint in chain.joints), tuple(_notes(chain)))
 
@@ -144,10 +146,24 @@ def facts_text(robot: ImportedRobot, title: str) -> str:
     lines += [f"  {name}: {_row(getattr(limits, name))}" for name in Limits.model_fields]
     lines.append("links:    # mass [kg], com [m], inertia [ixx, ixy, ixz, iyy, iyz, izz] [kg m^2]")
     lines += [
-        f"  - {{mass: {_number(link.mass)}, com: {_row(link.com)}, inertia: {_row(link.inertia)}}}"
+        f"  - {{mass: {_number(link.mass)}, com: {_row(link.com)}, inertia: {_row(link.inertia)}{_shown(link.meshes)}}}"
         for link in facts.links
     ]
+    if facts.base_meshes:
+        lines.append(f"base_meshes: {_mesh_rows(facts.base_meshes)}")
     return "\n".join(lines) + "\n"
+
+
+def _shown(meshes: Sequence[Mesh]) -> str:
+    return f", meshes: {_mesh_rows(meshes)}" if meshes else ""
+
+
+def _mesh_rows(meshes: Sequence[Mesh]) -> str:
+    rows = (
+        f"{{file: {json.dumps(one.file)}, xyz: {_row(one.xyz)}, rpy: {_row(one.rpy)}, scale: {_row(one.scale)}}}"
+        for one in meshes
+    )
+    return f"[{', '.join(rows)}]"
 
 
 def save_facts(robot: ImportedRobot, title: str, path: Path) -> None:
@@ -228,10 +244,35 @@ def _placement(translation: Array, rotation: Array) -> dict[str, tuple[float, ..
     return {"xyz": _clean(translation), "rpy": _clean(pin.rpy.matrixToRpy(rotation))}
 
 
-def _link(body: pin.Inertia, turn: Array) -> Link:
+def _meshes(tree: UrdfTree, chain: Chain, model: pin.Model) -> dict[int, list[tuple[str, pin.SE3, list[float]]]]:
+    """URL, placement at the joint and scale of every mesh that a viewer finds, by number of the joint; 0: base."""
+    found: dict[int, list[tuple[str, pin.SE3, list[float]]]] = {}
+    for link in Xml.fromstring(chain.urdf).findall("link"):
+        name = link.get("name", "")
+        frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+        for visual in tree.links[name].findall("visual"):
+            mesh, origin, key = visual.find("geometry/mesh"), visual.find("origin"), f"link {name}: visual"
+            if mesh is None or not mesh.get("filename", "").startswith(("package://", "file://")):
+                continue
+            rotation = pin.rpy.rpyToMatrix(*tree.numbers(origin, "rpy", 3, "0 0 0", f"{key} rpy"))
+            shift = np.array(tree.numbers(origin, "xyz", 3, "0 0 0", f"{key} xyz"))
+            scale = tree.numbers(mesh, "scale", 3, "1 1 1", f"{key} scale")
+            placement = frame.placement * pin.SE3(rotation, shift)
+            found.setdefault(frame.parentJoint, []).append((mesh.get("filename", ""), placement, scale))
+    return found
+
+
+def _mesh(found: tuple[str, pin.SE3, list[float]], turn: Array) -> Mesh:
+    file, placement, scale = found
+    placed = _placement(turn.T @ placement.translation, turn.T @ placement.rotation)
+    return Mesh.model_validate({"file": file, "scale": scale, **placed})
+
+
+def _link(body: pin.Inertia, turn: Array, meshes: Iterable[tuple[str, pin.SE3, list[float]]]) -> Link:
     inertia = turn.T @ body.inertia @ turn
     entries = _clean(inertia[np.triu_indices(3)])
-    return Link(mass=float(body.mass), com=_clean(turn.T @ body.lever), inertia=entries)
+    shown = tuple(_mesh(one, turn) for one in meshes)
+    return Link(mass=float(body.mass), com=_clean(turn.T @ body.lever), inertia=entries, meshes=shown)
 
 
 def _clean(values: Iterable[float]) -> tuple[float, ...]:

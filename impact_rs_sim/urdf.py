@@ -1,4 +1,4 @@
-"""The one URDF: written from the facts, loaded by Pinocchio, by PyBullet and by viewers.
+"""The one URDF: written from the facts, loaded by Pinocchio and PyBullet, and, mounted in the world, by viewers.
 
 Links are ``base``, ``link1`` ... ``linkN`` and ``end_effector``; joints are ``joint1`` ... ``jointN``. Only the pad has
 a collision shape: arm against scene is out of scope, and a self-collision of coarse shapes would be a
@@ -7,17 +7,20 @@ force that no real robot feels. Visual shapes are plain cylinders between joint 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from xml.etree import ElementTree as Xml
 
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.robot import Array, EndEffector, RobotFacts
+from impact_rs_sim.robot import Array, EndEffector, Mesh, RobotFacts
+
+WORLD = "world"  # the inertial frame A
+_FIXED = (1.0, np.zeros(3), 0.01 * np.eye(3))  # of links fixed to the world; Bullet warns where an inertial is absent
 
 
 def joint_names(facts: RobotFacts) -> list[str]:
-    """Names of the joints in order, as in the URDF and in every ``sensor_msgs/JointState``."""
+    """Names of the joints in order, as in the URDF; in every ``sensor_msgs/JointState`` ``ARM_`` stands before them."""
     return [f"joint{index + 1}" for index in range(facts.joint_count)]
 
 
@@ -49,6 +52,15 @@ def _visual(link: Xml.Element, start: Array, end: Array, radius: float, colour: 
     Xml.SubElement(material, "color", rgba=colour)
 
 
+def _meshes(link: Xml.Element, meshes: tuple[Mesh, ...]) -> bool:
+    """Whether there are meshes, which are added then."""
+    for mesh in meshes:
+        visual = Xml.SubElement(link, "visual")
+        Xml.SubElement(visual, "origin", xyz=_text(mesh.xyz), rpy=_text(mesh.rpy))
+        Xml.SubElement(Xml.SubElement(visual, "geometry"), "mesh", filename=mesh.file, scale=_text(mesh.scale))
+    return bool(meshes)
+
+
 def _mount_rpy(facts: RobotFacts, end_effector: EndEffector) -> Array:
     """Roll, pitch, yaw of E in the last link, ``(3,)`` [rad]."""
     if not any(facts.flange.rpy):
@@ -57,24 +69,29 @@ def _mount_rpy(facts: RobotFacts, end_effector: EndEffector) -> Array:
     return np.asarray(pin.rpy.matrixToRpy(facts.flange.rotation @ yaw))
 
 
-def write_urdf(facts: RobotFacts, end_effector: EndEffector, name: str = "arm", prefix: str = "") -> str:
+def write_urdf(
+    facts: RobotFacts, end_effector: EndEffector, name: str = "arm", prefix: str = "", meshes: bool = False
+) -> str:
     """URDF of an arm with its end effector.
 
     Args:
         facts: Kinematics, inertials and limits.
         end_effector: Mass, inertia and pad.
         name: Robot name of the URDF.
-        prefix: Prefix of every link name, for viewers that show several robots (joint names stay as they are).
+        prefix: Prefix of every name of a link and of a joint, where several arms are in one URDF.
+        meshes: Show the meshes of the facts, where they have some; a viewer finds them, a physics engine need not.
     """
     robot = Xml.Element("robot", name=name)
     base = Xml.SubElement(robot, "link", name=f"{prefix}base")
-    _inertial(base, 1.0, np.zeros(3), 0.01 * np.eye(3))  # fixed to the world; Bullet warns where it is absent
-    _visual(base, np.zeros(3), np.array([0.0, 0.0, 0.14]), 0.09, "0.92 0.92 0.94 1")
+    _inertial(base, *_FIXED)
+    if not (meshes and _meshes(base, facts.base_meshes)):
+        _visual(base, np.zeros(3), np.array([0.0, 0.0, 0.14]), 0.09, "0.92 0.92 0.94 1")
+        _visual(base, np.zeros(3), np.array(facts.joints[0].xyz), 0.06, "0.92 0.92 0.94 1")
     limits = facts.limits
     previous, carrier = "base", base
     for index, (origin, inertials) in enumerate(zip(facts.joints, facts.links, strict=True)):
         link_name = f"link{index + 1}"
-        joint = Xml.SubElement(robot, "joint", name=f"joint{index + 1}", type=origin.type)
+        joint = Xml.SubElement(robot, "joint", name=f"{prefix}joint{index + 1}", type=origin.type)
         Xml.SubElement(joint, "parent", link=f"{prefix}{previous}")
         Xml.SubElement(joint, "child", link=f"{prefix}{link_name}")
         Xml.SubElement(joint, "origin", xyz=_text(origin.xyz), rpy=_text(origin.rpy))
@@ -95,13 +112,14 @@ def write_urdf(facts: RobotFacts, end_effector: EndEffector, name: str = "arm", 
             _visual(carrier, start, end, 0.02, "0.25 0.27 0.30 1")
         link = Xml.SubElement(robot, "link", name=f"{prefix}{link_name}")
         _inertial(link, inertials.mass, np.array(inertials.com), inertials.inertia_matrix)
-        axis = np.array([0.0, 0.0, 0.065])
-        _visual(link, -axis, axis, 0.055, "0.25 0.27 0.30 1")
-        following = facts.joints[index + 1].xyz if index + 1 < facts.joint_count else facts.flange.xyz
-        _visual(link, np.zeros(3), np.array(following), 0.045, "0.92 0.92 0.94 1")
+        if not (meshes and _meshes(link, inertials.meshes)):
+            axis = np.array([0.0, 0.0, 0.065])
+            _visual(link, -axis, axis, 0.055, "0.25 0.27 0.30 1")
+            following = facts.joints[index + 1].xyz if index + 1 < facts.joint_count else facts.flange.xyz
+            _visual(link, np.zeros(3), np.array(following), 0.045, "0.92 0.92 0.94 1")
         previous, carrier = link_name, link
 
-    mount = Xml.SubElement(robot, "joint", name="end_effector_mount", type="fixed")
+    mount = Xml.SubElement(robot, "joint", name=f"{prefix}end_effector_mount", type="fixed")
     Xml.SubElement(mount, "parent", link=f"{prefix}{previous}")
     Xml.SubElement(mount, "child", link=f"{prefix}end_effector")
     origin_e = np.array(facts.flange.xyz) + facts.flange.rotation @ np.array([0.0, 0.0, end_effector.length])
@@ -124,47 +142,67 @@ def write_urdf(facts: RobotFacts, end_effector: EndEffector, name: str = "arm", 
         if kind == "visual":
             material = Xml.SubElement(shape, "material", name="pad")
             Xml.SubElement(material, "color", rgba="0.85 0.35 0.2 1")
-    Xml.indent(robot)
-    return '<?xml version="1.0"?>\n' + Xml.tostring(robot, encoding="unicode") + "\n"
+    return _document(robot)
 
 
-def write_scene_urdf(
-    arms: dict[str, tuple[RobotFacts, EndEffector]],
-    object_size: tuple[float, float, float],
-    support: tuple[float, tuple[float, float]] | None,
+def write_description(
+    arms: Mapping[str, tuple[RobotFacts, EndEffector, pin.SE3]], support: tuple[float, tuple[float, float]] | None
 ) -> str:
-    """URDF of the whole scene for viewers; poses come from ``/tf``.
+    """URDF of mounted arms, and of what they stand beside, from link ``world`` on; for viewers and other programs.
 
-    Every link hangs on ``world`` by a floating joint, because ``/tf`` states every frame in the world frame.
+    Links are ``ARM_base``, ``ARM_link1`` ... ``ARM_end_effector``; joints ``ARM_joint1`` ..., as in every
+    ``sensor_msgs/JointState``, and ``ARM_mount``, ``ARM_end_effector_mount``, which are fixed.
 
     Args:
-        arms: Facts and end effector by arm; links are called ``ARM_link1`` and so on.
-        object_size: Extent of the object along x, y, z [m]; its link is called ``object``.
-        support: Height of the surface and its extent along x, y [m], or None.
+        arms: Facts, end effector and placement of the base in A, by arm.
+        support: Height of the surface and its extent along x, y [m]; its link is ``support``. None: there is none.
     """
-    scene = Xml.Element("robot", name="scene")
-    Xml.SubElement(scene, "link", name="world")
-
-    def hang(link: Xml.Element) -> None:
-        name = link.get("name", "")
-        scene.append(link)
-        joint = Xml.SubElement(scene, "joint", name=f"{name}_in_world", type="floating")
-        Xml.SubElement(joint, "parent", link="world")
-        Xml.SubElement(joint, "child", link=name)
-
-    for name, (facts, end_effector) in arms.items():
-        for link in Xml.fromstring(write_urdf(facts, end_effector, prefix=f"{name}_")).iter("link"):
-            hang(link)
-    boxes = [("object", object_size, (0.0, 0.0, 0.0), "0.76 0.6 0.42 1")]
+    scene = Xml.Element("robot", name="_".join(arms))
+    Xml.SubElement(scene, "link", name=WORLD)
+    for name, (facts, end_effector, base) in arms.items():
+        scene.extend(Xml.fromstring(write_urdf(facts, end_effector, prefix=f"{name}_", meshes=True)))
+        _fix(scene, f"{name}_mount", f"{name}_base", base)
     if support is not None:
         height, (x, y) = support
-        boxes.append(("support", (x, y, 0.02), (0.0, 0.0, height - 0.01), "0.55 0.6 0.65 1"))
-    for name, size, origin, colour in boxes:
-        link = Xml.Element("link", name=name)
-        visual = Xml.SubElement(link, "visual")
-        Xml.SubElement(visual, "origin", xyz=_text(origin), rpy="0 0 0")
-        Xml.SubElement(Xml.SubElement(visual, "geometry"), "box", size=_text(size))
-        Xml.SubElement(Xml.SubElement(visual, "material", name=name), "color", rgba=colour)
-        hang(link)
-    Xml.indent(scene)
-    return '<?xml version="1.0"?>\n' + Xml.tostring(scene, encoding="unicode") + "\n"
+        link = Xml.SubElement(scene, "link", name="support")
+        _inertial(link, *_FIXED)
+        _box(link, np.array([x, y, 0.02]), np.array([0.0, 0.0, height - 0.01]), "support", "0.55 0.6 0.65 1")
+        _fix(scene, "support_mount", "support", pin.SE3.Identity())
+    return _document(scene)
+
+
+def write_object_description(size: Array, mass: float, com: Array, inertia: Array) -> str:
+    """URDF of the object: the one link ``object``, whose frame is at the centre of the box.
+
+    Args:
+        size: Extent along x, y, z, ``(3,)`` [m].
+        mass: Mass [kg].
+        com: Centre of mass in the link, ``(3,)`` [m].
+        inertia: Inertia about the centre of mass, ``(3, 3)`` [kg m^2].
+    """
+    robot = Xml.Element("robot", name="object")
+    link = Xml.SubElement(robot, "link", name="object")
+    _inertial(link, mass, com, inertia)
+    _box(link, size, np.zeros(3), "object", "0.76 0.6 0.42 1")
+    return _document(robot)
+
+
+def _fix(robot: Xml.Element, name: str, link: str, placement: pin.SE3) -> None:
+    """Fix a link to the world."""
+    joint = Xml.SubElement(robot, "joint", name=name, type="fixed")
+    Xml.SubElement(joint, "parent", link=WORLD)
+    Xml.SubElement(joint, "child", link=link)
+    rpy = pin.rpy.matrixToRpy(placement.rotation)
+    Xml.SubElement(joint, "origin", xyz=_text(placement.translation), rpy=_text(rpy))
+
+
+def _box(link: Xml.Element, size: Array, centre: Array, name: str, colour: str) -> None:
+    visual = Xml.SubElement(link, "visual")
+    Xml.SubElement(visual, "origin", xyz=_text(centre), rpy="0 0 0")
+    Xml.SubElement(Xml.SubElement(visual, "geometry"), "box", size=_text(size))
+    Xml.SubElement(Xml.SubElement(visual, "material", name=name), "color", rgba=colour)
+
+
+def _document(robot: Xml.Element) -> str:
+    Xml.indent(robot)
+    return '<?xml version="1.0"?>\n' + Xml.tostring(robot, encoding="unicode") + "\n"

@@ -1,4 +1,4 @@
-"""Starts the five nodes: ``ros2 launch impact_rs impact_rs.launch.py scenario:=push``.
+"""Starts the five nodes: ``ros2 launch impact_rs impact_rs.launch.py scenario:=push namespace:=cell_a``.
 
 ``without:=plant`` leaves one out, or several (``without:="plant controller"``), because you provide it yourself.
 """
@@ -17,6 +17,7 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             DeclareLaunchArgument("scenario", default_value="push", description="Name or path of the scenario."),
+            DeclareLaunchArgument("namespace", default_value="", description="Namespace of the nodes."),
             DeclareLaunchArgument(
                 "without", default_value="", description="Nodes that are not started: names with a space in between."
             ),
@@ -45,6 +46,7 @@ def wanted_nodes(context: LaunchContext) -> list[Node]:
             package="impact_rs",
             executable=node,
             name=node,
+            namespace=LaunchConfiguration("namespace"),
             output="screen",
             parameters=[LaunchConfiguration("params_file"), {"scenario": LaunchConfiguration("scenario")}],
         )

@@ -58,6 +58,10 @@ def test_examples_run_and_say_what_is_so(
     assert before == pytest.approx(-0.7, abs=0.01)
     assert abs(after) < abs(before)
 
+    picture = tmp_path / "robot.png"
+    assert load("draw_robot").main(tmp_path / measured.trials[0].name, picture) > 15  # shapes of arm, pad, box, support
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
     comparison = load("compare").main(tmp_path)
     assert (comparison.trials, comparison.model.name) == (3, "nominal")
     assert comparison.score < 3.0  # nothing is hidden

@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Any
 
-from impact_rs_cli.arguments import add_jobs, add_without, check_robots, workforce_of
+from impact_rs_cli.arguments import add_jobs, add_namespace, add_without, check_robots, workforce_of
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
+from impact_rs_ros.names import full_namespace
 from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import parse_value
@@ -78,6 +79,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="run trials in this program, or through the ROS 2 nodes (one at a time); default: %(default)s",
     )
     add_without(parser)
+    add_namespace(parser)
     add_json(parser)
     parser.set_defaults(resumable=True)
 
@@ -106,6 +108,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("--jobs and --scheduler are for --via inprocess: the nodes run one trial at a time")
     if args.without:
         check_without(args.without, args.via)
+    if args.via != "nodes" and args.namespace:
+        raise InputError("--namespace is for --via nodes: there is none in this program")
     store = open_store(args.output)
     workforce = workforce_of(args)
     manifest = make_manifest(
@@ -120,7 +124,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     with output_folder(store.path) if isinstance(store, Folder) else nullcontext():
         nodes = args.via == "nodes"
         if nodes:
-            reports = through_nodes(store, manifest, args.without, terminal.warn)
+            reports = through_nodes(store, manifest, args.namespace, args.without, terminal.warn)
         else:
             reports = owned_campaigns(store, campaigns, workforce)
         ran = follow(reports, campaigns, terminal)
@@ -177,23 +181,30 @@ def check_without(without: Sequence[str], via: str) -> None:
 
 
 def through_nodes(
-    store: Store, manifest: Manifest, without: Sequence[str] = (), tell: Callable[[str], None] = lambda line: None
+    store: Store,
+    manifest: Manifest,
+    namespace: str,
+    without: Sequence[str] = (),
+    tell: Callable[[str], None] = lambda line: None,
 ) -> Iterator[tuple[Store, TrialReport]]:
     """Run what is missing through the ROS 2 nodes, without those that somebody else provides.
 
     Yields as :func:`owned_campaigns`; ``tell`` hears what is waited for.
 
     Raises:
-        InputError: The campaign does not lie in a folder, or another process works on it.
+        InputError: The campaign does not lie in a folder, another process works on it, or ROS has no such namespace.
     """
     # ROS 2 takes part in --via nodes alone: where it is not installed, trials still run in this program.
     from impact_rs_ros.graph import run_trials_through_nodes
 
     if not isinstance(store, Folder):
         raise InputError("the nodes record in a folder of this machine; expected a path", file=str(store))
+    namespace = full_namespace(namespace)
     with owned(store):
         todo = open_campaign(store, manifest)
-        for report in run_trials_through_nodes(store.path, manifest, todo, without=without, tell=tell):
+        for report in run_trials_through_nodes(
+            store.path, manifest, todo, namespace=namespace, without=without, tell=tell
+        ):
             yield store, report
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from impact_rs_cli.arguments import add_without, check_robots
+from impact_rs_cli.arguments import add_namespace, add_without, check_robots
 from impact_rs_cli.terminal import Terminal, declare
 from impact_rs_ros.graph import up
 from impact_rs_sim.scenario import load_scenario
@@ -19,6 +19,7 @@ With --without, a node of your own takes the place of one of them; what it must 
 
 example:
   impact-rs up push
+  impact-rs up push --namespace cell_a
   impact-rs up push --without plant"""
 
 
@@ -27,9 +28,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     declare(parser, run, TEXT)
     parser.add_argument("scenario", metavar="SCENARIO", help="name of a scenario, or path of its YAML file")
     add_without(parser)
+    add_namespace(parser)
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     check_robots(load_scenario(args.scenario), terminal)
-    return up(args.scenario, without=args.without)
+    return up(args.scenario, namespace=args.namespace, without=args.without)

@@ -6,6 +6,8 @@ typestore, or rosidl's. Stamps are trial time; a tick is a whole number of nanos
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,13 +19,27 @@ from impact_rs_sim.plant import ArmTruth
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import BodyState
 from impact_rs_sim.sensors import ArmMeasurement, ObjectMeasurement
-from impact_rs_sim.urdf import joint_names
+from impact_rs_sim.urdf import WORLD, joint_names
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.types import typestore
 
-WORLD = "world"
 TF_PERIOD = 0.02  # s, viewers need no more
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame of ``/tf``.
+
+    Attributes:
+        parent: Frame that it is seen from.
+        name: Its name.
+        placement: Where it is, in the axes of the parent.
+    """
+
+    parent: str
+    name: str
+    placement: pin.SE3
 
 
 class MessageTypes(Protocol):
@@ -186,22 +202,22 @@ class MessageMaker:
         return self._types.type(topics.TRIAL_INFO_TYPE)(**info.values())
 
     def robot_description(self, urdf: str) -> Any:
-        """``std_msgs/String`` with the URDF of the scene."""
+        """``std_msgs/String`` with a URDF."""
         return self._types.type(topics.STRING)(data=urdf)
 
-    def transforms(self, tick: int, frames: dict[str, pin.SE3]) -> Any:
-        """``tf2_msgs/TFMessage``: every frame in the world frame."""
+    def transforms(self, tick: int, frames: Iterable[Frame]) -> Any:
+        """``tf2_msgs/TFMessage``."""
         make = self._types.type("geometry_msgs/msg/TransformStamped")
         transform = self._types.type("geometry_msgs/msg/Transform")
         messages = []
-        for child, placement in frames.items():
-            x, y, z, w = pin.Quaternion(placement.rotation).coeffs().tolist()
+        for frame in frames:
+            x, y, z, w = pin.Quaternion(frame.placement.rotation).coeffs().tolist()
             messages.append(
                 make(
-                    header=self.header(tick),
-                    child_frame_id=child,
+                    header=self.header(tick, frame.parent),
+                    child_frame_id=frame.name,
                     transform=transform(
-                        translation=self._vector(**_xyz(placement.translation)),
+                        translation=self._vector(**_xyz(frame.placement.translation)),
                         rotation=self._quaternion(x=x, y=y, z=z, w=w),
                     ),
                 )

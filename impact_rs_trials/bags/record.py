@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pinocchio as pin
 
 from impact_rs_control.closed_loop import RobotCell, Tick, make_plant, run_closed_loop, without_garbage_collection
@@ -14,28 +15,41 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant import Measurement, PlantExtension, Truth
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import Scene
-from impact_rs_sim.urdf import write_scene_urdf
+from impact_rs_sim.urdf import WORLD, write_description, write_object_description
 from impact_rs_trials.bags import topics
-from impact_rs_trials.bags.messages import TF_PERIOD, MessageMaker, RosbagsTypes
+from impact_rs_trials.bags.messages import TF_PERIOD, Frame, MessageMaker, RosbagsTypes
 from impact_rs_trials.bags.outcome import Verdict, Witness, judge
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.writer import BagWriter
 
 
-def scene_urdf(plan: TrialPlan) -> str:
-    """URDF of the scene for ``/robot_description``."""
-    physics = plan.scene.physics
-    x, y, z = physics.object.size.tolist()
+def descriptions(plan: TrialPlan) -> dict[str, str]:
+    """URDFs by topic: the arms beside the support, every arm alone, and the object."""
+    physics, thing = plan.scene.physics, plan.scene.physics.object
     support = None if physics.support_height is None else (physics.support_height, physics.support_size)
-    arms = {name: (arm.facts, arm.end_effector) for name, arm in physics.arms.items()}
-    return write_scene_urdf(arms, (x, y, z), support)
+    arms = {name: (arm.facts, arm.end_effector, arm.base) for name, arm in physics.arms.items()}
+    return {
+        topics.ROBOT_DESCRIPTION: write_description(arms, support),
+        **{topics.robot_description(name): write_description({name: arm}, None) for name, arm in arms.items()},
+        topics.OBJECT_DESCRIPTION: write_object_description(
+            thing.size, thing.mass, thing.com_offset, np.diag(thing.inertia)
+        ),
+    }
 
 
 class FrameSource:
-    """Frames for ``/tf``, from measurements alone."""
+    """Frames for ``/tf``, from measurements alone: the links of every arm one after the other, object and support.
 
-    def __init__(self, scene: Scene) -> None:
+    Args:
+        scene: The scene.
+        prefix: Prefix of every frame, ``cell_a/``, where other graphs are on the same ``/tf``; its ``world`` then is
+            a child of the ``world`` of all, at the same place.
+    """
+
+    def __init__(self, scene: Scene, prefix: str = "") -> None:
         self._models = scene.models
+        self._prefix = prefix
+        self._supported = scene.physics.support_height is not None
         self._every = max(1, round(TF_PERIOD / scene.scenario.timing.control_period))
         self._object = pin.SE3(scene.object.rotation, scene.object.position)
 
@@ -43,24 +57,31 @@ class FrameSource:
         """Whether transforms are published in this tick."""
         return tick % self._every == 0
 
-    def frames(self, measurement: Measurement) -> dict[str, pin.SE3]:
-        """Placement of every link, the object and the support in the world frame."""
+    def frames(self, measurement: Measurement) -> list[Frame]:
+        """Every frame at a measurement."""
         seen = measurement.object
-        return self.placements(
+        return self.at(
             {name: arm.position for name, arm in measurement.arms.items()},
             None if seen is None else (seen.position, seen.quaternion),
         )
 
-    def placements(self, arms: dict[str, Array], seen: tuple[Array, Array] | None) -> dict[str, pin.SE3]:
+    def at(self, arms: dict[str, Array], seen: tuple[Array, Array] | None) -> list[Frame]:
         """The same from joint positions by arm, and position and quaternion of the object where it was seen."""
-        frames = {"support": pin.SE3.Identity()}
+        frames = [Frame(WORLD, "support", pin.SE3.Identity())] if self._supported else []
         for name, model in self._models.items():
-            frames |= {f"{name}_{link}": placement for link, placement in model.link_placements(arms[name]).items()}
+            parent, before = WORLD, pin.SE3.Identity()
+            for link, placement in model.link_placements(arms[name]).items():
+                child = f"{name}_{link}"
+                frames.append(Frame(parent, child, before.actInv(placement)))
+                parent, before = child, placement
         if seen is not None:
             position, quaternion = seen
             self._object = pin.SE3(pin.Quaternion(quaternion).matrix(), position)
-        frames["object"] = self._object
-        return frames
+        frames.append(Frame(WORLD, "object", self._object))
+        if not self._prefix:
+            return frames
+        named = [Frame(self._prefix + one.parent, self._prefix + one.name, one.placement) for one in frames]
+        return [Frame(WORLD, self._prefix + WORLD, pin.SE3.Identity()), *named]
 
 
 def plant_messages(
@@ -150,7 +171,8 @@ def record_cell(
         with without_garbage_collection(), BagWriter.create(path, list(plan.arms), truth is not None) as bag:
             bag.describe(info)
             bag.write(topics.TRIAL_INFO, 0, maker.trial_info(info))
-            bag.write(topics.ROBOT_DESCRIPTION, 0, maker.robot_description(scene_urdf(plan)))
+            for topic, urdf in descriptions(plan).items():
+                bag.write(topic, 0, maker.robot_description(urdf))
             witness = Witness(plan)
             tick: Tick
             for tick in run_closed_loop(plan, cell):

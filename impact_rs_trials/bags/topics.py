@@ -1,4 +1,4 @@
-"""Topic names and types; the only place they are spelled.
+"""Topic names, as they are in bags and in the root namespace, and types; the only place they are spelled.
 
 Per arm: ``/ARM/...``. Everything below ``/truth`` comes from the plant and is never read by the analysis.
 """
@@ -11,12 +11,19 @@ CLOCK = "/clock"
 TRIAL_INFO = "/trial_info"
 ROBOT_DESCRIPTION = "/robot_description"
 TF = "/tf"
+TF_STATIC = "/tf_static"
 DIAGNOSTICS = "/diagnostics"
 OBJECT_POSE = "/object/pose"
+OBJECT_DESCRIPTION = "/object/robot_description"
 TRUTH = "/truth"
 TRUTH_MODEL = "/truth/model"
 TRUTH_OBJECT_POSE = "/truth/object/pose"
 TRUTH_OBJECT_TWIST = "/truth/object/twist"
+
+
+def robot_description(arm: str) -> str:
+    """URDF of the arm alone."""
+    return f"/{arm}/robot_description"
 
 
 def joint_states(arm: str) -> str:
@@ -67,12 +74,18 @@ IMPACT_EVENT = "impact_rs/msg/ImpactEvent"
 TRIAL_INFO_TYPE = "impact_rs/msg/TrialInfo"
 
 
+def latched(arms: list[str]) -> list[str]:
+    """Topics on which something is said once per trial, and who comes late still hears it."""
+    return [TRIAL_INFO, ROBOT_DESCRIPTION, OBJECT_DESCRIPTION, *(robot_description(arm) for arm in arms)]
+
+
 def recorded(arms: list[str], truth: bool = True) -> dict[str, str]:
     """Every recorded topic of a trial with its type; those below ``/truth`` only where there is somebody to tell it."""
     topics = {
         CLOCK: CLOCK_TYPE,
         TRIAL_INFO: TRIAL_INFO_TYPE,
         ROBOT_DESCRIPTION: STRING,
+        OBJECT_DESCRIPTION: STRING,
         TF: TF_MESSAGE,
         DIAGNOSTICS: DIAGNOSTIC_ARRAY,
         OBJECT_POSE: POSE,
@@ -82,6 +95,7 @@ def recorded(arms: list[str], truth: bool = True) -> dict[str, str]:
     }
     for arm in arms:
         topics |= {
+            robot_description(arm): STRING,
             joint_states(arm): JOINT_STATE,
             motor_states(arm): JOINT_STATE,
             joint_command(arm): JOINT_STATE,

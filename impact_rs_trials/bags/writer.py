@@ -19,7 +19,6 @@ from impact_rs_trials.bags.cdr import encode
 from impact_rs_trials.bags.trial_info import Outcome, TrialInfo
 from impact_rs_trials.bags.types import typestore
 
-LATCHED = (topics.TRIAL_INFO, topics.ROBOT_DESCRIPTION)
 MISSING = "missing"  # key of the metadata: topics without a message
 FILES = ("scenario_json", "model_yaml")  # with a friction compensation 200 kB, which YAML takes a second for
 LARGEST_BLOCK = 100_000  # messages kept in memory; several trials' worth
@@ -98,9 +97,10 @@ class BagWriter:
             shutil.rmtree(hidden, ignore_errors=True)
             raise InputError(f"cannot be written: {error.strerror}", file=path) from None
         store = typestore()
+        latched = topics.latched(arms)
         connections = {
             topic: writer.add_connection(
-                topic, kind, typestore=store, offered_qos_profiles=[_latched()] if topic in LATCHED else []
+                topic, kind, typestore=store, offered_qos_profiles=[_latched()] if topic in latched else []
             )
             for topic, kind in topics.recorded(arms, truth).items()
         }

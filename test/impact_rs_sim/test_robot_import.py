@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree as Xml
 
 import numpy as np
 import pinocchio as pin
@@ -22,6 +23,7 @@ from impact_rs_sim.robot_import import FULL_TURN, facts_text, frame_of_axis, imp
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.urdf import write_description
 
 PERIOD = 2.5e-4  # s, of the torque loop
 LIMIT = '<limit lower="-2" upper="1.5" velocity="3" effort="40"/>'
@@ -349,3 +351,53 @@ def test_facts_are_never_overwritten_and_never_half_written(tmp_path: Path) -> N
         save_facts(robot, "An arm.", tmp_path / "arm.txt")
     assert target.read_text() == "mine"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["arm.urdf", "arm.yaml"]
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 5))
+def test_meshes_are_described_where_the_urdf_has_them(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, count: int
+) -> None:
+    """Of base, links and what is fixed to them, through the written file; physics reads a URDF without meshes."""
+    rng = np.random.default_rng(seed)
+    robot = Xml.fromstring(random_chain(rng, count))
+    placed: dict[str, tuple[str, pin.SE3]] = {}  # link and placement in it, by mesh
+    for found in robot.findall("link"):
+        name, file = found.get("name"), f"package://arm/{found.get('name')}.stl"
+        xyz, rpy = rng.uniform(-0.3, 0.3, 3), rng.uniform(-3.0, 3.0, 3)
+        visual = Xml.SubElement(found, "visual")
+        Xml.SubElement(visual, "origin", xyz=" ".join(map(repr, xyz.tolist())), rpy=" ".join(map(repr, rpy.tolist())))
+        Xml.SubElement(Xml.SubElement(visual, "geometry"), "mesh", filename=file, scale="0.001 0.001 0.001")
+        placed[file] = name, pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
+    folder = tmp_path_factory.mktemp("meshes")
+    (folder / "arm.urdf").write_text(Xml.tostring(robot, encoding="unicode"), encoding="utf-8")
+    save_facts(import_urdf(folder / "arm.urdf", tip="tool"), "An arm.", folder / "arm.yaml")
+    facts = load_facts(str(folder / "arm.yaml"))
+    assert "mesh" not in RobotModel(facts, weightless()).urdf
+
+    text = write_description({"arm": (facts, weightless(), pin.SE3.Identity())}, None)
+    ours, theirs = pin.buildModelFromXML(text), pin.buildModelFromXML(Xml.tostring(robot, encoding="unicode"))
+    q = rng.uniform(-1.0, 1.0, count)
+    frames = []
+    for model in (ours, theirs):
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, q)
+        frames.append({frame.name: data.oMf[index].copy() for index, frame in enumerate(model.frames)})
+    shown = set()
+    for found in Xml.fromstring(text).iter("link"):
+        for visual in found.findall("visual"):
+            if (mesh := visual.find("geometry/mesh")) is not None:
+                origin = visual.find("origin")
+                xyz, rpy = (np.array(origin.get(key).split(), dtype=float) for key in ("xyz", "rpy"))
+                where = frames[0][found.get("name")] * pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
+                name, inside = placed[mesh.get("filename")]
+                np.testing.assert_allclose(where.homogeneous, (frames[1][name] * inside).homogeneous, atol=1e-9)
+                assert mesh.get("scale") == "0.001 0.001 0.001"
+                shown.add(mesh.get("filename"))
+    assert shown == set(placed)
+
+
+def test_a_mesh_that_no_viewer_would_find_is_left_out(tmp_path: Path) -> None:
+    mesh = '<visual><geometry><mesh filename="meshes/upper.stl"/></geometry></visual>'
+    robot = import_urdf(write(tmp_path, link("base"), link("upper", BODY + mesh), *ARM[2:]))
+    assert not any(one.meshes for one in robot.facts.links)

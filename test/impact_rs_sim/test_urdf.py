@@ -10,7 +10,7 @@ import pytest
 
 from impact_rs_sim.robot import Flange
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.urdf import joint_names, write_scene_urdf, write_urdf
+from impact_rs_sim.urdf import joint_names, write_urdf
 
 ROBOT = load_scenario("push").robots["arm"]
 FACTS, EFFECTOR = ROBOT.robot_facts, ROBOT.end_effector.build()
@@ -85,29 +85,9 @@ def test_only_the_pad_collides_and_its_face_is_in_the_origin_of_its_frame() -> N
     assert origin[2] + size[2] / 2.0 == pytest.approx(0.0)
 
 
-def test_a_prefix_names_links_and_leaves_joints_alone() -> None:
+def test_a_prefix_names_links_and_joints() -> None:
     robot = Xml.fromstring(write_urdf(FACTS, EFFECTOR, prefix="left_"))
-    assert all(link.get("name").startswith("left_") for link in robot.iter("link"))
+    for element in (*robot.iter("link"), *robot.iter("joint")):
+        assert element.get("name").startswith("left_")
     for joint in robot.iter("joint"):
-        assert not joint.get("name").startswith("left_")
         assert joint.find("parent").get("link").startswith("left_")
-
-
-def test_a_scene_for_viewers_has_every_link_hanging_on_the_world() -> None:
-    text = write_scene_urdf({"left": (FACTS, EFFECTOR), "right": (FACTS, EFFECTOR)}, (0.1, 0.2, 0.3), (0.4, (1.0, 2.0)))
-    scene = Xml.fromstring(text)
-    links = {link.get("name") for link in scene.iter("link")}
-    assert {"world", "left_base", "right_end_effector", "object", "support"} <= links
-    assert {joint.find("child").get("link") for joint in scene.iter("joint")} == links - {"world"}
-    assert {joint.find("parent").get("link") for joint in scene.iter("joint")} == {"world"}
-    box = scene.find("link[@name='object']/visual/geometry/box")
-    assert [float(value) for value in box.get("size").split()] == [0.1, 0.2, 0.3]
-    top = scene.find("link[@name='support']/visual")
-    height = (
-        float(top.find("origin").get("xyz").split()[2]) + float(top.find("geometry/box").get("size").split()[2]) / 2
-    )
-    assert height == pytest.approx(0.4)
-    assert "support" not in {
-        link.get("name")
-        for link in Xml.fromstring(write_scene_urdf({"left": (FACTS, EFFECTOR)}, (0.1, 0.2, 0.3), None)).iter("link")
-    }

@@ -13,7 +13,7 @@ from impact_rs_sim.plant import ArmTruth
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import BodyState, Scene
 from impact_rs_sim.sensors import ArmMeasurement, ObjectMeasurement
-from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes, reference_columns
+from impact_rs_trials.bags.messages import Frame, MessageMaker, RosbagsTypes, reference_columns
 
 TICK = 1234  # 1.234 s
 SEVEN = np.arange(7, dtype=float)
@@ -127,14 +127,15 @@ def test_the_contact_wrench_is_the_force_on_the_pad(maker: MessageMaker) -> None
     assert [force.x, force.y, force.z] == [1.0, -2.0, 3.0]
 
 
-def test_transforms_place_every_frame_in_the_world(maker: MessageMaker) -> None:
-    frames = {"a": pin.SE3(pin.rpy.rpyToMatrix(0.3, 0.0, 0.0), np.array([1.0, 2.0, 3.0])), "b": pin.SE3.Identity()}
+def test_transforms_place_every_frame_in_its_parent(maker: MessageMaker) -> None:
+    placement = pin.SE3(pin.rpy.rpyToMatrix(0.3, 0.0, 0.0), np.array([1.0, 2.0, 3.0]))
+    frames = [Frame("world", "a", placement), Frame("a", "b", pin.SE3.Identity())]
     found = maker.transforms(TICK, frames).transforms
     assert [entry.child_frame_id for entry in found] == ["a", "b"]
-    assert {entry.header.frame_id for entry in found} == {"world"}
+    assert [entry.header.frame_id for entry in found] == ["world", "a"]
     place, turn = found[0].transform.translation, found[0].transform.rotation
     assert [place.x, place.y, place.z] == [1.0, 2.0, 3.0]
-    np.testing.assert_allclose(pin.Quaternion(turn.w, turn.x, turn.y, turn.z).matrix(), frames["a"].rotation)
+    np.testing.assert_allclose(pin.Quaternion(turn.w, turn.x, turn.y, turn.z).matrix(), placement.rotation)
 
 
 def test_reference_columns_have_a_row_per_tick(plan: TrialPlan) -> None:

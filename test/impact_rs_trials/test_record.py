@@ -14,8 +14,9 @@ from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.messages import Frame
 from impact_rs_trials.bags.reader import TrialBag
-from impact_rs_trials.bags.record import FrameSource, record_trial, scene_urdf
+from impact_rs_trials.bags.record import FrameSource, record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 
 TICKS = 250
@@ -103,23 +104,37 @@ def test_frames_follow_the_measured_joints_and_the_last_sight_of_the_object(plan
     q = plan.scene.arms["arm"].position
     place, turn = np.array([0.4, -0.3, 0.5]), pin.rpy.rpyToMatrix(0.0, 0.0, 0.4)
     quaternion = np.array(pin.Quaternion(turn).coeffs())
-    first = frames.placements({"arm": q}, None)
+    first = in_world(frames.at({"arm": q}, None))
     np.testing.assert_allclose(first["object"].translation, plan.scene.object.position)
     np.testing.assert_allclose(
         first["arm_end_effector"].homogeneous, plan.scene.models["arm"].placement(q).homogeneous, atol=1e-12
     )
-    frames.placements({"arm": q}, (place, quaternion))
-    later = frames.placements({"arm": q}, None)
+    frames.at({"arm": q}, (place, quaternion))
+    later = in_world(frames.at({"arm": q}, None))
     np.testing.assert_allclose(later["object"].translation, place)
     np.testing.assert_allclose(later["object"].rotation, turn, atol=1e-12)
     assert [tick for tick in range(45) if frames.due(tick)] == [0, 20, 40]
 
 
-def test_the_description_names_every_frame_that_is_sent(plan: TrialPlan) -> None:
-    names = FrameSource(plan.scene).placements({"arm": plan.scene.arms["arm"].position}, None)
-    text = scene_urdf(plan)
-    for name in names:
-        assert f'name="{name}"' in text
+def test_frames_of_a_graph_in_a_namespace_have_its_prefix_and_are_where_they_are_without(plan: TrialPlan) -> None:
+    q = {"arm": plan.scene.arms["arm"].position}
+    alone, beside = FrameSource(plan.scene).at(q, None), FrameSource(plan.scene, "cell_a/").at(q, None)
+    assert [(frame.parent, frame.name) for frame in beside if frame.parent == "world"] == [("world", "cell_a/world")]
+    expected, found = in_world(alone), in_world(beside)
+    assert set(found) - {"cell_a/world"} == {f"cell_a/{name}" for name in expected}
+    for name, placement in expected.items():
+        np.testing.assert_array_equal(found[f"cell_a/{name}"].homogeneous, placement.homogeneous)
+
+
+def in_world(frames: list[Frame]) -> dict[str, pin.SE3]:
+    """Placement of every frame in the world, in whatever order they are told."""
+    above = {frame.name: frame for frame in frames}
+    assert len(above) == len(frames), "a frame has one parent"
+
+    def placement(name: str) -> pin.SE3:
+        return pin.SE3.Identity() if name == "world" else placement(above[name].parent) * above[name].placement
+
+    return {name: placement(name) for name in above}
 
 
 def test_a_trial_that_hits_nothing_says_so(plan: TrialPlan, tmp_path: Path) -> None:

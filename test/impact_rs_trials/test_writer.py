@@ -145,7 +145,7 @@ def test_what_is_said_once_is_latched_when_it_is_played_back(tmp_path: Path) -> 
         for connection in reader.connections:
             profiles = connection.ext.offered_qos_profiles
             latched = [profile.durability for profile in profiles] == [QosDurability.TRANSIENT_LOCAL]
-            assert latched == (connection.topic in (topics.TRIAL_INFO, topics.ROBOT_DESCRIPTION)), connection.topic
+            assert latched == (connection.topic in topics.latched(["arm"])), connection.topic
 
 
 @pytest.mark.parametrize("truth", [True, False])

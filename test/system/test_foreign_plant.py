@@ -117,8 +117,8 @@ def test_a_campaign_runs_with_the_example_in_the_place_of_our_plant(
     assert "Traceback" not in said
 
     bag = TrialBag.open(runs / TRIAL)
-    assert bag.missing == ["/clock", "/arm/motor_states", "/truth"]
-    assert bag.metadata["missing"] == "/clock, /arm/motor_states, /truth"
+    assert bag.missing == ["/arm/motor_states", "/truth"]
+    assert bag.metadata["missing"] == "/arm/motor_states, /truth"
     assert bag.counts[topics.joint_states("arm")] == bag.counts[topics.joint_command("arm")] == 1801
     assert (bag.counts[topics.OBJECT_POSE], bag.counts[topics.TF]) == (451, 91)
     pushed = bag.poses(topics.OBJECT_POSE)

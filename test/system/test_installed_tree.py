@@ -40,6 +40,11 @@ def test_ros2_launch_finds_launch_files_and_parameters() -> None:
     assert any((share / "config").rglob("*.yaml"))
 
 
+def test_viewers_find_their_layouts() -> None:
+    viewers = Path(get_package_share_directory("impact_rs")) / "config" / "viewers"
+    assert {path.suffix for path in viewers.iterdir()} == {".rviz", ".json", ".xml"}
+
+
 def test_ros2_interface_finds_every_interface() -> None:
     content, _ = get_resource("rosidl_interfaces", "impact_rs")
     listed = [line for line in content.splitlines() if line.endswith((".msg", ".srv", ".action"))]

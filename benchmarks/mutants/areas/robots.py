@@ -70,8 +70,8 @@ MUTANTS = [
     Mutant(
         name="prismatic_joint_written_as_revolute",
         file="impact_rs_sim/urdf.py",
-        original='joint = Xml.SubElement(robot, "joint", name=f"joint{index + 1}", type=origin.type)',
-        mutated='joint = Xml.SubElement(robot, "joint", name=f"joint{index + 1}", type="revolute")',
+        original='joint = Xml.SubElement(robot, "joint", name=f"{prefix}joint{index + 1}", type=origin.type)',
+        mutated='joint = Xml.SubElement(robot, "joint", name=f"{prefix}joint{index + 1}", type="revolute")',
         wrong="Every joint turns in the URDF that both engines read.",
         tests=SLIDING_TESTS,
     ),

@@ -1,4 +1,4 @@
-"""Transforms made from recorded messages are those that the plant would have published."""
+"""Transforms and clock made from recorded messages are those that the plant would have published."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from impact_rs_control.closed_loop import make_plant
 from impact_rs_control.plan import TrialPlan, plan_trial
-from impact_rs_ros.transforms import Transforms
+from impact_rs_ros.derived import DerivedMessages
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags import topics
@@ -25,8 +25,8 @@ def plan() -> TrialPlan:
 
 
 @pytest.fixture(scope="module")
-def recorded(plan: TrialPlan) -> tuple[list[tuple[str, int, bytes]], dict[int, bytes]]:
-    """Messages of the plant with their stamps [ns], and the transforms by stamp."""
+def recorded(plan: TrialPlan) -> tuple[list[tuple[str, int, bytes]], dict[tuple[int, str], bytes]]:
+    """Messages of the plant with their stamps [ns], and transforms and clock by stamp and topic."""
     maker, frames, plant = MessageMaker(RosbagsTypes(), plan), FrameSource(plan.scene), make_plant(plan, 0)
     hold = plan.scene.models["arm"].gravity_torque(plan.arms["arm"].initial)
     messages, expected = [], {}
@@ -39,14 +39,15 @@ def recorded(plan: TrialPlan) -> tuple[list[tuple[str, int, bytes]], dict[int, b
             messages.append((topics.OBJECT_POSE, now, bytes(STORE.serialize_cdr(pose, topics.POSE))))
         if frames.due(tick):
             sent = maker.transforms(tick, frames.frames(measured))
-            expected[now] = bytes(STORE.serialize_cdr(sent, topics.TF_MESSAGE))
+            expected[now, topics.TF] = bytes(STORE.serialize_cdr(sent, topics.TF_MESSAGE))
+            expected[now, topics.CLOCK] = bytes(STORE.serialize_cdr(maker.clock(tick), topics.CLOCK_TYPE))
         plant.step({"arm": hold})
     plant.close()
     return messages, expected
 
 
 @pytest.mark.parametrize("order", ["as sent", "object first", "shuffled"])
-def test_transforms_follow_from_the_messages_in_whatever_order_they_come(
+def test_transforms_and_clock_follow_from_the_messages_in_whatever_order_they_come(
     plan: TrialPlan, recorded: tuple[list, dict], order: str
 ) -> None:
     messages, expected = recorded
@@ -55,23 +56,25 @@ def test_transforms_follow_from_the_messages_in_whatever_order_they_come(
     if order == "shuffled":
         messages = [messages[index] for index in np.random.default_rng(0).permutation(len(messages))]
         messages.sort(key=lambda message: message[1])
-    transforms = Transforms(plan)
-    found = dict(pair for message in messages for pair in transforms.receive(*message))
+    derived = DerivedMessages(plan)
+    found = {(now, name): made for topic, now, data in messages for name, made in derived.receive(topic, now, data)}
     assert found == expected
-    assert len(found) == 3
+    assert len(found) == 2 * 3
 
 
 def test_the_frame_of_an_object_that_nobody_tracks_is_left_out(plan: TrialPlan, recorded: tuple[list, dict]) -> None:
     messages, expected = recorded
-    transforms = Transforms(plan, tracked=False)
-    found = dict(pair for message in messages for pair in transforms.receive(*message))
+    derived = DerivedMessages(plan, tracked=False)
+    found = {(now, name): made for topic, now, data in messages for name, made in derived.receive(topic, now, data)}
     assert list(found) == list(expected)
-    for now, data in found.items():
-        frames = [one.child_frame_id for one in STORE.deserialize_cdr(data, topics.TF_MESSAGE).transforms]
-        whole = [one.child_frame_id for one in STORE.deserialize_cdr(expected[now], topics.TF_MESSAGE).transforms]
+    for key in (key for key in found if key[1] == topics.TF):
+        frames, whole = (
+            [one.child_frame_id for one in STORE.deserialize_cdr(data, topics.TF_MESSAGE).transforms]
+            for data in (found[key], expected[key])
+        )
         assert frames == [name for name in whole if name != "object"]
         assert len(frames) == len(whole) - 1
 
 
 def test_other_topics_change_nothing(plan: TrialPlan) -> None:
-    assert list(Transforms(plan).receive(topics.CLOCK, 0, b"")) == []
+    assert list(DerivedMessages(plan).receive(topics.CLOCK, 0, b"")) == []

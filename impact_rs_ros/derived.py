@@ -1,7 +1,8 @@
-"""``/tf`` for the bag where nobody can publish it: ``tf2_msgs`` is not on PyPI.
+"""``/tf`` and ``/clock`` for the bag, worked out from what was measured.
 
-The transforms follow from measured joint positions and the tracked object alone; from the recorded messages the
-recorder works out the same ones that the plant would have published.
+Several graphs share these topics, nobody can publish the first where ``tf2_msgs`` is not installed (it is not on PyPI),
+and somebody else's plant need not publish either. Both follow from measured joint positions and the tracked object:
+from the recorded messages the recorder works out the same ones that the plant publishes.
 """
 
 from __future__ import annotations
@@ -17,9 +18,11 @@ from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
 from impact_rs_trials.bags.record import FrameSource
 from impact_rs_trials.bags.types import typestore
 
+DERIVED = frozenset({topics.TF, topics.CLOCK})
 
-class Transforms:
-    """Makes the transforms of one trial.
+
+class DerivedMessages:
+    """Makes the transforms and the clock of one trial.
 
     Args:
         plan: The trial.
@@ -38,8 +41,8 @@ class Transforms:
         self._arms = list(plan.arms)
         self._known: dict[int, dict[str, bytes]] = {}
 
-    def receive(self, topic: str, nanoseconds: int, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """Take a recorded message; hands out time [ns] and serialized transforms as soon as they are known."""
+    def receive(self, topic: str, nanoseconds: int, data: bytes) -> Iterator[tuple[str, bytes]]:
+        """Take a recorded message; hands out topics with serialized messages of the same time as soon as known."""
         if topic not in self._sources and not (self._tracked and topic == topics.OBJECT_POSE):
             return
         tick = nanoseconds // self._period_ns
@@ -57,8 +60,7 @@ class Transforms:
             pose = self._store.deserialize_cdr(known[topics.OBJECT_POSE], topics.POSE).pose  # type: ignore[attr-defined]
             at, turn = pose.position, pose.orientation
             seen = np.array([at.x, at.y, at.z]), np.array([turn.x, turn.y, turn.z, turn.w])
-        placements = self._frames.placements(arms, seen)
-        if not self._tracked:
-            del placements["object"]
-        message = self._maker.transforms(tick, placements)
-        yield nanoseconds, bytes(self._store.serialize_cdr(message, topics.TF_MESSAGE))
+        frames = self._frames.at(arms, seen)
+        transforms = self._maker.transforms(tick, [one for one in frames if self._tracked or one.name != "object"])
+        yield topics.TF, bytes(self._store.serialize_cdr(transforms, topics.TF_MESSAGE))
+        yield topics.CLOCK, bytes(self._store.serialize_cdr(self._maker.clock(tick), topics.CLOCK_TYPE))

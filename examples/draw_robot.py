@@ -1,0 +1,103 @@
+"""Draw the robot of a bag at one moment, from its URDFs and /tf alone, as a viewer does.
+
+Shows what /robot_description and /object/robot_description hold, and how /tf places it: every shape hangs on a link,
+every link on the one before it. Writes a picture of the moment just before the impact, in the axes of the world. The
+bag is any trial of ours; the default is one of those that examples/campaign.py makes.
+
+    ./run python examples/draw_robot.py [BAG [PNG]]
+"""
+
+import sys
+from pathlib import Path
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+import pinocchio as pin
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from rosbags.highlevel import AnyReader
+
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.bags.types import typestore
+
+BAG = Path("campaigns/example/cat_food__case_2__s1.000__r0")
+PICTURE = Path("robot.png")
+SIDES = 16  # of a cylinder
+
+
+def main(path: Path = BAG, picture: Path = PICTURE) -> int:
+    """Draw the bag's robot and object; returns the number of shapes."""
+    bag = TrialBag.open(path)
+    moment = min(bag.impact_time(arm) for arm in bag.info.robots)
+    frames: dict[str, tuple[str, pin.SE3]] = {}
+    urdfs = []
+    with AnyReader([path], default_typestore=typestore()) as reader:
+        for connection, time, data in reader.messages():
+            if connection.topic in (topics.ROBOT_DESCRIPTION, topics.OBJECT_DESCRIPTION):
+                urdfs.append(Xml.fromstring(reader.deserialize(data, connection.msgtype).data))
+            if connection.topic == topics.TF and time < 1e9 * moment:
+                for one in reader.deserialize(data, connection.msgtype).transforms:
+                    at, turn = one.transform.translation, one.transform.rotation
+                    rotation = pin.Quaternion(turn.w, turn.x, turn.y, turn.z).matrix()
+                    placement = pin.SE3(rotation, np.array([at.x, at.y, at.z]))
+                    frames[one.child_frame_id] = one.header.frame_id, placement
+
+    axes = Figure(figsize=(7.0, 6.0)).add_subplot(projection="3d", computed_zorder=False)
+    axes.autoscale(False)
+    axes.set(xlim=(-0.3, 0.9), ylim=(-0.6, 0.6), zlim=(0.0, 1.2), xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+    shapes = [(link.get("name"), one) for urdf in urdfs for link in urdf.iter("link") for one in link.iter("visual")]
+    faces, colours = [], []
+    for name, shape in shapes:
+        placement = in_world(frames, name) * origin(shape)
+        colour = numbers(shape.find("material/color").get("rgba"))
+        if name == "support":
+            colour[3] = 0.15  # the arm is seen through it
+        for face in faces_of(shape.find("geometry")[0]):
+            faces.append(face @ placement.rotation.T + placement.translation)
+            colours.append(colour)
+    axes.add_collection3d(Poly3DCollection(faces, facecolors=colours, edgecolors="#00000030", linewidths=0.3))
+    axes.set_title(f"{path.name}, {moment:.3f} s")
+    axes.set_box_aspect((1.0, 1.0, 1.0))
+    axes.view_init(elev=20.0, azim=50.0)
+    axes.figure.savefig(picture, dpi=130, bbox_inches="tight")
+    print(f"{picture}: {len(shapes)} shapes on {len(frames)} frames, just before the impact at {moment:.3f} s")
+    return len(shapes)
+
+
+def in_world(frames: dict[str, tuple[str, pin.SE3]], name: str) -> pin.SE3:
+    """Placement of a frame in the world, up the chain of its parents."""
+    if name == "world":
+        return pin.SE3.Identity()
+    parent, placement = frames[name]
+    return in_world(frames, parent) * placement
+
+
+def numbers(text: str) -> np.ndarray:
+    """Numbers with blanks between them."""
+    return np.array(text.split(), dtype=float)
+
+
+def origin(visual: Xml.Element) -> pin.SE3:
+    """Placement of a shape in its link."""
+    placed = visual.find("origin")
+    return pin.SE3(pin.rpy.rpyToMatrix(*numbers(placed.get("rpy"))), numbers(placed.get("xyz")))
+
+
+def faces_of(shape: Xml.Element) -> list[np.ndarray]:
+    """Corners of the faces of a box or a cylinder, ``(k, 3)`` each [m]."""
+    if shape.tag == "box":
+        half, count, start = numbers(shape.get("size")) / 2.0, 4, np.pi / 4.0
+        round_about = np.sqrt(2.0) * half[:2]
+    else:
+        half, count, start = np.array([0.0, 0.0, float(shape.get("length")) / 2.0]), SIDES, 0.0
+        round_about = np.full(2, float(shape.get("radius")))
+    angles = start + 2.0 * np.pi * np.arange(count) / count
+    ring = np.column_stack((np.cos(angles), np.sin(angles))) * round_about
+    top, bottom = (np.column_stack((ring, np.full(count, z))) for z in (half[2], -half[2]))
+    sides = [np.array([bottom[i - 1], bottom[i], top[i], top[i - 1]]) for i in range(count)]
+    return [top, bottom, *sides]
+
+
+if __name__ == "__main__":
+    main(*(Path(argument) for argument in sys.argv[1:3]))

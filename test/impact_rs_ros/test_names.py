@@ -1,0 +1,34 @@
+"""Names on the network: relative to the namespace of the graph, but for what all of ROS agrees on."""
+
+from __future__ import annotations
+
+import pytest
+
+from impact_rs_ros.names import SHARED, full_namespace, on_network, within
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.bags import topics
+
+
+def test_every_recorded_topic_is_in_the_namespace_of_its_graph_but_tf_clock_and_diagnostics() -> None:
+    absolute = {topic for topic in topics.recorded(["left", "right"]) if on_network(topic).startswith("/")}
+    assert absolute == {"/tf", "/clock", "/diagnostics"}
+    assert "/tf_static" in SHARED
+    assert on_network("/left/joint_states") == "left/joint_states"
+
+
+@pytest.mark.parametrize(
+    ("text", "full"),
+    [("", "/"), ("/", "/"), ("cell_a", "/cell_a"), ("/cell_a/", "/cell_a"), ("hall/cell_a", "/hall/cell_a")],
+)
+def test_a_namespace_is_taken_with_and_without_slashes(text: str, full: str) -> None:
+    assert full_namespace(text) == full
+
+
+@pytest.mark.parametrize("text", ["cell a", "1st", "cell//a", "cell-a", "a/../b"])
+def test_a_namespace_that_ros_does_not_have_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="namespace = .*begin with no digit"):
+        full_namespace(text)
+
+
+def test_a_name_within_the_root_has_one_slash() -> None:
+    assert (within("/", "plant"), within("/cell_a", "plant")) == ("/plant", "/cell_a/plant")

@@ -1,0 +1,144 @@
+"""The URDFs of a bag are kinematic: joints move them as /tf says, under the names of /ARM/joint_states."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+import pinocchio as pin
+import pybullet
+import pytest
+from rosbags.highlevel import AnyReader
+
+from impact_rs_control.plan import plan_trial
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import Scene
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.bags.record import record_trial
+from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
+from impact_rs_trials.bags.types import typestore
+
+TOLERANCE = 1e-6  # m, and of rotation matrices
+
+
+@pytest.fixture(scope="module", params=["push", "grab"])
+def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> TrialBag:
+    """A quarter of a second with one arm, and with two."""
+    scenario = load_scenario(request.param)
+    timing = scenario.timing.model_copy(
+        update={"nominal_impact": 0.2, "approach": 0.15, "window_before": 0.1, "window_after": 0.05, "duration": 0.25}
+    )
+    plan = plan_trial(Scene.resolve(scenario.model_copy(update={"timing": timing}), "cat_food", "case_2"))
+    path = tmp_path_factory.mktemp("descriptions") / request.param
+    record_trial(plan, TrialInfo.of(plan, TrialKey("cat_food", "case_2", 1.0, 0), 3, "inprocess"), path)
+    return TrialBag.open(path)
+
+
+def messages(bag: TrialBag, topic: str) -> Iterator[tuple[int, object]]:
+    with AnyReader([bag.path], default_typestore=typestore()) as reader:
+        for connection, time, data in reader.messages([c for c in reader.connections if c.topic == topic]):
+            yield time, reader.deserialize(data, connection.msgtype)
+
+
+def urdf(bag: TrialBag, topic: str) -> str:
+    ((_, message),) = messages(bag, topic)
+    return message.data
+
+
+def transforms(bag: TrialBag) -> Iterator[tuple[int, dict[str, tuple[str, pin.SE3]]]]:
+    """Time [ns]; parent and placement in it by frame."""
+    for time, message in messages(bag, topics.TF):
+        found = {}
+        for item in message.transforms:
+            at, turn = item.transform.translation, item.transform.rotation
+            rotation = pin.Quaternion(turn.w, turn.x, turn.y, turn.z).matrix()
+            placement = pin.SE3(rotation, np.array([at.x, at.y, at.z]))
+            found[item.child_frame_id] = item.header.frame_id, placement
+        yield time, found
+
+
+def described(bag: TrialBag) -> dict[str, list[str]]:
+    """Arms by the topic that describes them."""
+    arms = list(bag.info.robots)
+    return {topics.ROBOT_DESCRIPTION: arms, **{topics.robot_description(arm): [arm] for arm in arms}}
+
+
+def test_its_joints_have_the_names_of_the_joint_states_in_their_order(bag: TrialBag) -> None:
+    for topic, arms in described(bag).items():
+        model = pin.buildModelFromXML(urdf(bag, topic))
+        names = [name for arm in arms for name in next(messages(bag, topics.joint_states(arm)))[1].name]
+        assert list(model.names)[1:] == names
+
+
+def test_forward_kinematics_of_the_joint_states_are_the_transforms(bag: TrialBag) -> None:
+    states = {
+        arm: {time: message.position for time, message in messages(bag, topics.joint_states(arm))}
+        for arm in bag.info.robots
+    }
+    for topic, arms in described(bag).items():
+        model = pin.buildModelFromXML(urdf(bag, topic))
+        data = model.createData()
+        links = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY and frame.name != "world"]
+        moved = []
+        for time, frames in transforms(bag):
+            pin.framesForwardKinematics(model, data, np.concatenate([states[arm][time] for arm in arms]))
+            for link in links:
+                placement, parent = pin.SE3.Identity(), link
+                while parent != "world":
+                    parent, step = frames[parent]
+                    placement = step * placement
+                expected = data.oMf[model.getFrameId(link)]
+                np.testing.assert_allclose(placement.homogeneous, expected.homogeneous, rtol=0.0, atol=TOLERANCE)
+            moved.append(placement.translation)
+        assert len(moved) > 10
+        assert np.ptp(moved, axis=0).max() > 0.01 or links[-1] == "support"
+
+
+def test_transforms_are_the_chain_of_its_links_as_robot_state_publisher_has_them(bag: TrialBag) -> None:
+    """Parent and child of every joint; what is beside them is the object."""
+    joints = Xml.fromstring(urdf(bag, topics.ROBOT_DESCRIPTION)).findall("joint")
+    expected = {joint.find("child").get("link"): joint.find("parent").get("link") for joint in joints}
+    for _, frames in transforms(bag):
+        assert {frame: parent for frame, (parent, _) in frames.items()} == expected | {"object": "world"}
+
+
+def test_what_moves_has_limits_and_an_inertial_and_every_frame_something_to_see(bag: TrialBag) -> None:
+    seen = set()
+    for topic in (*described(bag), topics.OBJECT_DESCRIPTION):
+        robot = Xml.fromstring(urdf(bag, topic))
+        for joint in robot.findall("joint"):
+            if joint.get("type") != "fixed":
+                assert joint.get("type") == "revolute"
+                limit = joint.find("limit")
+                assert float(limit.get("lower")) < float(limit.get("upper"))
+                assert float(limit.get("effort")) > 0.0 < float(limit.get("velocity"))
+        for link in robot.findall("link"):
+            if link.get("name") != "world":
+                assert float(link.find("inertial/mass").get("value")) > 0.0
+                assert link.find("visual/geometry") is not None
+                seen.add(link.get("name"))
+    assert seen == {frame for _, frames in transforms(bag) for frame in frames}
+
+
+def test_others_read_it_without_a_warning(bag: TrialBag, tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+    """By urdfdom, which RViz and robot_state_publisher read with, by Pinocchio and by Bullet."""
+    for topic in (*described(bag), topics.OBJECT_DESCRIPTION):
+        text = urdf(bag, topic)
+        path = tmp_path / "robot.urdf"
+        path.write_text(text)
+        check = Path(sys.executable).with_name("check_urdf")
+        said = subprocess.run([check, path], capture_output=True, text=True, check=True)
+        assert "Successfully Parsed" in said.stdout
+        assert not said.stderr
+        pin.buildModelFromXML(text)
+        client = pybullet.connect(pybullet.DIRECT)
+        capfd.readouterr()
+        assert pybullet.loadURDF(str(path), useFixedBase=True, physicsClientId=client) >= 0
+        told = "".join(capfd.readouterr()).lower()
+        pybullet.disconnect(client)
+        assert "warning" not in told and "error" not in told, told
