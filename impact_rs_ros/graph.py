@@ -22,6 +22,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from impact_rs_ros.node_processes import NODES, STOP_TIMEOUT, NodeProcesses
+from impact_rs_ros.presence import Presence
 from impact_rs_sim.model import Model, model_text
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.trial_info import TrialKey
@@ -29,6 +30,7 @@ from impact_rs_trials.campaign import Manifest, TrialReport, keep_failure
 from impact_rs_trials.store import open_store
 
 START_TIMEOUT = 60.0  # s, for all nodes to answer; imports take some seconds on a busy machine
+STARTS = 3  # of a node that is killed, or freezes, while it starts
 ANSWER_TIMEOUT = 3.0  # s, for a node to answer something harmless
 SILENCE = 1.0  # s, after which an experiment node that tells nothing of a trial is asked whether it is there
 ATTEMPTS = 2  # of a trial
@@ -57,11 +59,13 @@ class Graph:
         self.node = node
         self.run_trial = ActionClient(node, RunTrial, "run_trial")
         self.run_campaign = ActionClient(node, RunCampaign, "run_campaign")
-        self._services = [
-            node.create_client(ConfigureTrial, f"{name}/configure_trial")
+        self._offers = {
+            name: [node.create_client(ConfigureTrial, f"{name}/configure_trial").service_is_ready]
             for name in ("plant", "controller", "recorder")
-        ]
-        self._services.append(node.create_client(ComputeImpactMap, "compute_impact_map"))
+        }
+        self._offers["impact_map"] = [node.create_client(ComputeImpactMap, "compute_impact_map").service_is_ready]
+        self._offers["experiment"] = [self.run_trial.server_is_ready, self.run_campaign.server_is_ready]
+        self.presence = Presence(node, NODES)
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
         self._revived: list[str] = []
@@ -121,41 +125,45 @@ class Graph:
         self._executor.spin_once(timeout_sec=timeout)
 
     def wait_until_ready(self) -> None:
-        """Wait until every node offers its services.
+        """Wait until every node offers its services; one that is killed or freezes meanwhile is started again.
 
         Raises:
-            GraphError: A node ended, or does not come up.
+            GraphError: A node ended by itself, or does not come up.
         """
+        starts = dict.fromkeys(NODES, 1)
         deadline = time.monotonic() + START_TIMEOUT
-        while not (
-            self.run_trial.server_is_ready()
-            and self.run_campaign.server_is_ready()
-            and all(client.service_is_ready() for client in self._services)
-        ):
-            self._check_starting()
-            if time.monotonic() > deadline:
-                raise GraphError(f"the nodes did not all come up within {START_TIMEOUT:g} s")
-            self.spin(0.02)
-        while self._revived:  # the middleware still knows the dead ones and takes their services for ready
-            self._check_starting()
-            if time.monotonic() > deadline:
-                raise GraphError(f"the {self._revived[-1]} node does not answer")
-            if self.answers(self._revived[-1]):
-                self._revived.pop()
+        while waiting := self._not_ready():
+            frozen = self.end_frozen()
+            late = time.monotonic() > deadline
+            if late:
+                self.nodes.kill(waiting)
+                deadline = time.monotonic() + START_TIMEOUT
+            for name, how in self.nodes.dead().items():
+                if not self.nodes.was_ended(name) or starts[name] == STARTS:
+                    raise GraphError(f"node {name} ended with {how} while starting: {self.nodes.last_words(name)}")
+                starts[name] += 1
+            self.revive([*frozen, waiting] if late else frozen)
 
-    def _check_starting(self) -> None:
-        for name, how in self.nodes.dead().items():
-            raise GraphError(f"node {name} ended with {how} while starting: {self.nodes.last_words(name)}")
+    def _not_ready(self) -> str:
+        """Name of a node that does not offer its services yet; empty: all do."""
+        self.spin(0.02)
+        for name, ready in self._offers.items():
+            if not all(one() for one in ready):
+                return name
+        # The middleware still knows the dead ones and takes their services for ready.
+        while self._revived and self.answers(self._revived[-1]):
+            self._revived.pop()
+        return self._revived[-1] if self._revived else ""
 
     def answers(self, name: str) -> bool:
         """Whether a node answers something harmless."""
         client = self.node.create_client(GetParameters, f"{name}/get_parameters")
         deadline = time.monotonic() + ANSWER_TIMEOUT
         try:
-            while time.monotonic() < deadline and self.processes[name].poll() is None:
+            while time.monotonic() < deadline and self.is_there(name):
                 future = client.call_async(GetParameters.Request(names=["scenario"]))
                 attempt = time.monotonic() + 0.5  # a request into the discovery of a new client can be lost
-                while not future.done() and time.monotonic() < attempt:
+                while not future.done() and time.monotonic() < attempt and self.is_there(name):
                     self.spin(0.02)
                 if future.done():
                     return True
@@ -164,12 +172,23 @@ class Graph:
         finally:
             self.node.destroy_client(client)
 
+    def is_there(self, name: str) -> bool:
+        """Whether a node runs, and was not found frozen."""
+        return self.processes[name].poll() is None and not self.presence.gone(name)
+
+    def end_frozen(self) -> list[str]:
+        """End every node that runs and is frozen; returns their names."""
+        return self._end([name for name in self.presence.gone(*NODES) if self.processes[name].poll() is None])
+
     def end_hung(self) -> list[str]:
-        """End every node that lives and does not answer; returns their names."""
-        hung = [name for name, process in self.processes.items() if process.poll() is None and not self.answers(name)]
-        for name in hung:
+        """End every node that runs and does not answer, frozen or not; returns their names."""
+        running = [name for name, process in self.processes.items() if process.poll() is None]
+        return self._end([name for name in running if not self.answers(name)])
+
+    def _end(self, names: list[str]) -> list[str]:
+        for name in names:
             self.nodes.kill(name)
-        return hung
+        return names
 
     def revive(self, hung: Sequence[str] = ()) -> list[str]:
         """Start the nodes again that have died, or ``hung``; returns a line about each."""
@@ -178,7 +197,9 @@ class Graph:
             what = "did not answer any more" if name in hung else f"died ({how})"
             lines.append(f"node {name} {what} and is started again: {self.nodes.last_words(name)}")
             self.nodes.start(name)
-            self._revived.append(name)
+            self.presence.forget(name)
+            if name not in self._revived:
+                self._revived.append(name)
         return lines
 
     def call_trial(self, goal: RunTrial.Goal, feedback: Any = None) -> RunTrial.Result:
@@ -241,6 +262,8 @@ class Graph:
             for name in watched:
                 if self.processes[name].poll() is not None:
                     raise GraphError(f"node {name} died: {self.nodes.last_words(name)}")
+            if not self.is_there("experiment"):
+                raise NodeHangs("the experiment node froze")
             if deadline is not None and time.monotonic() > deadline:
                 raise GraphError(f"no answer within {timeout:g} s")
             if heard is not None and time.monotonic() > heard[0] + SILENCE:
@@ -304,7 +327,7 @@ def run_trial(
             outcome, message = result.outcome, result.message
         except GraphError as error:
             outcome, message = "ABORTED", str(error)
-        hung = graph.end_hung() if outcome == "ABORTED" else []
+        hung = graph.end_hung() if outcome == "ABORTED" else graph.end_frozen()
         revived = graph.revive(hung)
         ended += revived
         if revived:
@@ -339,7 +362,7 @@ def up(scenario: str, domain_id: int | None = None) -> int:
         with Graph.running(scenario, domain_id, quiet=False) as graph:
             print(_instructions(known.name, next(iter(known.objects)), next(iter(known.cases))), flush=True)
             while not stopping:
-                for line in graph.revive():
+                for line in graph.revive(graph.end_frozen()):
                     print(line, file=sys.stderr, flush=True)
                 graph.spin(0.2)
             print("stopping the nodes", flush=True)

@@ -31,12 +31,13 @@ class NodeProcesses:
 
     Attributes:
         processes: The process of every node, by its name.
+        environment: Environment of every node.
     """
 
     def __init__(self, arguments: list[str], environment: Mapping[str, str], logs: Path, quiet: bool) -> None:
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self._arguments = arguments
-        self._environment = dict(environment)
+        self.environment = dict(environment)
         self._logs = logs
         self._quiet = quiet
 
@@ -86,7 +87,7 @@ class NodeProcesses:
         with open(self._log(name), "ab") as log:
             self.processes[name] = subprocess.Popen(
                 [sys.executable, "-m", f"impact_rs_ros.{name}_node", "--ros-args", *self._arguments],
-                env=self._environment,
+                env=self.environment,
                 stdin=subprocess.DEVNULL,
                 stdout=log if self._quiet else None,
                 stderr=subprocess.STDOUT if self._quiet else None,
@@ -96,6 +97,10 @@ class NodeProcesses:
     def dead(self) -> dict[str, str]:
         """How each node ended that is not running any more, by its name."""
         return {name: _how(process) for name, process in self.processes.items() if process.poll() is not None}
+
+    def was_ended(self, name: str) -> bool:
+        """Whether a node that runs no more was killed, or told to end."""
+        return (self.processes[name].poll() or 0) <= 0
 
     def kill(self, name: str) -> None:
         """End a node by force."""

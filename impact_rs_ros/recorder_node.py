@@ -19,6 +19,7 @@ from std_msgs.msg import String
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.message_types import available
+from impact_rs_ros.presence import Presence
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_ros.qos import RECORD
 from impact_rs_ros.transforms import Transforms
@@ -31,7 +32,7 @@ from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.writer import LATCHED, BagWriter
 
 MATCHING = 5.0  # s, for publishers to be discovered
-SILENCE = 3.0  # s, after which a trial of which nothing more comes is over, and nobody is left to say so
+SAVING = 0.2  # s, how much of a trial is lost when the recorder is killed
 OPTIONAL = (topics.TF, topics.DIAGNOSTICS, topics.TRUTH_MODEL)  # nobody may publish these, and nothing is wrong
 _HEADER_FIRST = 4  # byte of the stamp behind the CDR encapsulation
 _SEQUENCE_FIRST = 8  # the same with the length of a sequence before it
@@ -125,8 +126,10 @@ class RecorderNode(NodeProgram):
         self._inbox = Inbox(self.node, "inbox", RECORD, raw=True)
         self._open = ExitStack()  # the bag of the trial that is recorded
         self._recording: OpenTrial | None = None
+        self._finished: FinishTrial.Response | None = None  # what was answered of the trial before
         self._messages = 0
-        self._heard = 0.0  # when the last message of the trial came, on the monotonic clock [s]; 0: none did
+        self._saved = 0.0  # when the bag was put on the disk, on the monotonic clock [s]
+        self._presence = Presence(self.node, ["experiment"])
 
     def offer(self) -> None:
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
@@ -135,7 +138,7 @@ class RecorderNode(NodeProgram):
     def turn(self) -> None:
         self.executor.spin_once(timeout_sec=self.parameter("drain_period"))
         self._drain()
-        self._end_silent()
+        self._end_abandoned()
         self.diagnose()
 
     def status(self) -> tuple[str, dict[str, object]]:
@@ -174,21 +177,22 @@ class RecorderNode(NodeProgram):
         self._inbox.gather()
         for topic, data in self._inbox.take():
             self._recording.store(topic, data)
-            if topic != topics.DIAGNOSTICS:  # which nodes tell without a trial as well
-                self._heard = time.monotonic()
         self._messages = self._recording.counts.total()
+        if time.monotonic() > self._saved + SAVING:
+            self._recording.bag.save()
+            self._saved = time.monotonic()
 
-    def _end_silent(self) -> None:
-        """Close the bag of a trial whose nodes are all gone."""
-        recording = self._recording
-        if recording is not None and self._heard and time.monotonic() > self._heard + SILENCE:
-            self.log.warning(f"recorded {recording.bag.path}: ABORTED: nothing came for {SILENCE:g} s")
+    def _end_abandoned(self) -> None:
+        """Close the bag of a trial that nobody is left to finish."""
+        if self._recording is not None and self._presence.gone("experiment"):
+            self.log.warning(f"recorded {self._recording.bag.path}: ABORTED: the experiment node was killed or froze")
             self._abort()
 
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
         self._abort()
+        self._finished = None
         try:
             info = TrialInfo.from_message(request.trial)
             plan = info.spec.plan if info.scenario_json else None
@@ -202,8 +206,8 @@ class RecorderNode(NodeProgram):
             bag.describe(info)
             bag.write_raw(topics.TRIAL_INFO, 0, serialize_message(request.trial))
             bag.write_raw(topics.ROBOT_DESCRIPTION, 0, serialize_message(String(data=request.robot_description)))
+            bag.save()
             self._recording = OpenTrial(bag, self._arms, plan)
-            self._heard = 0.0
         except InputError as error:
             self.log.error(f"trial refused: {error}")
             response.message = str(error)
@@ -221,7 +225,7 @@ class RecorderNode(NodeProgram):
         recording = self._recording
         if recording is None:
             response.message = "recorder: there is no bag to finish"
-            return response
+            return self._finished or response  # who asks again has not heard the answer
         bag = recording.bag
         missing = self._complete(recording, dict(zip(request.topics, request.counts, strict=False)))
         if request.aborted or missing:
@@ -246,6 +250,7 @@ class RecorderNode(NodeProgram):
         response.messages = bag.messages
         response.topics = list(recording.counts)
         response.counts = list(recording.counts.values())
+        self._finished = response
         return response
 
     def _complete(self, recording: OpenTrial, expected: dict[str, int]) -> str:

@@ -83,6 +83,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self.trial: AnyTrial | None = None
         self.running = False
         self._name = ""
+        self._finished: FinishTrial.Response | None = None  # what was answered of the trial before
         self.inbox = Inbox(self.node, "inbox", AWAITED, raw=True)
         self.outbox = Outbox(self.node, STREAM)
 
@@ -101,6 +102,11 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     @abstractmethod
     def prepare(self, plan: TrialPlan, info: TrialInfo) -> AnyTrial:
         """A trial that can begin, as if there had been none before."""
+
+    def start(self) -> None:
+        super().start()
+        gc.collect()
+        gc.freeze()  # the collection before a trial looks at what is new, and no more
 
     def offer(self) -> None:
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
@@ -133,6 +139,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
+        self._finished = None
         try:
             if self.running:
                 self._leave()
@@ -153,7 +160,6 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self.running = True
         self._name = f"{info.scenario}/{info.key.name}"
         gc.collect()
-        gc.freeze()  # the next trial's collection looks at what is new, and no more
         gc.disable()  # a collection takes longer than a tick
         self.log.info(f"configured {self._name}, seed {info.seed}")
         response.success = True
@@ -162,7 +168,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
         if not self.running or self.trial is None:
             response.message = f"{self.kind}: there is no trial to finish"
-            return response
+            return self._finished or response  # who asks again has not heard the answer
         self.outbox.flush()
         self.diagnose(now=True)
         outcome, failure = self._leave(), self.trial.failure
@@ -177,6 +183,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             self.log.warning(f"{text}: {failure or request.reason}")
         else:
             self.log.info(text)
+        self._finished = response
         return response
 
     def _leave(self) -> str:

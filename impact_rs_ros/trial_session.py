@@ -23,7 +23,8 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_ros import parameters
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.message_types import RosidlTypes
-from impact_rs_ros.qos import EVENT, LATCHED, WATCH
+from impact_rs_ros.presence import GRACE, Presence
+from impact_rs_ros.qos import EVENT, LATCHED, LEASE, WATCH
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
@@ -33,6 +34,8 @@ from impact_rs_trials.bags.trial_info import Outcome, TrialInfo, TrialKey
 from impact_rs_trials.bags.writer import partial_path
 
 ATTEMPT = 1.0  # s; a request into the discovery of a restarted node can be lost and is sent again
+LOOK = 0.1  # s, between two looks whether who is to answer is there
+MEMBERS = ("recorder", "controller", "plant")
 LAST_SAMPLE = 0.5  # s, how long the last controller state may take
 FINISH = 1.0  # s, how long plant or controller may take to leave a trial
 
@@ -89,9 +92,9 @@ class TrialSession:
         def client(kind: Any, name: str) -> Client:
             return node.create_client(kind, name, callback_group=group)
 
-        members = ("recorder", "controller", "plant")
-        self._configure = {name: client(ConfigureTrial, f"{name}/configure_trial") for name in members}
-        self._finish = {name: client(FinishTrial, f"{name}/finish_trial") for name in members}
+        self._presence = Presence(node, (*MEMBERS, "experiment"))
+        self._configure = {name: client(ConfigureTrial, f"{name}/configure_trial") for name in MEMBERS}
+        self._finish = {name: client(FinishTrial, f"{name}/finish_trial") for name in MEMBERS}
         self._run = client(Trigger, "plant/run_trial")
         self._trial_info = node.create_publisher(TrialInfoMessage, topics.TRIAL_INFO, LATCHED)
         self._description = node.create_publisher(String, topics.ROBOT_DESCRIPTION, LATCHED)
@@ -148,10 +151,14 @@ class TrialSession:
             secret = replace(info, model_yaml=plant_model)
             if plant_model and not parameters.value(self._node, "hide_model"):
                 trial = maker.trial_info(secret)
+            self._check_alone(wait=True)
             self._configure_all(trial, maker.trial_info(secret), description, path)
+            self._check_publishers()
             self._trial_info.publish(trial)
             self._description.publish(String(data=description))
             self._follow(progress, plan, feedback, cancelled)
+            self._check_alone(wait=True)
+            self._check_publishers()
         except (TrialError, InputError) as error:
             reason = str(error)
         return self._finish_all(progress, reason, path)
@@ -162,17 +169,29 @@ class TrialSession:
         Raises:
             TrialError: No answer.
         """
-        deadline = time.monotonic() + timeout
+        began = time.monotonic()
+        deadline = began + timeout
+
+        def check() -> None:
+            if time.monotonic() > began + GRACE:  # one that was just started again is met late
+                self._check_present(name)
+
         while (left := deadline - time.monotonic()) > 0.0:
+            check()
             if not client.service_is_ready():
                 time.sleep(min(left, 0.01))
                 continue
             answered = threading.Event()
             future = client.call_async(request)
             future.add_done_callback(lambda _, answered=answered: answered.set())
-            if answered.wait(min(left, max(ATTEMPT, timeout / 4.0))):
-                return future.result()
-            client.remove_pending_request(future)
+            attempt = time.monotonic() + min(left, max(ATTEMPT, timeout / 4.0))
+            try:
+                while time.monotonic() < attempt:
+                    if answered.wait(LOOK):
+                        return future.result()
+                    check()
+            finally:
+                client.remove_pending_request(future)
         raise TrialError(f"{name} does not answer {client.srv_name}; is the node running?")
 
     def _call_all(self, calls: dict[str, tuple[Client, Any]], timeout: float) -> tuple[dict[str, Any], dict[str, str]]:
@@ -192,6 +211,31 @@ class TrialSession:
         for thread in threads:
             thread.join()
         return answers, failures
+
+    def _check_present(self, *names: str) -> None:
+        """Raises :class:`TrialError` where one of these nodes was killed or froze."""
+        if gone := self._presence.gone(*names):
+            raise TrialError(f"node {self._presence.full_name(gone[0])} was killed or froze")
+
+    def _check_alone(self, wait: bool = False) -> None:
+        """Raises :class:`TrialError` where a node is there twice; one that died may have to be waited for."""
+        names = (*MEMBERS, "experiment")
+        deadline = time.monotonic() + LEASE + GRACE
+        while wait and self._presence.twice(*names) and time.monotonic() < deadline:
+            time.sleep(LOOK)
+        if twice := self._presence.twice(*names, settled=not wait):
+            raise TrialError(
+                f"node {self._presence.full_name(twice[0])} is there twice: stop one of them, or give one another "
+                "namespace or ROS_DOMAIN_ID"
+            )
+
+    def _check_publishers(self) -> None:
+        """Raises :class:`TrialError` where measured states or torques come from more than one node."""
+        for arm in self._arms:
+            for topic in (topics.joint_states(arm), topics.joint_command(arm)):
+                publishers = self._presence.publishers(topic)
+                if len(publishers) > 1:
+                    raise TrialError(f"{topic} is published by {' and '.join(publishers)}: stop all but one")
 
     def _configure_all(self, trial: Any, secret: Any, description: str, path: Path) -> None:
         """Only the plant is told the ``secret`` variant of the trial."""
@@ -224,6 +268,8 @@ class TrialSession:
             while not over.wait(period):
                 if cancelled():
                     raise TrialError("cancelled")
+                self._check_present(*MEMBERS)
+                self._check_alone()
                 before = progress.time
                 self._look(progress)
                 if progress.time != before and not math.isnan(progress.time):
@@ -264,7 +310,9 @@ class TrialSession:
     def _finish_all(self, progress: Progress, reason: str, path: Path) -> TrialResult:
         aborted = bool(reason)
         request = FinishTrial.Request(aborted=aborted, reason=reason)
-        calls = {name: (self._finish[name], request) for name in ("plant", "controller")}
+        calls = {
+            name: (self._finish[name], request) for name in ("plant", "controller") if not self._presence.gone(name)
+        }
         answers, failures = self._call_all(calls, FINISH)
         if not aborted:
             failures |= {name: answer.message for name, answer in answers.items() if not answer.success}
@@ -276,6 +324,7 @@ class TrialSession:
         # The recorder may wait for late messages; it is given the time to.
         patience = FINISH if reason else parameters.value(self._node, "finish_timeout")
         try:
+            self._check_present("recorder")
             closed = self._call("recorder", self._finish["recorder"], last, patience)
         except TrialError as error:
             return TrialResult("ABORTED", reason or str(error), partial_path(path), progress)

@@ -25,6 +25,8 @@ def generate_launch_description() -> LaunchDescription:
                     executable=node,
                     name=node,
                     output="screen",
+                    respawn=True,
+                    respawn_delay=1.0,
                     parameters=[
                         LaunchConfiguration("params_file"),
                         {"scenario": LaunchConfiguration("scenario")},
