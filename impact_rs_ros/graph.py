@@ -21,7 +21,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from impact_rs_ros.node_processes import NODES, STOP_TIMEOUT, NodeProcesses
+from impact_rs_ros.node_processes import NODES, STOP_TIMEOUT, NodeProcesses, set_middleware
 from impact_rs_ros.presence import Presence
 from impact_rs_sim.model import Model, model_text
 from impact_rs_sim.scenario import load_scenario
@@ -102,7 +102,7 @@ class Graph:
             stack.callback(nodes.stop)
             for name in NODES:
                 nodes.start(name)
-            os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")  # this process talks to them
+            set_middleware(os.environ)  # this process talks to them
             context = Context()
             rclpy.init(
                 context=context, domain_id=int(os.environ.get("ROS_DOMAIN_ID") or 0) if domain_id is None else domain_id
