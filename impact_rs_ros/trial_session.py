@@ -184,7 +184,7 @@ class TrialSession:
             answered = threading.Event()
             future = client.call_async(request)
             future.add_done_callback(lambda _, answered=answered: answered.set())
-            attempt = time.monotonic() + min(left, max(ATTEMPT, timeout / 4.0))
+            attempt = time.monotonic() + min(left, max(ATTEMPT, timeout / 2.0))
             try:
                 while time.monotonic() < attempt:
                     if answered.wait(LOOK):
