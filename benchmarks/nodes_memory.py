@@ -1,7 +1,7 @@
 """Memory of each node over many trials: ``./run python -m benchmarks.nodes_memory [--trials 300] [--every 25]``.
 
-The trials are free motions of the scenario ``excite``. Resident memory of every node is printed now and then; at the end
-the growth per trial of the second half, by which what a node loads once is over.
+The trials are free motions of the scenario ``excite``. Resident memory of every node is printed now and then, and at
+the end the growth per trial of the second half, by which what a node loads once is over.
 """
 
 from __future__ import annotations

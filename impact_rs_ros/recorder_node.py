@@ -126,6 +126,7 @@ class RecorderNode(NodeProgram):
         self._inbox = Inbox(self.node, "inbox", RECORD, raw=True)
         self._open = ExitStack()  # the bag of the trial that is recorded
         self._recording: OpenTrial | None = None
+        self._configured: ConfigureTrial.Request | None = None  # the trial that is recorded
         self._finished: FinishTrial.Response | None = None  # what was answered of the trial before
         self._messages = 0
         self._saved = 0.0  # when the bag was put on the disk, on the monotonic clock [s]
@@ -191,8 +192,12 @@ class RecorderNode(NodeProgram):
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
+        recording = self._recording
+        if recording is not None and request == self._configured and not recording.counts.keys() - {topics.DIAGNOSTICS}:
+            response.success = True  # it is asked once more, because the answer takes long
+            return response
         self._abort()
-        self._finished = None
+        self._configured = self._finished = None
         try:
             info = TrialInfo.from_message(request.trial)
             plan = info.spec.plan if info.scenario_json else None
@@ -208,6 +213,7 @@ class RecorderNode(NodeProgram):
             bag.write_raw(topics.ROBOT_DESCRIPTION, 0, serialize_message(String(data=request.robot_description)))
             bag.save()
             self._recording = OpenTrial(bag, self._arms, plan)
+            self._configured = request
         except InputError as error:
             self.log.error(f"trial refused: {error}")
             response.message = str(error)

@@ -83,6 +83,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self.trial: AnyTrial | None = None
         self.running = False
         self._name = ""
+        self._configured: ConfigureTrial.Request | None = None  # the trial that runs
         self._finished: FinishTrial.Response | None = None  # what was answered of the trial before
         self.inbox = Inbox(self.node, "inbox", AWAITED, raw=True)
         self.outbox = Outbox(self.node, STREAM)
@@ -139,7 +140,10 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
-        self._finished = None
+        if self.running and request == self._configured and not any(self.outbox.counts.values()):
+            response.success = True  # it is asked once more, because the answer takes long
+            return response
+        self._configured = self._finished = None
         try:
             if self.running:
                 self._leave()
@@ -158,6 +162,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             response.message = f"{self.kind}: {type(error).__name__}: {error}"
             return response
         self.running = True
+        self._configured = request
         self._name = f"{info.scenario}/{info.key.name}"
         gc.collect()
         gc.disable()  # a collection takes longer than a tick

@@ -176,21 +176,23 @@ class TrialSession:
             if time.monotonic() > began + GRACE:  # one that was just started again is met late
                 self._check_present(name)
 
-        while (left := deadline - time.monotonic()) > 0.0:
-            check()
-            if not client.service_is_ready():
-                time.sleep(min(left, 0.01))
-                continue
-            answered = threading.Event()
-            future = client.call_async(request)
-            future.add_done_callback(lambda _, answered=answered: answered.set())
-            attempt = time.monotonic() + min(left, max(ATTEMPT, timeout / 2.0))
-            try:
+        answered = threading.Event()
+        futures = []  # the answer to any attempt counts
+        try:
+            while (left := deadline - time.monotonic()) > 0.0:
+                check()
+                if not client.service_is_ready():
+                    time.sleep(min(left, 0.01))
+                    continue
+                futures.append(client.call_async(request))
+                futures[-1].add_done_callback(lambda _: answered.set())
+                attempt = time.monotonic() + min(left, max(ATTEMPT, timeout / 4.0))
                 while time.monotonic() < attempt:
                     if answered.wait(LOOK):
-                        return future.result()
+                        return next(future.result() for future in futures if future.done())
                     check()
-            finally:
+        finally:
+            for future in futures:
                 client.remove_pending_request(future)
         raise TrialError(f"{name} does not answer {client.srv_name}; is the node running?")
 
@@ -213,12 +215,23 @@ class TrialSession:
         return answers, failures
 
     def _check_present(self, *names: str) -> None:
-        """Raises :class:`TrialError` where one of these nodes was killed or froze."""
+        """Nothing, where these nodes are there.
+
+        Raises:
+            TrialError: One of them was killed or froze.
+        """
         if gone := self._presence.gone(*names):
             raise TrialError(f"node {self._presence.full_name(gone[0])} was killed or froze")
 
     def _check_alone(self, wait: bool = False) -> None:
-        """Raises :class:`TrialError` where a node is there twice; one that died may have to be waited for."""
+        """Nothing, where no node is there twice; whether one of two died shows after a moment.
+
+        Args:
+            wait: Wait for that moment; else only what is certain counts.
+
+        Raises:
+            TrialError: One is.
+        """
         names = (*MEMBERS, "experiment")
         deadline = time.monotonic() + LEASE + GRACE
         while wait and self._presence.twice(*names) and time.monotonic() < deadline:
@@ -230,7 +243,11 @@ class TrialSession:
             )
 
     def _check_publishers(self) -> None:
-        """Raises :class:`TrialError` where measured states or torques come from more than one node."""
+        """Nothing, where measured states and torques come from one node each.
+
+        Raises:
+            TrialError: They do not.
+        """
         for arm in self._arms:
             for topic in (topics.joint_states(arm), topics.joint_command(arm)):
                 publishers = self._presence.publishers(topic)

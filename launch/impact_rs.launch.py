@@ -1,4 +1,7 @@
-"""Starts the five nodes: ``ros2 launch impact_rs impact_rs.launch.py scenario:=push``; one that dies is started again."""
+"""Starts the five nodes: ``ros2 launch impact_rs impact_rs.launch.py scenario:=push``.
+
+One that dies is started again.
+"""
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable

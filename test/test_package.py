@@ -1,7 +1,6 @@
 """Conventions of the package: one version, executables that lead somewhere, documented fields."""
 
 import ast
-import ast
 import os
 import re
 import tomllib

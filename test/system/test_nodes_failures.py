@@ -398,6 +398,12 @@ def test_the_recorder_says_what_is_missing(graph: Graph, tmp_path: Path) -> None
     ready = configure.call_async(request)
     spin_until(graph, ready.done, "no answer")
     assert ready.result().success, ready.result().message
+    (file,) = (tmp_path / ".partial" / "bag").iterdir()
+    inode = file.stat().st_ino
+    again = configure.call_async(request)  # because the answer took long
+    spin_until(graph, again.done, "no answer")
+    assert again.result().success
+    assert file.stat().st_ino == inode
     done = finish.call_async(FinishTrial.Request(topics=["/arm/joint_states"], counts=[5]))
     spin_until(graph, done.done, "no answer")
     again = finish.call_async(FinishTrial.Request())  # whose first answer got lost
