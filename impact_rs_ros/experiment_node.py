@@ -15,7 +15,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import Executor, MultiThreadedExecutor
 
 from impact_rs_control.plan import TrialPlan
-from impact_rs_ros.process import NodeProgram, run
+from impact_rs_ros.process import IDLE, NodeProgram, run
 from impact_rs_ros.trial_session import Progress, TrialResult, TrialSession
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.scenario import Scenario
@@ -71,7 +71,9 @@ class ExperimentNode(NodeProgram):
 
     def close(self) -> None:
         self._cancelling.set()
-        with self._busy:  # the trial that runs closes its bag
+        while self._busy.locked():  # the trial that runs closes its bag, for which it needs answers
+            self.executor.spin_once(timeout_sec=IDLE)
+        with self._busy:
             for server in self._servers:
                 server.destroy()
         self._session.close()

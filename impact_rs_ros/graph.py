@@ -25,7 +25,8 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from impact_rs_ros.names import full_namespace, within
-from impact_rs_ros.node_processes import STOP_TIMEOUT, NodeProcesses, ours
+from impact_rs_ros.node_processes import NODES, STOP_TIMEOUT, NodeProcesses, ours, set_middleware
+from impact_rs_ros.presence import Presence
 from impact_rs_sim.model import Model, model_text
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.trial_info import TrialKey
@@ -34,6 +35,7 @@ from impact_rs_trials.store import open_store
 
 START_TIMEOUT = 60.0  # s, for all nodes to answer; imports take some seconds on a busy machine
 FOREIGN_TIMEOUT = 120.0  # s, for somebody else's node in the place of one of ours; a person may have to start it
+STARTS = 3  # of a node that is killed, or freezes, while it starts
 ANSWER_TIMEOUT = 3.0  # s, for a node to answer something harmless
 SILENCE = 1.0  # s, after which an experiment node that tells nothing of a trial is asked whether it is there
 ATTEMPTS = 2  # of a trial
@@ -84,6 +86,7 @@ class Graph:
             owner: [node.create_client(kind, name) for name, kind in services.items()]
             for owner, services in SERVICES.items()
         }
+        self.presence = Presence(node, NODES)
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
         self._revived: list[str] = []
@@ -127,7 +130,7 @@ class Graph:
             stack.callback(nodes.stop)
             for name in names:
                 nodes.start(name)
-            os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")  # this process talks to them
+            set_middleware(os.environ)  # this process talks to them
             context = Context()
             rclpy.init(
                 context=context, domain_id=int(os.environ.get("ROS_DOMAIN_ID") or 0) if domain_id is None else domain_id
@@ -153,23 +156,37 @@ class Graph:
     def wait_until_ready(self) -> None:
         """Wait until every node offers its services and actions, somebody else's too.
 
+        One of ours that is killed or freezes meanwhile is started again.
+
         Raises:
-            GraphError: A node ended, or does not come up.
+            GraphError: A node ended by itself, or does not come up.
         """
+        starts = dict.fromkeys(self.processes, 1)
         deadline = time.monotonic() + START_TIMEOUT
-        while missing := [name for name in SERVICES if name not in self.foreign and self._missing(name)]:
-            self._check_starting()
-            if time.monotonic() > deadline:
-                raise GraphError(f"node {', '.join(missing)} did not come up within {START_TIMEOUT:g} s")
-            self.spin(0.02)
+        while waiting := self._not_ready():
+            frozen = self.end_frozen()
+            late = time.monotonic() > deadline
+            if late:
+                self.nodes.kill(waiting)
+                deadline = time.monotonic() + START_TIMEOUT
+            for name, how in self.nodes.dead().items():
+                if not self.nodes.was_ended(name) or starts[name] == STARTS:
+                    raise GraphError(f"node {name} ended with {how} while starting: {self.nodes.last_words(name)}")
+                starts[name] += 1
+            self.revive([*frozen, waiting] if late else frozen)
         for name in self.foreign:
             self._await_foreign(name)
-        while self._revived:  # the middleware still knows the dead ones and takes their services for ready
-            self._check_starting()
-            if time.monotonic() > deadline:
-                raise GraphError(f"the {self._revived[-1]} node does not answer")
-            if self.answers(self._revived[-1]):
-                self._revived.pop()
+
+    def _not_ready(self) -> str:
+        """Name of a node of ours that does not offer its services yet; empty: all do."""
+        self.spin(0.02)
+        for name in SERVICES:
+            if name not in self.foreign and self._missing(name):
+                return name
+        # The middleware still knows the dead ones and takes their services for ready.
+        while self._revived and self.answers(self._revived[-1]):
+            self._revived.pop()
+        return self._revived[-1] if self._revived else ""
 
     def _await_foreign(self, name: str) -> None:
         """Wait for a node of somebody else, and say so."""
@@ -180,7 +197,8 @@ class Graph:
             if not told:
                 self._tell(f"waiting for a {name}: {what} {', '.join(missing)}; for {FOREIGN_TIMEOUT:g} s at most")
                 told = True
-            self._check_starting()
+            for dead, how in self.nodes.dead().items():
+                raise GraphError(f"node {dead} ended with {how}: {self.nodes.last_words(dead)}")
             if time.monotonic() > deadline:
                 raise GraphError(
                     f"no {name} came within {FOREIGN_TIMEOUT:g} s: nobody offers the {what} {', '.join(missing)} in "
@@ -201,19 +219,15 @@ class Graph:
         """Whether a node of ours does not run any more; of somebody else's nobody knows."""
         return name in self.processes and self.processes[name].poll() is not None
 
-    def _check_starting(self) -> None:
-        for name, how in self.nodes.dead().items():
-            raise GraphError(f"node {name} ended with {how} while starting: {self.nodes.last_words(name)}")
-
     def answers(self, name: str) -> bool:
         """Whether a node answers something harmless."""
         client = self.node.create_client(GetParameters, f"{name}/get_parameters")
         deadline = time.monotonic() + ANSWER_TIMEOUT
         try:
-            while time.monotonic() < deadline and not self._ended(name):
+            while time.monotonic() < deadline and self.is_there(name):
                 future = client.call_async(GetParameters.Request(names=["scenario"]))
                 attempt = time.monotonic() + 0.5  # a request into the discovery of a new client can be lost
-                while not future.done() and time.monotonic() < attempt:
+                while not future.done() and time.monotonic() < attempt and self.is_there(name):
                     self.spin(0.02)
                 if future.done():
                     return True
@@ -222,12 +236,23 @@ class Graph:
         finally:
             self.node.destroy_client(client)
 
+    def is_there(self, name: str) -> bool:
+        """Whether a node runs, and was not found frozen."""
+        return not self._ended(name) and not self.presence.gone(name)
+
+    def end_frozen(self) -> list[str]:
+        """End every node that runs and is frozen; returns their names."""
+        return self._end([name for name in self.presence.gone(*self.processes) if not self._ended(name)])
+
     def end_hung(self) -> list[str]:
-        """End every node that lives and does not answer; returns their names."""
-        hung = [name for name, process in self.processes.items() if process.poll() is None and not self.answers(name)]
-        for name in hung:
+        """End every node that runs and does not answer, frozen or not; returns their names."""
+        running = [name for name, process in self.processes.items() if process.poll() is None]
+        return self._end([name for name in running if not self.answers(name)])
+
+    def _end(self, names: list[str]) -> list[str]:
+        for name in names:
             self.nodes.kill(name)
-        return hung
+        return names
 
     def revive(self, hung: Sequence[str] = ()) -> list[str]:
         """Start the nodes again that have died, or ``hung``; returns a line about each."""
@@ -236,7 +261,9 @@ class Graph:
             what = "did not answer any more" if name in hung else f"died ({how})"
             lines.append(f"node {name} {what} and is started again: {self.nodes.last_words(name)}")
             self.nodes.start(name)
-            self._revived.append(name)
+            self.presence.forget(name)
+            if name not in self._revived:
+                self._revived.append(name)
         return lines
 
     def call_trial(self, goal: RunTrial.Goal, feedback: Any = None) -> RunTrial.Result:
@@ -299,6 +326,8 @@ class Graph:
             for name in watched:
                 if self._ended(name):
                     raise GraphError(f"node {name} died: {self.nodes.last_words(name)}")
+            if not self.is_there("experiment"):
+                raise NodeHangs("the experiment node froze")
             if deadline is not None and time.monotonic() > deadline:
                 raise GraphError(f"no answer within {timeout:g} s")
             if heard is not None and time.monotonic() > heard[0] + SILENCE:
@@ -372,7 +401,7 @@ def run_trial(
             outcome, message = result.outcome, result.message
         except GraphError as error:
             outcome, message = "ABORTED", str(error)
-        hung = graph.end_hung() if outcome == "ABORTED" else []
+        hung = graph.end_hung() if outcome == "ABORTED" else graph.end_frozen()
         revived = graph.revive(hung)
         ended += revived
         if revived:
@@ -419,7 +448,7 @@ def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (),
             which = known.name, next(iter(known.objects)), next(iter(known.cases))
             print(_instructions(names, *which, full_namespace(namespace)), flush=True)
             while not stopping:
-                for line in graph.revive():
+                for line in graph.revive(graph.end_frozen()):
                     print(line, file=sys.stderr, flush=True)
                 graph.spin(0.2)
             print("stopping the nodes", flush=True)

@@ -19,7 +19,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from impact_rs_ros import parameters
+from impact_rs_ros import parameters, presence
 from impact_rs_ros.qos import STREAM
 from impact_rs_ros.roots import below, scenario_below
 from impact_rs_sim.errors import InputError
@@ -46,6 +46,7 @@ class NodeProgram:
         parameters.declare(self.node, self.kind)
         self.executor = self.make_executor()
         self.executor.add_node(self.node)
+        self._alive = presence.announce(self.node)
         self._diagnostics = self.node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, STREAM)
         self._diagnosed = time.monotonic()
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.duration import Duration
+from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
 
 STREAM = QoSProfile(
     reliability=QoSReliabilityPolicy.RELIABLE,
@@ -54,3 +55,17 @@ LATCHED = QoSProfile(
     depth=1,
 )
 """What is said once per trial (``/trial_info``, ``/robot_description`` and the like): who comes late still hears it."""
+
+
+LEASE = 1.5  # s
+
+ALIVE = QoSProfile(
+    reliability=QoSReliabilityPolicy.RELIABLE,
+    durability=QoSDurabilityPolicy.VOLATILE,
+    history=QoSHistoryPolicy.KEEP_LAST,
+    depth=1,
+    liveliness=QoSLivelinessPolicy.AUTOMATIC,
+    liveliness_lease_duration=Duration(seconds=LEASE),
+)
+"""Of ``~/alive``, on both sides. Asserted by the middleware every two thirds of the lease; asserted by our own loops it
+would call a node dead that loads a scene."""

@@ -21,7 +21,8 @@ from std_msgs.msg import String
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.derived import DERIVED, DerivedMessages
 from impact_rs_ros.exchange import Inbox
-from impact_rs_ros.names import SHARED, on_network
+from impact_rs_ros.names import on_network
+from impact_rs_ros.presence import Presence
 from impact_rs_ros.process import HARDWARE, NodeProgram, run
 from impact_rs_ros.qos import RECORD
 from impact_rs_sim.errors import InputError, full_traceback
@@ -34,7 +35,7 @@ from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.writer import BagWriter, partial_path
 
 MATCHING = 2.0  # s, for publishers to be discovered; less than a caller waits for the answer before it asks again
-SILENCE = 3.0  # s, after which a trial of which nothing more comes is over, and nobody is left to say so
+SAVING = 0.2  # s, how much of a trial is lost when the recorder is killed
 UNAWAITED = (topics.TF, topics.DIAGNOSTICS, topics.TRUTH_MODEL)  # of these some messages are as good as all
 _HEADER_FIRST = 4  # byte of the stamp behind the CDR encapsulation
 _SEQUENCE_FIRST = 8  # the same with the length of a sequence before it
@@ -142,9 +143,11 @@ class RecorderNode(NodeProgram):
         self._inbox = Inbox(self.node, "inbox", RECORD, raw=True)
         self._open = ExitStack()  # the bag of the trial that is recorded
         self._recording: OpenTrial | None = None
+        self._configured: ConfigureTrial.Request | None = None  # the trial that is recorded
+        self._finished: FinishTrial.Response | None = None  # what was answered of the trial before
         self._messages = 0
-        self._finished: FinishTrial.Response | None = None  # of the last trial, for who did not get the answer in time
-        self._heard = 0.0  # when the last message of the trial came, on the monotonic clock [s]; 0: none did
+        self._saved = 0.0  # when the bag was put on the disk, on the monotonic clock [s]
+        self._presence = Presence(self.node, ["experiment"])
 
     def offer(self) -> None:
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
@@ -153,7 +156,7 @@ class RecorderNode(NodeProgram):
     def turn(self) -> None:
         self.executor.spin_once(timeout_sec=self.parameter("drain_period"))
         self._drain()
-        self._end_silent()
+        self._end_abandoned()
         self.diagnose()
 
     def status(self) -> tuple[str, dict[str, object]]:
@@ -209,9 +212,10 @@ class RecorderNode(NodeProgram):
             if topic == topics.DIAGNOSTICS and self._of_other_graph(data):
                 continue
             self._recording.store(topic, data)
-            if topic not in SHARED:  # of which other graphs tell as well, and nodes without a trial
-                self._heard = time.monotonic()
         self._messages = self._recording.counts.total()
+        if time.monotonic() > self._saved + SAVING:
+            self._recording.bag.save()
+            self._saved = time.monotonic()
 
     def _of_other_graph(self, data: bytes) -> bool:
         """Whether diagnostics are those of a node like ours in another namespace."""
@@ -220,21 +224,25 @@ class RecorderNode(NodeProgram):
             for status in deserialize_message(data, DiagnosticArray).status
         )
 
-    def _end_silent(self) -> None:
-        """Close the bag of a trial whose nodes are all gone."""
+    def _end_abandoned(self) -> None:
+        """Close the bag of a trial that nobody is left to finish."""
         recording = self._recording
-        if recording is not None and self._heard and time.monotonic() > self._heard + SILENCE:
+        if recording is not None and self._presence.gone("experiment"):
             self._abort()
             self.log.warning(
-                f"{recording.said('ABORTED')} {partial_path(recording.bag.path)}: nothing came for {SILENCE:g} s, and "
-                "nobody ended the trial: is the experiment node gone?"
+                f"{recording.said('ABORTED')} {partial_path(recording.bag.path)}: the experiment node was "
+                "killed or froze"
             )
 
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
+        recording = self._recording
+        if recording is not None and request == self._configured and not recording.counts.keys() - {topics.DIAGNOSTICS}:
+            response.success = True  # it is asked once more, because the answer takes long
+            return response
         self._abort()
-        self._finished = None
+        self._configured = self._finished = None
         try:
             info = TrialInfo.from_message(request.trial)
             plan = info.spec.plan if info.scenario_json else None
@@ -252,8 +260,9 @@ class RecorderNode(NodeProgram):
             own = {topics.ROBOT_DESCRIPTION: request.robot_description}
             for topic, urdf in (own if plan is None else descriptions(plan)).items():
                 bag.write_raw(topic, 0, serialize_message(String(data=urdf)))
+            bag.save()
             self._recording = OpenTrial(name, bag, self._arms, plan, tracked)
-            self._heard = 0.0
+            self._configured = request
         except InputError as error:
             self.log.error(f"trial refused: {error}")
             response.message = str(error)
@@ -271,7 +280,7 @@ class RecorderNode(NodeProgram):
         recording = self._recording
         if recording is None:
             response.message = "recorder: there is no bag to finish"
-            return self._finished or response
+            return self._finished or response  # who asks again has not heard the answer
         bag = recording.bag
         missing = self._complete(recording, dict(zip(request.topics, request.counts, strict=False)))
         if request.aborted or missing:

@@ -83,6 +83,8 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self.trial: AnyTrial | None = None
         self.running = False
         self._name = ""
+        self._configured: ConfigureTrial.Request | None = None  # the trial that runs
+        self._finished: FinishTrial.Response | None = None  # what was answered of the trial before
         self.inbox = Inbox(self.node, "inbox", AWAITED, raw=True)
         self.outbox = Outbox(self.node, STREAM)
 
@@ -101,6 +103,11 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     @abstractmethod
     def prepare(self, plan: TrialPlan, info: TrialInfo) -> AnyTrial:
         """A trial that can begin, as if there had been none before."""
+
+    def start(self) -> None:
+        super().start()
+        gc.collect()
+        gc.freeze()  # the collection before a trial looks at what is new, and no more
 
     def offer(self) -> None:
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
@@ -133,6 +140,10 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
+        if self.running and request == self._configured and not any(self.outbox.counts.values()):
+            response.success = True  # it is asked once more, because the answer takes long
+            return response
+        self._configured = self._finished = None
         try:
             if self.running:
                 self._leave()
@@ -151,9 +162,9 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             response.message = f"{self.kind}: {type(error).__name__}: {error}"
             return response
         self.running = True
+        self._configured = request
         self._name = f"{info.scenario}/{info.key.name}"
         gc.collect()
-        gc.freeze()  # the next trial's collection looks at what is new, and no more
         gc.disable()  # a collection takes longer than a tick
         self.log.debug(f"configured {self._name}, seed {info.seed}")
         response.success = True
@@ -162,7 +173,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
         if not self.running or self.trial is None:
             response.message = f"{self.kind}: there is no trial to finish"
-            return response
+            return self._finished or response  # who asks again has not heard the answer
         self.outbox.flush()
         self.diagnose(now=True)
         outcome, failure = self._leave(), self.trial.failure
@@ -178,6 +189,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             self.log.warning(f"{text}: {failure or request.reason}")
         else:
             self.log.info(text)
+        self._finished = response
         return response
 
     def _leave(self) -> str:

@@ -28,7 +28,8 @@ from impact_rs_ros import parameters
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.names import on_network
-from impact_rs_ros.qos import EVENT, LATCHED, WATCH
+from impact_rs_ros.presence import GRACE, Presence
+from impact_rs_ros.qos import EVENT, LATCHED, LEASE, WATCH
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
@@ -38,6 +39,8 @@ from impact_rs_trials.bags.trial_info import Outcome, TrialInfo, TrialKey
 from impact_rs_trials.bags.writer import partial_path
 
 ATTEMPT = 1.0  # s; a request into the discovery of a restarted node can be lost and is sent again
+LOOK = 0.1  # s, between two looks whether who is to answer is there
+MEMBERS = ("recorder", "controller", "plant")
 LAST_SAMPLE = 0.5  # s, how long the last controller state may take
 FINISH = 1.0  # s, how long plant or controller may take to leave a trial
 
@@ -94,9 +97,9 @@ class TrialSession:
         def client(kind: Any, name: str) -> Client:
             return node.create_client(kind, name, callback_group=group)
 
-        members = ("recorder", "controller", "plant")
-        self._configure = {name: client(ConfigureTrial, f"{name}/configure_trial") for name in members}
-        self._finish = {name: client(FinishTrial, f"{name}/finish_trial") for name in members}
+        self._presence = Presence(node, (*MEMBERS, "experiment"))
+        self._configure = {name: client(ConfigureTrial, f"{name}/configure_trial") for name in MEMBERS}
+        self._finish = {name: client(FinishTrial, f"{name}/finish_trial") for name in MEMBERS}
         self._run = client(Trigger, "plant/run_trial")
         self._trial_info = node.create_publisher(TrialInfoMessage, on_network(topics.TRIAL_INFO), LATCHED)
         self._descriptions: dict[str, Publisher] = {}  # by topic
@@ -153,10 +156,14 @@ class TrialSession:
             secret = replace(info, model_yaml=plant_model)
             if plant_model and not parameters.value(self._node, "hide_model"):
                 trial = maker.trial_info(secret)
+            self._check_alone(wait=True)
             self._configure_all(plan, trial, maker.trial_info(secret), path)
+            self._check_publishers()
             self._trial_info.publish(trial)
             self._describe(descriptions(plan))
             self._follow(progress, plan, feedback, cancelled)
+            self._check_alone(wait=True)
+            self._check_publishers()
         except (TrialError, InputError) as error:
             reason = str(error)
         return self._finish_all(progress, reason, path)
@@ -179,28 +186,30 @@ class TrialSession:
         Raises:
             TrialError: No answer.
         """
-        again = max(ATTEMPT, timeout / 4.0)
-        deadline = time.monotonic() + timeout
-        sent, answered = 0.0, threading.Event()
-        asked: list[Any] = []
+        began = time.monotonic()
+        deadline = began + timeout
+
+        def check() -> None:
+            if time.monotonic() > began + GRACE:  # one that was just started again is met late
+                self._check_present(name)
+
+        answered = threading.Event()
+        futures = []  # the answer to any attempt counts
         try:
-            while (now := time.monotonic()) < deadline:
-                if not asked or now > sent + again:
-                    if not client.service_is_ready():
-                        time.sleep(min(deadline - now, 0.01))
-                        continue
-                    asked.append(client.call_async(request))
-                    asked[-1].add_done_callback(lambda _: answered.set())
-                    sent = now
-                answered.wait(min(deadline, sent + again) - now)
-                answered.clear()
-                for future in asked:
-                    if future.done():
-                        answer = future.result()
-                        if future is asked[-1] or isinstance(request, FinishTrial.Request) or not answer.success:
-                            return answer
+            while (left := deadline - time.monotonic()) > 0.0:
+                check()
+                if not client.service_is_ready():
+                    time.sleep(min(left, 0.01))
+                    continue
+                futures.append(client.call_async(request))
+                futures[-1].add_done_callback(lambda _: answered.set())
+                attempt = time.monotonic() + min(left, max(ATTEMPT, timeout / 4.0))
+                while time.monotonic() < attempt:
+                    if answered.wait(LOOK):
+                        return next(future.result() for future in futures if future.done())
+                    check()
         finally:
-            for future in asked:
+            for future in futures:
                 client.remove_pending_request(future)
         service = self._node.resolve_service_name(client.srv_name)
         raise TrialError(f"{name} does not answer {service}; is the node running?")
@@ -222,6 +231,47 @@ class TrialSession:
         for thread in threads:
             thread.join()
         return answers, failures
+
+    def _check_present(self, *names: str) -> None:
+        """Nothing, where these nodes are there.
+
+        Raises:
+            TrialError: One of them was killed or froze.
+        """
+        if gone := self._presence.gone(*names):
+            raise TrialError(f"node {self._presence.full_name(gone[0])} was killed or froze")
+
+    def _check_alone(self, wait: bool = False) -> None:
+        """Nothing, where no node is there twice; whether one of two died shows after a moment.
+
+        Args:
+            wait: Wait for that moment; else only what is certain counts.
+
+        Raises:
+            TrialError: One is.
+        """
+        names = (*MEMBERS, "experiment")
+        deadline = time.monotonic() + LEASE + GRACE
+        while wait and self._presence.twice(*names) and time.monotonic() < deadline:
+            time.sleep(LOOK)
+        if twice := self._presence.twice(*names, settled=not wait):
+            raise TrialError(
+                f"node {self._presence.full_name(twice[0])} is there twice: stop one of them, or give one another "
+                "namespace or ROS_DOMAIN_ID"
+            )
+
+    def _check_publishers(self) -> None:
+        """Nothing, where measured states and torques come from one node each.
+
+        Raises:
+            TrialError: They do not.
+        """
+        for arm in self._arms:
+            for topic in (topics.joint_states(arm), topics.joint_command(arm)):
+                publishers = self._presence.publishers(on_network(topic))
+                if len(publishers) > 1:
+                    full = self._node.resolve_topic_name(on_network(topic))
+                    raise TrialError(f"{full} is published by {' and '.join(publishers)}: stop all but one")
 
     def _configure_all(self, plan: TrialPlan, trial: Any, secret: Any, path: Path) -> None:
         """Only the plant is told the ``secret`` variant of the trial, and where everything stands."""
@@ -267,6 +317,8 @@ class TrialSession:
             while not over.wait(period):
                 if cancelled():
                     raise TrialError("cancelled")
+                self._check_present(*MEMBERS)
+                self._check_alone()
                 before = progress.time
                 self._look(progress)
                 if progress.time != before and not math.isnan(progress.time):
@@ -307,7 +359,9 @@ class TrialSession:
     def _finish_all(self, progress: Progress, reason: str, path: Path) -> TrialResult:
         aborted = bool(reason)
         request = FinishTrial.Request(aborted=aborted, reason=reason)
-        calls = {name: (self._finish[name], request) for name in ("plant", "controller")}
+        calls = {
+            name: (self._finish[name], request) for name in ("plant", "controller") if not self._presence.gone(name)
+        }
         answers, failures = self._call_all(calls, FINISH)
         if not aborted:
             failures |= {name: answer.message for name, answer in answers.items() if not answer.success}
@@ -319,6 +373,7 @@ class TrialSession:
         # The recorder may wait for late messages; it is given the time to.
         patience = FINISH if reason else parameters.value(self._node, "finish_timeout")
         try:
+            self._check_present("recorder")
             closed = self._call("recorder", self._finish["recorder"], last, patience)
         except TrialError as error:
             return TrialResult("ABORTED", reason or str(error), partial_path(path), progress)

@@ -1,11 +1,12 @@
 """Starts the five nodes: ``ros2 launch impact_rs impact_rs.launch.py scenario:=push namespace:=cell_a``.
 
 ``without:=plant`` leaves one out, or several (``without:="plant controller"``), because you provide it yourself.
+One that dies is started again.
 """
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
@@ -16,6 +17,10 @@ def generate_launch_description() -> LaunchDescription:
     """Return the five nodes, or those that are wanted of them, all with the same parameter file and scenario."""
     return LaunchDescription(
         [
+            # The shared memory of Fast DDS stalls nodes when one of them is killed.
+            SetEnvironmentVariable(
+                "FASTDDS_BUILTIN_TRANSPORTS", EnvironmentVariable("FASTDDS_BUILTIN_TRANSPORTS", default_value="UDPv4")
+            ),
             DeclareLaunchArgument("scenario", default_value="push", description="Name or path of the scenario."),
             DeclareLaunchArgument("namespace", default_value="", description="Namespace of the nodes."),
             DeclareLaunchArgument(
@@ -48,6 +53,8 @@ def wanted_nodes(context: LaunchContext) -> list[Node]:
             name=node,
             namespace=LaunchConfiguration("namespace"),
             output="screen",
+            respawn=True,
+            respawn_delay=1.0,
             parameters=[LaunchConfiguration("params_file"), {"scenario": LaunchConfiguration("scenario")}],
         )
         for node in NODES

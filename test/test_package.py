@@ -138,3 +138,12 @@ def test_launch_files_compile() -> None:
     assert launch_files
     for path in launch_files:
         compile(path.read_text(), str(path), "exec")
+
+
+def test_launch_files_start_every_node_again_that_dies() -> None:
+    for path in (ROOT / "launch").glob("*.launch.py"):
+        calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+        nodes = [call for call in calls if isinstance(call.func, ast.Name) and call.func.id == "Node"]
+        assert nodes
+        for node in nodes:
+            assert ast.unparse(next(word.value for word in node.keywords if word.arg == "respawn")) == "True"

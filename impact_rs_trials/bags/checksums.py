@@ -26,9 +26,12 @@ NAME: Final = "checksums"
 KIND: Final = "crc32"  # how a bag says in its custom data that it was sealed
 METADATA = "metadata.yaml"
 MAGIC = b"\x89MCAP0\r\n"
-FOOTER, CHUNK, METADATA_RECORD, DATA_END = 0x02, 0x06, 0x0C, 0x0F
+FOOTER, CHANNEL, MESSAGE, CHUNK, METADATA_RECORD, DATA_END = 0x02, 0x04, 0x05, 0x06, 0x0C, 0x0F
+HEAD = 9  # bytes of a record before its content: its kind and size
+CHUNK_CHECKSUM = 24  # where it stands in the content of a chunk
 _SAID = f"{NAME}: {KIND}\n".encode()
-_U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
+_U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
+_MESSAGE_HEAD = struct.Struct("<HIQ")  # channel, sequence, time; the time of publication and the message follow
 
 
 class ChecksumError(Exception):
@@ -48,6 +51,8 @@ def seal(bag: Path) -> None:
     data = bytearray(path.read_bytes())
     with path.open("r+b") as file:
         for kind, start, _ in _records(data):  # in this order: the data's end covers the checksums of its chunks
+            if kind == CHUNK and _U32.unpack_from(data, start + CHUNK_CHECKSUM)[0]:
+                continue  # whoever wrote it wrote that, too
             for place, value in _checksum(data, kind, start):
                 _U32.pack_into(data, place, value)
                 file.seek(place)
@@ -100,6 +105,33 @@ def unsealed_words(count: int) -> str:
     )
 
 
+def whole_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
+    """Topic, time [ns] and bytes of each message of an MCAP file that was perhaps never closed.
+
+    They end with the first chunk that is not all there, or whose checksum is not its own.
+
+    Raises:
+        OSError: The file cannot be read.
+    """
+    data = path.read_bytes()
+    names: dict[int, str] = {}
+    try:
+        for kind, start, end in _contents(data, len(MAGIC), len(data)):
+            if kind != CHUNK:
+                continue
+            chunk = _unpacked(data, start)
+            if end > len(data) or _U32.unpack_from(data, start + CHUNK_CHECKSUM)[0] != crc32(chunk):
+                return
+            for inner, at, behind in _contents(chunk, 0, len(chunk)):
+                if inner == CHANNEL:
+                    names[_U16.unpack_from(chunk, at)[0]] = _text(memoryview(chunk), at + 4)[0].decode()
+                elif inner == MESSAGE:
+                    channel, _, nanoseconds = _MESSAGE_HEAD.unpack_from(chunk, at)
+                    yield names[channel], nanoseconds, chunk[at + 22 : behind]
+    except Exception:  # what breaks off or is damaged can fail anywhere inside the library
+        return
+
+
 def _check_file(data: bytes, sealed: bool) -> None:
     kinds = set()
     for kind, start, _ in _records(data):
@@ -124,10 +156,14 @@ def _records(data: bytes | bytearray) -> Iterator[tuple[int, int, int]]:
     end = len(data) - len(MAGIC)
     if not (data.startswith(MAGIC) and data.endswith(MAGIC)):
         raise ValueError("no MCAP")
-    at = len(MAGIC)
+    yield from _contents(data, len(MAGIC), end)
+
+
+def _contents(data: bytes | bytearray, at: int, end: int) -> Iterator[tuple[int, int, int]]:
+    """The same of the records between two places."""
     while at < end:
         kind, (size,) = data[at], _U64.unpack_from(data, at + 1)
-        at += 9
+        at += HEAD
         yield kind, at, at + size
         at += size
     if at != end:
@@ -138,16 +174,21 @@ def _checksum(data: bytes | bytearray, kind: int, start: int) -> Iterator[tuple[
     """Where the checksum of a record stands, and what it is to be; nothing for a record that has none."""
     view = memoryview(data)
     if kind == CHUNK:
-        size = _U64.unpack_from(data, start + 16)[0]
-        name, packed = _text(view, start + 28)
-        length = _U64.unpack_from(data, packed)[0]
-        raw = decompress(bytes(view[packed + 8 : packed + 8 + length]), name.decode(), size, 0)
-        yield start + 24, crc32(raw)
+        yield start + CHUNK_CHECKSUM, crc32(_unpacked(data, start))
     elif kind == DATA_END:
         yield start, crc32(view[: start - 9])
     elif kind == FOOTER:
         summary = _U64.unpack_from(data, start)[0]
         yield start + 16, crc32(view[summary : start + 16])
+
+
+def _unpacked(data: bytes | bytearray, start: int) -> bytes:
+    """The records in a chunk."""
+    view = memoryview(data)
+    (size,) = _U64.unpack_from(data, start + 16)
+    name, packed = _text(view, start + 28)
+    (length,) = _U64.unpack_from(data, packed)
+    return decompress(bytes(view[packed + 8 : packed + 8 + length]), name.decode(), size, 0)
 
 
 def _metadata(data: bytes | bytearray) -> bytes:

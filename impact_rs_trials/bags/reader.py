@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,6 +18,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import checksums, topics
 from impact_rs_trials.bags.cdr import decode
+from impact_rs_trials.bags.recovery import recover
 from impact_rs_trials.bags.trial_info import OUTCOMES, TrialInfo
 from impact_rs_trials.bags.types import typestore
 
@@ -147,11 +149,13 @@ class TrialBag:
 
     @classmethod
     def open(cls, path: Path) -> TrialBag:
-        """The trial in a folder.
+        """The trial in a folder; of one that was cut off, ``ABORTED``, what had reached the disk.
 
         Raises:
             BagError: The folder is no readable bag, or holds no ``/trial_info``.
         """
+        if path.is_dir() and any(path.glob("*.mcap")) and not (path / checksums.METADATA).exists():
+            return cls._recovered(path)
         with ExitStack() as opened:
             try:
                 if not path.is_dir():
@@ -172,6 +176,19 @@ class TrialBag:
             except Exception as error:  # a damaged file can fail anywhere inside the library
                 raise BagError(path, f"damaged bag ({type(error).__name__}: {error})") from None
             opened.pop_all()
+        return bag
+
+    @classmethod
+    def _recovered(cls, path: Path) -> TrialBag:
+        with TemporaryDirectory() as folder:  # the open file outlives it
+            try:
+                left = recover(path, Path(folder) / path.name)
+            except Exception as error:  # a damaged message can fail anywhere
+                raise BagError(path, f"the recording was cut off ({type(error).__name__}: {error})") from None
+            if not left:
+                raise BagError(path, "no metadata.yaml: the recording was cut off, and nothing of it is left")
+            bag = cls.open(Path(folder) / path.name)
+        bag.path = path
         return bag
 
     @property

@@ -1,4 +1,8 @@
-"""Writing a trial: mcap by ``rosbags``, into a hidden folder that gets its name when the trial is complete."""
+"""Writing a trial: mcap by ``rosbags``, into a hidden folder that gets its name when the trial is complete.
+
+MCAP keeps messages in chunks. Each goes to the disk with its checksum as soon as it is full, or when the writer is told
+to: whatever becomes of the process, :mod:`~impact_rs_trials.bags.recovery` reads the bag up to there.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +12,11 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
+from zlib import crc32
 
 from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.typesys.store import Typestore
 
 from impact_rs_sim.errors import InputError
@@ -38,6 +44,23 @@ def _latched() -> Qos:
         liveliness_lease_duration=infinite,
         avoid_ros_namespace_conventions=False,
     )
+
+
+class _Storage(McapWriter):
+    """An MCAP file whose chunks can be read, and checked, before it is closed."""
+
+    def close_chunk(self) -> None:
+        start, content = self.bio.tell(), self.chunk.bio.getbuffer()
+        super().close_chunk()
+        end = self.bio.tell()
+        self.bio.seek(start + checksums.HEAD + checksums.CHUNK_CHECKSUM)
+        self.bio.write(crc32(content).to_bytes(4, "little"))
+        self.bio.seek(end)
+        self.bio.flush()
+
+
+class _Writer(Writer):
+    STORAGE_PLUGINS = Writer.STORAGE_PLUGINS | {StoragePlugin.MCAP: _Storage}  # type: ignore[operator]
 
 
 def partial_path(path: Path) -> Path:
@@ -90,7 +113,7 @@ class BagWriter:
         shutil.rmtree(hidden, ignore_errors=True)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            writer = Writer(hidden, version=9, storage_plugin=StoragePlugin.MCAP)
+            writer = _Writer(hidden, version=9, storage_plugin=StoragePlugin.MCAP)
             writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             writer.open()
         except OSError as error:
@@ -129,6 +152,13 @@ class BagWriter:
         self._writer.write(self._connections[topic], nanoseconds, data)
         self._present.add(topic)
         self.messages += 1
+
+    def save(self) -> None:
+        """Put everything that has been written on the disk, where it can be read although the bag is never closed."""
+        self._flush()
+        storage = self._writer.storage
+        if isinstance(storage, _Storage) and storage.chunk.msgs:
+            storage.close_chunk()
 
     def _flush(self) -> None:
         """Serialize what is pending, topic by topic, and write it in the order it came."""

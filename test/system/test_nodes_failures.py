@@ -12,11 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
 from action_msgs.msg import GoalStatus
 from impact_rs.action import RunCampaign, RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from sensor_msgs.msg import JointState
 
 from impact_rs_ros.graph import Graph, GraphError, run_trial, run_trials_through_nodes
 from impact_rs_ros.node_processes import NODES
@@ -83,6 +85,72 @@ def test_a_node_killed_in_mid_trial_ends_the_trial_and_not_the_campaign(
     assert (report.outcome, report.message) == ("OK", "")
 
 
+def test_a_frozen_recorder_ends_the_trial_with_its_name_and_what_it_wrote_is_read(graph: Graph, tmp_path: Path) -> None:
+    def stop(message: RunTrial.Impl.FeedbackMessage) -> None:
+        if message.feedback.time > 0.5:
+            graph.processes["recorder"].send_signal(signal.SIGSTOP)
+
+    result = graph.call_trial(goal(tmp_path), stop)
+    assert (result.success, result.outcome) == (False, "ABORTED")
+    assert result.message == "node /recorder was killed or froze"
+    bag = TrialBag.open(Path(result.bag_path))
+    assert bag.outcome == "ABORTED"
+    assert "cut off at t = " in bag.reason
+    assert bag.counts[topics.joint_states("arm")] > 200
+    spin_until(graph, lambda: bool(graph.presence.gone("recorder")), "the runner notices nothing")
+    assert graph.end_frozen() == ["recorder"]
+    assert graph.revive(["recorder"])[0].startswith("node recorder did not answer any more")
+    graph.wait_until_ready()
+    assert graph.call_trial(goal(tmp_path)).outcome == "OK"
+
+
+@pytest.mark.parametrize("name", ["plant", "controller", "recorder"])
+def test_a_node_that_is_there_twice_is_named_and_no_trial_runs(graph: Graph, tmp_path: Path, name: str) -> None:
+    environment = graph.nodes.environment
+    command = [sys.executable, "-m", f"impact_rs_ros.{name}_node"]
+    with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT) as second:
+        try:
+            spin_until(graph, lambda: graph.presence.twice(name) == [name], "the second one is not met")
+            result = graph.call_trial(goal(tmp_path))
+        finally:
+            second.kill()
+    assert (result.success, result.outcome) == (False, "ABORTED")
+    assert f"node /{name} is there twice" in result.message
+    assert not [path for path in tmp_path.iterdir() if path.name[0] != "."]
+    assert graph.call_trial(goal(tmp_path)).outcome == "OK"
+
+
+def test_a_second_publisher_of_torques_is_named_and_the_trial_is_aborted(graph: Graph, tmp_path: Path) -> None:
+    stranger = rclpy.create_node("stranger", namespace="cell", context=graph.node.context)
+    try:
+        stranger.create_publisher(JointState, topics.joint_command("arm"), 10)
+        result = graph.call_trial(goal(tmp_path))
+    finally:
+        stranger.destroy_node()
+    assert (result.success, result.outcome) == (False, "ABORTED")
+    assert "/arm/joint_command is published by /cell/stranger and /controller" in result.message
+    spin_until(graph, lambda: len(graph.presence.publishers(topics.joint_command("arm"))) == 1, "it does not leave")
+    assert graph.call_trial(goal(tmp_path)).outcome == "OK"
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_a_node_that_is_killed_while_it_starts_is_started_again(graph: Graph, name: str) -> None:
+    graph.nodes.kill(name)
+    graph.revive()
+    graph.nodes.kill(name)
+    graph.wait_until_ready()
+    assert graph.processes[name].poll() is None
+    assert graph.answers(name)
+
+
+def test_a_node_that_cannot_start_ends_the_waiting(domain_ids: Callable[[], int], tmp_path: Path) -> None:
+    parameters = tmp_path / "wrong.yaml"
+    parameters.write_text("/impact_map:\n  ros__parameters:\n    engine: steam\n")
+    refused = pytest.raises(GraphError, match="impact_map ended with exit code 2.*engine")
+    with refused, Graph.running("push", domain_ids(), parameters):
+        pass
+
+
 @pytest.mark.parametrize("victim", ["recorder", "experiment"])
 def test_without_recorder_or_experiment_a_trial_fails_and_the_next_one_runs(
     graph: Graph, tmp_path: Path, victim: str
@@ -96,6 +164,9 @@ def test_without_recorder_or_experiment_a_trial_fails_and_the_next_one_runs(
 
     with pytest.raises(GraphError, match=f"node {victim} died"):
         graph.call_trial(goal(tmp_path), kill)
+    (path,) = tmp_path.glob(".partial/*")
+    assert TrialBag.open(path).outcome == "ABORTED"
+    assert TrialBag.open(path).counts[topics.joint_states("arm")] > 100
     (line,) = graph.revive()
     assert victim in line and "SIGKILL" in line
     graph.wait_until_ready()
@@ -327,8 +398,17 @@ def test_the_recorder_says_what_is_missing(graph: Graph, tmp_path: Path) -> None
     ready = configure.call_async(request)
     spin_until(graph, ready.done, "no answer")
     assert ready.result().success, ready.result().message
+    (file,) = (tmp_path / ".partial" / "bag").iterdir()
+    inode = file.stat().st_ino
+    again = configure.call_async(request)  # because the answer took long
+    spin_until(graph, again.done, "no answer")
+    assert again.result().success
+    assert file.stat().st_ino == inode
     done = finish.call_async(FinishTrial.Request(topics=["/arm/joint_states"], counts=[5]))
     spin_until(graph, done.done, "no answer")
+    again = finish.call_async(FinishTrial.Request())  # whose first answer got lost
+    spin_until(graph, again.done, "no answer")
+    assert again.result() == done.result()
     assert not done.result().success
     assert done.result().outcome == "ABORTED"
     assert "/arm/joint_states 0 of 5" in done.result().message

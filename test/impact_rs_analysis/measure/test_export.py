@@ -33,9 +33,12 @@ def campaign(push_campaign: Path, tmp_path: Path) -> Path:
 def test_parquet_has_a_row_per_trial(campaign: Path, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     found = export(campaign, tmp_path / "new" / "push.parquet", map, ignored)
-    assert (found.trials, [bag.name for bag in found.skipped]) == (3, ["cut_off"])
+    assert (found.trials, found.skipped) == (4, ())
     rows = {row["trial"]: row for row in parquet.read_table(tmp_path / "new" / "push.parquet").to_pylist()}
-    assert len(rows) == 3
+    assert len(rows) == 4
+    cut = rows["cut_off"]
+    assert (cut["outcome"], cut["impact"], cut["net_feedback_m_s"]) == ("ABORTED", None, None)
+    assert "cut off at t = 1.800 s" in cut["remark"]
     bag, row = TrialBag.open(campaign / NAME), rows[NAME]
     assert (row["scenario"], row["object"], row["case"], row["repeat"]) == ("push", "cat_food", "case_2", 0)
     assert (row["seed"], row["outcome"], row["impact"]) == (bag.info.seed, "OK", True)
@@ -47,10 +50,11 @@ def test_parquet_has_a_row_per_trial(campaign: Path, tmp_path: Path) -> None:
 
 def test_hdf5_has_every_measured_signal_with_its_unit(campaign: Path, tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
-    assert export(campaign, tmp_path / "push.h5", map, ignored).trials == 3
+    assert export(campaign, tmp_path / "push.h5", map, ignored).trials == 4
     bag = TrialBag.open(campaign / NAME)
     with h5py.File(tmp_path / "push.h5") as file:
-        assert len(file) == 3
+        assert len(file) == 4
+        assert file["cut_off"].attrs["outcome"] == "ABORTED"
         trial = file[NAME]
         assert trial.attrs["outcome"] == "OK"
         assert trial.attrs["seed"] == bag.info.seed

@@ -1,0 +1,88 @@
+"""Who is there: a node that is killed or frozen is noticed within 3 s, and one that is there twice as well.
+
+Every node has a publisher on ``~/alive`` that never publishes anything. The middleware of its process asserts that
+publisher's *liveliness* from a thread of its own, so that long work in Python raises no alarm, and tells whoever
+subscribes when that has not come for a lease. What lives and hangs in our own code is noticed by those who wait for it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from functools import partial
+
+from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from std_msgs.msg import Empty
+
+from impact_rs_ros.qos import ALIVE, LEASE
+
+GRACE = 1.0  # s; a lease can lapse and be renewed at once when another publisher of the same topic leaves
+
+
+def announce(node: Node) -> Publisher:
+    """Let others know that a node is there, for as long as its process runs."""
+    return node.create_publisher(Empty, "~/alive", ALIVE)
+
+
+class Presence:
+    """Which nodes are there, as one node sees it.
+
+    Args:
+        node: Who wants to know; its executor brings the news.
+        names: Names of nodes, relative to its namespace.
+    """
+
+    def __init__(self, node: Node, names: Iterable[str]) -> None:
+        self._node = node
+        self._alive = dict.fromkeys(names, 0)
+        self._since = dict.fromkeys(self._alive, -float("inf"))  # when that changed last, on the monotonic clock [s]
+        self._known: set[str] = set()  # names of those that were there once
+        for name in self._alive:
+            node.create_subscription(
+                Empty,
+                f"{name}/alive",
+                lambda _: None,
+                ALIVE,
+                event_callbacks=SubscriptionEventCallbacks(liveliness=partial(self._changed, name)),
+            )
+
+    def _changed(self, name: str, event: QoSLivelinessChangedInfo) -> None:
+        if event.alive_count:
+            self._known.add(name)
+        if event.alive_count != self._alive[name]:
+            self._alive[name] = event.alive_count
+            self._since[name] = time.monotonic()
+
+    def forget(self, name: str) -> None:
+        """Begin anew with a node that is started again: until it was there, it is not gone."""
+        self._known.discard(name)
+
+    def alive(self, name: str) -> bool:
+        """Whether a node is there."""
+        return self._alive[name] > 0
+
+    def gone(self, *names: str) -> list[str]:
+        """Those of these nodes that were there, and are not any more."""
+        latest = time.monotonic() - GRACE
+        return [name for name in names if name in self._known and not self._alive[name] and self._since[name] < latest]
+
+    def twice(self, *names: str, settled: bool = False) -> list[str]:
+        """Those of these nodes that are there more than once.
+
+        Args:
+            names: Of the nodes.
+            settled: Only those of which none can be the remembrance of one that died.
+        """
+        latest = time.monotonic() - (LEASE + GRACE if settled else 0.0)
+        return [name for name in names if self._alive[name] > 1 and self._since[name] <= latest]
+
+    def full_name(self, name: str) -> str:
+        """Name of a node with its namespace, as remapped."""
+        return self._node.resolve_topic_name(f"{name}/alive").removesuffix("/alive")
+
+    def publishers(self, topic: str) -> list[str]:
+        """Names, with namespace, of the nodes that publish a topic; one that died is among them for 20 s."""
+        found = self._node.get_publishers_info_by_topic(topic)
+        return sorted({f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in found if one.node_name[0] != "_"})

@@ -1,0 +1,42 @@
+"""Bags that nobody closed, because who wrote them was killed or frozen: what had reached the disk is read.
+
+The chunks of such a file are whole up to the last one, and say so by their checksums; behind them index, summary and
+``metadata.yaml`` are missing. What they hold is written once more as a bag that was ``ABORTED``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from impact_rs_trials.bags import checksums, topics
+from impact_rs_trials.bags.trial_info import TrialInfo
+from impact_rs_trials.bags.types import typestore
+from impact_rs_trials.bags.writer import BagWriter
+
+
+def recover(cut: Path, whole: Path) -> bool:
+    """Write what is left of a trial that was cut off as a bag of its own, which says until when it was recorded.
+
+    Args:
+        cut: Folder of the bag that was cut off; it stays as it is.
+        whole: Folder of the new bag; must not exist yet.
+
+    Returns:
+        Whether there is anything left: who wrote the bag must have come as far as saying which trial it is.
+
+    Raises:
+        InputError: The new bag cannot be written.
+        OSError: One of them cannot be read or written.
+    """
+    messages = [message for path in sorted(cut.glob("*.mcap")) for message in checksums.whole_messages(path)]
+    told = next((data for topic, _, data in messages if topic == topics.TRIAL_INFO), None)
+    if told is None:
+        return False
+    info = TrialInfo.from_message(typestore().deserialize_cdr(told, topics.TRIAL_INFO_TYPE))
+    with BagWriter.create(whole, list(info.robots)) as bag:
+        bag.describe(info)
+        for topic, nanoseconds, data in messages:
+            bag.write_raw(topic, nanoseconds, data)
+        last = max(nanoseconds for _, nanoseconds, _ in messages)
+        bag.finish("ABORTED", f"the recording was cut off at t = {1e-9 * last:.3f} s: the recorder was killed or froze")
+    return True
