@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Memory of each node over many trials: ``./run python -m benchmarks.nodes_memory [--trials 300] [--every 25]``.
 
 The trials are free motions of the scenario ``excite``. Resident memory of every node is printed now and then, and at

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draw the robot of a bag at one moment, from its URDFs and /tf alone, as a viewer does.
 
 Shows what /robot_description and /object/robot_description hold, and how /tf places it: every shape hangs on a link,

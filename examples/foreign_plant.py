@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A node in the plant's place: another simulator, in plain rclpy and Pinocchio, runs trials with our four other nodes.
 
 Shows all that such a node has to do (docs/foreign_plant.md): three services, joint states out, torques in, in lockstep.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``/tf`` and ``/clock`` for the bag, worked out from what was measured.
 
 Several graphs share these topics, nobody can publish the first where ``tf2_msgs`` is not installed (it is not on PyPI),

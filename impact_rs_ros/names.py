@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a graph of nodes is called on the network, so that several run side by side in namespaces of their own.
 
 In the program and in bags a topic has the name that it has in the root namespace (``/arm/joint_states``). On the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Who is there: a node that is killed or frozen is noticed within 3 s, and one that is there twice as well.
 
 Every node has a publisher on ``~/alive`` that never publishes anything. The middleware of its process asserts that

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags that nobody closed, because who wrote them was killed or frozen: what had reached the disk is read.
 
 The chunks of such a file are whole up to the last one, and say so by their checksums; behind them index, summary and

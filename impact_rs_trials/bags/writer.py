@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writing a trial: mcap by ``rosbags``, into a hidden folder that gets its name when the trial is complete.
 
 MCAP keeps messages in chunks. Each goes to the disk with its checksum as soon as it is full, or when the writer is told

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A node says what it does, in the lines of ``docs/logs.md``: that it is ready, how a trial ended, what is wrong."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names on the network: relative to the namespace of the graph, but for what all of ROS agrees on."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A process that is killed or frozen is not there any more, and one that was never there is not missed."""
 
 from __future__ import annotations

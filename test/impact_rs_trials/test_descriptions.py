@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The URDFs of a bag are kinematic: joints move them as /tf says, under the names of /ARM/joint_states."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bag that nobody closed is read up to where it was cut off, and never as a success."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A node of somebody else in the plant's place: waited for, told what is wrong with it, and good for whole trials."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The package lies where ``ros2 run``, ``ros2 launch`` and ``pip uninstall`` look for it."""
 
 import importlib.metadata

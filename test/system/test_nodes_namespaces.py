@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two graphs in two namespaces of one domain run at the same time, and neither sees anything of the other."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The shipped layouts of RViz, Foxglove and PlotJuggler name nothing that a bag of `push` does not have.
 
 None of the three can be installed here; what they do with a layout is not tested.

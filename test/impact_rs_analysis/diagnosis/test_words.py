@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How numbers of a diagnosis are told."""
 
 from __future__ import annotations
