@@ -1,10 +1,13 @@
-"""Conventions of the package: one version, executables that lead somewhere, documented fields."""
+"""Conventions of the package: one version, one licence, executables that lead somewhere, documented fields."""
 
 import ast
+import importlib.metadata
 import os
 import re
+import sys
 import tomllib
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from catkin_pkg.package import parse_package
@@ -23,6 +26,18 @@ PACKAGES = (
     "impact_rs_sim",
     "impact_rs_trials",
 )
+FOLDERS = (*PACKAGES, ".ci", "benchmarks", "cmake", "config", "examples", "launch", "scripts", "test")
+FILES = sorted(
+    [path for path in ROOT.iterdir() if path.is_file()]
+    + [path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.is_file()]
+)
+SOURCES = [
+    path
+    for path in FILES
+    if path.suffix in (".py", ".cmake", ".sh", ".j2")
+    or path.name in ("run", "CMakeLists.txt")
+    or path.parent.name == "scripts"
+]
 PHYSICAL = ("float64", "uint8", "uint32", "uint64", "bool", "geometry_msgs/")
 
 
@@ -96,3 +111,55 @@ def test_launch_files_compile() -> None:
     assert launch_files
     for path in launch_files:
         compile(path.read_text(), str(path), "exec")
+
+
+def test_every_source_file_begins_with_the_licence() -> None:
+    """In its first line, or behind the ``#!`` of an executable."""
+    line = f"SPDX-License-Identifier: {pyproject()['project']['license']}"
+    bare = []
+    for path in SOURCES:
+        head = path.read_text(encoding="utf-8").splitlines()[:2]
+        first = head[1:] if head and head[0].startswith("#!") else head[:1]
+        if first not in ([f"# {line}"], [f"{{# {line} -#}}"]):
+            bare.append(path.relative_to(ROOT).as_posix())
+    assert not bare
+
+
+def requirements(name: str) -> list[str]:
+    lines = (ROOT / name).read_text().splitlines()
+    return [line for line in lines if line and not line.startswith(("#", "-r "))]
+
+
+def test_the_requirements_of_a_workspace_are_those_of_pip_without_the_wheels_of_ros() -> None:
+    project = pyproject()["project"]
+    extras = project["optional-dependencies"]
+    assert requirements("requirements.txt") == [d for d in project["dependencies"] if not d.startswith("ros-")]
+    tests = [*extras["export"], *(d for d in extras["test"] if not d.startswith("impact-rs"))]
+    assert requirements("requirements-test.txt") == tests
+
+
+def test_all_that_is_imported_is_required_of_pip_or_of_ros() -> None:
+    """Nothing is left to what a system happens to have; rosdep installs what is of ROS, pip what is not."""
+    ros = {depend.name for depend in parse_package(ROOT / "package.xml").exec_depends}
+    assert not [name for name in ros if name.startswith("python3-")]
+    required = {re.split(r"[^\w.-]", line)[0].lower() for line in requirements("requirements.txt")}
+    required |= {re.split(r"[^\w.-]", line)[0] for line in pyproject()["project"]["optional-dependencies"]["export"]}
+    required |= {"annotated-types", "markupsafe"}  # of pydantic and of Jinja2
+    inside_pin = {"coal": "pin", "pinocchio": "pin", "proxsuite": "proxsuite"}  # in a prefix of their own
+    distributions = importlib.metadata.packages_distributions()
+    for name in imported():
+        found = {inside_pin.get(name, ""), *(one.lower() for one in distributions.get(name, []))}
+        assert name in ros or found & required, name
+
+
+def imported() -> set[str]:
+    modules = [path for path in SOURCES if path.relative_to(ROOT).parts[0] in PACKAGES and path.suffix == ".py"]
+    nodes = [node for path in modules for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+    names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    names |= {str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)}
+    return {name.split(".")[0] for name in names} - {*sys.stdlib_module_names, *PACKAGES, "impact_rs"}
+
+
+@pytest.mark.parametrize("path", [p for p in FILES if p.suffix == ".xml"], ids=lambda path: path.name)
+def test_xml_is_well_formed(path: Path) -> None:
+    ElementTree.parse(path)
