@@ -1,9 +1,11 @@
 """Conventions of the package: one version, one licence, executables that lead somewhere, documented fields."""
 
 import ast
+import contextlib
 import importlib.metadata
 import os
 import re
+import runpy
 import sys
 import tomllib
 from pathlib import Path
@@ -83,6 +85,21 @@ def test_a_script_is_executable_and_leads_to_a_module_with_main(script: Path) ->
     assert module.is_file()
     tree = ast.parse(module.read_text())
     assert any(isinstance(n, ast.FunctionDef) and n.name == "main" for n in tree.body)
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_a_script_does_nothing_in_a_worker_process_which_imports_it(
+    script: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The processes of a campaign import the program that started them under another name."""
+    module = re.findall(r"^from (\S+) import main$", script.read_text(), re.MULTILINE)[0]
+    started: list[str] = []
+    monkeypatch.setattr(f"{module}.main", lambda: started.append(module))
+    runpy.run_path(str(script), run_name="__mp_main__")
+    assert not started
+    with contextlib.suppress(SystemExit):
+        runpy.run_path(str(script), run_name="__main__")
+    assert started == [module]
 
 
 def test_every_script_and_interface_is_built() -> None:
