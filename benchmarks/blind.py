@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scoreboard of the diagnosis on hidden effects: ``./run python benchmarks/blind.py -o DIR [--size small]``.
 
 The matrix: every effect of the library at three magnitudes, pairs, nulls and effects outside the library, several seeds

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Are p values what they say? ``./run python benchmarks/calibration.py --draws 2000 -o docs/calibration_table.md``.
 
 Nothing is hidden: residuals are normal noise with the covariance of features along a trial, in which few directions

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time of a trial, its bag, a campaign and its analysis: ``./run python benchmarks/campaign.py [trials] [jobs]``.
 
 Prints one JSON document. CPU seconds tell the work, wall seconds what a user waits; on a busy machine they differ.

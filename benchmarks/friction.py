@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What friction compensation is worth: ``./run python benchmarks/friction.py [--objects NAME ...] [--trials N]``.
 
 The same trials three times: a plant without joint friction, one with the robot's identified friction, and that one with

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The two impact-map engines side by side: agreement over random problems, and time per warm call.
 
 python benchmarks/impact_map.py [--robot franka_fr3] [--problems 300] [--calls 200] [--seed 0]

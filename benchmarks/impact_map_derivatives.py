@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Derivatives of the impact map in closed form against central differences of the map itself, over random problems.
 
     python benchmarks/impact_map_derivatives.py [--problems 500] [--seed 0] [--compliance 1e-5]

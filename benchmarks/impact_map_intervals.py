@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How often the truth lies inside the told interval, with the truth drawn from the stated uncertainties.
 
     python benchmarks/impact_map_intervals.py [--truths 200] [--draws 200]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The told spread of u^+ against brute force: projected Gauss-Seidel from many starts, over random problems.
 
     python benchmarks/impact_map_uniqueness.py [--problems 200] [--starts 12] [--sweeps 5000]

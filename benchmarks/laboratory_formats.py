@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One laboratory campaign as bags, as CSV and as Parquet: the diagnosis must not depend on the kind of file.
 
     ./run python benchmarks/laboratory_formats.py FOLDER_OF_BAGS -o DIR [--formats bags csv parquet] [--jobs 2]

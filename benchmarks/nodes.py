@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A trial through the nodes: time per tick and real-time factor, beside a bare rclpy ping-pong.
 
     python benchmarks/nodes.py [--trials 5] [--domain 77]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The impact map beside MuJoCo and Drake: time per call, and distance from the exact solution.
 
     ./run python benchmarks/peers_impact_map.py [--calls 100] [--scenes corner push]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The controller's quadratic programs beside quadprog, daqp, piqp and osqp.
 
     ./run python benchmarks/peers_qp.py [--tighten 0.95] [--every 1]

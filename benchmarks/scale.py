@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trials per second against workers and size of the campaign: ``./run python benchmarks/scale.py [--sizes 10 20 40]``.
 
 Prints a table, and what a million trials would take. Starting the workers is measured apart: it is paid once.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cost against size, with its log-log slope (1: in proportion): ``./run python benchmarks/size.py [--repeats 3]``.
 
 Arms: ``push`` has one and ``grab`` two; a control tick, a plant step and an impact map serve all of them. Contact

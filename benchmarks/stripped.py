@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Blind campaigns with everything taken away that another laboratory would not have, diagnosed once more.
 
     ./run python benchmarks/stripped.py BOARD -o DIR [--only NAME ...] [--jobs 2]

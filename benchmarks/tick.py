@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time of one control tick and of its parts, along a trial: ``./run python benchmarks/tick.py [trials]``."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Makes the ROS 2 wheels of a pip or uv build environment usable as a CMake prefix.
 #
 # 1. The wheels unpack into the environment's own lib/ and share/; that prefix is found from where

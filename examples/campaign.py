@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run a small campaign and read off the post-impact velocity that the robot itself prefers.
 
 Shows a manifest, how its trials are run, and the analysis: net feedback over the post-impact reference is a line, and

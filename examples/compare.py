@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hold a model against measured trials, and see where it fails.
 
 Shows trials as a source of evidence, and the comparison document. Prints the score of the model, 1.0 being what

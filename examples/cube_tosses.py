@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Turn the cube tosses of ContactNets into a table of impacts, one row per toss.
 
     git clone https://github.com/DAIRLab/contact-nets

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hide a physical effect in the robot, and let the diagnosis find it.
 
 Shows how trials of another plant are recorded, and the diagnosis of what the nominal model lacks. The support is 1.6

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Make a folder of bags as a laboratory with topics, names and clocks of its own records them.
 
 Shows a trial tick by tick, messages of other kinds than ours, and the experiment file that tells what they are: joints

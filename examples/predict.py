@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Predict the velocity jump of a push for three beliefs about the motor inertia.
 
 Shows a trial specification, the scene that follows from it, and the impact map. Prints one line for each motor-inertia

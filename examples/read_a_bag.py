@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read one trial back from its bag, as arrays, and look at its impact.
 
 Shows how a bag is opened, what it knows of its trial, and two of its topics as columns. Prints what was run, when the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Typed ROS interfaces of ``impact_rs`` and their conversions to and from NumPy."""
 
 from impact_rs.action import RunCampaign, RunTrial

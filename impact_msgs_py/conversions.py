@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Conversions between ROS messages and NumPy.
 
 Vectors are ``(x, y, z)``, quaternions ``(x, y, z, w)``; units and frames are those of the message.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the commands of the loop share: reading RUNS and MODEL, and telling what could not be used."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs``: the command line. Holds no logic; every subcommand is a module of :mod:`impact_rs_cli.commands`."""
 
 from __future__ import annotations

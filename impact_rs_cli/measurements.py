@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the commands of the loop read as evidence against a model: our trials, others' recordings, tables of impacts."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Argument parsers: errors are one line that names what was meant, and a command is imported when it is used."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the commands share: where output goes, progress bars, and folders that vanish if nothing came of them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One trial in lockstep, in one process: measure, decide, record, step.
 
 The nodes run the same loop with messages in between; a trial through them equals this one.

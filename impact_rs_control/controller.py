@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reference-spreading QP control of one or several arms (paper sec. Control approach).
 
 Ante, interim and post mode differ in reference, in the weight gamma of velocity feedback, and in what is fed forward

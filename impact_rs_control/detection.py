@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Impact detection from measured signals: a link-side momentum observer and a test for a sudden force.
 
     p = M(q) dq,   dp/dt = tau_J + C^T dq - g + tau_ext

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an arm is told where its controller has nothing to say: hold against gravity, and come to rest.
 
     tau = g(q) - M(q) dq / T

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Friction identification: what the feedback costs in free motion (paper Appendix A).
 
     a_i,fric(t) = 2 sqrt(k_p) (dp_d - dp_i) + k_p (p_d - p_i),      a_fric(t) = mean over the runs i

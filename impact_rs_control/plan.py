@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the controller shall do in one trial: references, predicted jump, feedforward wrench."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The controller's quadratic program, by ProxQP.
 
     min_ddq  ||A ddq - b||^2_W                                              (paper eq. QP_ante)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reference generation: quintic via points, extended past the nominal impact (paper sec. Reference generation).
 
 Ante- and post-impact references coincide in position at T_nom (paper eq. pos_refs_imp), their velocities there differ

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rclpy nodes, one per file, and the runner that ties them."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The controller as a node: answers every measured state with a torque of the same stamp."""
 
 from __future__ import annotations

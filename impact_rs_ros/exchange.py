@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sending and receiving past the executor of the node, where microseconds count.
 
 An rclpy executor builds a wait set of everything a node has for every single callback. What is awaited in the lockstep,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The experiment as a node: actions that run one trial, or a campaign, with the other nodes."""
 
 from __future__ import annotations

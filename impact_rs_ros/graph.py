@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The five nodes and somebody who calls them: trials through the nodes, and what to do when one of them dies."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The impact map as a service, ``/compute_impact_map``."""
 
 from __future__ import annotations

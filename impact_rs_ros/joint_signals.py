@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Signals of joints as they come in, ``sensor_msgs/JointState``: decoded by hand, checked before anybody uses them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ROS message classes for :class:`~impact_rs_trials.bags.messages.MessageMaker`."""
 
 from __future__ import annotations

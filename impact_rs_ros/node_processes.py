@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The five nodes as processes: started, asked how they are, and stopped together."""
 
 from __future__ import annotations

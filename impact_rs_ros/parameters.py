@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameters of the nodes: each is declared here and nowhere else.
 
 ``ros2 param describe``, ``config/nodes.yaml`` and ``docs/parameters.md`` all follow from this list; the last is printed

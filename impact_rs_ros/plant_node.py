@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plant as a node: measured state out, torque in, and the truth below ``/truth``.
 
 In lockstep the plant waits for the torque of every tick, matched by its stamp. An answer that does not come is asked

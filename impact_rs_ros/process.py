@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the five nodes have in common as processes: start, main loop, signals, diagnostics."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Quality of service of every connection, with the reason; the only place it is stated."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recorder as a node: stores what it receives, as it receives it, in one bag per trial.
 
 Messages are stored undecoded; trial time is read from the stamp, which stands at a fixed place. Two topics are special:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Signals of every tick, kept as samples and serialized many at once.
 
 A message object per tick and topic, filled field by field and serialized by rclpy, costs more than the physics. Here a

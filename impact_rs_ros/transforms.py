@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``/tf`` for the bag where nobody can publish it: ``tf2_msgs`` is not on PyPI.
 
 The transforms follow from measured joint positions and the tracked object alone; from the recorded messages the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What plant and controller have in common: a trial is configured, runs, and is finished."""
 
 from __future__ import annotations

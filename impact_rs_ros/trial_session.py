@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One trial through the nodes, from configuring them to closing the bag; the experiment node runs it in a thread."""
 
 from __future__ import annotations

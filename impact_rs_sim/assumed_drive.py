@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A drive for an arm of which only the links are known.
 
 Motor inertia and stiffness are scaled from a Franka arm by the torque limits. The damping has to do two things: the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One Bullet world: arms, object and support, with every setting that bites set on purpose.
 
 Shared by the plant (many small steps with compliant pads) and the ``bullet`` impact map (single rigid steps). Bullet

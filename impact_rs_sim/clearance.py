@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether two arms keep clear of each other, told before anything moves.
 
 Every link is a capsule from its joint to the next one; Coal, the collision library below Pinocchio, finds distances. A

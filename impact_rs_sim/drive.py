@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Motor side of the joints, with the torque loop that reduces the motor inertia.
 
     B_rho ddtheta + tau_J + D K^-1 dtau_J = tau_act + tau_fric,m                              (paper eq. EOM_motor)

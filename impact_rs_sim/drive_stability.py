@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether a flexible joint is stable at the period of the torque loop.
 
 The loop (:mod:`impact_rs_sim.drive`) makes a motor of inertia B_theta out of one of B_rho. With the stretch

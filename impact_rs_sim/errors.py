@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The one exception that means: the user's input is wrong, and this is what to change.
 
     InputError

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results are written aside and renamed: what has a name is whole, and what was there before stays until then."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Arms that touch nothing, several copies at a time: the links of :mod:`impact_rs_sim.mechanics` without Bullet.
 
     ddq = ABA(q, dq, tau),    dq += h ddq,    q += h dq                     (Featherstone; Bullet's own order of steps)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Friction compensation files: what the control tasks feed forward against joint friction (paper Appendix A).
 
 Such a file is made by ``impact-rs friction identify`` for one scenario and named in it; a recorded scenario holds its

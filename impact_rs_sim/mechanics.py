@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Arms with their drives, object and support in one Bullet world: what moves, and nothing that measures.
 
 The plant adds sensors, scatter and a clock to it (:mod:`impact_rs_sim.plant`); a replay starts it in a measured state

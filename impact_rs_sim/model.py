@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Model files: what we believe about the physics, on top of the scenario's nominal values.
 
 A model is a list of effects with their parameters. Adding an effect writes a new file that names its parent, so the way

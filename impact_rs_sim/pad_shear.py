@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A pad that yields along its face: what Bullet's friction, which sticks without any give, leaves out.
 
 The face of the pad is sheared against the flange by s and twisted about the contact normal by phi. Between face and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the package finds its configuration files, installed or not."""
 
 import os

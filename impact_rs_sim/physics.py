@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The numbers that a plant, a twin or an impact map is built from.
 
 A :class:`Physics` is one complete belief about the scene. The nominal one follows from scenario and object; an

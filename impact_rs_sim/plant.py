@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The robot of the laptop: Bullet for links and contacts, a drive per arm beside it, sensors in front.
 
 Every control period the caller reads :meth:`Plant.measure`, decides on torques and calls :meth:`Plant.step`, which

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Robot facts and end effector: what a URDF is written from, and nothing derived from it.
 
 A joint turns about the z of its own frame (``revolute``) or slides along it (``prismatic``). What is told per joint is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checks of robot facts before anything is simulated with them.
 
 Each check is one line: what was looked at, whether it is in order, and the number behind it. What would make a

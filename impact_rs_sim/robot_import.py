@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Robot facts from a URDF.
 
 Our facts say that every joint turns about its own +z, or slides along it. A URDF says it of any axis a_i, in the frame

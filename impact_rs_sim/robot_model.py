@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rigid-body terms of one arm, by Pinocchio.
 
     (M(q) + B) ddq + h(q, dq) = tau_d + tau_fric + J(q)^T f_c          (paper eq. eom)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scenario files: what is in the scene, what the robots shall do, and how it is measured.
 
 A scenario (``config/scenarios/*.yaml``) is the human-readable scene language. It says nothing about what

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``docs/scenarios.md`` from the schema: every key of a scenario file with unit, limits and default.
 
 python -m impact_rs_sim.scenario_docs > docs/scenarios.md

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scenario x object x case, resolved: impact configuration of every arm and nominal pose of the object."""
 
 from __future__ import annotations

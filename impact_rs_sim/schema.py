@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Validated YAML: every border of the program reads its files through :func:`load`.
 
 A schema is a frozen pydantic model whose fields carry a description that ends in the unit, so that an error

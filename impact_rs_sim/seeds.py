@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Seeds of tasks that may run anywhere and in any order."""
 
 from __future__ import annotations

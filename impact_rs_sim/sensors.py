@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a measurement adds to the truth: quantisation, noise and a slow object tracker."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects that are *not* in the library: the diagnosis has to say that none of its own explains them.
 
 Each acts inside the plant and is parametrised by a magnitude (1: noticeable) and the number of the repeat.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The one URDF: written from the facts, loaded by Pinocchio, by PyBullet and by viewers.
 
 Links are ``base``, ``link1`` ... ``linkN`` and ``end_effector``; joints are ``joint1`` ... ``jointN``. Only the pad has

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which version of the software this is."""
 
 from __future__ import annotations

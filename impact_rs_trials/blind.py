@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hidden-effect campaigns: a plant with an effect that only ``truth.json`` knows.
 
 ``make`` draws an effect and its size from a seed, records a campaign with it (``DIR/runs``) and writes the truth beside

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Campaigns: a folder of trials with a manifest, run in parallel, resumed where they stopped.
 
 A trial is a pure function of scenario, key and campaign seed, so it does not matter where or in which order trials run.

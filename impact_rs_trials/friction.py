@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Friction identification for a whole scenario, and the files that come of it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The impact map for many questions at once: a table of impacts in, the same with the velocities after out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A scenario to start from, for any arm: drive, pose and support are found, the rest is that of a shipped scenario.
 
 A pose is searched among random ones of the arm. In each the end effector is led along its whole way by the least joint

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings that an estimate should not depend on, each put to other values: campaigns beside a campaign.
 
 The zero crossing of the net feedback (paper sec. Experimental results) measures robot and object. That it also moves

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a trial is, repeat and seed aside; every part of the house plans trials here and nowhere else.
 
     scenario_json -> Scenario        parsed and checked

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where a campaign lies: a folder, or a place that fsspec reaches by its URL (``s3://bucket/push``).
 
 A bag in a folder gets its name when it is complete. Elsewhere nothing can be renamed at once, so ``metadata.yaml`` is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a campaign's worker process does when it starts (a ``dask`` preload module)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Who does work that splits into pure tasks: processes of this machine, or the workers of a ``dask`` scheduler."""
 
 from __future__ import annotations

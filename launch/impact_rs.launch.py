@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Starts the five nodes: ``ros2 launch impact_rs impact_rs.launch.py scenario:=push``."""
 
 from launch import LaunchDescription

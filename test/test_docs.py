@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The manual leads somewhere: links exist, commands are those of the command line, pictures stay small."""
 
 import re

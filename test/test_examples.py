@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The scripts of ``examples/`` run, and what they print is so."""
 
 from __future__ import annotations

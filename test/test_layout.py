@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The layout of the sources: who may import whom, and what no module may know."""
 
 import ast

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Conventions of the package: one version, one licence, executables that lead somewhere, documented fields."""
 
 import ast

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mutants of one recorded bag: which are read with other numbers? ``./run python -m benchmarks.attack.bags``.
 
 A mutant is refused (``BagError``), or read with the very numbers that were recorded. With ``--unsealed`` the bag is one

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Command lines that are wrong: a line and an exit code for each? ``./run python -m benchmarks.attack.commands``.
 
 Arguments are of the shape that a command expects, with files of another kind, damaged ones, folders and numbers that

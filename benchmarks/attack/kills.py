@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Kills or freezes nodes in mid-trial: ``./run python -m benchmarks.attack.kills [--count 200] [--seed 0]``.
 
 Every attack hits one of the five nodes at a random time of a trial, with SIGKILL, SIGSTOP, SIGTERM or SIGINT. What

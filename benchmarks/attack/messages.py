@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nonsense for the nodes: ``./run python -m benchmarks.attack.messages [--count 5000] [--seed 0]``.
 
 Services and actions get requests whose numbers, names, lengths and texts are drawn from what nobody should send; the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the campaigns have in common: a time limit for each mutant, and the count of what became of them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mutants of YAML that users write: is each refused in one line? ``./run python -m benchmarks.attack.text``.
 
 Read are scenarios, robots, models, formulas, mappings, experiments and manifests, each by what commands read them with.

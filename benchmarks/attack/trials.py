@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The trial that attacks on nodes disturb, and that must be OK afterwards."""
 
 from __future__ import annotations

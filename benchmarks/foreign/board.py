@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scoreboard of the diagnosis on the MuJoCo cell: ``./run python -m benchmarks.foreign.board -o DIR``.
 
 The matrix: every effect of the library at two magnitudes, nulls, and three effects outside the library, in campaigns of

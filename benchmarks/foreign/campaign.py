@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Blind campaigns recorded on the MuJoCo cell: ``./run python -m benchmarks.foreign.campaign SEED -o DIR``.
 
 As ``impact-rs blind make`` does on our plant: the same sizes, draws and ``truth.json``, so that ``impact-rs diagnose``

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A second robot cell, on MuJoCo: somebody else's simulator that shares parameters with ours and nothing else.
 
 What a laboratory would build from the same numbers, link parameters included, and where it differs from our plant:

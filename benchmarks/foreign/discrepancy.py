@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The model discrepancy: how far equally valid simulations of the same parameters lie apart, feature by feature.
 
 ``./run python -m benchmarks.foreign.discrepancy -o config/discrepancy.yaml`` (needs the extra ``peers``). Every

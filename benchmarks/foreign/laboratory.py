@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scoreboard on a laboratory that is not ours: ``./run python -m benchmarks.foreign.laboratory -o DIR``.
 
 What a researcher elsewhere would bring: the MuJoCo cell under a Cartesian impedance controller that knows nothing of

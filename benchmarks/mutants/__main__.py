@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Would the tests notice wrong physics or statistics? ``./run python benchmarks/mutants [names] [-o docs/mutants.md]``.
 
 Each mutant is one wrong line, written by hand because it is a mistake that people make (:mod:`areas`). It is put into

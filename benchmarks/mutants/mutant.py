@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a mutant is: one wrong line of physics or statistics, and the tests that should notice it."""
 
 from __future__ import annotations

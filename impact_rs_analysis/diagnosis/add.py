@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A better model: the parent with one diagnosed effect."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Candidates: effects, alone or together, with their sensitivities, fitted to the evidence.
 
 In scaled coordinates the mean residual of cluster c is

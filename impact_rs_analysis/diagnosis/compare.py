@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where a model fails: measurement against model, and one number per model.
 
 Trials are compared on three levels:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Diagnosis: search, hold out, and say what can be said; the same for every source of evidence."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The diagnosis as a file (``diagnosis.json``): one typed document, whatever was measured.
 
 Written by ``impact-rs diagnose``, read by ``add``, ``blind score``, ``history`` and the report. Files of version 0.1.0,

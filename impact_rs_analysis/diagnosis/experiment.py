@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The next best experiment: where two explanations would predict the most different things."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fitting a candidate through the model: Gauss-Newton whose sensitivities learn from every step (Broyden)."""
 
 from __future__ import annotations

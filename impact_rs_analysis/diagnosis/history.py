@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How the error fell from model version to model version, on what the fit has seen and on what it has not."""
 
 from __future__ import annotations

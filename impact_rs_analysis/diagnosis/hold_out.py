@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hold-out: every cluster predicted by a search that has not seen it.
 
 What is held out sees neither the linearisation point, nor the shortlist, nor the choice: for every fold the whole

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """First level of the comparison: the velocity jump of the impact map against the measured one.
 
 The map is asked at the nominal impact of a trial of our own; of anybody else's run in the measured ante-impact state,

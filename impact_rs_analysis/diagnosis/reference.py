@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What sums of scores would be if nothing were missing: reference distributions with the real degrees of freedom.
 
 An effect with sensitivities J_c in cluster c is judged by its total score and that score's size in the metric of the

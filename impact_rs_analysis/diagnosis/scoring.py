@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How a diagnosis did: held against the truth of a blind campaign."""
 
 from __future__ import annotations

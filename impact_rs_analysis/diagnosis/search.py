@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Choosing effects: screen all, fit a shortlist through the model, accept what predicts unseen clusters better.
 
 The search sees the clusters it is given and nothing else: the hold-out (:mod:`impact_rs_analysis.diagnosis.hold_out`)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every number on which a verdict turns, with its reason."""
 
 SIGNIFICANT = 0.01  # false-discovery rate: one verdict in a hundred may be chance

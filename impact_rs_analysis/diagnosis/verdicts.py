@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is said of every effect and of the whole, from fits, references and the hold-out."""
 
 from __future__ import annotations

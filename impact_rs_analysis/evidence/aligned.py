@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measured, replayed and residual signals of one run on a common clock, for figures and for aligned bags."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The question to the impact map that a measured run asks: its state just before the impact."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Evidence: what every source of measurements comes down to before anything is explained.
 
 A *cluster* is what is held out together: the repeats of a condition, or a stretch of a recording. Its residuals are

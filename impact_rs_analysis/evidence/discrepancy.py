@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Model discrepancy: how far equally valid simulations of the same parameters differ.
 
 Nobody's simulator is exactly right. Contact settings, the regularisation of friction, the step and the physics engine

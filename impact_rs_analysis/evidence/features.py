@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Features of replayed windows: what was measured and what the replay did, boiled down to the same numbers.
 
 Torque enters as balances that the nominal rigid model would close, so that small differences of the path cancel:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of impacts as a source of evidence: the impact map predicts what every row measured just after.
 
 Features are the post-impact velocities: of the joints, of the body's centre, and its angular velocity. Those of a free

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """When something was hit, from joint signals alone: the momentum observer with a threshold above its own noise."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs of a laboratory as measured runs: what its experiment file says, and a clock that command and state share."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A run boiled down: its windows, what a replay of them starts from, and its features."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings of free motion as a source of evidence: clusters are stretches of time, a torque balance predicts them.
 
 Stretches are about a second long, longer than the noise of a low-passed torque remembers. Torques are divided by the

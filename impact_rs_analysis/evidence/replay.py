@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The replay twin: the plant from a measured state, driven by recorded torque, over short windows.
 
 No controller is needed and none is modelled, so anybody's run can be replayed. Two drives:

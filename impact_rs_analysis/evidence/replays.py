@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs as a source of evidence: clusters are conditions with their repeats, the replay twin predicts them."""
 
 from __future__ import annotations

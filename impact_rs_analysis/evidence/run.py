@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One measured run, whoever measured it, with what stands in its scene."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """RUNS: a folder of bags, read into measured runs with what they are to be compared with."""
 
 from __future__ import annotations

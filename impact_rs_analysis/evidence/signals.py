@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What was measured in one trial, whoever measured it: a plant, a real robot, or the model twin."""
 
 from __future__ import annotations

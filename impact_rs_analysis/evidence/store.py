@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replays that were made before are kept: comparing, diagnosing and comparing again ask for many more than once.
 
 A result depends on what the replay starts from, the model and the effects on top, and on nothing else.

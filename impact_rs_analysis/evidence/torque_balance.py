@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The torque balance of a moving arm that touches nothing: all that a recording without command and contact can show.
 
     tau + eps = (M(q) ddq + h(q, dq) [+ B ddq] - tau_fric(dq) - tau_load - offset) / gain         (cf. paper eq. eom)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measured against predicted signals over time, whoever measured them: what a reader looks at after the numbers."""
 
 from __future__ import annotations

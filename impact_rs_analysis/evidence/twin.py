@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The twin in closed loop: a trial that was not measured, simulated with our own controller, without noise and scatter.
 
 Only what has not been measured needs it (:mod:`impact_rs_analysis.diagnosis.experiment`); what was is replayed.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A folder of trials in, experimental estimates and prediction errors out.
 
 Reads whatever is there: bags that are damaged, foreign or unfinished are reported and left out, trials without impact

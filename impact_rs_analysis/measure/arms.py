@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The arms that something was measured with, as every report tells them."""
 
 from __future__ import annotations

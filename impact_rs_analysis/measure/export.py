@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A campaign as one file for other tools: a row per trial (Parquet), or all measured signals (HDF5).
 
 What is exported is what a robot would give; ``/truth`` stays in the bags. Names of columns end with their unit, and

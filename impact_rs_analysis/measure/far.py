@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Predictions that lie far outside of what was measured.
 
 A missing effect moves a prediction by some percent. One that is off by much more is no finding about physics: another

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From net feedback to the experimental estimate (paper sec. Experimental results).
 
 Per set of trials, with reference velocity x_i and net feedback y_i:

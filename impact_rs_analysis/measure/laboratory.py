@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The jump of a laboratory's runs: measured post-impact velocity with its interval, beside three motor inertias.
 
 Without reference spreading there is no net feedback to cross zero. What there is: the velocity of the end effector 20

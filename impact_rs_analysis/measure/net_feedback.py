@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The measure: net feedback of one trial (paper eqs. fb_error, a_fb_net).
 
     a_fb,net = integral of a_fb(t) dt from t1 to t2

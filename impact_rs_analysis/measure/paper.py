@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The published experiment as a measurement: what a motor-inertia scale can and cannot explain in it.
 
 Each of the 18 rows (``config/paper/tables.yaml``, paper tables II and III) has an experimental estimate v of the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the impact map predicts for a set of trials, for the paper's three motor-inertia models."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's result tables, and which sets of trials repeat one of their rows.
 
 A name is no experiment: ``push`` with another arm or a heavier box is still called so, and numbers that were published

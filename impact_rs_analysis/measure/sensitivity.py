@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The systematic band of an estimate: how far it moves with settings that it should not depend on.
 
 With x0 the zero crossing of some trials of a campaign, and x0(k) that of the same trials with setting k put to another

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole published study: both scenarios with every object, case, reference and repeat, in one folder.
 
 A study is a folder of campaigns, one per scenario; each is resumed and analysed as any campaign is.

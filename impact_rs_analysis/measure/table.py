@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's result table (paper tables comparison_push and comparison_grab), ours beside the paper's own numbers."""
 
 from __future__ import annotations

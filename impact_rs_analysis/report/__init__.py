@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reports: one page skeleton with templates; HTML that works offline, the same figures as PNG, the numbers as JSON."""
 
 from impact_rs_analysis.report.analysis import write_analysis_report

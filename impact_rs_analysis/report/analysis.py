@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Report of an analysis: predicted and measured velocity jumps as one page, as numbers and as PNG."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Page of a comparison: where a model fails, for trials and for recordings."""
 
 from __future__ import annotations

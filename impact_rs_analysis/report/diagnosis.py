@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Page of a diagnosis: what is missing, how sure that is, and what stays; for trials and for recordings."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the figures show, said once: HTML and PNG are drawn from the same description and so agree.
 
 Texts are Unicode with HTML's ``<sub>``, which both sides understand or translate.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Page of a model's history: how the error fell from version to version."""
 
 from __future__ import annotations

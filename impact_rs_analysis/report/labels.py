@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names of phases, places and verdicts as a reader sees them."""
 
 from __future__ import annotations

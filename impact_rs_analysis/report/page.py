@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The one skeleton of all reports: a page that works offline and on a phone, with its data beside it.
 
 A report is a frozen dataclass of what is shown and a template that says how; templates escape whatever they print.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Page of the published experiment: what a motor-inertia scale explains in its rows."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All figures of the reports for Plotly, in one style."""
 
 from __future__ import annotations

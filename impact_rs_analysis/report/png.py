@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures as PNG, drawn with Matplotlib: no browser is needed on the user's machine."""
 
 from __future__ import annotations

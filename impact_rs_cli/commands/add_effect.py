@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs add``: a new model file with a diagnosed effect."""
 
 from __future__ import annotations

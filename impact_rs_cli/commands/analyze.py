@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs analyze``: experimental estimates, prediction errors and the report."""
 
 from __future__ import annotations

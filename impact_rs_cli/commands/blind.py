@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs blind``: campaigns with a hidden effect, and how a diagnosis of them did."""
 
 from __future__ import annotations

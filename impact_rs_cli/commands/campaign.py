@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs campaign``: many trials."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs compare``: where a model fails."""
 
 from __future__ import annotations

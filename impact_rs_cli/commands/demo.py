@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs demo``: the whole way in one command."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs diagnose``: which physical effect is missing."""
 
 from __future__ import annotations

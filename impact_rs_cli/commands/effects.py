@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs effects``: the library of physical effects."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs export``: a campaign as one file for other tools."""
 
 from __future__ import annotations

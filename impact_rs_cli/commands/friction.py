@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs friction``: what the controller feeds forward against joint friction."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs history``: how the error fell from model to model."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs map``: one prediction of the impact map."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs paper``: the published experiment as a measurement."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs robot``: facts about a robot from its URDF, and checks of them."""
 
 from __future__ import annotations

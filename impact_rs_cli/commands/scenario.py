@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs scenario``: a scenario to start from."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs study``: the whole published study, from trials to tables."""
 
 from __future__ import annotations

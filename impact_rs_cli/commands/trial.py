@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs trial``: one trial in-process."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs up``: the ROS 2 nodes, until Ctrl-C."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The library of physical effects, and the way to add one's own.
 
 A Python package adds effects by an entry point in the group ``impact_rs.effects`` that names a subclass of

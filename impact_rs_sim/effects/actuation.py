@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects between the desired torque and the motors: ``delivered(t) = gain * desired(t - delay) + offset``."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a physical effect is: a few parameters, and what they do to the physics.
 
 One object serves three: the plant hides the effect, twin and impact map predict with it, the diagnosis fits it. All

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects at the contacts: how the pad bounces, yields, grips and sits, and what the object slides and stands on."""
 
 from __future__ import annotations

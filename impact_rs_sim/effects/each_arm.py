@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects of arms that do not share their parameters.
 
 An :class:`~impact_rs_sim.effects.base.ArmEffect` has one set of parameters, which all arms share. That is a hypothesis

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects that a user writes as formulas in YAML, without any code.
 
     - name: cable_drag

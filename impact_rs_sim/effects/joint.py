@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects in the transmission between motor and link: ``tau_J = K (theta - q)``."""
 
 from __future__ import annotations

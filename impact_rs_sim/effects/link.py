@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects on the inertia of the links: a point mass m at place p on the end effector of mass m_0, centre c_0.
 
     m' = m_0 + m,   m' c' = m_0 c_0 + m p,   I' = I_0 + m_0 S(c_0 - c') + m S(p - c'),   S(d) = |d|^2 1 - d d^T

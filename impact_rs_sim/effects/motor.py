@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects on the motor side of the joints: friction, and the inertia that the torque loop leaves.
 
 Friction is stated as the desired torque feels it (tau_fric of paper eq. EOM_motor_mod).

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects on the manipulated object: its mass, and where its centre of mass is."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects of the surroundings: a cell that is not level, and a cable that pulls on the end effector."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The impact map: ante-impact state in, post-impact state out (:mod:`.problem`), or its end (:mod:`.settled`)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The impact map on Bullet, which knows no reflected inertia: B is brought in from outside.
 
 One step of Bullet from (q, u^-) without gravity, with the inertia M' and the generalised impulse p, gives u^+(p). It

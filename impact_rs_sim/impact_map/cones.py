@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The laws of an impact as one conic complementarity problem in the contact impulses, by Pinocchio's ADMM solver.
 
     v^+ = G L + J_c u^-,     G = J_c (M + B)^-1 J_c^T           (Delassus operator, B as armature)

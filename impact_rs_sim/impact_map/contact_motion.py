@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How contact points move with the bodies that touch.
 
 A contact point is a corner of the incident face, clipped to the reference face: the point x where the plane of the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the pads touch the object, and the object its support.
 
 All shapes are boxes. Of the six face directions of a pair, the one that separates the two boxes best is the contact

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Derivatives of the impact map, in closed form at the active contact states.
 
 With the laws F(L, s, mu) = 0 of :mod:`impact_rs_sim.impact_map.newton`, s = J u^- + G L + e (J_n u^-) n and

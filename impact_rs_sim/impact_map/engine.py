@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What every engine of the impact map is: warm state for one set of physics, and one question at a time."""
 
 from __future__ import annotations

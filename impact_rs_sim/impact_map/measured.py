@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The impact map at a state that was measured, not planned: one arm or two and an object, or one free body on a plane.
 
 The laws are those of :mod:`impact_rs_sim.impact_map.problem`, solved as in :mod:`impact_rs_sim.impact_map.pinocchio`,

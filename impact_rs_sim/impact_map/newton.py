@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Newton's method on the laws of an impact, which ends at the answer that is told where there are several.
 
 With s_i = (J_c u^+)_i + e (J_n u^-)_i n_i + (rho / m) L_i, the mass m of the object, the impulse L_n >= a of every

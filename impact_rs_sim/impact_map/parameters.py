@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a prediction of the impact map depends on: named scalars, and the question with some of them changed.
 
 ====================================  ========  ==============================================================

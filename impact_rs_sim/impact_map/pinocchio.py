@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The impact map on Pinocchio: its contact solver, then Newton's method (:mod:`impact_rs_sim.impact_map.cones`)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The impact map as a question and its answer, whatever engine solves it.
 
 Given the configuration, the ante-impact velocities v^- of all bodies and the motor inertia B, find v^+ and contact

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How far an answer is from the laws, judged from the answer alone and by the same code for every engine.
 
 With w = J_n u^+ + e J_n u^- and, per point, the inverse mass g = tr(G_ii) / 3 that turns impulses into velocities,

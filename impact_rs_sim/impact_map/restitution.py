@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poisson's law of restitution: an impact in two phases, compression and expansion.
 
 Newton's law sets velocities, and what the contacts then have to push to get there may be more than the impact had: with

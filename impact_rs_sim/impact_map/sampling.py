@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random impact problems that have an answer, to hold engines against each other."""
 
 from __future__ import annotations

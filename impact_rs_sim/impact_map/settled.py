@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The impact carried on until the contact that lasts is closed: the pads have aligned with the faces that they hit.
 
 The impact map (:mod:`impact_rs_sim.impact_map.problem`) answers for the moment after the first simultaneous impact. A

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All bodies of an impact as one mechanical system.
 
 The generalised velocity stacks the joint velocities of every arm and the twist of the object at its geometric centre,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How sure a prediction is: intervals of every predicted velocity from stated uncertainties, and who contributes what.
 
 With independent uncertainties of the standard deviations sigma_k and the Jacobian J of the prediction

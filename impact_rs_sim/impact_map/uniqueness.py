@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How far answers that obey the same laws lie apart.
 
 A face that touches with more than three points can share a load among them in many ways. While its points stick or

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Many messages of one topic at once: CDR as a NumPy structured array.
 
 In a trial nearly every topic sends messages of one and the same layout: strings and array lengths never change, only

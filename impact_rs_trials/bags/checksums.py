@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checksums of a bag: no bit of it changes unnoticed.
 
 ``rosbags`` writes MCAP with its checksums left at 0, which the format reads as: not known. :func:`seal` fills them in

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From the domain to messages: one description for bags written in-process and for nodes.
 
 :class:`MessageMaker` fills messages of whatever classes a :class:`MessageTypes` hands out: those of the ``rosbags``

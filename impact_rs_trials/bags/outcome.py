@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How a trial ended, judged by what was measured and recorded.
 
 Every rule looks at one thing and says what it finds; the gravest finding is told, of equally grave ones the earliest.

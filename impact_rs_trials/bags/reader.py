@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reading trials back, as columns. Ground truth stays where it is unless it is asked for by name."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run a trial in-process and record what the nodes would record."""
 
 from __future__ import annotations

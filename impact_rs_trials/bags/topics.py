@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Topic names and types; the only place they are spelled.
 
 Per arm: ``/ARM/...``. Everything below ``/truth`` comes from the plant and is never read by the analysis.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Identity of a trial: what was run, from which seed, with which reference."""
 
 from __future__ import annotations

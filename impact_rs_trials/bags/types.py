@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The typestore: ROS 2 Jazzy's messages and ours, without ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writing a trial: mcap by ``rosbags``, into a hidden folder that gets its name when the trial is complete."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """NPZ and HDF5 files: an array per signal, samples x joints, and one or several arrays of time stamps."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags, SQLite or MCAP: a topic, a message type and a field per signal.
 
 A run has one clock. Where it is that of the header stamps, a topic without them is brought to it from the log:

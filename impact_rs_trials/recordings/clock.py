@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time stamps: what is wrong with them, where samples are missing, and the even grid that they nearly are."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the world of a motion capture is in A, found from contact alone: in a hit the pad lies on a face of the object.
 
 An object at p with axes R_p in the world of the motion capture, that world at t and turned by psi about z in A, the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a laboratory says about its runs: ``experiment.yaml``, and the table of runs that it names.
 
     scenario: push                                # robots, objects, support and contact come from here

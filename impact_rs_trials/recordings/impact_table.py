@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Impact tables: one row per impact and nothing else, as CSV or Parquet.
 
 Two kinds of rows. Without joint positions **one free body hits a fixed plane**, for example a tossed cube. With them

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs of a laboratory with a controller of its own: from its files to checked signals on one clock.
 
 Joint signals come on an even grid at the median period of the joint states, interpolated where stamps are not on it.

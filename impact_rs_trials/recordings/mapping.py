@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mapping files: where a recording that was not made here keeps its signals (``config/mappings/*.yaml``).
 
 One mapping serves bags (topic, message type and field), CSV and Parquet files (a column per joint) and NPZ and HDF5

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether signals of a laboratory can belong to the arm, the object and the frames of its scenario.
 
 What cannot be is refused with the number that tells so and with what is most likely wrong.

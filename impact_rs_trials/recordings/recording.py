@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings of free motion that were not made here: bags (with or without ``metadata.yaml``), tables and arrays.
 
 What cannot be used is refused with one line that names file, topic, field and what was expected.

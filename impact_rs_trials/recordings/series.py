@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One signal as a file has it, before it is brought together with the others."""
 
 from __future__ import annotations

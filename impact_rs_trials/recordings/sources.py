@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the signals of one run are, whatever kind of file they lie in."""
 
 from __future__ import annotations

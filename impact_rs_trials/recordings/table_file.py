@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """CSV and Parquet files: a column per joint.
 
 A row may hold some signals only: where all cells of a signal are empty (or NaN) it has no sample.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The campaigns of attacks find what they look for, and nothing in what there is."""
 
 from __future__ import annotations

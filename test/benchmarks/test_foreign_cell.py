@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The MuJoCo cell obeys the same parameters as our plant, though nothing else is shared."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages and arrays: what goes in comes out again."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Our interfaces travel through the middleware."""
 
 import time

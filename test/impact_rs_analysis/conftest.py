@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the tests of imports find the recording of a real robot."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The command line: exit codes, one-line errors, and a standard output that is JSON and nothing else."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nothing from outside stops the command line, and nothing is written where it should not be."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The loop on a table of impacts: compare, diagnose, add, history; and every mistake in one line."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The loop on the command line: compare, diagnose, add, compare, history; and every way to get it wrong."""
 
 import argparse

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``impact-rs robot``: from a URDF to checked facts."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reference spreading in closed loop: what the paper's argument rests on."""
 
 from dataclasses import replace

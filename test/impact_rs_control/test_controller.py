@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the controller commands, mode by mode, against the equations of the tasks; limits; the integral of its feedback.
 
 The desired torque is turned back into the accelerations it asks for, with tau_d = (M + B_theta) ddq + h

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The momentum observer: nothing in free motion, a known force with its sign, size and delay; sudden forces alone."""
 
 from __future__ import annotations

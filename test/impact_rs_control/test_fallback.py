@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where nothing is known to do, an arm holds its weight and comes to rest."""
 
 from __future__ import annotations

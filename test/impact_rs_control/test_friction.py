@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Friction compensation after the paper's Appendix A: what is identified, and what it does to the net feedback."""
 
 from dataclasses import replace

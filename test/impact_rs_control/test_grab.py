@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two arms grab a box: symmetry of the prediction, and a box that is really lifted."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plan of a trial: references with the predicted jump, the force that moves the object on, where arms start."""
 
 from __future__ import annotations

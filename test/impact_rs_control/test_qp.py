@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The QP obeys its limits, and says so when it cannot."""
 
 from dataclasses import replace

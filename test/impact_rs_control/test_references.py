@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """References: smooth, coincident at T_nom, extended past it."""
 
 import numpy as np

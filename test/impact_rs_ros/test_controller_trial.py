@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A controller that is told nonsense holds its arm, says what it was told, and never commands what is no number."""
 
 from __future__ import annotations

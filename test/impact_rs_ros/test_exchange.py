@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is encoded and decoded by hand is what rclpy makes of it, and nothing that was sent is lost on the way."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The service answers good questions like the library, and bad ones with a reason."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What comes in is put into the order of the joints, or told to be useless; nothing else gets through."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A node says what it does: with which parameters it is ready, which trial it has, and how that ended."""
 
 from __future__ import annotations

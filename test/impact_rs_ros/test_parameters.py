@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameters are declared once; the example file, the documentation and ``ros2 param describe`` follow."""
 
 from __future__ import annotations

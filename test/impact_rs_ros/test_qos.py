@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every subscriber can hear its publisher: an offer is never less than what is asked for."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a request may name: files below the folders that the node's owner has chosen."""
 
 from __future__ import annotations

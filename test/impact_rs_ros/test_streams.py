@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A burst of samples becomes, byte for byte, the messages that it stands for."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transforms made from recorded messages are those that the plant would have published."""
 
 from __future__ import annotations

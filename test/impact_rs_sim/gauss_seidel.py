@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The laws of an impact by brute force: projected Gauss-Seidel, with nothing taken from the solvers of the package.
 
 Point by point: set the normal impulse so that the point just closes, or to 0; pull the tangential one towards sticking

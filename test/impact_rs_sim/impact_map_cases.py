@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Problems that the impact-map tests share."""
 
 from __future__ import annotations

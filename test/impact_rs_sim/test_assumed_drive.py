@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The drive that is assumed for an arm is stable, as published where that is known, and does not swing in a loop."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bullet obeys its settings: gravity, friction of either pair, the pad as a spring, bodies off their centre.
 
 Wherever the pad is meant to stand still, torques hold the arm and it is put back into its state before every step.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two arms that would collide are told before they move."""
 
 from __future__ import annotations

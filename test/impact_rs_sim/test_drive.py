@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The torque loop runs with B_rho; what is felt is B_theta."""
 
 from dataclasses import replace

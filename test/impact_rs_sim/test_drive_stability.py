@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A flexible joint that the torque loop drives apart is found before anything is simulated."""
 
 from __future__ import annotations

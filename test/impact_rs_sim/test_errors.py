@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mistakes of a user say where they are and what to change."""
 
 from impact_rs_sim.errors import InputError, UnreachablePose

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Arms that cannot hold a pose: joints at impact are given, and the impact map is that of the closed form."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What has a name is whole."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Arms that touch nothing move as they do in Bullet, alone or several at a time."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The file with the friction compensation: what it holds, and what a user reads when it does not fit."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ADMM by itself obeys the laws as the judge states them; Newton's method, which follows, would mend what is wrong."""
 
 from __future__ import annotations

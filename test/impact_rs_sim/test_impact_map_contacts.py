@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Contact points of pad, object and support."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Derivatives of the impact map: closed forms, invariants, and central differences of the map itself."""
 
 from __future__ import annotations

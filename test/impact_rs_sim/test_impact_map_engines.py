@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The two engines against each other, and the border of the impact map."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The impact map of one measured impact: closed forms of a free body, and the planned map where poses are exact."""
 
 from __future__ import annotations

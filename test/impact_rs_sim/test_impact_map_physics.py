@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The laws of an impact, held against both engines."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every question that the impact map refuses, and how it says so."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The judge of every engine: an answer made wrong in one known way is found out, in that way and by that much."""
 
 from __future__ import annotations

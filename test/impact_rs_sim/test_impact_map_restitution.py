@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Energy, and Poisson's law of restitution, held against closed forms."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random problems are problems: feasible, at a contact, with bodies that can be, and of the variety they claim."""
 
 from __future__ import annotations

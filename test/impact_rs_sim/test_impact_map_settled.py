@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The end of the sequence of impacts: closed forms, conservation, limits, and which contacts last."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All bodies as one system: inertias, Jacobians and energy against finite differences and sums over point masses."""
 
 from __future__ import annotations

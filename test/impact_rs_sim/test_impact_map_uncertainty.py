@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Intervals of a prediction and the budget of what makes them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How many answers a question has, which one is told, and the same by brute force."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Model files: checked without the robot, and refused when they meet one with another number of joints."""
 
 import copy

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A box that a known force drags along a pad that stands still: closed forms of spring, creep and slip."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Joint friction in closed form, and the nominal physics of a scenario."""
 
 from __future__ import annotations

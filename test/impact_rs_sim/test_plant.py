@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plant as a user of a real robot would meet it: from its measurements."""
 
 from dataclasses import dataclass, field, replace

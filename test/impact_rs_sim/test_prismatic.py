@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Joints that slide, in metres, newtons and kilograms: closed forms of a cart with a pendulum, and of a rail."""
 
 from __future__ import annotations

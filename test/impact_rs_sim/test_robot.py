@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Facts about robots: checked for their lengths, found by their names."""
 
 from __future__ import annotations

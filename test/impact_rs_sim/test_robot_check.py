@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Facts that would spoil a simulation are found, and the shipped ones are in order."""
 
 from __future__ import annotations

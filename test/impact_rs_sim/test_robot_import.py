@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A foreign URDF and the facts made from it are the same arm; what cannot be read is refused in one line."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One URDF, two engines: Pinocchio and Bullet must see the same arm."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a user reads after a slip of the pen in a scenario file."""
 
 import copy

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page about scenario files follows from the schema."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The scene at the nominal impact: pads at faces, objects on their support, velocities as the case wants them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files of users: what is read, and how a mistake is told."""
 
 from __future__ import annotations

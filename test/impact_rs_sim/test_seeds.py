@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Seeds of tasks depend on the seed of the whole and on the name, on nothing else, and collide with nobody."""
 
 from impact_rs_sim.seeds import seed_of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sensors add what the scenario says, each its own: steps of the encoder, noise, a tracker that is a little off."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects outside the library do what they say: a dead zone, friction that grows, mass that comes along late."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The URDF says what the facts say, and Pinocchio reads it back."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags: what goes in comes out, and the columnar way is byte for byte the one of ``rosbags``."""
 
 from pathlib import Path

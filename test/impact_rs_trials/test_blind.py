@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Blind campaigns: what is hidden is drawn from the seed, within the bounds that effects declare."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Campaigns: resumed where they stopped, never mixed, and not stopped by one broken trial."""
 
 import errno

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """CDR by columns: the bytes of the standard, worked out by hand, and any message there and back."""
 
 from __future__ import annotations

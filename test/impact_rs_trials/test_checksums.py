@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """No bit of a bag changes unnoticed, and bags of others are still read."""
 
 from __future__ import annotations

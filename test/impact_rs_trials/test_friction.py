@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Friction identification of a scenario: the files that come of it, and the command line."""
 
 import json

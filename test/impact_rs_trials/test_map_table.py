@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Many questions to the impact map at once."""
 
 from __future__ import annotations

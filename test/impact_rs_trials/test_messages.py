@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages say what was measured and decided: stamps, frames, axes and order of every field."""
 
 from __future__ import annotations

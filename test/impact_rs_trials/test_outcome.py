@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How a trial ended is judged by what was measured: each rule at its limit, and a plant that really blows up."""
 
 from __future__ import annotations

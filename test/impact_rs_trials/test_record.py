@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A short trial as a bag: every topic at its rate, transforms from measurements, numbers as the loop had them."""
 
 from __future__ import annotations

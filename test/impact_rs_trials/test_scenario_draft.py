@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A drafted scenario is that of its robot, stable, reachable, and its trials end well."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Campaigns beside a campaign: one setting at a time, at half and twice its value, with the seeds of the campaign."""
 
 from pathlib import Path

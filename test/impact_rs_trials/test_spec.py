@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One way from a scenario's text to references: the same text gives the same trial, another text another one."""
 
 import json

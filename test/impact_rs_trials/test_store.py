@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Places of campaigns: folders and URLs hold the same, and a folder has one owner at a time."""
 
 import fcntl

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Identity of a trial: what it was is told with every field, and read back from bags of every version."""
 
 from __future__ import annotations

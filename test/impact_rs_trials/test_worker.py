@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A worker leaves Ctrl-C to the process that started it."""
 
 import signal

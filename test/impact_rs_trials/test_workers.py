@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Schedulers that run already: used, refused in words, and survived."""
 
 import os

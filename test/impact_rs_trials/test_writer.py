@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bag is complete or it has no name."""
 
 from __future__ import annotations

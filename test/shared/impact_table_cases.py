@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of impacts with a known truth: cubes that are dropped on a plane, and pushes of the scenario ``push``."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A Franka FR3 with seven joints on the left and a UR5e with six on the right, in one scene."""
 
 from pathlib import Path

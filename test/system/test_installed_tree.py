@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where ``ros2 run``, ``ros2 launch`` and ``pip uninstall`` look for the package, installed by pip or by colcon."""
 
 import importlib.metadata

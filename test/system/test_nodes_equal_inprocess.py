@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A trial through the nodes, five processes and DDS between them, equals the trial in one process."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What goes wrong with the nodes ends a trial with an error, and nothing else."""
 
 from __future__ import annotations

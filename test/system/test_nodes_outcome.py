@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A trial that goes wrong through the nodes ends early, is recorded, and has the outcome of one process."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mutants by area, one module each."""
 
 from mutant import Mutant

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The reference-spreading controller: tasks, modes, feedforward, limits of the quadratic program, friction terms."""
 
 from mutant import Mutant

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Impact detection: the momentum observer and the test for a sudden force."""
 
 from mutant import Mutant

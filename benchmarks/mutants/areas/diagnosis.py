@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Residuals, sensitivities, search, hold-out and verdicts."""
 
 from mutant import Mutant

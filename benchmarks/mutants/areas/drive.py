@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The motor side: torque loop, transmission, friction, delay."""
 
 from mutant import Mutant

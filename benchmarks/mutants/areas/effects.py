@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The library of effects: each against the closed form of what it says it does."""
 
 from mutant import Mutant

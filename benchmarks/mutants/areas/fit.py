@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The zero crossing and its interval."""
 
 from mutant import Mutant

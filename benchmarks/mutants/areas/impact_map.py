@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The impact map: inertia, contacts, friction, restitution, and the judge of the answers."""
 
 from mutant import Mutant

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The measure and what is made of it: integral, window, mean over arms, predictions, averages."""
 
 from mutant import Mutant

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How a trial ended: the rules by which one that went wrong is told, each with its limit and its duration."""
 
 from mutant import Mutant

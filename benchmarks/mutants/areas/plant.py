@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plant: loads, sensors, scatter, and what Bullet is told."""
 
 from mutant import Mutant

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """References, and the plan that is made of them and of the predicted jump."""
 
 from mutant import Mutant

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replays: where they start, what drives them, what is read off them."""
 
 from mutant import Mutant

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Robots of users: facts from a URDF, and checks of them."""
 
 from mutant import Mutant

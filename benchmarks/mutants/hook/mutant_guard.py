@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A pytest plugin: the mutated module must have been imported, and from the copy, or the outcome means nothing."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Has every Python of a mutant's tests import the packages of the copy, wherever they are installed from.
 
 An editable installation answers imports with a finder of its own, which stands before ``sys.path``; the one below

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A world with a closed form: features are known functions of parameters, noise is normal with a known covariance."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lets the tests of this folder import the world they share, and draws fewer null statistics than a diagnosis does."""
 
 import sys

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Friction that one arm of two has is found in that arm, where the arms have different numbers of joints."""
 
 from pathlib import Path

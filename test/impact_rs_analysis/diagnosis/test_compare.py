@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where a model fails, on three levels, from measured signals alone."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings that nobody here made: read right, refused clearly, and diagnosed as planted."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is held out is seen by nothing: neither the linearisation point, nor the shortlist, nor the choice."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a diagnosis to a better model, and back through its versions."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings of arms with few joints, and of a cart: friction is found in its unit, and no payload is invented."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is due to chance, held against textbook distributions."""
 
 from __future__ import annotations

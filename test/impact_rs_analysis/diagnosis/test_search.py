@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The search on a world with a closed form: what is planted is found, what is not there is not."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is said, and that the way it is said does not depend on how large an effect is."""
 
 from __future__ import annotations

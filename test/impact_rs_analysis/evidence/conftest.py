@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trials without noise, to be replayed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scales of the evidence: pure error, and the size on which 1 is what repetition alone gives."""
 
 from __future__ import annotations

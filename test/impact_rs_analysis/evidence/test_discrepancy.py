@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Model discrepancy: what was measured is found again at every feature, and only where it was measured."""
 
 from __future__ import annotations

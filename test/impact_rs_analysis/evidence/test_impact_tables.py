@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of impacts as evidence: a planted truth is found, and nothing where nothing is hidden."""
 
 from __future__ import annotations

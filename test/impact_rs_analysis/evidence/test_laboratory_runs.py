@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs of a laboratory: commands on the clock of the states, and the jump in the measured state."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The replay twin does what was measured when its physics are right, and shows where they are wrong."""
 
 from __future__ import annotations

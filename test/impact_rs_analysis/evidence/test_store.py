@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replays are kept, and told apart by everything that they depend on."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tracks show every signal once, on one clock, with the sides not swapped."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whatever is wrong with one bag is told, and the others are used."""
 
 from __future__ import annotations

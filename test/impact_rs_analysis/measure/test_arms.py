@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Arms of different kinds are told one by one: what they are, and what is measured and predicted of each."""
 
 from pathlib import Path

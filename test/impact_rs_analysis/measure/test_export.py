@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Export: what a robot would give, with units, complete or not at all."""
 
 import shutil

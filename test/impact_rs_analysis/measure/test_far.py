@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Predictions far outside of what was measured: where the limit is, and that it is said in one line."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The zero crossing: a known truth is recovered, and the interval covers it as often as it says."""
 
 import numpy as np

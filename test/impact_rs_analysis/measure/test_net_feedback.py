@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The measure: an integral of a held signal, and trials that must not enter a fit."""
 
 import shutil

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the paper's three motor inertias predict for a set."""
 
 from __future__ import annotations

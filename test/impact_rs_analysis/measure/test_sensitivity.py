@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The systematic band: planted shifts come back, and add in squares by their sign."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A study is two campaigns in one table."""
 
 from __future__ import annotations

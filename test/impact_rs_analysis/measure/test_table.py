@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The result table: mismatch in percent of the estimate, its mean with sign and without, ours beside the paper's."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Documents that hold everything a page may show, and documents that hold as little as they may."""
 
 from __future__ import annotations

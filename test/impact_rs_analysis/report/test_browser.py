@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a bag says is shown by a browser, and never run."""
 
 from __future__ import annotations

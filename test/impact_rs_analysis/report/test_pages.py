@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pages show what the documents say, in units, and nothing in a document can get out of its place."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One-joint arms whose motion can be written down, and a plant that runs them.
 
 Link 1 and the end effector lie along +x of the link: centres of mass at ``LINK_COM`` and at E, which is ``REACH`` away

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Actuation: what a joint delivers is gain times the desired torque, late, and an offset."""
 
 import numpy as np

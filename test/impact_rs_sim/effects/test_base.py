@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What every effect answers about itself: scalars, steps, bounds, complexity, phases and identity."""
 
 from dataclasses import replace

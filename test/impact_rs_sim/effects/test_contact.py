@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Contacts: a box on a pad that lies like a tray, and on a table."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Arms that do not share their parameters: each has its own set, with as many joints as it has."""
 
 from dataclasses import replace

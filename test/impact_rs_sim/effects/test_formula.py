@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Formulas in YAML: arithmetic and nothing else."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transmission: a load twists it by torque over stiffness."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects: nothing at their nominal values, their own signature otherwise, and found again by a fit."""
 
 import dataclasses

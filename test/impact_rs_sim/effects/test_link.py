@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Payload: a point mass on the end effector weighs, and it resists being turned."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Motor side: friction takes momentum from a moving joint, and the motor inertia adds to that of the link."""
 
 import numpy as np

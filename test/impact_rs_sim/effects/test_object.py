@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Object: a heavier one weighs more on the pad, and one with an offset turns about its centre of mass."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Surroundings: where gravity comes from, and which way a cable pulls."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A laboratory with signals that are known: an arm that moves evenly, hits a parcel, and goes on more slowly."""
 
 from __future__ import annotations

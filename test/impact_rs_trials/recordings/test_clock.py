@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time stamps: what is wrong is found, and what is nearly even is taken as it is."""
 
 from __future__ import annotations

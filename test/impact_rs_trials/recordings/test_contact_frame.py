@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A transform that was planted is found again from hits, and what they do not tell is left alone and said."""
 
 from __future__ import annotations

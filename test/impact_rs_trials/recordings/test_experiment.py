@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Experiment files and tables of runs: paths, conditions, and every slip of the pen with its place."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of impacts: what is read, and one clear line for everything that cannot be."""
 
 from __future__ import annotations

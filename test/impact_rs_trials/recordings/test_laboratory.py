@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs of a laboratory: known signals come back from every kind of file, and what is wrong is told."""
 
 from __future__ import annotations

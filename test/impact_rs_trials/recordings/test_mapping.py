@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mapping files: units are turned into SI, and what makes no sense is refused with the key."""
 
 from __future__ import annotations

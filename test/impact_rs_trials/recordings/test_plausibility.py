@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Physics tells wrong frames, wrong signs and forgotten gravity from right ones."""
 
 from __future__ import annotations

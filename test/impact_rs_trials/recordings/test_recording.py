@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings of others are read into SI units, joint by joint, or refused with the place."""
 
 from __future__ import annotations
