@@ -15,6 +15,7 @@ from catkin_pkg.package import parse_package
 import impact_rs_ros
 
 PREFIX = Path(impact_rs.__file__).parents[4]  # above lib/python3.x/site-packages/impact_rs
+of_pip = pytest.mark.skipif(Path(sys.prefix) != PREFIX, reason="colcon has a folder of its own for the package")
 NODES = ("controller", "experiment", "impact_map", "plant", "recorder")
 
 
@@ -52,7 +53,7 @@ def test_ros2_interface_finds_every_interface() -> None:
         assert (share / interface).is_file(), interface
 
 
-@pytest.mark.skipif(Path(sys.prefix) != PREFIX, reason="colcon has a folder of its own for the package")
+@of_pip
 def test_uninstalling_leaves_nothing_behind() -> None:
     """Every file of ours below the environment is recorded, so an uninstallation removes it."""
     distribution = importlib.metadata.distribution("impact-rs")
@@ -71,6 +72,7 @@ def test_uninstalling_leaves_nothing_behind() -> None:
     assert not list(prefix.glob("lib/python3*/site-packages/impact_rs*.egg-info"))
 
 
+@of_pip
 def test_a_pip_environment_announces_itself_to_ros_tools(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AMENT_PREFIX_PATH", "/somewhere/else")
     impact_rs_ros._announce_environment()
