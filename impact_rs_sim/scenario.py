@@ -733,7 +733,7 @@ def scenario_path(name: str) -> Path:
 
 def _check_compensation(compensation: FrictionCompensation, scenario: Scenario) -> None:
     cases = {name: set(case.robots) for name, case in scenario.cases.items()}
-    sets = {name: cases for name in scenario.objects}
+    sets = dict.fromkeys(scenario.objects, cases)
     compensation.check(scenario.name, scenario.digest, sets, scenario.timing.duration)
 
 

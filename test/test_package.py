@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conventions of the package: one version, executables that lead somewhere, documented fields."""
+"""Conventions of the package: one version, one licence, executables that lead somewhere, documented fields."""
 
 import ast
+import contextlib
+import importlib.metadata
 import os
 import re
 import runpy
@@ -10,6 +12,7 @@ import tomllib
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from catkin_pkg.package import parse_package
@@ -30,6 +33,18 @@ PACKAGES = (
     "impact_rs_sim",
     "impact_rs_trials",
 )
+FOLDERS = (*PACKAGES, ".ci", "benchmarks", "cmake", "config", "examples", "launch", "scripts", "test")
+FILES = sorted(
+    [path for path in ROOT.iterdir() if path.is_file()]
+    + [path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.is_file()]
+)
+SOURCES = [
+    path
+    for path in FILES
+    if path.suffix in (".py", ".cmake", ".sh", ".j2")
+    or path.name in ("run", "CMakeLists.txt")
+    or path.parent.name == "scripts"
+]
 PHYSICAL = ("float64", "uint8", "uint32", "uint64", "bool", "geometry_msgs/")
 
 
@@ -75,6 +90,21 @@ def test_a_script_is_executable_and_leads_to_a_module_with_main(script: Path) ->
     assert module.is_file()
     tree = ast.parse(module.read_text())
     assert any(isinstance(n, ast.FunctionDef) and n.name == "main" for n in tree.body)
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_a_script_does_nothing_in_a_worker_process_which_imports_it(
+    script: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The processes of a campaign import the program that started them under another name."""
+    module = re.findall(r"^from (\S+) import main$", script.read_text(), re.MULTILINE)[0]
+    started: list[str] = []
+    monkeypatch.setattr(f"{module}.main", lambda: started.append(module))
+    runpy.run_path(str(script), run_name="__mp_main__")
+    assert not started
+    with contextlib.suppress(SystemExit):
+        runpy.run_path(str(script), run_name="__main__")
+    assert started == [module]
 
 
 def test_every_script_and_interface_is_built() -> None:
@@ -148,3 +178,55 @@ def test_launch_files_start_every_node_again_that_dies() -> None:
         assert nodes
         for node in nodes:
             assert ast.unparse(next(word.value for word in node.keywords if word.arg == "respawn")) == "True"
+
+
+def test_every_source_file_begins_with_the_licence() -> None:
+    """In its first line, or behind the ``#!`` of an executable."""
+    line = f"SPDX-License-Identifier: {pyproject()['project']['license']}"
+    bare = []
+    for path in SOURCES:
+        head = path.read_text(encoding="utf-8").splitlines()[:2]
+        first = head[1:] if head and head[0].startswith("#!") else head[:1]
+        if first not in ([f"# {line}"], [f"{{# {line} -#}}"]):
+            bare.append(path.relative_to(ROOT).as_posix())
+    assert not bare
+
+
+def requirements(name: str) -> list[str]:
+    lines = (ROOT / name).read_text().splitlines()
+    return [line for line in lines if line and not line.startswith(("#", "-r "))]
+
+
+def test_the_requirements_of_a_workspace_are_those_of_pip_without_the_wheels_of_ros() -> None:
+    project = pyproject()["project"]
+    extras = project["optional-dependencies"]
+    assert requirements("requirements.txt") == [d for d in project["dependencies"] if not d.startswith("ros-")]
+    tests = [*extras["export"], *(d for d in extras["test"] if not d.startswith("impact-rs"))]
+    assert requirements("requirements-test.txt") == tests
+
+
+def test_all_that_is_imported_is_required_of_pip_or_of_ros() -> None:
+    """Nothing is left to what a system happens to have; rosdep installs what is of ROS, pip what is not."""
+    ros = {depend.name for depend in parse_package(ROOT / "package.xml").exec_depends}
+    assert not [name for name in ros if name.startswith("python3-")]
+    required = {re.split(r"[^\w.-]", line)[0].lower() for line in requirements("requirements.txt")}
+    required |= {re.split(r"[^\w.-]", line)[0] for line in pyproject()["project"]["optional-dependencies"]["export"]}
+    required |= {"annotated-types", "markupsafe"}  # of pydantic and of Jinja2
+    inside_pin = {"coal": "pin", "pinocchio": "pin", "proxsuite": "proxsuite"}  # in a prefix of their own
+    distributions = importlib.metadata.packages_distributions()
+    for name in imported():
+        found = {inside_pin.get(name, ""), *(one.lower() for one in distributions.get(name, []))}
+        assert name in ros or found & required, name
+
+
+def imported() -> set[str]:
+    modules = [path for path in SOURCES if path.relative_to(ROOT).parts[0] in PACKAGES and path.suffix == ".py"]
+    nodes = [node for path in modules for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+    names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    names |= {str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)}
+    return {name.split(".")[0] for name in names} - {*sys.stdlib_module_names, *PACKAGES, "impact_rs"}
+
+
+@pytest.mark.parametrize("path", [p for p in FILES if p.suffix == ".xml"], ids=lambda path: path.name)
+def test_xml_is_well_formed(path: Path) -> None:
+    ElementTree.parse(path)

@@ -104,7 +104,7 @@ def run_of_signals(spec: TrialSpec, signals: Signals, path: Path) -> Run:
         drive_period=scene.scenario.timing.drive_period,
         axis=scene.scenario.axis_index,
         signals=signals,
-        command_time={name: signals.time for name in signals.arms},
+        command_time=dict.fromkeys(signals.arms, signals.time),
         command={name: arm.command for name, arm in signals.arms.items()},
         spec=spec,
     )

@@ -24,7 +24,7 @@ MARGIN = 0.1  # s, after the last window: the impact may come late
 def quiet(scenario: Scenario) -> Scenario:
     """The scenario with ideal sensors and no scatter."""
     sensors = {name: 0.0 for name in type(scenario.sensors).model_fields if name != "object_period"}
-    scatter = {name: 0.0 for name in type(scenario.scatter).model_fields}
+    scatter = dict.fromkeys(type(scenario.scatter).model_fields, 0.0)
     return scenario.model_copy(
         update={
             "sensors": scenario.sensors.model_copy(update=sensors),

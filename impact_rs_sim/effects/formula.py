@@ -5,9 +5,8 @@
       sentence: A cable drags behind the end effector.
       end_effector_force: {y: "-drag * vy"}
       motor_torque: {joint2: "-c * tanh(dq2 / 0.02)"}
-      parameters:
-        drag: {unit: N s/m, nominal: 0, lower: 0, upper: 50, scale: 1}
-        c: {unit: N m, nominal: 0, lower: 0, upper: 3, scale: 0.1}
+      parameters: {drag: {unit: N s/m, nominal: 0, lower: 0, upper: 50, scale: 1},
+                   c: {unit: N m, nominal: 0, lower: 0, upper: 3, scale: 0.1}}
 
 ``joint_torque`` acts on a link, where the torque sensor sees it; ``motor_torque`` on the motor before the transmission,
 as friction of a gear does. Both are evaluated at every control tick, with position and velocity of the links.

@@ -79,7 +79,7 @@ class Derivatives:
 
     def velocities(self) -> Array:
         """The velocities of :func:`velocity_names`, ``(k,)`` [rad/s, m/s]."""
-        return self._with_twists(self.velocity, {arm: 0.0 for arm in self.end_effector})
+        return self._with_twists(self.velocity, dict.fromkeys(self.end_effector, 0.0))
 
     def of_velocities(self) -> Array:
         """Derivatives of every velocity of :func:`velocity_names`, ``(k, p)``."""

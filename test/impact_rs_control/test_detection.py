@@ -97,12 +97,12 @@ def test_a_sudden_force_against_the_motion_is_an_impact_and_one_along_it_is_not(
     for _ in range(20):
         assert not push_at_rest(observer, np.zeros(3))
     force = -size * SETTINGS.threshold * DIRECTION
-    assert any([push_at_rest(observer, force) for _ in range(10)]) == hit
+    assert any(push_at_rest(observer, force) for _ in range(10)) == hit
 
 
 def test_a_force_across_the_motion_is_no_impact() -> None:
     observer = detector()
-    assert not any([push_at_rest(observer, np.array([40.0, 0.0, -40.0])) for _ in range(50)])
+    assert not any(push_at_rest(observer, np.array([40.0, 0.0, -40.0])) for _ in range(50))
 
 
 def test_a_slow_force_becomes_the_baseline_and_a_sudden_one_on_top_is_still_found() -> None:
@@ -115,7 +115,7 @@ def test_a_slow_force_becomes_the_baseline_and_a_sudden_one_on_top_is_still_foun
     for _ in range(300):
         assert not push_at_rest(observer, np.array([0.0, rate, 0.0]))
     assert observer.force == pytest.approx(0.0, abs=0.1)
-    assert any([push_at_rest(observer, np.array([0.0, rate + 1.2 * SETTINGS.threshold, 0.0])) for _ in range(10)])
+    assert any(push_at_rest(observer, np.array([0.0, rate + 1.2 * SETTINGS.threshold, 0.0])) for _ in range(10))
 
 
 def test_what_counts_as_an_impact_is_not_forgotten_while_it_lasts() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given, reject, settings
 from hypothesis import strategies as st
 from impact_map_cases import PUSH, nominal, one_point
 
@@ -16,7 +16,7 @@ from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.derivatives import Derivatives, chain_derivative, differentiate, velocity_names
 from impact_rs_sim.impact_map.newton import settle, states
 from impact_rs_sim.impact_map.parameters import change, parameters_of
-from impact_rs_sim.impact_map.problem import ImpactProblem
+from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
 from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario
@@ -120,8 +120,11 @@ def test_homogeneous_laws_obey_eulers_theorem(seed: int) -> None:
 def test_impulses_of_a_sticking_point_do_not_know_friction(seed: int) -> None:
     problem = random_problem(PUSH, np.random.default_rng(seed))
     problem = replace(problem, physics=replace(problem.physics, pad_friction=50.0, support_friction=0.0))
-    found: Derivatives = differentiate(problem, compliance=COMPLIANCE)
-    if "slide" not in [state for state in found.states[:4]]:
+    try:
+        found: Derivatives = differentiate(problem, compliance=COMPLIANCE)
+    except ImpactMapError:  # one such problem in seven has no states to hold; rounding decides which
+        reject()
+    if "slide" not in found.states[:4]:
         np.testing.assert_allclose(found.of("pad_friction"), 0.0, atol=1e-9)
 
 

@@ -26,7 +26,7 @@ def without_noise(plan):
     quiet = scenario.sensors.model_copy(
         update={name: 0.0 for name in type(scenario.sensors).model_fields if name != "object_period"}
     )
-    still = scenario.scatter.model_copy(update={name: 0.0 for name in type(scenario.scatter).model_fields})
+    still = scenario.scatter.model_copy(update=dict.fromkeys(type(scenario.scatter).model_fields, 0.0))
     scene = replace(plan.scene, scenario=scenario.model_copy(update={"sensors": quiet, "scatter": still}))
     return replace(plan, scene=scene)
 

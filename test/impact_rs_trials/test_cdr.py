@@ -80,7 +80,7 @@ def test_columns_are_written_and_read_as_the_standard_says(frame: str, names: li
 
 
 def test_numbers_of_the_other_byte_order_are_read_as_well() -> None:
-    """``b"\\x00\\x00"``: big endian; nobody writes it here, some recorders do."""
+    r"""``b"\x00\x00"``: big endian; nobody writes it here, some recorders do."""
     rows = []
     for sec in range(3):
         body = struct.pack(">iII", sec, 7, 2) + b"w\0" + b"\0\0" + struct.pack(">II", 1, 2) + b"a\0" + b"\0\0"

@@ -121,7 +121,7 @@ def run(
 ) -> Motion:
     """Motion under a desired torque [N m] of time [s], from rest at ``start`` [rad]; the box starts where it is put."""
     scenario = load_scenario("push")
-    still = scenario.scatter.model_copy(update={name: 0.0 for name in type(scenario.scatter).model_fields})
+    still = scenario.scatter.model_copy(update=dict.fromkeys(type(scenario.scatter).model_fields, 0.0))
     scenario = scenario.model_copy(update={"scatter": still})
     body = BodyState(np.array(box), np.eye(3), np.array(box_twist))
     plant = Plant.for_trial(scenario, physics, {"arm": np.array([start])}, body, seed=0)
