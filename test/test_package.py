@@ -138,8 +138,11 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
     stand_ins = {
         "launch": {"LaunchContext": dict, "LaunchDescription": list},
-        "launch.actions": {"DeclareLaunchArgument": SimpleNamespace, "OpaqueFunction": SimpleNamespace},
+        "launch.actions": dict.fromkeys(
+            ("DeclareLaunchArgument", "OpaqueFunction", "SetEnvironmentVariable"), SimpleNamespace
+        ),
         "launch.substitutions": {
+            "EnvironmentVariable": SimpleNamespace,
             "LaunchConfiguration": lambda name: Configuration(name=name),
             "PathJoinSubstitution": list,
         },
