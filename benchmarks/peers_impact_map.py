@@ -29,7 +29,7 @@ from scipy.optimize import approx_fprime, nnls
 
 from impact_rs_sim.impact_map import BulletEngine, Engine, ImpactMapError, ImpactProblem, PinocchioEngine
 from impact_rs_sim.impact_map.cones import solve_cones
-from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint, Meeting, contact_frame, find_contacts, meetings
+from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint, contact_frame, find_contacts, meetings
 from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.physics import Physics
@@ -66,8 +66,8 @@ class PinocchioOnGivenPoints(PinocchioEngine):
         super().__init__(physics)
         self.contacts = contacts
 
-    def _contacts(self, meetings: Sequence[Meeting]) -> list[ContactPoint]:
-        return list(self.contacts)
+    def _points(self) -> Sequence[ContactPoint]:
+        return self.contacts
 
 
 @dataclass(frozen=True)
