@@ -229,9 +229,10 @@ void Impact::impulses_to_momenta(const std::vector<ArmState>& arms, const ThingS
     const Vector at = point.position - point.gap * point.normal - places_[point.partner];
     const Vector turning = cross(at, point.impulse);
     double* joints = momenta.data() + blocks_[point.partner].start;
+    const int n = arm.joints;
     for (int k = 0; k < 3; ++k)
-      for (int j = 0; j < arm.joints; ++j)
-        joints[j] -= arm.jacobian[k * arm.joints + j] * point.impulse[k] + arm.jacobian[(3 + k) * arm.joints + j] * turning[k];
+      for (int j = 0; j < n; ++j)
+        joints[j] -= arm.jacobian[k * n + j] * point.impulse[k] + arm.jacobian[(3 + k) * n + j] * turning[k];
   }
 }
 

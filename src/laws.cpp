@@ -8,10 +8,10 @@ namespace {
 
 constexpr double TINY = 1e-300;
 constexpr int SWEEPS = 4;        // of Gauss and Seidel, before Newton's method
-constexpr int TRIAL = 6;         // steps of Newton's method from there, and of one hardening
+constexpr int POLISHING = 6;     // steps of Newton's method in one hardening
 constexpr int HARDENINGS = 3;    // each leaves a hundred-millionth of what the one before left
-constexpr double SOFT = 0.1;     // rho [-] at which the way to a small one begins
-constexpr double FACTOR = 0.1;   // its first step
+constexpr double SOFT = 0.1;     // of the inverse mass: how much points yield at the start
+constexpr double FACTOR = 0.1;   // the first step from there
 constexpr double SLOWEST = 0.9;  // a step as small is none
 
 Vector at(const std::vector<double>& values, int point) { return vector(values.data() + 3 * point); }
@@ -60,7 +60,8 @@ PointLaw linearise(const Vector& impulse, const Vector& velocity, const Vector& 
     for (int j = 0; j < 3; ++j) {
       const double along = normal[i] * normal[j], across = (i == j ? 1.0 : 0.0) - along;
       const double turned = turning * (across - direction[i] * direction[j]);
-      law.by_impulse[3 * i + j] = (closed ? 0.0 : along) + (sticks ? 0.0 : across - grip * direction[i] * normal[j] - turned);
+      const double gripped = grip * direction[i] * normal[j];
+      law.by_impulse[3 * i + j] = (closed ? 0.0 : along) + (sticks ? 0.0 : across - gripped - turned);
       law.by_velocity[3 * i + j] = ratio * ((closed ? along : 0.0) + (sticks ? across : turned));
     }
     law.by_friction[i] = sticks ? 0.0 : -carried * direction[i];
@@ -131,8 +132,7 @@ bool Solver::newton_step(const Terms& terms, double yield) {
 }
 
 // Newton's steps without a line search: at the kinks between states it would only stall.
-bool Solver::full_steps(const Terms& terms, std::vector<double>& impulses, double compliance, int most) {
-  const double yield = compliance * terms.mobility;
+bool Solver::full_steps(const Terms& terms, std::vector<double>& impulses, double yield, double enough, int most) {
   double lowest = INFINITY;
   best_ = impulses;
   laws_.resize(terms.count);
@@ -152,7 +152,7 @@ bool Solver::full_steps(const Terms& terms, std::vector<double>& impulses, doubl
       best_ = impulses;
       lowest = error;
     }
-    if (lowest <= CONVERGED || (lowest <= ACCEPTED && stalled)) break;
+    if (lowest <= enough || (lowest <= ACCEPTED && stalled)) break;
     if (!newton_step(terms, yield)) break;
     for (int i = 0; i < 3 * terms.count; ++i) impulses[i] += step_[i];
   }
@@ -161,14 +161,15 @@ bool Solver::full_steps(const Terms& terms, std::vector<double>& impulses, doubl
 }
 
 bool Solver::settle(const Terms& terms, std::vector<double>& impulses, double compliance) {
+  const double mobility = terms.mobility;
   origin_.assign(3 * terms.count, 0.0);
   kept_ = impulses;
-  if (full_steps(terms, impulses, compliance, ITERATIONS)) return true;
+  if (full_steps(terms, impulses, compliance * mobility, CONVERGED, ITERATIONS)) return true;
   impulses = kept_;
   bool converged = true;
   for (const double rho : CONTINUATION)
-    if (converged && rho > compliance) converged = full_steps(terms, impulses, rho, ITERATIONS);
-  if (converged && full_steps(terms, impulses, compliance, ITERATIONS)) return true;
+    if (converged && rho > compliance) converged = full_steps(terms, impulses, rho * mobility, CONVERGED, ITERATIONS);
+  if (converged && full_steps(terms, impulses, compliance * mobility, CONVERGED, ITERATIONS)) return true;
   impulses = kept_;
   return false;
 }
@@ -178,7 +179,7 @@ void Solver::harden(const Terms& terms, std::vector<double>& impulses, double co
   for (int round = 0; round < HARDENINGS; ++round) {
     origin_ = impulses;
     kept_ = impulses;
-    if (!full_steps(terms, impulses, compliance, TRIAL)) {
+    if (!full_steps(terms, impulses, yield, CONVERGED, POLISHING)) {
       impulses = kept_;
       return;
     }
@@ -238,16 +239,22 @@ void Solver::sweep(const Terms& terms, std::vector<double>& impulses, double yie
   }
 }
 
-// Where Newton's method does not get there at once: points that yield much are solved easily, and then yield less and
+// Points that yield much have one answer, which shares loads evenly and is found easily; from there they yield less and
 // less, in steps that grow while they succeed.
-bool Solver::follow(const Terms& terms, std::vector<double>& impulses, double compliance) {
-  double rho = SOFT, factor = FACTOR;
-  if (!full_steps(terms, impulses, rho, ITERATIONS)) return false;
-  while (rho > compliance) {
+bool Solver::solve(const Terms& terms, std::vector<double>& impulses, double compliance) {
+  impulses.assign(3 * terms.count, 0.0);
+  origin_ = impulses;
+  double total = 0.0;
+  for (const double mass : terms.inverse_mass) total += mass;
+  const double last = compliance * terms.mobility;
+  double yield = std::max(SOFT * total / std::max(terms.count, 1), last), factor = FACTOR;
+  sweep(terms, impulses, yield);
+  if (!full_steps(terms, impulses, yield, ACCEPTED, ITERATIONS)) return false;
+  while (yield > last) {
     kept_ = impulses;
-    const double next = std::max(rho * factor, compliance);
-    if (full_steps(terms, impulses, next, ITERATIONS)) {
-      rho = next;
+    const double next = std::max(yield * factor, last);
+    if (full_steps(terms, impulses, next, ACCEPTED, ITERATIONS)) {
+      yield = next;
       factor *= factor;
     } else {
       impulses = kept_;
@@ -255,21 +262,8 @@ bool Solver::follow(const Terms& terms, std::vector<double>& impulses, double co
       if (factor > SLOWEST) return false;
     }
   }
+  harden(terms, impulses, compliance);
   return true;
-}
-
-bool Solver::solve(const Terms& terms, std::vector<double>& impulses, double compliance) {
-  impulses.assign(3 * terms.count, 0.0);
-  origin_ = impulses;
-  sweep(terms, impulses, compliance * terms.mobility);
-  const std::vector<double> guess = impulses;
-  bool converged = full_steps(terms, impulses, compliance, TRIAL);
-  if (!converged) {
-    impulses = guess;
-    converged = follow(terms, impulses, compliance);
-  }
-  if (converged) harden(terms, impulses, compliance);
-  return converged;
 }
 
 Judged judge(const Terms& terms, const double* impulses, const double* after) {

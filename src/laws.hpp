@@ -55,7 +55,7 @@ class Solver {
   // Take the compliance out again: the same impulses without the velocity that it let points yield.
   void harden(const Terms& terms, std::vector<double>& impulses, double compliance);
 
-  // From nothing: a first guess by Gauss and Seidel, Newton's method, and harden; false: no answer.
+  // From nothing, by Gauss and Seidel, Newton's method and harden; false: no answer.
   bool solve(const Terms& terms, std::vector<double>& impulses, double compliance);
 
   // Of a point, where the last of Newton's steps was linearised.
@@ -64,9 +64,8 @@ class Solver {
   int steps = 0;  // of Newton's method and sweeps of Gauss and Seidel, since the start
 
  private:
-  bool full_steps(const Terms& terms, std::vector<double>& impulses, double compliance, int most);
+  bool full_steps(const Terms& terms, std::vector<double>& impulses, double yield, double enough, int most);
   void sweep(const Terms& terms, std::vector<double>& impulses, double yield);
-  bool follow(const Terms& terms, std::vector<double>& impulses, double compliance);
   bool newton_step(const Terms& terms, double yield);
   void velocities(const Terms& terms, const std::vector<double>& impulses, double yield);
 

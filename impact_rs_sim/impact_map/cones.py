@@ -5,9 +5,9 @@
 
 ADMM ends at one of the answers, which depends on where it started: with corners that slide u^+ differs by up to some
 percent of the ante-impact speed. Newton's method (:mod:`impact_rs_sim.impact_map.newton`) goes on from there to the one
-that is told. It mostly finds that without ADMM, on a way of its own: from some sweeps of Gauss and Seidel over the points,
-and where it does not converge from there, from points that yield much (rho = 0.1), which hardly ever fails, and then less
-and less.
+that is told. Mostly it gets there without ADMM, on a way of its own (``src/laws.cpp``): points that yield as much as a
+tenth of their own inverse mass have one answer, which shares loads evenly and is found from some sweeps of Gauss and
+Seidel; from there they yield less and less.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The impact map on Pinocchio's kinematics: compiled, and step by step with Pinocchio's contact solver behind it.
 
-The usual question is answered by one call (:mod:`impact_rs_sim.impact_map.compiled`). What that does not answer goes the
-long way: contacts, terms, Newton's method, and ADMM where that does not converge (:mod:`impact_rs_sim.impact_map.cones`).
+The usual question is answered by one call (:mod:`impact_rs_sim.impact_map.compiled`). What that does not answer goes
+the long way: contacts, terms, Newton's method, and ADMM where that does not converge
+(:mod:`impact_rs_sim.impact_map.cones`).
 """
 
 from __future__ import annotations
@@ -68,8 +69,8 @@ class PinocchioEngine(Engine):
             end_effector_twist=of_frames,
             object_twist=velocity[column:],
             contacts=tuple(
-                ContactImpulse("object", partners[partner], position, normal, impulse, gap)
-                for partner, position, normal, impulse, gap in points
+                ContactImpulse("object", partners[number], position, normal, impulse, gap)
+                for number, position, normal, impulse, gap in points
             ),
             residual=residual,
             engine=self.name,
