@@ -82,7 +82,7 @@ def solve_impacts(
 
     Args:
         count: N.
-        arms: By arm q, dq, B, least and largest q, largest \\|dq\\|, M (upper triangle), J of E in E[A], origin and axes
+        arms: By arm q, dq, B, least and largest q, largest speed, M (upper triangle), J of E in E[A], origin and axes
             of E in A, middle, axes and half extents of the pad in E, shift of its contact points in A.
         thing: Position, axes, twist, mass, half extents, principal moments, centre of mass of the object.
         contact: Friction of pads and of the support, restitution.

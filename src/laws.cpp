@@ -8,11 +8,40 @@ namespace {
 
 constexpr double TINY = 1e-300;
 constexpr int SWEEPS = 4;        // of Gauss and Seidel, before Newton's method
-constexpr int POLISHING = 6;     // steps of Newton's method in one hardening
 constexpr int HARDENINGS = 3;    // each leaves a hundred-millionth of what the one before left
 constexpr double SOFT = 0.1;     // of the inverse mass: how much points yield at the start
 constexpr double FACTOR = 0.1;   // the first step from there
-constexpr double SLOWEST = 0.9;  // a step as small is none
+constexpr double SLOWEST = 0.98;  // a step as small is none
+constexpr double BOLD = 0.05;    // a larger step, of which Newton's method gets less time
+constexpr int HASTE = 8;         // steps of Newton's method then
+constexpr int EASY = 5;          // steps of Newton's method after which the next one is larger
+
+// Solve a x = b in place of both, by elimination with partial pivoting; false where a is singular.
+bool eliminate(double* a, double* b, int n) {
+  for (int k = 0; k < n; ++k) {
+    int pivot = k;
+    for (int i = k + 1; i < n; ++i)
+      if (std::abs(a[i * n + k]) > std::abs(a[pivot * n + k])) pivot = i;
+    if (!(std::abs(a[pivot * n + k]) > 0.0)) return false;
+    if (pivot != k) {
+      std::swap_ranges(a + k * n + k, a + k * n + n, a + pivot * n + k);
+      std::swap(b[k], b[pivot]);
+    }
+    const double* top = a + k * n;
+    for (int i = k + 1; i < n; ++i) {
+      double* row = a + i * n;
+      const double factor = row[k] / top[k];
+      if (factor == 0.0) continue;
+      for (int j = k + 1; j < n; ++j) row[j] -= factor * top[j];
+      b[i] -= factor * b[k];
+    }
+  }
+  for (int i = n - 1; i >= 0; --i) {
+    for (int j = i + 1; j < n; ++j) b[i] -= a[i * n + j] * b[j];
+    b[i] /= a[i * n + i];
+  }
+  return true;
+}
 
 Vector at(const std::vector<double>& values, int point) { return vector(values.data() + 3 * point); }
 
@@ -80,11 +109,11 @@ PointLaw linearise(const Vector& impulse, const Vector& velocity, const Vector& 
 void Solver::velocities(const Terms& terms, const std::vector<double>& impulses, double yield) {
   const int size = 3 * terms.count;
   velocity_.resize(size);
-  for (int i = 0; i < size; ++i) {
-    const double* row = terms.delassus.data() + i * size;
-    double sum = terms.approach[i] + yield * (impulses[i] - origin_[i]) + terms.rebound[i / 3] * terms.normals[i];
-    for (int j = 0; j < size; ++j) sum += row[j] * impulses[j];
-    velocity_[i] = sum;
+  for (int i = 0; i < size; ++i)
+    velocity_[i] = terms.approach[i] + yield * (impulses[i] - origin_[i]) + terms.rebound[i / 3] * terms.normals[i];
+  for (int j = 0; j < size; ++j) {  // row by row, as G is symmetric
+    const double* row = terms.delassus.data() + j * size;
+    for (int i = 0; i < size; ++i) velocity_[i] += impulses[j] * row[i];
   }
 }
 
@@ -179,7 +208,7 @@ void Solver::harden(const Terms& terms, std::vector<double>& impulses, double co
   for (int round = 0; round < HARDENINGS; ++round) {
     origin_ = impulses;
     kept_ = impulses;
-    if (!full_steps(terms, impulses, yield, CONVERGED, POLISHING)) {
+    if (!full_steps(terms, impulses, yield, CONVERGED, ITERATIONS)) {
       impulses = kept_;
       return;
     }
@@ -240,7 +269,7 @@ void Solver::sweep(const Terms& terms, std::vector<double>& impulses, double yie
 }
 
 // Points that yield much have one answer, which shares loads evenly and is found easily; from there they yield less and
-// less, in steps that grow while they succeed.
+// less, in steps that grow while they come easily.
 bool Solver::solve(const Terms& terms, std::vector<double>& impulses, double compliance) {
   impulses.assign(3 * terms.count, 0.0);
   origin_ = impulses;
@@ -252,10 +281,11 @@ bool Solver::solve(const Terms& terms, std::vector<double>& impulses, double com
   if (!full_steps(terms, impulses, yield, ACCEPTED, ITERATIONS)) return false;
   while (yield > last) {
     kept_ = impulses;
+    const int before = steps;
     const double next = std::max(yield * factor, last);
-    if (full_steps(terms, impulses, next, ACCEPTED, ITERATIONS)) {
+    if (full_steps(terms, impulses, next, ACCEPTED, factor < BOLD ? HASTE : ITERATIONS)) {
       yield = next;
-      factor *= factor;
+      if (steps - before <= EASY) factor *= factor;
     } else {
       impulses = kept_;
       factor = std::sqrt(factor);

@@ -64,9 +64,7 @@ class ImpactBatch:
         pad, support = self.friction
         return ImpactProblem(
             physics=replace(physics, pad_friction=float(at(pad, 0)), support_friction=float(at(support, 0))),
-            arms={
-                name: ArmState(at(state.position, 1), at(state.velocity, 1)) for name, state in self.arms.items()
-            },
+            arms={name: ArmState(at(state.position, 1), at(state.velocity, 1)) for name, state in self.arms.items()},
             object=BodyState(at(body.position, 1), at(body.rotation, 2), at(body.twist, 1)),
             motor_inertia={name: at(values, 1) for name, values in self.motor_inertia.items()},
             restitution=float(at(self.restitution, 0)),

@@ -3,7 +3,7 @@
 All shapes are boxes. Of the six face directions of a pair, the one that separates the two boxes best is the contact
 normal; the nearest face of the other box is clipped to that face, and its corners within ``GAP_TOLERANCE`` of it touch.
 Face, edge and corner contacts come out as polygon, segment and point. Bullet's box-box detector follows the same
-rules, so that both engines see the same contacts. Of aligned faces the one that separates after a tilt as well is taken:
+rules, so that both engines see the same contacts. Of aligned faces the one is taken that separates after a tilt too:
 a tilt by dphi costs the direction of a face the extent of the other box along that face, times dphi; of two faces that
 lie on each other, that of the larger box keeps the normal on either side.
 

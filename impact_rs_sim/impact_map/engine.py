@@ -145,7 +145,7 @@ class Engine(ABC):
         return self._at_once(problem, start) or self._step_by_step(problem, start)
 
     def _at_once(self, problem: ImpactProblem, start: float) -> ImpactResult | None:
-        """The answer, where an engine has a short way to it; whatever is out of the ordinary is left to the long one."""
+        """The answer, where an engine has a short way to it; what is out of the ordinary is left to the long one."""
         return None
 
     def _step_by_step(self, problem: ImpactProblem, start: float) -> ImpactResult:

@@ -12,8 +12,8 @@ contact point, r_i = 1 / g_i and the projection P onto the disk of radius mu L_n
 its own: u^+ is not unique. rho > 0 makes it so: every contact point yields by the same rho / m per impulse. As rho goes
 to 0 this singles out the impulses of least norm among those that hold the same velocities. At the ``COMPLIANCE`` taken
 here a point gives way by a hundred-millionth of the velocity that its impulse gives the object. An answer that is told
-is :func:`hardened <harden>`: with rho (L - L') / m in the place of rho L / m and L' the answer before, it loses what the
-compliance changed and keeps its choice (the proximal point method, Rockafellar 1976), so that it obeys the rigid laws.
+is :func:`hardened <harden>`: with rho (L - L') / m in the place of rho L / m, and L' the answer before, it loses what
+the compliance changed and keeps its choice (the proximal point method, Rockafellar 1976): it obeys the rigid laws.
 
 The laws, their derivatives and the iterations are compiled (``src/laws.cpp``).
 """
