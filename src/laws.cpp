@@ -10,7 +10,7 @@ constexpr double TINY = 1e-300;
 constexpr int SWEEPS = 4;        // of Gauss and Seidel, before Newton's method
 constexpr int HARDENINGS = 3;    // each leaves a hundred-millionth of what the one before left
 constexpr double SOFT = 0.1;     // of the inverse mass: how much points yield at the start
-constexpr double FACTOR = 0.1;   // the first step from there
+constexpr double FACTOR = 0.1;   // the first step from there, where they cannot stop yielding at once
 constexpr double SLOWEST = 0.98;  // a step as small is none
 constexpr double BOLD = 0.05;    // a larger step, of which Newton's method gets less time
 constexpr int HASTE = 8;         // steps of Newton's method then
@@ -269,14 +269,14 @@ void Solver::sweep(const Terms& terms, std::vector<double>& impulses, double yie
 }
 
 // Points that yield much have one answer, which shares loads evenly and is found easily; from there they yield less and
-// less, in steps that grow while they come easily.
+// less: all at once where that does, else in steps that grow while they come easily.
 bool Solver::solve(const Terms& terms, std::vector<double>& impulses, double compliance) {
   impulses.assign(3 * terms.count, 0.0);
   origin_ = impulses;
   double total = 0.0;
   for (const double mass : terms.inverse_mass) total += mass;
   const double last = compliance * terms.mobility;
-  double yield = std::max(SOFT * total / std::max(terms.count, 1), last), factor = FACTOR;
+  double yield = std::max(SOFT * total / std::max(terms.count, 1), last), factor = 0.0;
   sweep(terms, impulses, yield);
   if (!full_steps(terms, impulses, yield, ACCEPTED, ITERATIONS)) return false;
   while (yield > last) {
@@ -288,7 +288,7 @@ bool Solver::solve(const Terms& terms, std::vector<double>& impulses, double com
       if (steps - before <= EASY) factor *= factor;
     } else {
       impulses = kept_;
-      factor = std::sqrt(factor);
+      factor = factor > 0.0 ? std::sqrt(factor) : FACTOR;
       if (factor > SLOWEST) return false;
     }
   }

@@ -10,7 +10,7 @@ questions that are sound and have nothing special about them. All others, and th
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,8 +31,7 @@ _NO_SHIFT = np.zeros(3)
 _ANYTHING = np.finfo(float).max
 
 
-@dataclass(frozen=True)
-class Compiled:
+class Compiled(NamedTuple):
     """Answers to N questions, as they come; M contact points of all questions stand in a row.
 
     Attributes:
