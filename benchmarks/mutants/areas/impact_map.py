@@ -398,10 +398,10 @@ MUTANTS = [
     Mutant(
         name="contacts_not_clipped",
         file=COMPILED_BOXES,
-        original="    polygon = clip(polygon, side, 1.0, reference.half[side]);\n",
+        original="polygon = clip(polygon, side, -1.0, reference.half[side]);",
         mutated="",
         wrong="Contact points lie beyond the edge of a face.",
-        tests=CONTACT_TESTS,
+        tests=("test/impact_rs_sim/test_impact_map_boxes.py",),
     ),
     Mutant(
         name="share_of_equal_corners_left_open",
