@@ -52,7 +52,7 @@ RADIUS = 1e-3  # m, of the spheres that stand for contact points
 PLATE = (0.6, 0.6, 0.02)  # m, of the plates on the object; no sphere touches an edge
 DIRECTIONS = 360  # of friction, where a sticking point is tried
 
-console = Console(width=175)
+console = Console(width=190)
 
 
 class OtherPoints(Exception):
@@ -468,7 +468,7 @@ class Cell:
 
     def __str__(self) -> str:
         low, middle, high = self.times
-        return f"{middle:.2f} ({low:.2f}..{high:.2f}) {self.distance:.0e}{'*' if self.lawful else ''}"
+        return f"{middle:.3f} ({low:.3f}..{high:.3f}) {self.distance:.0e}{'*' if self.lawful else ''}"
 
 
 def measure(case: Case, make: Callable[[], Callable[[], Array]], calls: int) -> Cell | str:

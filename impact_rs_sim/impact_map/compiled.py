@@ -29,6 +29,7 @@ STATES = ("open", "stick", "slide")
 _RULES = (ALIGNED, GAP_TOLERANCE, PENETRATION_TOLERANCE, COMPLIANCE)
 _NO_SHIFT = np.zeros(3)
 _ANYTHING = np.finfo(float).max
+_Parts = tuple[Sequence[int], Array, Array, Array]  # partner, position, normal and gap of contact points
 
 
 class Compiled(NamedTuple):
@@ -91,6 +92,7 @@ class CompiledMap:
             self._pads[name] = (np.array(pad.translation), np.array(pad.rotation), half)
         thing = physics.object
         self._thing = (thing.mass, thing.size / 2.0, thing.inertia, thing.com_offset)
+        self._kept: tuple[Sequence[ContactPoint], tuple[str, ...], _Parts] | None = None
         support = support_box(physics)
         self._support = None if support is None else np.concatenate((support.centre, support.half))
 
@@ -121,8 +123,14 @@ class CompiledMap:
         if body.position.shape != (3,) or body.rotation.shape != (3, 3) or body.twist.shape != (6,):
             return None
         contact = (physics.pad_friction, physics.support_friction, problem.restitution)
-        given = None if points is None else _parts(points, list(problem.arms))
+        given = None if points is None else self._given(points, tuple(problem.arms))
         return self.solve(1, arms, (body.position, body.rotation, body.twist), contact, given)
+
+    def _given(self, points: Sequence[ContactPoint], names: tuple[str, ...]) -> _Parts:
+        """Contact points as the kernel takes them; kept, because one set is mostly asked about again and again."""
+        if self._kept is None or self._kept[0] is not points or self._kept[1] != names:
+            self._kept = (points, names, _parts(points, names))
+        return self._kept[2]
 
     def arm(
         self,
@@ -146,14 +154,14 @@ class CompiledMap:
         arms: Sequence[Sequence[Array]],
         body: tuple[Array, Array, Array],
         contact: tuple[Array | float, Array | float, Array | float],
-        points: tuple[Sequence[int], Array, Array, Array] | None = None,
+        points: _Parts | None = None,
     ) -> Compiled:
         """Answers to ``count`` questions; arguments as :func:`impact_rs_sim._kernel.solve_impacts` takes them."""
         thing = (*body, *self._thing)
         return Compiled(*_kernel.solve_impacts(count, arms, thing, contact, self._support, _RULES, points=points))
 
 
-def _parts(points: Sequence[ContactPoint], names: Sequence[str]) -> tuple[list[int], Array, Array, Array]:
+def _parts(points: Sequence[ContactPoint], names: Sequence[str]) -> _Parts:
     """Contact points as the kernel takes them."""
     return (
         [names.index(point.partner) if point.partner in names else len(names) for point in points],
