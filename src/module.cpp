@@ -32,16 +32,25 @@ const double* checked(const Numbers& values, py::ssize_t size, const char* name)
 // Numbers of one question out of many: as many sets as there are questions, or one for all of them.
 class Field {
  public:
-  Field(const py::handle& given, py::ssize_t each, py::ssize_t count, const char* name)
-      : numbers_(py::reinterpret_borrow<py::object>(given)) {
+  Field(const py::handle& given, py::ssize_t each, py::ssize_t count, const char* name) {
+    if (each == 1 && PyFloat_Check(given.ptr())) {  // no array is made of a mere number
+      number_ = PyFloat_AS_DOUBLE(given.ptr());
+      return;
+    }
+    numbers_ = Numbers(py::reinterpret_borrow<py::object>(given));
+    is_number_ = false;
     if (numbers_.size() != each) checked(numbers_, each * count, name);
     stride_ = numbers_.size() == each ? 0 : each;
   }
-  const double* operator()(py::ssize_t question) const { return numbers_.data() + question * stride_; }
+  const double* operator()(py::ssize_t question) const {
+    return is_number_ ? &number_ : numbers_.data() + question * stride_;
+  }
 
  private:
   Numbers numbers_;
-  py::ssize_t stride_;
+  py::ssize_t stride_ = 0;
+  double number_ = 0.0;
+  bool is_number_ = true;
 };
 
 Box box_of(const Numbers& centre, const Numbers& rotation, const Numbers& half) {

@@ -42,9 +42,10 @@ class PinocchioEngine(Engine):
         found = self._compiled.answer(problem, self._points())
         if found is None or found.status[0] != SOLVED:
             return None
-        residual = Residual(*found.residual[0].tolist())
-        if not residual.largest <= self.tolerance:
+        judged = found.residual[0].tolist()
+        if not all(amount <= self.tolerance for amount in judged):
             return None
+        residual = Residual(*judged)
         before, gain = found.energy[0].tolist()
         check_energy(before, gain, found.impulse, residual, problem.restitution)
         return self._result(problem, found, residual, start)

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -85,8 +86,7 @@ def _touched(scene: Scene) -> BodyState:
     return replace(thing, position=thing.position + np.mean(depths, axis=0))
 
 
-@dataclass(frozen=True)
-class ContactImpulse:
+class ContactImpulse(NamedTuple):
     """One contact point of the answer.
 
     Attributes:
