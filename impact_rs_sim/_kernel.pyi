@@ -75,7 +75,6 @@ def solve_impacts(
     contact: Sequence[Array | float],
     support: Array | None,
     rules: tuple[float, float, float, float],
-    come_on: bool = False,
     points: tuple[Sequence[int], Array, Array, Array] | None = None,
 ) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array]:
     """Solve ``count`` questions; what has no such first axis holds for all of them.
@@ -83,12 +82,11 @@ def solve_impacts(
     Args:
         count: N.
         arms: By arm q, dq, B, least and largest q, largest speed, M (upper triangle), J of E in E[A], origin and axes
-            of E in A, middle, axes and half extents of the pad in E, shift of its contact points in A.
+            of E in A, middle, axes and half extents of the pad in E.
         thing: Position, axes, twist, mass, half extents, principal moments, centre of mass of the object.
         contact: Friction of pads and of the support, restitution.
         support: Centre and half extents of the support in A, ``(6,)`` [m]; None: no support.
         rules: ``ALIGNED``, ``GAP_TOLERANCE``, ``PENETRATION_TOLERANCE`` [m] and ``COMPLIANCE`` [-].
-        come_on: Whether pads come on, along the normal, until they touch.
         points: Partner, position, normal and gap of contact points that hold for all questions, as they are returned;
             None: those where the boxes touch.
 

@@ -2,8 +2,6 @@
 
 #include "impact.hpp"
 
-#include <limits>
-
 namespace impact_rs {
 
 namespace {
@@ -86,20 +84,13 @@ bool Impact::find_points(const std::vector<ArmState>& arms, const ThingState& th
     } else {
       other = {vector(contact.support), {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, vector(contact.support + 3)};
     }
-    Face face = separating_face(other, box, rules_.aligned);
-    if (partner < count && rules_.come_on) {
-      const Vector step = face.separation * face.normal;
-      other.centre = other.centre + step;
-      places_[partner] = places_[partner] + step;
-      face.separation = 0.0;
-    }
-    if (!(-face.separation <= rules_.penetration) && !rules_.come_on) return false;
+    const Face face = separating_face(other, box, rules_.aligned);
+    if (!(-face.separation <= rules_.penetration)) return false;
     if (!(face.separation <= rules_.gap)) continue;
     touches_.clear();
     touching(other, box, face, rules_.gap, touches_);
-    const Vector shift = partner < count ? vector(arms[partner].shift) : Vector{};
     for (const Touch& touch : touches_)
-      points.push_back({partner, touch.position + shift, face.normal, {}, touch.gap, State::open});
+      points.push_back({partner, touch.position, face.normal, {}, touch.gap, State::open});
   }
   return true;
 }

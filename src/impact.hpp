@@ -16,7 +16,6 @@ struct Rules {
   double gap;          // GAP_TOLERANCE of contacts.py [m]
   double penetration;  // PENETRATION_TOLERANCE of problem.py [m]
   double compliance;   // COMPLIANCE of newton.py [-]
-  bool come_on;        // whether pads come on, along the normal, until they touch
 };
 
 struct ArmState {
@@ -34,7 +33,6 @@ struct ArmState {
   const double* pad_place;  // middle of the pad in E, (3)
   const double* pad_axes;   // its axes in E, (3, 3)
   const double* pad_half;   // its half extents, (3)
-  const double* shift;      // of the contact points in A, (3)
 };
 
 struct ThingState {

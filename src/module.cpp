@@ -182,19 +182,19 @@ struct ArmFields {
   std::vector<Field> fields;
 
   ArmFields(const py::sequence& given, py::ssize_t count) {
-    if (given.size() != 14) throw py::value_error("an arm has 14 fields");
+    if (given.size() != 13) throw py::value_error("an arm has 13 fields");
     joints = Numbers(py::reinterpret_borrow<py::object>(given[3])).size();  // low: one number per joint
     const py::ssize_t n = joints;
-    const py::ssize_t sizes[] = {n, n, n, n, n, n, n * n, 6 * n, 3, 9, 3, 9, 3, 3};
+    const py::ssize_t sizes[] = {n, n, n, n, n, n, n * n, 6 * n, 3, 9, 3, 9, 3};
     const char* const names[] = {"position", "velocity", "motor_inertia", "low",   "high",      "fastest",  "inertia",
-                                 "jacobian", "place",    "axes",          "pad_place", "pad_axes", "pad_half", "shift"};
-    for (int k = 0; k < 14; ++k) fields.emplace_back(given[k], sizes[k], count, names[k]);
+                                 "jacobian", "place",    "axes",          "pad_place", "pad_axes", "pad_half"};
+    for (int k = 0; k < 13; ++k) fields.emplace_back(given[k], sizes[k], count, names[k]);
   }
 
   ArmState at(py::ssize_t q) const {
     const auto& f = fields;
     return {static_cast<int>(joints), f[0](q), f[1](q), f[2](q),  f[3](q),  f[4](q),  f[5](q), f[6](q),
-            f[7](q),                  f[8](q), f[9](q), f[10](q), f[11](q), f[12](q), f[13](q)};
+            f[7](q),                  f[8](q), f[9](q), f[10](q), f[11](q), f[12](q)};
   }
 };
 
@@ -217,7 +217,7 @@ std::vector<Point> points_of(const PointsOfPython& given, int arms) {
 
 py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::sequence& thing,
                         const py::sequence& contact, const py::object& support,
-                        const std::tuple<double, double, double, double>& rules, bool come_on,
+                        const std::tuple<double, double, double, double>& rules,
                         const std::optional<PointsOfPython>& given) {
   std::vector<ArmFields> arm_fields;
   py::ssize_t joints = 0;
@@ -248,7 +248,7 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
            *e = energy.mutable_data();
     int *s = status.mutable_data(), *n = steps.mutable_data(), *f = first.mutable_data();
     const py::gil_scoped_release others_may_run;
-    Impact impact({std::get<0>(rules), std::get<1>(rules), std::get<2>(rules), std::get<3>(rules), come_on},
+    Impact impact({std::get<0>(rules), std::get<1>(rules), std::get<2>(rules), std::get<3>(rules)},
                   given ? &known : nullptr);
     std::vector<ArmState> states_of_arms(k);
     f[0] = 0;
@@ -315,5 +315,5 @@ PYBIND11_MODULE(_kernel, module) {
       .def("solve", &TermsOfPython::solve, py::arg("compliance"))
       .def("judge", &TermsOfPython::judge, py::arg("impulses"), py::arg("after"), py::arg("least"));
   module.def("solve_impacts", &solve_impacts, py::arg("count"), py::arg("arms"), py::arg("thing"), py::arg("contact"),
-             py::arg("support"), py::arg("rules"), py::arg("come_on") = false, py::arg("points") = py::none());
+             py::arg("support"), py::arg("rules"), py::arg("points") = py::none());
 }

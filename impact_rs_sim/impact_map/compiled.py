@@ -27,7 +27,6 @@ SOLVED = 0  # status of a question that has an answer
 STATES = ("open", "stick", "slide")
 
 _RULES = (ALIGNED, GAP_TOLERANCE, PENETRATION_TOLERANCE, COMPLIANCE)
-_NO_SHIFT = np.zeros(3)
 _ANYTHING = np.finfo(float).max
 _Parts = tuple[Sequence[int], Array, Array, Array]  # partner, position, normal and gap of contact points
 
@@ -146,7 +145,7 @@ class CompiledMap:
         """One arm as :func:`impact_rs_sim._kernel.solve_impacts` takes it."""
         limits = self._limits[name][measured]
         of_frame = (inertia, jacobian, position, rotation)
-        return (state.position, state.velocity, motor, *limits, *of_frame, *self._pads[name], _NO_SHIFT)
+        return (state.position, state.velocity, motor, *limits, *of_frame, *self._pads[name])
 
     def solve(
         self,
