@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The two impact-map engines side by side: agreement over random problems, and time per warm call.
+"""The two impact-map engines side by side: agreement over random problems, and time per warm call and in a batch.
 
-python benchmarks/impact_map.py [--robot franka_fr3] [--problems 300] [--calls 200] [--seed 0]
+OMP_NUM_THREADS=1 python benchmarks/impact_map.py [--robot franka_fr3] [--problems 300] [--calls 200] [--seed 0]
 
 Problems lie about the impact of the scenario ``push``, of another robot about that of its own, as `scenario new` makes
 it.
@@ -10,7 +10,9 @@ it.
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from rich.console import Console
@@ -24,14 +26,16 @@ from impact_rs_sim.impact_map import (
     PinocchioEngine,
     kinetic_energy,
 )
+from impact_rs_sim.impact_map.batch import ImpactBatch, solve_batch
 from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.scenario import Scenario, load_scenario
-from impact_rs_sim.scene import Scene
+from impact_rs_sim.scene import ArmState, Scene
 from impact_rs_trials.scenario_draft import draft
 
 LIMIT = 0.5  # % of the ante-impact speed
+BATCH = 10_000  # questions
 LAWFUL = 1e-5  # m/s, residual below which an answer obeys the laws
 
 console = Console(width=130)
@@ -143,6 +147,47 @@ def timing(scenario: Scenario, calls: int) -> None:
     console.print(table)
 
 
+def batches(names: Sequence[str], seed: int) -> None:
+    """Processor time of many questions at once: what differs are motor inertias and states about the nominal impact."""
+    table = Table("batch of 10,000", "joint positions by", "a second", "us each", "one warm call, us", "residual, m/s")
+    for name in names:
+        scene = Scene.resolve(load_scenario(name), "cat_food", "case_2")
+        problem = ImpactProblem.at_nominal_impact(scene)
+        for moved in (0.0, 1e-4, 1e-3):  # rad
+            rng = np.random.default_rng(seed)
+
+            def about(values: np.ndarray, scale: float, rng: np.random.Generator = rng) -> np.ndarray:
+                return values + scale * rng.standard_normal((BATCH, values.size))
+
+            arms = {
+                arm: ArmState(about(state.position, moved), about(state.velocity, 0.02))
+                for arm, state in problem.arms.items()
+            }
+            motors = {arm: b * rng.uniform(0.5, 1.5, (BATCH, b.size)) for arm, b in problem.motor_inertia.items()}
+            batch = ImpactBatch(problem.physics, arms, problem.object, motors, measured=True)
+            start = time.process_time()
+            found = solve_batch(batch)
+            elapsed = time.process_time() - start
+            answered = BATCH - len(found.refused)
+            engine, single = PinocchioEngine(problem.physics), []
+            for number in range(0, BATCH, BATCH // 200):
+                if number not in found.refused:
+                    asked = replace(batch.problem(number), physics=problem.physics)
+                    engine.solve(asked)
+                    start = time.process_time()
+                    engine.solve(asked)
+                    single.append(1e6 * (time.process_time() - start))
+            table.add_row(
+                f"{name}, {answered} answers",
+                f"{moved:g} rad",
+                f"{BATCH / elapsed:.0f}",
+                f"{1e6 * elapsed / BATCH:.0f}",
+                f"{np.median(single):.0f}",
+                f"{np.nanpercentile(found.residual, 99):.0e} (99 %)",
+            )
+    console.print(table)
+
+
 def predictions(scenario: Scenario) -> None:
     """Velocity after the nominal impact for every object, case and motor inertia."""
     table = Table("v_y+ in m/s, pinocchio (bullet)", "zero", "reduced", "rotor")
@@ -171,6 +216,7 @@ def main() -> None:
     options = parser.parse_args()
     scenario = push_of(options.robot)
     timing(scenario, options.calls)
+    batches(("push", "grab"), options.seed)
     predictions(scenario)
     agreement(scenario, options.problems, options.seed)
 

@@ -30,7 +30,7 @@ from scipy.optimize import approx_fprime, nnls
 
 from impact_rs_sim.impact_map import BulletEngine, Engine, ImpactMapError, ImpactProblem, PinocchioEngine
 from impact_rs_sim.impact_map.cones import solve_cones
-from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint, Meeting, contact_frame, find_contacts, meetings
+from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint, contact_frame, find_contacts, meetings
 from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.physics import Physics
@@ -53,7 +53,7 @@ RADIUS = 1e-3  # m, of the spheres that stand for contact points
 PLATE = (0.6, 0.6, 0.02)  # m, of the plates on the object; no sphere touches an edge
 DIRECTIONS = 360  # of friction, where a sticking point is tried
 
-console = Console(width=175)
+console = Console(width=190)
 
 
 class OtherPoints(Exception):
@@ -67,8 +67,8 @@ class PinocchioOnGivenPoints(PinocchioEngine):
         super().__init__(physics)
         self.contacts = contacts
 
-    def _contacts(self, meetings: Sequence[Meeting]) -> list[ContactPoint]:
-        return list(self.contacts)
+    def _points(self) -> Sequence[ContactPoint]:
+        return self.contacts
 
 
 @dataclass(frozen=True)
@@ -469,7 +469,7 @@ class Cell:
 
     def __str__(self) -> str:
         low, middle, high = self.times
-        return f"{middle:.2f} ({low:.2f}..{high:.2f}) {self.distance:.0e}{'*' if self.lawful else ''}"
+        return f"{middle:.3f} ({low:.3f}..{high:.3f}) {self.distance:.0e}{'*' if self.lawful else ''}"
 
 
 def measure(case: Case, make: Callable[[], Callable[[], Array]], calls: int) -> Cell | str:

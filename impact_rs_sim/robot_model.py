@@ -120,6 +120,19 @@ class RobotModel:
         pin.framesForwardKinematics(self.pinocchio, self.data, q)
         return self.data.oMf[self._frame].copy()
 
+    def at_impact(self, q: Array) -> tuple[Array, Array, pin.SE3]:
+        """What an impact at q needs, from one pass over the chain.
+
+        Returns:
+            M(q), of which only the upper triangle counts, ``(n, n)`` [kg m^2]; J(q) of frame E in E[A], ``(6, n)``; and
+            the placement of E in A. M and the placement are overwritten by the next call.
+        """
+        model, data = self.pinocchio, self.data
+        pin.crba(model, data, q, pin.Convention.WORLD)  # leaves placements and Jacobian of the joints behind
+        placement = pin.updateFramePlacement(model, data, self._frame)
+        jacobian = pin.getFrameJacobian(model, data, self._frame, pin.LOCAL_WORLD_ALIGNED)
+        return data.M, jacobian.reshape(6, self.joint_count), placement
+
     def link_placements(self, q: Array) -> dict[str, pin.SE3]:
         """Placement in A of every link, by its name in the URDF."""
         pin.framesForwardKinematics(self.pinocchio, self.data, q)

@@ -20,6 +20,7 @@ import re
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tempfile
 import time
 from collections.abc import Iterator
@@ -29,10 +30,14 @@ from fnmatch import fnmatch
 from pathlib import Path
 from queue import SimpleQueue
 
+import pybind11
 from areas import AREAS
 from mutant import Mutant, StaleMutant
 
+from impact_rs_sim import _kernel
+
 ROOT = Path(__file__).resolve().parents[2]
+KERNEL = Path(_kernel.__file__)
 HOOK = Path(__file__).resolve().parent / "hook"
 KEPT = ROOT / "build" / "mutants.json"
 TIMEOUT = 900.0  # s; a mutant that hangs is noticed as well
@@ -83,6 +88,7 @@ class Copies:
                 if (ROOT / name).is_file():
                     (copy / name).parent.mkdir(parents=True, exist_ok=True)
                     shutil.copy2(ROOT / name, copy / name)
+            shutil.copy2(KERNEL, copy / "impact_rs_sim")
             self._free.put(copy)
 
     def run(self, mutant: Mutant | None, tests: tuple[str, ...]) -> Outcome:
@@ -98,10 +104,14 @@ class Copies:
         try:
             if mutant is not None and changed is not None:
                 changed.write_text(mutant.text(copy), encoding="utf-8")
+                if mutant.compiled:
+                    compile_kernel(copy)
             return self._test(copy, mutant, tests)
         finally:
             if changed is not None and kept is not None:
                 changed.write_text(kept, encoding="utf-8")
+                if mutant is not None and mutant.compiled:
+                    shutil.copy2(KERNEL, copy / "impact_rs_sim")
             self._free.put(copy)
 
     def _test(self, copy: Path, mutant: Mutant | None, tests: tuple[str, ...]) -> Outcome:
@@ -127,6 +137,15 @@ class Copies:
             raise RuntimeError(f"the tests {told}:\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
         failed = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
         return Outcome(True, failed[1] if failed else "pytest", seconds)
+
+
+def compile_kernel(copy: Path) -> None:
+    """Build the compiled part of a copy, where Python finds it."""
+    sources = sorted(map(str, (copy / "src").glob("*.cpp")))
+    include = [f"-I{sysconfig.get_path('include')}", f"-I{pybind11.get_include()}"]
+    built = copy / "impact_rs_sim" / KERNEL.name
+    command = ["c++", "-std=c++17", "-O2", "-shared", "-fPIC", "-fvisibility=hidden", *include, *sources]
+    subprocess.run([*command, "-o", str(built)], check=True)
 
 
 def digest(mutant: Mutant) -> str:

@@ -34,8 +34,15 @@ class Mutant:
     survives: str = ""
 
     @property
+    def compiled(self) -> bool:
+        """Whether the file is C++."""
+        return self.file.endswith(".cpp")
+
+    @property
     def module(self) -> str:
-        """Name under which Python imports the file."""
+        """Name under which Python imports the file; all of C++ is one module."""
+        if self.compiled:
+            return "impact_rs_sim._kernel"
         return self.file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
     def text(self, root: Path) -> str:

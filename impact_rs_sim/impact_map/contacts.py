@@ -4,10 +4,13 @@
 All shapes are boxes. Of the six face directions of a pair, the one that separates the two boxes best is the contact
 normal; the nearest face of the other box is clipped to that face, and its corners within ``GAP_TOLERANCE`` of it touch.
 Face, edge and corner contacts come out as polygon, segment and point. Bullet's box-box detector follows the same
-rules, so that both engines see the same contacts.
+rules, so that both engines see the same contacts. Of aligned faces the one is taken that separates after a tilt too:
+a tilt by dphi costs the direction of a face the extent of the other box along that face, times dphi; of two faces that
+lie on each other, that of the larger box keeps the normal on either side.
 
 A clip of one's own, because the contact patches of a general collision library start from a penetration direction found
-by an iterative search, which is ill-defined exactly here: at faces that touch without overlap.
+by an iterative search, which is ill-defined exactly here: at faces that touch without overlap. It is compiled
+(``src/boxes.cpp``).
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from impact_rs_sim import _kernel
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import BodyState
@@ -41,6 +45,11 @@ class Box:
     centre: Array
     rotation: Array
     half: Array
+
+    @property
+    def parts(self) -> tuple[Array, Array, Array]:
+        """All three, for the compiled geometry."""
+        return self.centre, self.rotation, self.half
 
 
 @dataclass(frozen=True)
@@ -91,7 +100,10 @@ class Meeting:
 def meetings(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]) -> list[Meeting]:
     """The object and every partner it may touch; ``placements`` are those of frame E in A by arm."""
     thing, partners = _boxes(physics, state, placements)
-    return [Meeting(name, box, thing, *_separating_face(box, thing)) for name, box in partners.items()]
+    return [
+        Meeting(name, box, thing, *_kernel.separating_face(box.parts, thing.parts, ALIGNED))
+        for name, box in partners.items()
+    ]
 
 
 def _boxes(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]) -> tuple[Box, dict[str, Box]]:
@@ -102,10 +114,18 @@ def _boxes(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]
         end_effector = physics.arms[name].end_effector
         pad = placement * end_effector.pad_placement
         partners[name] = Box(pad.translation, pad.rotation, np.array(end_effector.pad_size) / 2.0)
-    if physics.support_height is not None:
-        half = np.array([physics.support_size[0], physics.support_size[1], SUPPORT_THICKNESS]) / 2.0
-        partners[SUPPORT] = Box(np.array([0.0, 0.0, physics.support_height - half[2]]), np.eye(3), half)
+    support = support_box(physics)
+    if support is not None:
+        partners[SUPPORT] = support
     return thing, partners
+
+
+def support_box(physics: Physics) -> Box | None:
+    """The support; None: there is none."""
+    if physics.support_height is None:
+        return None
+    half = np.array([physics.support_size[0], physics.support_size[1], SUPPORT_THICKNESS]) / 2.0
+    return Box(np.array([0.0, 0.0, physics.support_height - half[2]]), np.eye(3), half)
 
 
 def find_contacts(
@@ -118,13 +138,18 @@ def find_contacts(
         meetings: How the object stands to its partners.
         tolerance: Largest gap that still counts as touching [m].
     """
-    contacts = []
+    contacts: list[ContactPoint] = []
     for meeting in meetings:
         if meeting.separation > tolerance:
             continue
         friction = physics.support_friction if meeting.partner == SUPPORT else physics.pad_friction
-        for position, gap in _touching(meeting, tolerance):
-            contacts.append(ContactPoint(meeting.partner, position, meeting.normal, gap, friction))
+        positions, gaps = _kernel.touching(
+            meeting.box.parts, meeting.thing.parts, meeting.normal, meeting.on_object, tolerance
+        )
+        contacts += [
+            ContactPoint(meeting.partner, position, meeting.normal, gap, friction)
+            for position, gap in zip(positions, gaps.tolist(), strict=True)
+        ]
     return contacts
 
 
@@ -135,79 +160,3 @@ def contact_frame(normal: Array) -> Array:
     a = -1.0 / (sign + z)
     b = x * y * a
     return np.array([[1.0 + sign * x * x * a, sign * b, -sign * x], [b, sign + y * y * a, -y], [x, y, z]])
-
-
-def _separating_face(partner: Box, thing: Box) -> tuple[float, Array, bool]:
-    """The face direction that separates two boxes best; of aligned faces the one that does so after a tilt as well.
-
-    A tilt by dphi costs the direction of a face the extent of the other box along that face, times dphi: of two faces
-    that lie on each other, that of the larger box keeps the normal on either side.
-
-    Returns:
-        Separation along it (negative: overlap) [m]; unit normal from ``partner`` into ``thing``, ``(3,)``; whether the
-        face belongs to ``thing``.
-    """
-    axes = np.concatenate((partner.rotation.T, thing.rotation.T))
-    distance = axes @ (thing.centre - partner.centre)
-    reach = np.abs(axes @ partner.rotation) @ partner.half + np.abs(axes @ thing.rotation) @ thing.half
-    separation = np.abs(distance) - reach
-    as_good = np.flatnonzero(separation >= separation.max() - ALIGNED)
-    best = int(min(as_good, key=lambda index: _extent(partner if index >= 3 else thing, axes[index])))
-    sign = 1.0 if distance[best] >= 0.0 else -1.0
-    return float(separation[best]), sign * axes[best], best >= 3
-
-
-def _extent(box: Box, axis: Array) -> float:
-    """Half the diagonal of a box's face across an axis [m]."""
-    along = int(np.argmax(np.abs(box.rotation.T @ axis)))
-    return float(np.linalg.norm(np.delete(box.half, along)))
-
-
-def _touching(meeting: Meeting, tolerance: float) -> list[tuple[Array, float]]:
-    """Points on the object with their gaps."""
-    # The reference face owns the normal; the incident face of the other box is clipped to it.
-    on_object = meeting.on_object
-    reference, incident = (meeting.thing, meeting.box) if on_object else (meeting.box, meeting.thing)
-    outward = -meeting.normal if on_object else meeting.normal
-    axis = int(np.argmax(np.abs(reference.rotation.T @ outward)))
-    facing = np.copysign(1.0, reference.rotation[:, axis] @ outward)
-    polygon = (_face(incident, -outward) - reference.centre) @ reference.rotation
-    for side in (index for index in range(3) if index != axis):
-        for sign in (1.0, -1.0):
-            polygon = _clip(polygon, side, sign, reference.half[side])
-    points = []
-    for point in polygon:
-        height = facing * point[axis] - reference.half[axis]
-        if height > tolerance:
-            continue
-        position = reference.centre + reference.rotation @ point
-        if on_object:
-            position = position - height * outward
-        points.append((position, float(height)))
-    return points
-
-
-def _face(box: Box, direction: Array) -> Array:
-    """Corners of the face that looks most along ``direction``, in order around it, ``(4, 3)`` [m]."""
-    local = box.rotation.T @ direction
-    axis = int(np.argmax(np.abs(local)))
-    u, v = (index for index in range(3) if index != axis)
-    corners = np.zeros((4, 3))
-    corners[:, axis] = np.copysign(box.half[axis], local[axis])
-    corners[:, u] = box.half[u] * np.array([1.0, -1.0, -1.0, 1.0])
-    corners[:, v] = box.half[v] * np.array([1.0, 1.0, -1.0, -1.0])
-    return box.centre + corners @ box.rotation.T
-
-
-def _clip(polygon: Array, axis: int, sign: float, limit: float) -> Array:
-    """The part of a polygon ``(m, 3)`` with ``sign * coordinate <= limit``."""
-    inside = sign * polygon[:, axis] - limit if len(polygon) else np.zeros(0)
-    kept: list[Array] = []
-    for index, here in enumerate(inside):
-        previous = inside[index - 1]
-        if (here <= 0.0) != (previous <= 0.0):
-            share = previous / (previous - here)
-            kept.append(polygon[index - 1] + share * (polygon[index] - polygon[index - 1]))
-        if here <= 0.0:
-            kept.append(polygon[index])
-    return np.array(kept).reshape(-1, 3)

@@ -119,7 +119,7 @@ def solve_measured(
         raise ImpactMapError(f"the impact map breaks {law} by {amount:.3g} m/s with {len(points)} contact points")
     if not may_gain_energy:
         answer = Answer(terms, impulses, velocity, iterations)
-        check_energy(system, answer, residual, restitution_of(physics))
+        check_energy(system.kinetic_energy, answer.energy_gain, impulses, residual, restitution_of(physics))
     return velocity, system
 
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,8 +87,7 @@ def _touched(scene: Scene) -> BodyState:
     return replace(thing, position=thing.position + np.mean(depths, axis=0))
 
 
-@dataclass(frozen=True)
-class ContactImpulse:
+class ContactImpulse(NamedTuple):
     """One contact point of the answer.
 
     Attributes:
@@ -177,6 +177,7 @@ class EnergyGain(ImpactMapError):
     """An answer obeys its laws and has more kinetic energy than the state before the impact."""
 
 
+LIMIT_SLACK = 1e-9  # rad or m; a configuration on its limit passes
 PENETRATION_TOLERANCE = 1e-3  # m, deepest accepted overlap of pad and object, or object and support
 
 
@@ -203,7 +204,8 @@ def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
             )
     for name, state in problem.arms.items():
         _check_arm(problem, name, state)
-    _check_scalars(problem)
+    _check_restitution(problem)
+    check_physics(physics)
     body = problem.object
     _vector(body.position, 3, "object.position", "m")
     _vector(body.twist, 6, "object.twist", "m/s and rad/s")
@@ -244,7 +246,7 @@ def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
         (f"motor_inertia.{name}", problem.motor_inertia[name], "inertia"),
     ):
         _vector(values, len(units), key, told_units(getattr(unit, quantity) for unit in units))
-    slack = math.inf if problem.measured else 1e-9  # so that a configuration on its limit passes
+    slack = math.inf if problem.measured else LIMIT_SLACK
     for index, value in enumerate(state.position):
         low, high = limits.position_min_rad[index], limits.position_max_rad[index]
         if not low - slack <= value <= high + slack:
@@ -270,14 +272,22 @@ def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
             )
 
 
-def _check_scalars(problem: ImpactProblem) -> None:
-    physics, thing = problem.physics, problem.physics.object
+def _check_restitution(problem: ImpactProblem) -> None:
     if problem.restitution_law not in RESTITUTION_LAWS:
         raise InputError(
             f"expected one of {', '.join(RESTITUTION_LAWS)}", key="restitution_law", value=problem.restitution_law
         )
     if not 0.0 <= problem.restitution <= 1.0:
         raise InputError("expected a restitution between 0 and 1 [-]", key="restitution", value=problem.restitution)
+
+
+def check_physics(physics: Physics) -> None:
+    """Refuse an object or friction that cannot be.
+
+    Raises:
+        InputError: Non-finite or non-positive mass, size or moment of inertia, or friction that is negative.
+    """
+    thing = physics.object
     if not (np.isfinite(thing.mass) and thing.mass > 0.0):
         raise InputError("expected a finite mass > 0 kg", key="object.mass", value=thing.mass)
     for key, unit, values in (("size", "m", thing.size), ("inertia", "kg m^2", thing.inertia)):

@@ -16,9 +16,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from impact_rs_sim import _kernel
 from impact_rs_sim.impact_map.contacts import ContactPoint
 from impact_rs_sim.impact_map.problem import Residual
 from impact_rs_sim.impact_map.system import System
@@ -81,6 +83,19 @@ class ContactTerms:
             mobility=float(1.0 / system.inertia[system.columns["object"].start, system.columns["object"].start]),
         )
 
+    @cached_property
+    def kernel(self) -> _kernel.Terms:
+        """The same for the compiled laws."""
+        return _kernel.Terms(
+            self.jacobian @ self.response,
+            self.jacobian @ self.before,
+            self.normals,
+            self.friction,
+            self.rebound,
+            self.inverse_mass,
+            self.mobility,
+        )
+
     def split(self, vectors: Array) -> tuple[Array, Array]:
         """Normal components ``(m,)`` and tangential parts ``(m, 3)`` of one vector per point, ``(m, 3)``."""
         along = np.sum(self.normals * vectors, axis=1)
@@ -107,17 +122,4 @@ class ContactTerms:
         momentum = float(np.max(np.abs(jump - self.response @ impulses.ravel())))
         if not len(impulses):
             return Residual(0.0, 0.0, 0.0, momentum)
-        leaving, sliding = self.split((self.jacobian @ velocity).reshape(-1, 3))
-        separation = leaving + self.rebound
-        pressing, tangential = self.split(impulses)
-        pushed, pulled = np.maximum(pressing, 0.0), np.maximum(least - pressing, 0.0)
-        carried = np.maximum(separation, 0.0) * np.maximum(pressing - least, 0.0) / max(float(np.max(pushed)), 1e-300)
-        wanted = tangential - sliding / self.inverse_mass[:, None]
-        length = np.maximum(np.linalg.norm(wanted, axis=1), 1e-300)
-        wanted = wanted * np.minimum(1.0, self.friction * pushed / length)[:, None]
-        return Residual(
-            penetration_velocity=float(np.max(np.maximum(-separation, 0.0))),
-            complementarity=float(max(np.max(carried), np.max(self.inverse_mass * pulled))),
-            friction_cone=float(np.max(self.inverse_mass * np.linalg.norm(tangential - wanted, axis=1))),
-            momentum=momentum,
-        )
+        return Residual(*self.kernel.judge(impulses, self.jacobian @ velocity, least), momentum)

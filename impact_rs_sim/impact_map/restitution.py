@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_rs_sim.impact_map.cones import solve_contacts
-from impact_rs_sim.impact_map.newton import settle
+from impact_rs_sim.impact_map.newton import harden, settle
 from impact_rs_sim.impact_map.problem import ImpactMapError, Residual
 from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.robot import Array
@@ -70,6 +70,7 @@ def solve_poisson(terms: ContactTerms) -> TwoPhases:
             f"no answer for the expansion of Poisson's law with {len(terms.contacts)} contact points; "
             "restitution_law 'newton' solves one phase only"
         )
+    returned = harden(second, returned, least)
     velocity = compressed + terms.response @ returned.ravel()
     again = second.residual(returned, velocity, least)
     return TwoPhases(

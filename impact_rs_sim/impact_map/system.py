@@ -47,6 +47,11 @@ class System:
     end_effector_jacobian: Mapping[str, Array]
     object_position: Array
 
+    @property
+    def kinetic_energy(self) -> float:
+        """Before the impact [J]."""
+        return 0.5 * float(self.velocity @ self.inertia @ self.velocity)
+
     def jacobian(self, contacts: Sequence[ContactPoint]) -> Array:
         """J_c: velocity of the object relative to its partner, ``(3 m, nv)``, three rows of axes of A per point."""
         size = self.velocity.size

@@ -14,6 +14,7 @@ from impact_rs_sim.scene import ArmState, BodyState, Scene
 
 ENGINES = ("bullet", "pinocchio")
 PUSH = load_scenario("push")
+GRAB = load_scenario("grab")
 SCENE = Scene.resolve(PUSH, "cat_food", "case_2")
 MODEL = SCENE.models["arm"]
 
@@ -21,6 +22,12 @@ MODEL = SCENE.models["arm"]
 def nominal(motor_inertia: str = "reduced", **physics: object) -> ImpactProblem:
     """The push scene at its nominal impact, with some of its physics replaced."""
     problem = ImpactProblem.at_nominal_impact(SCENE, motor_inertia)
+    return replace(problem, physics=replace(problem.physics, **physics)) if physics else problem
+
+
+def grab(motor_inertia: str = "reduced", thing: str = "cat_food", **physics: object) -> ImpactProblem:
+    """The grab scene at its nominal impact, with some of its physics replaced."""
+    problem = ImpactProblem.at_nominal_impact(Scene.resolve(GRAB, thing, "case_2"), motor_inertia)
     return replace(problem, physics=replace(problem.physics, **physics)) if physics else problem
 
 

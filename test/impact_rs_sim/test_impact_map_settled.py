@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from impact_map_cases import MODEL, PUSH, SCENE, disagreement, nominal, one_point, with_velocity
+from impact_map_cases import MODEL, PUSH, SCENE, disagreement, grab, nominal, one_point, with_velocity
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import (
@@ -25,10 +25,8 @@ from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint
 from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.impact_map.settled import close_contacts
 from impact_rs_sim.impact_map.system import System, build_system
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import BodyState, Scene
+from impact_rs_sim.scene import BodyState
 
-GRAB = load_scenario("grab")
 X, Y, Z = np.eye(3)
 TOLERANCE = 2e-6  # m/s, rad/s or N s, beside 1: that of the solver
 FIXED = 1e6  # kg, kg m^2: nothing moves it
@@ -164,11 +162,6 @@ def test_more_points_on_a_face_share_the_same_impulse() -> None:
 def of_result(problem: ImpactProblem, result: ImpactResult) -> np.ndarray:
     """u^+ as one vector."""
     return np.concatenate([*(result.joint_velocity[name] for name in problem.arms), result.object_twist])
-
-
-def grab(motor_inertia: str = "reduced", thing: str = "cat_food", **physics: object) -> ImpactProblem:
-    problem = ImpactProblem.at_nominal_impact(Scene.resolve(GRAB, thing, "case_2"), motor_inertia)
-    return replace(problem, physics=replace(problem.physics, **physics)) if physics else problem
 
 
 def relative_twist(problem: ImpactProblem, result: ImpactResult, name: str) -> np.ndarray:

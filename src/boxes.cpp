@@ -1,0 +1,115 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include "boxes.hpp"
+
+namespace impact_rs {
+
+namespace {
+
+int largest(const Vector& values) {
+  int axis = 0;
+  for (int i = 1; i < 3; ++i)
+    if (std::abs(values[i]) > std::abs(values[axis])) axis = i;
+  return axis;
+}
+
+// Half the diagonal of a box's face across an axis [m].
+double extent(const Box& box, const Vector& axis) {
+  const int along = largest(transposed_times(box.rotation, axis));
+  return std::hypot(box.half[(along + 1) % 3], box.half[(along + 2) % 3]);
+}
+
+double reach(const Box& box, const Vector& axis) {
+  const Vector local = transposed_times(box.rotation, axis);
+  return std::abs(local[0]) * box.half[0] + std::abs(local[1]) * box.half[1] + std::abs(local[2]) * box.half[2];
+}
+
+// Four corners and one more for each of four cuts; more only where rounding bends an edge.
+struct Polygon {
+  std::array<Vector, 16> corners;
+  int count = 0;
+};
+
+// Corners of the face that looks most along `direction`, in order around it, in A.
+Polygon corners_of(const Box& box, const Vector& direction) {
+  const Vector local = transposed_times(box.rotation, direction);
+  const int axis = largest(local);
+  const int u = axis == 0 ? 1 : 0, v = axis == 2 ? 1 : 2;
+  const double first[] = {1.0, -1.0, -1.0, 1.0}, second[] = {1.0, 1.0, -1.0, -1.0};
+  Polygon face;
+  for (face.count = 0; face.count < 4; ++face.count) {
+    Vector corner;
+    corner[axis] = std::copysign(box.half[axis], local[axis]);
+    corner[u] = first[face.count] * box.half[u];
+    corner[v] = second[face.count] * box.half[v];
+    face.corners[face.count] = box.centre + box.rotation * corner;
+  }
+  return face;
+}
+
+// The part with sign * coordinate <= limit.
+Polygon clip(const Polygon& polygon, int axis, double sign, double limit) {
+  Polygon kept;
+  for (int i = 0; i < polygon.count; ++i) {
+    const Vector& corner = polygon.corners[i];
+    const Vector& last = polygon.corners[(i + polygon.count - 1) % polygon.count];
+    const double here = sign * corner[axis] - limit, previous = sign * last[axis] - limit;
+    if ((here <= 0.0) != (previous <= 0.0))
+      kept.corners[kept.count++] = last + (previous / (previous - here)) * (corner - last);
+    if (here <= 0.0) kept.corners[kept.count++] = corner;
+  }
+  return kept;
+}
+
+}  // namespace
+
+Face separating_face(const Box& partner, const Box& thing, double aligned) {
+  const Vector apart = thing.centre - partner.centre;
+  Vector axes[6];
+  double distance[6], separation[6], best = -INFINITY;
+  for (int i = 0; i < 6; ++i) {
+    axes[i] = column(i < 3 ? partner.rotation : thing.rotation, i % 3);
+    distance[i] = dot(axes[i], apart);
+    separation[i] = std::abs(distance[i]) - (reach(partner, axes[i]) + reach(thing, axes[i]));
+    best = std::max(best, separation[i]);
+  }
+  int chosen = 0;
+  double least = INFINITY;
+  for (int i = 0; i < 6; ++i) {
+    if (!(separation[i] >= best - aligned)) continue;
+    const double across = extent(i >= 3 ? partner : thing, axes[i]);
+    if (across < least) {
+      least = across;
+      chosen = i;
+    }
+  }
+  const double sign = distance[chosen] >= 0.0 ? 1.0 : -1.0;
+  return {separation[chosen], sign * axes[chosen], chosen >= 3};
+}
+
+void touching(const Box& partner, const Box& thing, const Face& face, double tolerance, std::vector<Touch>& found) {
+  // The reference face owns the normal; the incident face of the other box is clipped to it.
+  const Box& reference = face.on_thing ? thing : partner;
+  const Box& incident = face.on_thing ? partner : thing;
+  const Vector outward = face.on_thing ? -1.0 * face.normal : face.normal;
+  const int axis = largest(transposed_times(reference.rotation, outward));
+  const double facing = std::copysign(1.0, dot(column(reference.rotation, axis), outward));
+  Polygon polygon = corners_of(incident, -1.0 * outward);
+  for (int i = 0; i < polygon.count; ++i)
+    polygon.corners[i] = transposed_times(reference.rotation, polygon.corners[i] - reference.centre);
+  for (int side = 0; side < 3; ++side) {
+    if (side == axis) continue;
+    polygon = clip(polygon, side, 1.0, reference.half[side]);
+    polygon = clip(polygon, side, -1.0, reference.half[side]);
+  }
+  for (int i = 0; i < polygon.count; ++i) {
+    const Vector& point = polygon.corners[i];
+    const double height = facing * point[axis] - reference.half[axis];
+    if (height > tolerance) continue;
+    Vector position = reference.centre + reference.rotation * point;
+    if (face.on_thing) position = position - height * outward;
+    found.push_back({position, height});
+  }
+}
+
+}  // namespace impact_rs

@@ -1,0 +1,283 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include "impact.hpp"
+
+namespace impact_rs {
+
+namespace {
+
+constexpr double ORTHONORMAL = 1e-6;  // of a rotation, as check_problem() of problem.py
+
+Matrix matrix(const double* values) {
+  Matrix m;
+  std::copy(values, values + 9, m.begin());
+  return m;
+}
+
+bool within(const double* values, const double* low, const double* high, int count) {
+  for (int i = 0; i < count; ++i)
+    if (!(low[i] <= values[i] && values[i] <= high[i])) return false;
+  return true;
+}
+
+bool finite(const double* values, int count) {
+  for (int i = 0; i < count; ++i)
+    if (!std::isfinite(values[i])) return false;
+  return true;
+}
+
+bool is_rotation(const Matrix& m) {
+  double worst = 0.0;
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) {
+      const double product = dot({m[3 * i], m[3 * i + 1], m[3 * i + 2]}, {m[3 * j], m[3 * j + 1], m[3 * j + 2]});
+      worst = std::max(worst, std::abs(product - (i == j ? 1.0 : 0.0)));
+    }
+  return worst <= ORTHONORMAL && dot(column(m, 0), cross(column(m, 1), column(m, 2))) > 0.0;
+}
+
+void twist_of(const double* jacobian, const double* rates, int joints, double* twist) {
+  for (int i = 0; i < 6; ++i) {
+    twist[i] = 0.0;
+    for (int j = 0; j < joints; ++j) twist[i] += jacobian[i * joints + j] * rates[j];
+  }
+}
+
+// Three rows of the velocity of a point at `lever` from the origin of a twist: linear + angular x lever, times columns.
+void point_rows(const double* jacobian, int columns, const Vector& lever, double sign, double* rows) {
+  const double* angular = jacobian + 3 * columns;
+  for (int j = 0; j < columns; ++j) {
+    const Vector turned = cross({angular[j], angular[columns + j], angular[2 * columns + j]}, lever);
+    for (int k = 0; k < 3; ++k) rows[k * columns + j] = sign * (jacobian[k * columns + j] + turned[k]);
+  }
+}
+
+}  // namespace
+
+bool Impact::sound(const std::vector<ArmState>& arms, const ThingState& thing) const {
+  for (const ArmState& arm : arms) {
+    if (!within(arm.position, arm.low, arm.high, arm.joints)) return false;
+    for (int j = 0; j < arm.joints; ++j)
+      if (!(std::abs(arm.velocity[j]) <= arm.fastest[j] && arm.motor[j] >= 0.0 && std::isfinite(arm.motor[j])))
+        return false;
+  }
+  return finite(thing.position, 3) && finite(thing.twist, 6) && finite(thing.axes, 9) &&
+         is_rotation(matrix(thing.axes));
+}
+
+bool Impact::find_points(const std::vector<ArmState>& arms, const ThingState& thing, const ContactState& contact) {
+  points.clear();
+  places_.clear();
+  for (const ArmState& arm : arms) places_.push_back(vector(arm.place));
+  if (given_ != nullptr) {
+    points = *given_;
+    return true;
+  }
+  const Box box{vector(thing.position), matrix(thing.axes), vector(thing.half)};
+  const int count = static_cast<int>(arms.size());
+  for (int partner = 0; partner < count + (contact.support != nullptr); ++partner) {
+    Box other;
+    if (partner < count) {
+      const ArmState& arm = arms[partner];
+      const Matrix axes = matrix(arm.axes);
+      other = {places_[partner] + axes * vector(arm.pad_place), axes * matrix(arm.pad_axes), vector(arm.pad_half)};
+    } else {
+      other = {vector(contact.support), {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, vector(contact.support + 3)};
+    }
+    const Face face = separating_face(other, box, rules_.aligned);
+    if (!(-face.separation <= rules_.penetration)) return false;
+    if (!(face.separation <= rules_.gap)) continue;
+    touches_.clear();
+    touching(other, box, face, rules_.gap, touches_);
+    for (const Touch& touch : touches_)
+      points.push_back({partner, touch.position, face.normal, {}, touch.gap, State::open});
+  }
+  return true;
+}
+
+bool Impact::assemble(const std::vector<ArmState>& arms, const ThingState& thing, const ContactState& contact) {
+  const int count = static_cast<int>(arms.size());
+  blocks_.resize(count + 1);
+  before_.clear();
+  before_twists_.resize(6 * count);
+  for (int a = 0; a < count; ++a) {
+    const ArmState& arm = arms[a];
+    const int n = arm.joints;
+    Block& block = blocks_[a];
+    block.start = static_cast<int>(before_.size());
+    block.size = n;
+    block.inertia.resize(n * n);
+    for (int i = 0; i < n; ++i)
+      for (int j = 0; j < n; ++j)
+        block.inertia[i * n + j] = arm.inertia[std::min(i, j) * n + std::max(i, j)] + (i == j ? arm.motor[i] : 0.0);
+    before_.insert(before_.end(), arm.velocity, arm.velocity + n);
+    twist_of(arm.jacobian, arm.velocity, n, before_twists_.data() + 6 * a);
+  }
+  Block& body = blocks_[count];
+  body.start = static_cast<int>(before_.size());
+  body.size = 6;
+  body.inertia.assign(36, 0.0);
+  before_.insert(before_.end(), thing.twist, thing.twist + 6);
+  const Matrix axes = matrix(thing.axes);
+  const Vector c = axes * vector(thing.offset);
+  const double mass = *thing.mass;
+  const Matrix lever{0.0, -c[2], c[1], c[2], 0.0, -c[0], -c[1], c[0], 0.0};
+  for (int i = 0; i < 3; ++i) {
+    body.inertia[6 * i + i] = mass;
+    for (int j = 0; j < 3; ++j) {
+      body.inertia[6 * i + 3 + j] = -mass * lever[3 * i + j];
+      body.inertia[6 * (3 + i) + j] = mass * lever[3 * i + j];
+      double moment = mass * ((i == j ? dot(c, c) : 0.0) - c[i] * c[j]);
+      for (int k = 0; k < 3; ++k) moment += axes[3 * i + k] * thing.moments[k] * axes[3 * j + k];
+      body.inertia[6 * (3 + i) + 3 + j] = moment;
+    }
+  }
+  for (Block& block : blocks_) {
+    block.factor = block.inertia;
+    if (!factorise(block.factor.data(), block.size)) return false;
+  }
+
+  const int m = static_cast<int>(points.size()), size = 3 * m;
+  terms_.resize(m);
+  terms_.mobility = 1.0 / mass;
+  // Y = L^-1 J_c^T of the object and of the arm at every point, three columns each; G = Y^T Y.
+  int widest = 6;
+  for (const Block& block : blocks_) widest = std::max(widest, block.size);
+  thing_columns_.resize(18 * m);
+  arm_columns_.assign(3 * widest * m, 0.0);
+  work_.resize(3 * widest);
+  double still[36] = {};
+  for (int k = 0; k < 6; ++k) still[7 * k] = 1.0;
+  for (int i = 0; i < m; ++i) {
+    const Point& point = points[i];
+    const auto columns = [&](const double* jacobian, int n, const Vector& at, double sign, const Block& block,
+                             double* found) {
+      point_rows(jacobian, n, at, sign, work_.data());
+      for (int k = 0; k < 3; ++k)
+        for (int j = 0; j < n; ++j) found[3 * j + k] = work_[k * n + j];
+      forward(block.factor.data(), n, found, 3);
+    };
+    columns(still, 6, point.position - vector(thing.position), 1.0, body, thing_columns_.data() + 18 * i);
+    if (point.partner < count) {
+      const ArmState& arm = arms[point.partner];
+      const Vector at = point.position - point.gap * point.normal - places_[point.partner];
+      columns(arm.jacobian, arm.joints, at, -1.0, blocks_[point.partner], arm_columns_.data() + 3 * widest * i);
+    }
+    for (int j = 0; j <= i; ++j) {
+      const bool together = point.partner < count && point.partner == points[j].partner;
+      const int n = together ? arms[point.partner].joints : 0;
+      double sums[9] = {};
+      const auto add = [&sums](const double* left, const double* right, int rows) {
+        for (int r = 0; r < rows; ++r)
+          for (int k = 0; k < 3; ++k)
+            for (int c2 = 0; c2 < 3; ++c2) sums[3 * k + c2] += left[3 * r + k] * right[3 * r + c2];
+      };
+      add(thing_columns_.data() + 18 * i, thing_columns_.data() + 18 * j, 6);
+      add(arm_columns_.data() + 3 * widest * i, arm_columns_.data() + 3 * widest * j, n);
+      for (int k = 0; k < 3; ++k)
+        for (int c2 = 0; c2 < 3; ++c2)
+          terms_.delassus[(3 * i + k) * size + 3 * j + c2] = terms_.delassus[(3 * j + c2) * size + 3 * i + k] =
+              sums[3 * k + c2];
+    }
+  }
+  terms_.take_inverse_mass();
+  relative_velocities(arms, thing, before_twists_.data(), thing.twist, terms_.approach.data());
+  for (int i = 0; i < m; ++i) {
+    std::copy(points[i].normal.begin(), points[i].normal.end(), terms_.normals.begin() + 3 * i);
+    terms_.friction[i] = points[i].partner < count ? *contact.pad_friction : *contact.support_friction;
+    terms_.rebound[i] = *contact.restitution * dot(points[i].normal, vector(terms_.approach.data() + 3 * i));
+  }
+  return true;
+}
+
+void Impact::relative_velocities(const std::vector<ArmState>& arms, const ThingState& thing, const double* of_bodies,
+                                 const double* of_thing, double* found) const {
+  for (const Point& point : points) {
+    Vector moving = vector(of_thing) + cross(vector(of_thing + 3), point.position - vector(thing.position));
+    if (point.partner < static_cast<int>(arms.size())) {
+      const double* twist = of_bodies + 6 * point.partner;
+      const Vector at = point.position - point.gap * point.normal - places_[point.partner];
+      moving = moving - vector(twist) - cross(vector(twist + 3), at);
+    }
+    std::copy(moving.begin(), moving.end(), found);
+    found += 3;
+  }
+}
+
+void Impact::impulses_to_momenta(const std::vector<ArmState>& arms, const ThingState& thing,
+                                 std::vector<double>& momenta) {
+  const int count = static_cast<int>(arms.size());
+  momenta.assign(before_.size(), 0.0);
+  for (const Point& point : points) {
+    double* body = momenta.data() + blocks_[count].start;
+    const Vector moment = cross(point.position - vector(thing.position), point.impulse);
+    for (int k = 0; k < 3; ++k) {
+      body[k] += point.impulse[k];
+      body[3 + k] += moment[k];
+    }
+    if (point.partner >= count) continue;
+    const ArmState& arm = arms[point.partner];
+    const Vector at = point.position - point.gap * point.normal - places_[point.partner];
+    const Vector turning = cross(at, point.impulse);
+    double* joints = momenta.data() + blocks_[point.partner].start;
+    const int n = arm.joints;
+    for (int k = 0; k < 3; ++k)
+      for (int j = 0; j < n; ++j)
+        joints[j] -= arm.jacobian[k * n + j] * point.impulse[k] + arm.jacobian[(3 + k) * n + j] * turning[k];
+  }
+}
+
+// From the impulses: velocities, how far they are from the laws, and energy.
+void Impact::finish(const std::vector<ArmState>& arms, const ThingState& thing) {
+  const int count = static_cast<int>(arms.size());
+  impulses_to_momenta(arms, thing, momenta_);
+  velocity = before_;
+  momentum = energy = gain = 0.0;
+  for (const Block& block : blocks_) {
+    const int n = block.size;
+    double* after = velocity.data() + block.start;
+    const double* start = before_.data() + block.start;
+    const double* given = momenta_.data() + block.start;
+    const auto solve = [&block, n](double* x) {
+      forward(block.factor.data(), n, x, 1);
+      backward(block.factor.data(), n, x, 1);
+    };
+    work_.assign(given, given + n);
+    solve(work_.data());
+    for (int i = 0; i < n; ++i) {
+      after[i] += work_[i];
+      gain += 0.5 * given[i] * (after[i] + start[i]);
+    }
+    for (int i = 0; i < n; ++i) {
+      work_[i] = -given[i];
+      for (int j = 0; j < n; ++j) {
+        work_[i] += block.inertia[i * n + j] * (after[j] - start[j]);
+        energy += 0.5 * start[i] * block.inertia[i * n + j] * start[j];
+      }
+    }
+    solve(work_.data());
+    for (int i = 0; i < n; ++i) momentum = std::max(momentum, std::abs(work_[i]));
+  }
+  twists.resize(6 * count);
+  for (int a = 0; a < count; ++a)
+    twist_of(arms[a].jacobian, velocity.data() + blocks_[a].start, arms[a].joints, twists.data() + 6 * a);
+  after_.resize(3 * points.size());
+  relative_velocities(arms, thing, twists.data(), velocity.data() + blocks_[count].start, after_.data());
+  laws = judge(terms_, impulses_.data(), after_.data());
+}
+
+Status Impact::solve(const std::vector<ArmState>& arms, const ThingState& thing, const ContactState& contact) {
+  if (!sound(arms, thing) || !find_points(arms, thing, contact) || !assemble(arms, thing, contact))
+    return Status::unsound;
+  solver_.steps = 0;
+  const bool solved = solver_.solve(terms_, impulses_, rules_.compliance);
+  steps = solver_.steps;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    points[i].impulse = vector(impulses_.data() + 3 * i);
+    points[i].state = solver_.state(static_cast<int>(i));
+  }
+  finish(arms, thing);
+  return solved ? Status::solved : Status::unsolved;
+}
+
+}  // namespace impact_rs

@@ -1,0 +1,105 @@
+// SPDX-License-Identifier: Apache-2.0
+// One question to the impact map, from the kinematics of the arms to velocities after the impact.
+
+#pragma once
+
+#include <vector>
+
+#include "boxes.hpp"
+#include "laws.hpp"
+
+namespace impact_rs {
+
+// Numbers that Python sets; units in impact_rs_sim/impact_map.
+struct Rules {
+  double aligned;      // ALIGNED of contacts.py [m]
+  double gap;          // GAP_TOLERANCE of contacts.py [m]
+  double penetration;  // PENETRATION_TOLERANCE of problem.py [m]
+  double compliance;   // COMPLIANCE of newton.py [-]
+};
+
+struct ArmState {
+  int joints;
+  const double* position;   // q, (n)
+  const double* velocity;   // dq, (n)
+  const double* motor;      // diagonal of B, (n)
+  const double* low;        // least q, (n)
+  const double* high;       // largest q, (n)
+  const double* fastest;    // largest |dq|, (n)
+  const double* inertia;    // M, of which the upper triangle is read, (n, n)
+  const double* jacobian;   // of frame E in E[A], (6, n)
+  const double* place;      // origin of E in A, (3)
+  const double* axes;       // axes of E in A, (3, 3)
+  const double* pad_place;  // middle of the pad in E, (3)
+  const double* pad_axes;   // its axes in E, (3, 3)
+  const double* pad_half;   // its half extents, (3)
+};
+
+struct ThingState {
+  const double* position;  // geometric centre in A, (3)
+  const double* axes;      // in A, (3, 3)
+  const double* twist;     // (6)
+  const double* mass;      // (1)
+  const double* half;      // half extents, (3)
+  const double* moments;   // principal, about the centre of mass, (3)
+  const double* offset;    // of the centre of mass, in its axes, (3)
+};
+
+struct ContactState {
+  const double* pad_friction;      // (1)
+  const double* support_friction;  // (1)
+  const double* restitution;       // (1)
+  const double* support;           // centre, then half extents of the support's box in A, (6); null: there is none
+};
+
+enum class Status : char { solved, unsound, unsolved };  // unsound: a question that Python shall look at
+
+struct Point {
+  int partner;  // number of the arm; the support comes after them
+  Vector position, normal, impulse;
+  double gap;
+  State state;
+};
+
+class Impact {
+ public:
+  // Contact points are searched for, or `given` for all questions.
+  Impact(const Rules& rules, const std::vector<Point>* given) : rules_(rules), given_(given) {}
+
+  // Solve one question; what was found stands below.
+  Status solve(const std::vector<ArmState>& arms, const ThingState& thing, const ContactState& contact);
+
+  std::vector<double> velocity;  // u^+, joints of all arms and the twist of the object
+  std::vector<double> twists;    // of frame E of every arm after the impact, (6) each
+  std::vector<Point> points;
+  Judged laws;
+  double momentum = 0.0;            // |H^-1 (H (u^+ - u^-) - J_c^T L)|
+  double energy = 0.0, gain = 0.0;  // kinetic, before and what the impact adds [J]
+  int steps = 0;
+
+ private:
+  struct Block {  // of H: an arm, or the object
+    int start, size;
+    std::vector<double> inertia, factor;
+  };
+
+  bool sound(const std::vector<ArmState>& arms, const ThingState& thing) const;
+  bool find_points(const std::vector<ArmState>& arms, const ThingState& thing, const ContactState& contact);
+  bool assemble(const std::vector<ArmState>& arms, const ThingState& thing, const ContactState& contact);
+  void finish(const std::vector<ArmState>& arms, const ThingState& thing);
+  void impulses_to_momenta(const std::vector<ArmState>& arms, const ThingState& thing, std::vector<double>& momenta);
+  void relative_velocities(const std::vector<ArmState>& arms, const ThingState& thing, const double* of_bodies,
+                           const double* of_thing, double* found) const;
+
+  Rules rules_;
+  const std::vector<Point>* given_;
+  Solver solver_;
+  Terms terms_;
+  std::vector<Touch> touches_;
+  std::vector<Vector> places_;  // origins of E
+  std::vector<Block> blocks_;
+  std::vector<double> before_, before_twists_, impulses_, after_, momenta_, work_;
+  std::vector<double> thing_columns_, arm_columns_;
+};
+
+}  // namespace impact_rs

@@ -1,0 +1,323 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include "laws.hpp"
+
+namespace impact_rs {
+
+namespace {
+
+constexpr double TINY = 1e-300;
+constexpr int SWEEPS = 4;        // of Gauss and Seidel, before Newton's method
+constexpr int HARDENINGS = 3;    // each leaves a hundred-millionth of what the one before left
+constexpr double SOFT = 0.1;     // of the inverse mass: how much points yield at the start
+constexpr double FACTOR = 0.1;   // the first step from there, where they cannot stop yielding at once
+constexpr double SLOWEST = 0.98;  // a step as small is none
+constexpr double BOLD = 0.05;    // a larger step, of which Newton's method gets less time
+constexpr int HASTE = 8;         // steps of Newton's method then
+constexpr int EASY = 5;          // steps of Newton's method after which the next one is larger
+
+// Solve a x = b in place of both, by elimination with partial pivoting; false where a is singular.
+bool eliminate(double* a, double* b, int n) {
+  for (int k = 0; k < n; ++k) {
+    int pivot = k;
+    for (int i = k + 1; i < n; ++i)
+      if (std::abs(a[i * n + k]) > std::abs(a[pivot * n + k])) pivot = i;
+    if (!(std::abs(a[pivot * n + k]) > 0.0)) return false;
+    if (pivot != k) {
+      std::swap_ranges(a + k * n + k, a + k * n + n, a + pivot * n + k);
+      std::swap(b[k], b[pivot]);
+    }
+    const double* top = a + k * n;
+    for (int i = k + 1; i < n; ++i) {
+      double* row = a + i * n;
+      const double factor = row[k] / top[k];
+      if (factor == 0.0) continue;
+      for (int j = k + 1; j < n; ++j) row[j] -= factor * top[j];
+      b[i] -= factor * b[k];
+    }
+  }
+  for (int i = n - 1; i >= 0; --i) {
+    for (int j = i + 1; j < n; ++j) b[i] -= a[i * n + j] * b[j];
+    b[i] /= a[i * n + i];
+  }
+  return true;
+}
+
+Vector at(const std::vector<double>& values, int point) { return vector(values.data() + 3 * point); }
+
+void put(std::vector<double>& values, int point, const Vector& value) {
+  std::copy(value.begin(), value.end(), values.begin() + 3 * point);
+}
+
+}  // namespace
+
+void Terms::resize(int points) {
+  count = points;
+  delassus.assign(9 * points * points, 0.0);
+  approach.assign(3 * points, 0.0);
+  normals.assign(3 * points, 0.0);
+  friction.assign(points, 0.0);
+  rebound.assign(points, 0.0);
+  least.assign(points, 0.0);
+  inverse_mass.assign(points, 0.0);
+}
+
+void Terms::take_inverse_mass() {
+  const int size = 3 * count;
+  for (int i = 0; i < count; ++i) {
+    double trace = 0.0;
+    for (int k = 3 * i; k < 3 * i + 3; ++k) trace += delassus[k * size + k];
+    inverse_mass[i] = trace / 3.0;
+  }
+}
+
+PointLaw linearise(const Vector& impulse, const Vector& velocity, const Vector& normal, double friction,
+                   double inverse_mass, double least) {
+  const double ratio = 1.0 / inverse_mass;
+  const double pressing = dot(normal, impulse), opening = dot(normal, velocity);
+  const Vector tangential = impulse - pressing * normal, sliding = velocity - opening * normal;
+  const double wanted_normal = pressing - ratio * opening;
+  const bool closed = wanted_normal > least;
+  const Vector wanted = tangential - ratio * sliding;
+  const double length = norm(wanted), carried = std::max(pressing, 0.0), radius = friction * carried;
+  const bool sticks = length <= radius;
+  const Vector direction = (1.0 / std::max(length, TINY)) * wanted;
+  const double turning = radius / std::max(length, TINY);
+  const double grip = pressing > 0.0 ? friction : 0.0;
+  PointLaw law;
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) {
+      const double along = normal[i] * normal[j], across = (i == j ? 1.0 : 0.0) - along;
+      const double turned = turning * (across - direction[i] * direction[j]);
+      const double gripped = grip * direction[i] * normal[j];
+      law.by_impulse[3 * i + j] = (closed ? 0.0 : along) + (sticks ? 0.0 : across - gripped - turned);
+      law.by_velocity[3 * i + j] = ratio * ((closed ? along : 0.0) + (sticks ? across : turned));
+    }
+    law.by_friction[i] = sticks ? 0.0 : -carried * direction[i];
+  }
+  const double held = closed ? wanted_normal : least;
+  law.defect = (pressing - held) * normal + tangential - (sticks ? wanted : radius * direction);
+  const bool touches = closed || carried > 0.0;
+  law.state = !touches ? State::open : sticks ? State::stick : State::slide;
+  const double gap_normal = std::abs(wanted_normal - least), gap_friction = std::abs(length - radius);
+  law.margin = inverse_mass * (touches ? std::min(gap_normal, gap_friction) : gap_normal);
+  law.independent = !closed && !sticks && radius == 0.0;
+  return law;
+}
+
+// s + origin, with the compliance as a spring about the impulses `origin`.
+void Solver::velocities(const Terms& terms, const std::vector<double>& impulses, double yield) {
+  const int size = 3 * terms.count;
+  velocity_.resize(size);
+  for (int i = 0; i < size; ++i)
+    velocity_[i] = terms.approach[i] + yield * (impulses[i] - origin_[i]) + terms.rebound[i / 3] * terms.normals[i];
+  for (int j = 0; j < size; ++j) {  // row by row, as G is symmetric
+    const double* row = terms.delassus.data() + j * size;
+    for (int i = 0; i < size; ++i) velocity_[i] += impulses[j] * row[i];
+  }
+}
+
+bool Solver::newton_step(const Terms& terms, double yield) {
+  const int size = 3 * terms.count;
+  step_.assign(size, 0.0);
+  coupled_.clear();
+  for (int i = 0; i < terms.count; ++i) {
+    if (laws_[i].independent) {
+      put(step_, i, -1.0 * laws_[i].defect);
+    } else {
+      coupled_.push_back(i);
+    }
+  }
+  const int points = static_cast<int>(coupled_.size()), unknowns = 3 * points;
+  matrix_.resize(unknowns * unknowns);
+  right_.resize(unknowns);
+  for (int p = 0; p < points; ++p) {
+    const int i = coupled_[p];
+    const PointLaw& law = laws_[i];
+    Vector given{};  // what the steps of the others change here
+    for (int j = 0; j < terms.count; ++j) {
+      if (!laws_[j].independent) continue;
+      for (int k = 0; k < 3; ++k) {
+        const double* row = terms.delassus.data() + (3 * i + k) * size + 3 * j;
+        given[k] += row[0] * step_[3 * j] + row[1] * step_[3 * j + 1] + row[2] * step_[3 * j + 2];
+      }
+    }
+    const Vector right = -1.0 * law.defect - law.by_velocity * given;
+    for (int k = 0; k < 3; ++k) {
+      right_[3 * p + k] = right[k];
+      double* row = matrix_.data() + (3 * p + k) * unknowns;
+      const double* by = law.by_velocity.data() + 3 * k;
+      for (int q = 0; q < points; ++q) {
+        const double* block = terms.delassus.data() + 3 * i * size + 3 * coupled_[q];
+        for (int c = 0; c < 3; ++c)
+          row[3 * q + c] = by[0] * block[c] + by[1] * block[size + c] + by[2] * block[2 * size + c];
+      }
+      for (int c = 0; c < 3; ++c) row[3 * p + c] += law.by_impulse[3 * k + c] + yield * by[c];
+    }
+  }
+  if (!eliminate(matrix_.data(), right_.data(), unknowns)) return false;
+  for (int p = 0; p < points; ++p) put(step_, coupled_[p], vector(right_.data() + 3 * p));
+  return true;
+}
+
+// Newton's steps without a line search: at the kinks between states it would only stall.
+bool Solver::full_steps(const Terms& terms, std::vector<double>& impulses, double yield, double enough, int most) {
+  double lowest = INFINITY;
+  best_ = impulses;
+  laws_.resize(terms.count);
+  for (int iteration = 0; iteration < most; ++iteration) {
+    ++steps;
+    velocities(terms, impulses, yield);
+    double sum = 0.0;
+    for (int i = 0; i < terms.count; ++i) {
+      laws_[i] = linearise(at(impulses, i), at(velocity_, i), at(terms.normals, i), terms.friction[i],
+                           terms.inverse_mass[i], terms.least[i]);
+      const double size = terms.inverse_mass[i] * norm(laws_[i].defect);
+      sum += size * size;
+    }
+    const double error = std::sqrt(sum);
+    const bool stalled = !(error < lowest);
+    if (!stalled) {
+      best_ = impulses;
+      lowest = error;
+    }
+    if (lowest <= enough || (lowest <= ACCEPTED && stalled)) break;
+    if (!newton_step(terms, yield)) break;
+    for (int i = 0; i < 3 * terms.count; ++i) impulses[i] += step_[i];
+  }
+  impulses = best_;
+  return lowest <= ACCEPTED;
+}
+
+bool Solver::settle(const Terms& terms, std::vector<double>& impulses, double compliance) {
+  const double mobility = terms.mobility;
+  origin_.assign(3 * terms.count, 0.0);
+  kept_ = impulses;
+  if (full_steps(terms, impulses, compliance * mobility, CONVERGED, ITERATIONS)) return true;
+  impulses = kept_;
+  bool converged = true;
+  for (const double rho : CONTINUATION)
+    if (converged && rho > compliance) converged = full_steps(terms, impulses, rho * mobility, CONVERGED, ITERATIONS);
+  if (converged && full_steps(terms, impulses, compliance * mobility, CONVERGED, ITERATIONS)) return true;
+  impulses = kept_;
+  return false;
+}
+
+void Solver::harden(const Terms& terms, std::vector<double>& impulses, double compliance) {
+  const double yield = compliance * terms.mobility;
+  for (int round = 0; round < HARDENINGS; ++round) {
+    origin_ = impulses;
+    kept_ = impulses;
+    if (!full_steps(terms, impulses, yield, CONVERGED, ITERATIONS)) {
+      impulses = kept_;
+      return;
+    }
+    double moved = 0.0;
+    for (int i = 0; i < 3 * terms.count; ++i) moved = std::max(moved, std::abs(impulses[i] - origin_[i]));
+    if (yield * moved <= CONVERGED) return;
+  }
+}
+
+// Every point in turn: no impulse, one that holds it, or one on the edge of its cone.
+void Solver::sweep(const Terms& terms, std::vector<double>& impulses, double yield) {
+  const int size = 3 * terms.count;
+  velocities(terms, impulses, yield);
+  steps += SWEEPS;
+  for (int visit = 0; visit < SWEEPS * terms.count; ++visit) {
+    const int i = visit % terms.count;
+    const Vector normal = at(terms.normals, i), before = at(impulses, i);
+    Vector velocity = vector(velocity_.data() + 3 * i);
+    Matrix block;
+    for (int k = 0; k < 3; ++k)
+      for (int c = 0; c < 3; ++c)
+        block[3 * k + c] = terms.delassus[(3 * i + k) * size + 3 * i + c] + (k == c ? yield : 0.0);
+    const Vector alone = velocity - block * before;
+    Vector next{};
+    if (dot(normal, alone) < 0.0) {
+      Vector holding = -1.0 * alone;
+      Matrix work = block;
+      eliminate(work.data(), holding.data(), 3);
+      const double pressing = dot(normal, holding);
+      const double pull = norm(holding - pressing * normal);
+      if (pressing >= 0.0 && pull <= terms.friction[i] * pressing) {
+        next = holding;
+      } else {
+        const double stiff = dot(normal, block * normal);
+        const double across = 0.5 * (block[0] + block[4] + block[8] - stiff);
+        Vector tangential = before - dot(normal, before) * normal;
+        double normal_part = std::max(dot(normal, before), 0.0);
+        for (int inner = 0; inner < 4; ++inner) {
+          Vector now = alone + block * (normal_part * normal + tangential);
+          normal_part = std::max(0.0, normal_part - dot(normal, now) / stiff);
+          now = alone + block * (normal_part * normal + tangential);
+          const Vector wanted = tangential - (1.0 / across) * (now - dot(normal, now) * normal);
+          const double length = norm(wanted);
+          tangential = std::min(1.0, terms.friction[i] * normal_part / std::max(length, TINY)) * wanted;
+        }
+        next = normal_part * normal + tangential;
+      }
+    }
+    const Vector change = next - before;
+    if (change[0] == 0.0 && change[1] == 0.0 && change[2] == 0.0) continue;
+    put(impulses, i, next);
+    for (int k = 0; k < size; ++k) {
+      const double* row = terms.delassus.data() + k * size + 3 * i;
+      velocity_[k] += row[0] * change[0] + row[1] * change[1] + row[2] * change[2];
+    }
+    for (int c = 0; c < 3; ++c) velocity_[3 * i + c] += yield * change[c];
+  }
+}
+
+// Points that yield much have one answer, which shares loads evenly and is found easily; from there they yield less and
+// less: all at once where that does, else in steps that grow while they come easily.
+bool Solver::solve(const Terms& terms, std::vector<double>& impulses, double compliance) {
+  impulses.assign(3 * terms.count, 0.0);
+  origin_ = impulses;
+  double total = 0.0;
+  for (const double mass : terms.inverse_mass) total += mass;
+  const double last = compliance * terms.mobility;
+  double yield = std::max(SOFT * total / std::max(terms.count, 1), last), factor = 0.0;
+  sweep(terms, impulses, yield);
+  if (!full_steps(terms, impulses, yield, ACCEPTED, ITERATIONS)) return false;
+  while (yield > last) {
+    kept_ = impulses;
+    const int before = steps;
+    const double next = std::max(yield * factor, last);
+    if (full_steps(terms, impulses, next, ACCEPTED, factor < BOLD ? HASTE : ITERATIONS)) {
+      yield = next;
+      if (steps - before <= EASY) factor *= factor;
+    } else {
+      impulses = kept_;
+      factor = factor > 0.0 ? std::sqrt(factor) : FACTOR;
+      if (factor > SLOWEST) return false;
+    }
+  }
+  harden(terms, impulses, compliance);
+  return true;
+}
+
+Judged judge(const Terms& terms, const double* impulses, const double* after) {
+  Judged judged;
+  double pushed = TINY;
+  for (int i = 0; i < terms.count; ++i)
+    pushed = std::max(pushed, dot(at(terms.normals, i), vector(impulses + 3 * i)));
+  const auto worse = [](double& law, double amount) {
+    if (law == law && !(amount <= law)) law = amount;  // a NaN is the worst
+  };
+  for (int i = 0; i < terms.count; ++i) {
+    const Vector normal = at(terms.normals, i), impulse = vector(impulses + 3 * i), moving = vector(after + 3 * i);
+    const double leaving = dot(normal, moving), separation = leaving + terms.rebound[i];
+    const double pressing = dot(normal, impulse), mass = terms.inverse_mass[i];
+    const Vector tangential = impulse - pressing * normal, sliding = moving - leaving * normal;
+    worse(judged.penetration, -separation);
+    worse(judged.complementarity, std::max(separation, 0.0) * std::max(pressing - terms.least[i], 0.0) / pushed);
+    worse(judged.complementarity, mass * (terms.least[i] - pressing));
+    const Vector wanted = tangential - (1.0 / mass) * sliding;
+    const double radius = terms.friction[i] * std::max(pressing, 0.0);
+    const Vector held = std::min(1.0, radius / std::max(norm(wanted), TINY)) * wanted;
+    worse(judged.friction, mass * norm(tangential - held));
+  }
+  return judged;
+}
+
+}  // namespace impact_rs

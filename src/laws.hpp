@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: Apache-2.0
+// The laws of an impact in its contact impulses, and who solves them; symbols and reasons stand in
+// impact_rs_sim/impact_map/newton.py and residual.py.
+
+#pragma once
+
+#include <vector>
+
+#include "dense.hpp"
+
+namespace impact_rs {
+
+constexpr double CONVERGED = 1e-15;  // m/s, |g F| that ends the iteration
+constexpr double ACCEPTED = 1e-10;   // m/s, |g F| that is an answer where rounding ends it before
+constexpr int ITERATIONS = 25;       // of Newton's method; most problems take five to ten
+constexpr double CONTINUATION[] = {1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7};  // rho, where it does not get there at once
+
+// A problem at its m contact points; three numbers per point, in axes of A.
+struct Terms {
+  int count = 0;
+  std::vector<double> delassus;      // G = J_c H^-1 J_c^T, (3 m, 3 m) [1/kg]
+  std::vector<double> approach;      // J_c u^-, (3 m) [m/s]
+  std::vector<double> normals;       // into the object, (3 m)
+  std::vector<double> friction;      // Coulomb coefficients, (m) [-]
+  std::vector<double> rebound;       // e J_n u^-, (m) [m/s]
+  std::vector<double> least;         // bound a of the normal impulses, (m) [N s]
+  std::vector<double> inverse_mass;  // g, (m) [1/kg]
+  double mobility = 0.0;             // 1 / m of the object [1/kg]
+
+  void resize(int points);
+  void take_inverse_mass();  // from the Delassus operator
+};
+
+enum class State : char { open, stick, slide };
+
+// The laws at one point: dF = by_impulse dL + by_velocity ds + by_friction dmu.
+struct PointLaw {
+  Vector defect;
+  Matrix by_impulse;
+  Matrix by_velocity;
+  Vector by_friction;
+  State state;
+  double margin;     // how far the point is from another state [m/s]
+  bool independent;  // whether F = L - L_0: nothing depends on a velocity
+};
+
+PointLaw linearise(const Vector& impulse, const Vector& velocity, const Vector& normal, double friction,
+                   double inverse_mass, double least);
+
+class Solver {
+ public:
+  // Newton's method to the answer nearest to the impulses, as settle() of newton.py; false: they stay as they are.
+  bool settle(const Terms& terms, std::vector<double>& impulses, double compliance);
+
+  // Take the compliance out again: the same impulses without the velocity that it let points yield.
+  void harden(const Terms& terms, std::vector<double>& impulses, double compliance);
+
+  // From nothing, by Gauss and Seidel, Newton's method and harden; false: no answer.
+  bool solve(const Terms& terms, std::vector<double>& impulses, double compliance);
+
+  // Of a point, where the last of Newton's steps was linearised.
+  State state(int point) const { return laws_[point].state; }
+
+  int steps = 0;  // of Newton's method and sweeps of Gauss and Seidel, since the start
+
+ private:
+  bool full_steps(const Terms& terms, std::vector<double>& impulses, double yield, double enough, int most);
+  void sweep(const Terms& terms, std::vector<double>& impulses, double yield);
+  bool newton_step(const Terms& terms, double yield);
+  void velocities(const Terms& terms, const std::vector<double>& impulses, double yield);
+
+  std::vector<PointLaw> laws_;
+  std::vector<int> coupled_;
+  std::vector<double> velocity_, step_, matrix_, right_, best_, origin_, kept_;
+};
+
+struct Judged {
+  double penetration = 0.0, complementarity = 0.0, friction = 0.0;  // m/s
+};
+
+// How far impulses and the velocities J_c u^+ that go with them are from the laws, as residual.py says.
+Judged judge(const Terms& terms, const double* impulses, const double* after);
+
+}  // namespace impact_rs

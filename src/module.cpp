@@ -1,0 +1,319 @@
+// SPDX-License-Identifier: Apache-2.0
+// What Python sees of the kernel; impact_rs_sim/_kernel.pyi says it in Python's words.
+
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <optional>
+#include <string>
+
+#include "impact.hpp"
+
+namespace py = pybind11;
+
+namespace impact_rs {
+namespace {
+
+using Numbers = py::array_t<double, py::array::c_style | py::array::forcecast>;
+using Shape = std::vector<py::ssize_t>;
+
+const char* const STATES[] = {"open", "stick", "slide"};
+
+Numbers array(const std::vector<double>& values, Shape shape) { return Numbers(std::move(shape), values.data()); }
+
+const double* checked(const Numbers& values, py::ssize_t size, const char* name) {
+  if (values.size() != size)
+    throw py::value_error(std::string(name) + ": expected " + std::to_string(size) + " numbers, got " +
+                          std::to_string(values.size()));
+  return values.data();
+}
+
+// Numbers of one question out of many: as many sets as there are questions, or one for all of them.
+class Field {
+ public:
+  Field(const py::handle& given, py::ssize_t each, py::ssize_t count, const char* name) {
+    if (each == 1 && PyFloat_Check(given.ptr())) {  // no array is made of a mere number
+      number_ = PyFloat_AS_DOUBLE(given.ptr());
+      return;
+    }
+    numbers_ = Numbers(py::reinterpret_borrow<py::object>(given));
+    is_number_ = false;
+    if (numbers_.size() != each) checked(numbers_, each * count, name);
+    stride_ = numbers_.size() == each ? 0 : each;
+  }
+  const double* operator()(py::ssize_t question) const {
+    return is_number_ ? &number_ : numbers_.data() + question * stride_;
+  }
+
+ private:
+  Numbers numbers_;
+  py::ssize_t stride_ = 0;
+  double number_ = 0.0;
+  bool is_number_ = true;
+};
+
+Box box_of(const Numbers& centre, const Numbers& rotation, const Numbers& half) {
+  Matrix axes;
+  const double* values = checked(rotation, 9, "rotation");
+  std::copy(values, values + 9, axes.begin());
+  return {vector(checked(centre, 3, "centre")), axes, vector(checked(half, 3, "half"))};
+}
+
+using BoxOfPython = std::tuple<Numbers, Numbers, Numbers>;
+
+Box box_of(const BoxOfPython& box) { return box_of(std::get<0>(box), std::get<1>(box), std::get<2>(box)); }
+
+py::tuple separating_face_of(const BoxOfPython& partner, const BoxOfPython& thing, double aligned) {
+  const Face face = separating_face(box_of(partner), box_of(thing), aligned);
+  return py::make_tuple(face.separation, Numbers(3, face.normal.data()), face.on_thing);
+}
+
+py::tuple touching_of(const BoxOfPython& partner, const BoxOfPython& thing, const Numbers& normal, bool on_thing,
+                      double tolerance) {
+  std::vector<Touch> found;
+  touching(box_of(partner), box_of(thing), {0.0, vector(checked(normal, 3, "normal")), on_thing}, tolerance, found);
+  std::vector<double> positions, gaps;
+  for (const Touch& touch : found) {
+    positions.insert(positions.end(), touch.position.begin(), touch.position.end());
+    gaps.push_back(touch.gap);
+  }
+  const py::ssize_t count = found.size();
+  return py::make_tuple(array(positions, {count, 3}), array(gaps, {count}));
+}
+
+class TermsOfPython {
+ public:
+  TermsOfPython(const Numbers& delassus, const Numbers& approach, const Numbers& normals, const Numbers& friction,
+                const Numbers& rebound, const Numbers& inverse_mass, double mobility) {
+    const py::ssize_t count = friction.size(), size = 3 * count;
+    terms_.resize(static_cast<int>(count));
+    const auto take = [](std::vector<double>& into, const Numbers& from, py::ssize_t expected, const char* name) {
+      const double* values = checked(from, expected, name);
+      into.assign(values, values + expected);
+    };
+    take(terms_.delassus, delassus, size * size, "delassus");
+    take(terms_.approach, approach, size, "approach");
+    take(terms_.normals, normals, size, "normals");
+    take(terms_.friction, friction, count, "friction");
+    take(terms_.rebound, rebound, count, "rebound");
+    take(terms_.inverse_mass, inverse_mass, count, "inverse_mass");
+    terms_.mobility = mobility;
+    // In exact arithmetic it is symmetric.
+    for (py::ssize_t i = 0; i < size; ++i)
+      for (py::ssize_t j = 0; j < i; ++j) {
+        double &left = terms_.delassus[i * size + j], &right = terms_.delassus[j * size + i];
+        left = right = 0.5 * (left + right);
+      }
+  }
+
+  py::tuple linearise(const Numbers& impulses, const Numbers& velocity, const Numbers& least) {
+    press(least);
+    const py::ssize_t count = terms_.count;
+    const double* at = checked(impulses, 3 * count, "impulses");
+    const double* moving = checked(velocity, 3 * count, "velocity");
+    std::vector<double> defect, by_impulse, by_velocity, by_friction, margin;
+    py::tuple states(count);
+    for (py::ssize_t i = 0; i < count; ++i) {
+      const PointLaw law =
+          impact_rs::linearise(vector(at + 3 * i), vector(moving + 3 * i), vector(terms_.normals.data() + 3 * i),
+                               terms_.friction[i], terms_.inverse_mass[i], terms_.least[i]);
+      defect.insert(defect.end(), law.defect.begin(), law.defect.end());
+      by_impulse.insert(by_impulse.end(), law.by_impulse.begin(), law.by_impulse.end());
+      by_velocity.insert(by_velocity.end(), law.by_velocity.begin(), law.by_velocity.end());
+      by_friction.insert(by_friction.end(), law.by_friction.begin(), law.by_friction.end());
+      margin.push_back(law.margin);
+      states[i] = STATES[static_cast<int>(law.state)];
+    }
+    return py::make_tuple(array(defect, {count, 3}), array(by_impulse, {count, 3, 3}),
+                          array(by_velocity, {count, 3, 3}), array(by_friction, {count, 3}), states,
+                          array(margin, {count}));
+  }
+
+  py::tuple settle(const Numbers& guess, const Numbers& least, double compliance) {
+    press(least);
+    std::vector<double> impulses = start(guess);
+    const bool converged = Solver().settle(terms_, impulses, compliance);
+    return py::make_tuple(array(impulses, {terms_.count, 3}), converged);
+  }
+
+  Numbers harden(const Numbers& guess, const Numbers& least, double compliance) {
+    press(least);
+    std::vector<double> impulses = start(guess);
+    Solver().harden(terms_, impulses, compliance);
+    return array(impulses, {terms_.count, 3});
+  }
+
+  py::tuple solve(double compliance) {
+    terms_.least.assign(terms_.count, 0.0);
+    std::vector<double> impulses;
+    Solver solver;
+    const bool converged = solver.solve(terms_, impulses, compliance);
+    return py::make_tuple(array(impulses, {terms_.count, 3}), converged, solver.steps);
+  }
+
+  py::tuple judge(const Numbers& impulses, const Numbers& after, const Numbers& least) {
+    press(least);
+    const Judged found = impact_rs::judge(terms_, checked(impulses, 3 * terms_.count, "impulses"),
+                                          checked(after, 3 * terms_.count, "after"));
+    return py::make_tuple(found.penetration, found.complementarity, found.friction);
+  }
+
+ private:
+  void press(const Numbers& least) {
+    if (least.size() == 1) {
+      terms_.least.assign(terms_.count, *least.data());
+    } else {
+      const double* values = checked(least, terms_.count, "least");
+      terms_.least.assign(values, values + terms_.count);
+    }
+  }
+
+  std::vector<double> start(const Numbers& guess) const {
+    const double* values = checked(guess, 3 * terms_.count, "impulses");
+    return std::vector<double>(values, values + 3 * terms_.count);
+  }
+
+  Terms terms_;
+};
+
+struct ArmFields {
+  py::ssize_t joints;
+  std::vector<Field> fields;
+
+  ArmFields(const py::sequence& given, py::ssize_t count) {
+    if (given.size() != 13) throw py::value_error("an arm has 13 fields");
+    joints = Numbers(py::reinterpret_borrow<py::object>(given[3])).size();  // low: one number per joint
+    const py::ssize_t n = joints;
+    const py::ssize_t sizes[] = {n, n, n, n, n, n, n * n, 6 * n, 3, 9, 3, 9, 3};
+    const char* const names[] = {"position", "velocity", "motor_inertia", "low",   "high",      "fastest",  "inertia",
+                                 "jacobian", "place",    "axes",          "pad_place", "pad_axes", "pad_half"};
+    for (int k = 0; k < 13; ++k) fields.emplace_back(given[k], sizes[k], count, names[k]);
+  }
+
+  ArmState at(py::ssize_t q) const {
+    const auto& f = fields;
+    return {static_cast<int>(joints), f[0](q), f[1](q), f[2](q),  f[3](q),  f[4](q),  f[5](q), f[6](q),
+            f[7](q),                  f[8](q), f[9](q), f[10](q), f[11](q), f[12](q)};
+  }
+};
+
+using PointsOfPython = std::tuple<std::vector<int>, Numbers, Numbers, Numbers>;
+
+std::vector<Point> points_of(const PointsOfPython& given, int arms) {
+  const auto& [partner, position, normal, gap] = given;
+  const py::ssize_t count = partner.size();
+  checked(position, 3 * count, "points.position");
+  checked(normal, 3 * count, "points.normal");
+  checked(gap, count, "points.gap");
+  std::vector<Point> points;
+  for (py::ssize_t i = 0; i < count; ++i) {
+    if (partner[i] < 0 || partner[i] > arms) throw py::value_error("points.partner: there is no such arm");
+    points.push_back({partner[i], vector(position.data() + 3 * i), vector(normal.data() + 3 * i), {}, gap.data()[i],
+                      State::open});
+  }
+  return points;
+}
+
+py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::sequence& thing,
+                        const py::sequence& contact, const py::object& support,
+                        const std::tuple<double, double, double, double>& rules,
+                        const std::optional<PointsOfPython>& given) {
+  std::vector<ArmFields> arm_fields;
+  py::ssize_t joints = 0;
+  for (const py::handle arm : arms) {
+    arm_fields.emplace_back(py::reinterpret_borrow<py::sequence>(arm), count);
+    joints += arm_fields.back().joints;
+  }
+  if (thing.size() != 7 || contact.size() != 3) throw py::value_error("expected 7 fields of the object, 3 of contact");
+  const py::ssize_t sizes[] = {3, 9, 6, 1, 3, 3, 3};
+  const char* const names[] = {"object.position", "object.rotation", "object.twist",     "object.mass",
+                               "object.half",     "object.inertia",  "object.com_offset"};
+  std::vector<Field> of_thing, of_contact, of_support;
+  for (int k = 0; k < 7; ++k) of_thing.emplace_back(thing[k], sizes[k], count, names[k]);
+  const char* const coefficients[] = {"pad_friction", "support_friction", "restitution"};
+  for (int k = 0; k < 3; ++k) of_contact.emplace_back(contact[k], 1, count, coefficients[k]);
+  if (!support.is_none()) of_support.emplace_back(support, 6, count, "support");
+
+  const py::ssize_t k = arm_fields.size(), size = joints + 6;
+  std::vector<Point> known;
+  if (given) known = points_of(*given, static_cast<int>(k));
+  Numbers velocity({count, size}), twists({count, 6 * k}), residual({count, py::ssize_t{4}}),
+      energy({count, py::ssize_t{2}});
+  py::array_t<int> status(count), steps(count), first(count + 1), partner, state;
+  std::vector<double> positions, normals, gaps, impulses;
+  std::vector<int> partners, states;
+  {
+    double *u = velocity.mutable_data(), *t = twists.mutable_data(), *r = residual.mutable_data(),
+           *e = energy.mutable_data();
+    int *s = status.mutable_data(), *n = steps.mutable_data(), *f = first.mutable_data();
+    const py::gil_scoped_release others_may_run;
+    Impact impact({std::get<0>(rules), std::get<1>(rules), std::get<2>(rules), std::get<3>(rules)},
+                  given ? &known : nullptr);
+    std::vector<ArmState> states_of_arms(k);
+    f[0] = 0;
+    for (py::ssize_t q = 0; q < count; ++q) {
+      for (py::ssize_t a = 0; a < k; ++a) states_of_arms[a] = arm_fields[a].at(q);
+      const auto& o = of_thing;
+      const auto& c = of_contact;
+      const Status found = impact.solve(
+          states_of_arms, {o[0](q), o[1](q), o[2](q), o[3](q), o[4](q), o[5](q), o[6](q)},
+          {c[0](q), c[1](q), c[2](q), of_support.empty() ? nullptr : of_support[0](q)});
+      s[q] = static_cast<int>(found);
+      n[q] = impact.steps;
+      if (found == Status::unsound) {
+        std::fill(u + q * size, u + (q + 1) * size, NAN);
+        std::fill(t + q * 6 * k, t + (q + 1) * 6 * k, NAN);
+        std::fill(r + 4 * q, r + 4 * q + 4, NAN);
+        std::fill(e + 2 * q, e + 2 * q + 2, NAN);
+        n[q] = 0;
+        f[q + 1] = f[q];
+        continue;
+      }
+      std::copy(impact.velocity.begin(), impact.velocity.end(), u + q * size);
+      std::copy(impact.twists.begin(), impact.twists.end(), t + q * 6 * k);
+      const double judged[] = {impact.laws.penetration, impact.laws.complementarity, impact.laws.friction,
+                               impact.momentum};
+      std::copy(judged, judged + 4, r + 4 * q);
+      e[2 * q] = impact.energy;
+      e[2 * q + 1] = impact.gain;
+      f[q + 1] = f[q] + static_cast<int>(impact.points.size());
+      for (const Point& point : impact.points) {
+        partners.push_back(point.partner);
+        states.push_back(static_cast<int>(point.state));
+        gaps.push_back(point.gap);
+        positions.insert(positions.end(), point.position.begin(), point.position.end());
+        normals.insert(normals.end(), point.normal.begin(), point.normal.end());
+        impulses.insert(impulses.end(), point.impulse.begin(), point.impulse.end());
+      }
+    }
+  }
+  const py::ssize_t points = gaps.size();
+  return py::make_tuple(status, velocity, twists, residual, energy, steps, first,
+                        py::array_t<int>(points, partners.data()), py::array_t<int>(points, states.data()),
+                        array(positions, {points, 3}), array(normals, {points, 3}), array(gaps, {points}),
+                        array(impulses, {points, 3}));
+}
+
+}  // namespace
+}  // namespace impact_rs
+
+PYBIND11_MODULE(_kernel, module) {
+  using namespace impact_rs;
+  module.attr("ACCEPTED") = ACCEPTED;
+  module.def("separating_face", &separating_face_of, py::arg("partner"), py::arg("thing"), py::arg("aligned"));
+  module.def("touching", &touching_of, py::arg("partner"), py::arg("thing"), py::arg("normal"), py::arg("on_thing"),
+             py::arg("tolerance"));
+  py::class_<TermsOfPython>(module, "Terms")
+      .def(py::init<const Numbers&, const Numbers&, const Numbers&, const Numbers&, const Numbers&, const Numbers&,
+                    double>(),
+           py::arg("delassus"), py::arg("approach"), py::arg("normals"), py::arg("friction"), py::arg("rebound"),
+           py::arg("inverse_mass"), py::arg("mobility"))
+      .def("linearise", &TermsOfPython::linearise, py::arg("impulses"), py::arg("velocity"), py::arg("least"))
+      .def("settle", &TermsOfPython::settle, py::arg("impulses"), py::arg("least"), py::arg("compliance"))
+      .def("harden", &TermsOfPython::harden, py::arg("impulses"), py::arg("least"), py::arg("compliance"))
+      .def("solve", &TermsOfPython::solve, py::arg("compliance"))
+      .def("judge", &TermsOfPython::judge, py::arg("impulses"), py::arg("after"), py::arg("least"));
+  module.def("solve_impacts", &solve_impacts, py::arg("count"), py::arg("arms"), py::arg("thing"), py::arg("contact"),
+             py::arg("support"), py::arg("rules"), py::arg("points") = py::none());
+}

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where two boxes touch, plainly in NumPy: what the compiled search is held against."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from impact_rs_sim.impact_map.contacts import ALIGNED, Box, Meeting
+
+
+def separating_face(partner: Box, thing: Box) -> tuple[float, np.ndarray, bool]:
+    """The face direction that separates two boxes best; of aligned faces the one that does so after a tilt as well.
+
+    A tilt by dphi costs the direction of a face the extent of the other box along that face, times dphi: of two faces
+    that lie on each other, that of the larger box keeps the normal on either side.
+
+    Returns:
+        Separation along it (negative: overlap) [m]; unit normal from ``partner`` into ``thing``, ``(3,)``; whether the
+        face belongs to ``thing``.
+    """
+    axes = np.concatenate((partner.rotation.T, thing.rotation.T))
+    distance = axes @ (thing.centre - partner.centre)
+    reach = np.abs(axes @ partner.rotation) @ partner.half + np.abs(axes @ thing.rotation) @ thing.half
+    separation = np.abs(distance) - reach
+    as_good = np.flatnonzero(separation >= separation.max() - ALIGNED)
+    best = int(min(as_good, key=lambda index: _extent(partner if index >= 3 else thing, axes[index])))
+    sign = 1.0 if distance[best] >= 0.0 else -1.0
+    return float(separation[best]), sign * axes[best], best >= 3
+
+
+def _extent(box: Box, axis: np.ndarray) -> float:
+    """Half the diagonal of a box's face across an axis [m]."""
+    along = int(np.argmax(np.abs(box.rotation.T @ axis)))
+    return float(np.linalg.norm(np.delete(box.half, along)))
+
+
+def touching(meeting: Meeting, tolerance: float) -> list[tuple[np.ndarray, float]]:
+    """Points on the object with their gaps."""
+    # The reference face owns the normal; the incident face of the other box is clipped to it.
+    on_object = meeting.on_object
+    reference, incident = (meeting.thing, meeting.box) if on_object else (meeting.box, meeting.thing)
+    outward = -meeting.normal if on_object else meeting.normal
+    axis = int(np.argmax(np.abs(reference.rotation.T @ outward)))
+    facing = np.copysign(1.0, reference.rotation[:, axis] @ outward)
+    polygon = (_face(incident, -outward) - reference.centre) @ reference.rotation
+    for side in (index for index in range(3) if index != axis):
+        for sign in (1.0, -1.0):
+            polygon = _clip(polygon, side, sign, reference.half[side])
+    points = []
+    for point in polygon:
+        height = facing * point[axis] - reference.half[axis]
+        if height > tolerance:
+            continue
+        position = reference.centre + reference.rotation @ point
+        if on_object:
+            position = position - height * outward
+        points.append((position, float(height)))
+    return points
+
+
+def _face(box: Box, direction: np.ndarray) -> np.ndarray:
+    """Corners of the face that looks most along ``direction``, in order around it, ``(4, 3)`` [m]."""
+    local = box.rotation.T @ direction
+    axis = int(np.argmax(np.abs(local)))
+    u, v = (index for index in range(3) if index != axis)
+    corners = np.zeros((4, 3))
+    corners[:, axis] = np.copysign(box.half[axis], local[axis])
+    corners[:, u] = box.half[u] * np.array([1.0, -1.0, -1.0, 1.0])
+    corners[:, v] = box.half[v] * np.array([1.0, 1.0, -1.0, -1.0])
+    return box.centre + corners @ box.rotation.T
+
+
+def _clip(polygon: np.ndarray, axis: int, sign: float, limit: float) -> np.ndarray:
+    """The part of a polygon ``(m, 3)`` with ``sign * coordinate <= limit``."""
+    inside = sign * polygon[:, axis] - limit if len(polygon) else np.zeros(0)
+    kept: list[np.ndarray] = []
+    for index, here in enumerate(inside):
+        previous = inside[index - 1]
+        if (here <= 0.0) != (previous <= 0.0):
+            share = previous / (previous - here)
+            kept.append(polygon[index - 1] + share * (polygon[index] - polygon[index - 1]))
+        if here <= 0.0:
+            kept.append(polygon[index])
+    return np.array(kept).reshape(-1, 3)

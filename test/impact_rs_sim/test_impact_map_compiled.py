@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The compiled map of one call and the map step by step in Python are one map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from impact_map_cases import MODEL, PUSH, grab, nominal, one_point
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import ImpactProblem, PinocchioEngine
+from impact_rs_sim.impact_map.compiled import SOLVED, STATES, CompiledMap
+from impact_rs_sim.impact_map.cones import solve_cones, solve_contacts
+from impact_rs_sim.impact_map.contacts import find_contacts
+from impact_rs_sim.impact_map.newton import harden, settle, states
+from impact_rs_sim.impact_map.problem import check_problem
+from impact_rs_sim.impact_map.residual import ContactTerms
+from impact_rs_sim.impact_map.sampling import random_problem
+from impact_rs_sim.impact_map.system import System, build_system
+from impact_rs_sim.impact_map.uniqueness import uniqueness_of
+
+
+def problems() -> list[ImpactProblem]:
+    """Impacts of all kinds: random ones, two arms, restitution, a centre of mass aside, a single point."""
+    some = [random_problem(PUSH, np.random.default_rng([11, seed])) for seed in range(12)]
+    return [*some, grab(), grab(pad_friction=2.0), replace(nominal(), restitution=0.4), one_point()]
+
+
+def terms_of(problem: ImpactProblem) -> tuple[System, ContactTerms]:
+    models = problem.physics.robot_models()
+    found = check_problem(problem, models)
+    system = build_system(problem, models)
+    return system, ContactTerms.of(system, find_contacts(problem.physics, found), problem.restitution)
+
+
+def test_one_pass_over_the_chain_gives_what_three_give() -> None:
+    rng = np.random.default_rng(0)
+    for q in rng.uniform(MODEL.position_min, MODEL.position_max, (5, MODEL.joint_count)):
+        inertia, jacobian, place = (np.array(part) for part in MODEL.at_impact(q))
+        np.testing.assert_allclose(np.triu(inertia), np.triu(MODEL.mass_matrix(q)), atol=1e-13)
+        np.testing.assert_allclose(jacobian, MODEL.jacobian(q), atol=1e-13)
+        np.testing.assert_allclose(place, MODEL.placement(q).homogeneous, atol=1e-13)
+
+
+def test_one_call_and_step_by_step_give_the_same_answer() -> None:
+    for problem in problems():
+        engine = PinocchioEngine(problem.physics)
+        at_once, by_steps = engine._at_once(problem, 0.0), engine._step_by_step(problem, 0.0)
+        assert at_once is not None
+        for name in problem.arms:
+            np.testing.assert_allclose(at_once.joint_velocity[name], by_steps.joint_velocity[name], atol=1e-9)
+            np.testing.assert_allclose(at_once.end_effector_twist[name], by_steps.end_effector_twist[name], atol=1e-9)
+        np.testing.assert_allclose(at_once.object_twist, by_steps.object_twist, atol=1e-9)
+        assert len(at_once.contacts) == len(by_steps.contacts)
+        for one, other in zip(at_once.contacts, by_steps.contacts, strict=True):
+            assert (one.body_a, one.body_b) == (other.body_a, other.body_b)
+            np.testing.assert_array_equal(one.position, other.position)
+            np.testing.assert_array_equal(one.normal, other.normal)
+            assert one.gap == other.gap
+        system, terms = terms_of(problem)
+        found = engine._compiled.answer(problem)
+        impulses = found.impulse
+        velocity = system.velocity + terms.response @ impulses.ravel()
+        np.testing.assert_allclose(found.velocity[0], velocity, atol=1e-12)
+        judged = terms.residual(impulses, velocity)
+        np.testing.assert_allclose(found.residual[0], list(vars(judged).values()), atol=1e-12)
+        assert found.energy[0, 0] == pytest.approx(system.kinetic_energy, rel=1e-12)
+        change = velocity @ system.inertia @ velocity - system.velocity @ system.inertia @ system.velocity
+        assert found.energy[0, 1] == pytest.approx(0.5 * change, abs=1e-10)
+        assert judged.largest <= 1e-10
+        assert tuple(STATES[state] for state in found.state) == states(terms, impulses)
+
+
+def test_answers_are_those_of_admm_and_newtons_method_where_there_is_one() -> None:
+    compared = 0
+    for problem in problems():
+        _, terms = terms_of(problem)
+        guess, converged = settle(terms, solve_cones(terms)[0])
+        if not converged or not uniqueness_of(problem).relative <= 1e-7:
+            continue
+        change = terms.response @ (harden(terms, guess) - solve_contacts(terms)[0]).ravel()
+        np.testing.assert_allclose(change, 0.0, atol=1e-9)
+        compared += 1
+    assert compared >= 3
+
+
+def test_points_that_are_given_are_those_that_are_taken() -> None:
+    problem = grab()
+    _, terms = terms_of(problem)
+    compiled = CompiledMap(problem.physics, problem.physics.robot_models())
+    found = compiled.answer(problem)
+    again = compiled.answer(problem, terms.contacts)
+    np.testing.assert_allclose(again.velocity, found.velocity, atol=1e-13)
+    fewer = compiled.answer(problem, terms.contacts[:3])
+    assert len(fewer.impulse) == 3
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda problem: replace(problem, restitution_law="poisson"),
+        lambda problem: replace(problem, restitution=1.5),
+        lambda problem: replace(problem, arms={}),
+        lambda problem: replace(problem, motor_inertia={"arm": -np.ones(7)}),
+        lambda problem: replace(problem, motor_inertia={"arm": np.full(7, np.nan)}),
+        lambda problem: replace(problem, motor_inertia={"arm": np.ones(6)}),
+        lambda problem: replace(problem, object=replace(problem.object, rotation=2.0 * np.eye(3))),
+        lambda problem: replace(problem, object=replace(problem.object, rotation=-np.eye(3))),
+        lambda problem: replace(problem, object=replace(problem.object, twist=np.full(6, np.inf))),
+        lambda problem: replace(
+            problem, object=replace(problem.object, position=problem.object.position + [0.0, 0.01, 0.0])
+        ),
+        lambda problem: replace(problem, arms={"arm": replace(problem.arms["arm"], velocity=np.full(7, 3.0))}),
+        lambda problem: replace(problem, arms={"arm": replace(problem.arms["arm"], position=np.full(7, 9.0))}),
+    ],
+)
+def test_what_is_out_of_the_ordinary_is_left_to_the_long_way(changed) -> None:
+    problem = nominal()
+    compiled = CompiledMap(problem.physics, problem.physics.robot_models())
+    assert compiled.answer(problem).status[0] == SOLVED
+    found = compiled.answer(changed(problem))
+    assert found is None or (found.status[0] != SOLVED and np.all(np.isnan(found.velocity)))
+
+
+def test_a_measured_state_may_be_beyond_the_limits() -> None:
+    problem = nominal()
+    fast = replace(problem, arms={"arm": replace(problem.arms["arm"], velocity=np.full(7, 3.0))}, measured=True)
+    compiled = CompiledMap(problem.physics, problem.physics.robot_models())
+    assert compiled.answer(fast).status[0] == SOLVED
+
+
+def test_an_object_that_cannot_be_is_refused() -> None:
+    physics = replace(nominal().physics, pad_friction=-1.0)
+    with pytest.raises(InputError, match="friction"):
+        CompiledMap(physics, physics.robot_models())
