@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import random
 import shutil
+import re
 import struct
 from pathlib import Path
 
@@ -63,14 +64,14 @@ def test_a_bag_that_was_cut_off_or_grew_is_refused(bag: Path) -> None:
         ("checksums: crc32", "checksums: none"),
         ("    checksums: crc32\n", ""),
         ("seed: '", "seed: '1"),
-        ("message_count: 12344", "message_count: null"),
+        (r"message_count: \d+", "message_count: null"),
     ],
 )
 def test_metadata_that_were_changed_are_refused(bag: Path, old: str, new: str) -> None:
     path = bag / "metadata.yaml"
     text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new))
+    assert re.search(old, text)
+    path.write_text(re.sub(old, new, text))
     assert "metadata.yaml is not the one that was recorded" in refused(bag)
 
 

@@ -451,6 +451,6 @@ def test_subscripts_are_the_only_markup_of_a_figures_text() -> None:
 def test_every_page_extends_the_skeleton_and_none_switches_escaping_off() -> None:
     for name in ("analysis", "comparison", "diagnosis", "history", "paper"):
         text = (skeleton.TEMPLATES / f"{name}.html.j2").read_text(encoding="utf-8")
-        assert text.startswith('{% extends "page.html.j2" %}')
+        assert text.splitlines()[1] == '{% extends "page.html.j2" %}'  # behind the licence
     for path in skeleton.TEMPLATES.iterdir():
         assert not re.search(r"\|\s*safe|autoescape", path.read_text(encoding="utf-8")), path
