@@ -27,7 +27,7 @@ from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.recordings.impact_table import read_impact_table
 from impact_rs_trials.recordings.laboratory import read_laboratory
 
-LONG = ("cube_tosses", "draw_robot", "foreign_plant")  # stand beside somebody else's files or nodes, and say in full how
+LONG = ("cube_tosses", "draw_robot", "foreign_plant")  # beside somebody else's files, nodes or views, in full
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import random
-import shutil
 import re
+import shutil
 import struct
 from pathlib import Path
 
