@@ -14,7 +14,7 @@ from impact_rs_sim.impact_map import ImpactProblem, PinocchioEngine
 from impact_rs_sim.impact_map.compiled import SOLVED, STATES, CompiledMap
 from impact_rs_sim.impact_map.cones import solve_cones, solve_contacts
 from impact_rs_sim.impact_map.contacts import find_contacts
-from impact_rs_sim.impact_map.newton import harden, settle, states
+from impact_rs_sim.impact_map.newton import delassus, harden, linearise, settle, yielding_velocity
 from impact_rs_sim.impact_map.problem import check_problem
 from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.sampling import random_problem
@@ -70,7 +70,10 @@ def test_one_call_and_step_by_step_give_the_same_answer() -> None:
         change = velocity @ system.inertia @ velocity - system.velocity @ system.inertia @ system.velocity
         assert found.energy[0, 1] == pytest.approx(0.5 * change, abs=1e-10)
         assert judged.largest <= 1e-10
-        assert tuple(STATES[state] for state in found.state) == states(terms, impulses)
+        linear = linearise(terms, impulses, yielding_velocity(terms, delassus(terms), impulses))
+        told = [STATES[state] for state in found.state]
+        at_a_kink = linear.margin < 1e-9  # where rounding chooses
+        assert all(one == other or kink for one, other, kink in zip(told, linear.state, at_a_kink, strict=True))
 
 
 def test_answers_are_those_of_admm_and_newtons_method_where_there_is_one() -> None:

@@ -118,7 +118,8 @@ def test_a_node_that_is_there_twice_is_named_and_no_trial_runs(graph: Graph, tmp
     assert (result.success, result.outcome) == (False, "ABORTED")
     assert f"node /{name} is there twice" in result.message
     assert not [path for path in tmp_path.iterdir() if path.name[0] != "."]
-    assert graph.call_trial(goal(tmp_path)).outcome == "OK"
+    after = graph.call_trial(goal(tmp_path))
+    assert after.outcome == "OK", after.message
 
 
 def test_a_second_publisher_of_torques_is_named_and_the_trial_is_aborted(graph: Graph, tmp_path: Path) -> None:
