@@ -39,7 +39,7 @@ FOREIGN_TIMEOUT = 120.0  # s, for somebody else's node in the place of one of ou
 STARTS = 3  # of a node that is killed, or freezes, while it starts
 ANSWER_TIMEOUT = 3.0  # s, for a node to answer something harmless
 SILENCE = 1.0  # s, after which an experiment node that tells nothing of a trial is asked whether it is there
-ATTEMPTS = 2  # of a trial
+ATTEMPTS = 3  # of a trial; the next one after a kill may stall as well
 RESULT_TIMEOUT = 10.0  # s, for the answer to a goal, beyond what the experiment node may wait itself
 
 _CONFIGURABLE = {"configure_trial": ConfigureTrial, "finish_trial": FinishTrial}
@@ -381,7 +381,7 @@ def run_trial(
 ) -> TrialReport:
     """Run one trial of a campaign; whatever goes wrong is told in the report, and what died is started again.
 
-    A trial that was aborted although no node died is run once more, and a node that does not answer any more is started
+    A trial that was aborted although no node died is run again, twice at most, and a node that does not answer any more is started
     again first: after one process was killed, the shared memory between them can trap another one in the middleware.
     """
     goal = RunTrial.Goal(

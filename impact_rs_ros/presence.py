@@ -60,6 +60,10 @@ class Presence:
         """Begin anew with a node that is started again: until it was there, it is not gone."""
         self._known.discard(name)
 
+    def forget_absent(self) -> None:
+        """Begin anew with every node that is not there: who was started again is met late on a busy machine."""
+        self._known = {name for name in self._known if self._alive[name]}
+
     def alive(self, name: str) -> bool:
         """Whether a node is there."""
         return self._alive[name] > 0

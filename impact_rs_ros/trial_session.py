@@ -143,6 +143,7 @@ class TrialSession:
             cancelled: Whether to stop.
             plant_model: Text of a model file whose effects the plant has; empty: none.
         """
+        self._presence.forget_absent()
         info = TrialInfo.of(plan, key, seed, "nodes")
         path = directory / key.name
         maker = MessageMaker(RosidlTypes(), plan)

@@ -81,7 +81,7 @@ def test_a_frozen_and_a_killed_process_are_gone_and_one_that_goes_on_is_back(wat
     watch.until(lambda: not presence.gone("one"), "nobody noticed that it goes on")
     one.kill()
     watch.until(lambda: presence.gone("one"), "nobody noticed that it was killed")
-    presence.forget("one")
+    presence.forget_absent()
     assert presence.gone("one") == []
 
 

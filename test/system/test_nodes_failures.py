@@ -114,7 +114,7 @@ def test_a_node_that_is_there_twice_is_named_and_no_trial_runs(graph: Graph, tmp
             spin_until(graph, lambda: graph.presence.twice(name) == [name], "the second one is not met")
             result = graph.call_trial(goal(tmp_path))
         finally:
-            second.kill()
+            second.terminate()
     assert (result.success, result.outcome) == (False, "ABORTED")
     assert f"node /{name} is there twice" in result.message
     assert not [path for path in tmp_path.iterdir() if path.name[0] != "."]
