@@ -381,8 +381,8 @@ def run_trial(
 ) -> TrialReport:
     """Run one trial of a campaign; whatever goes wrong is told in the report, and what died is started again.
 
-    A trial that was aborted although no node died is run again, twice at most, and a node that does not answer any more is started
-    again first: after one process was killed, the shared memory between them can trap another one in the middleware.
+    A trial that was aborted although no node died is run again, twice at most, and a node that does not answer any more
+    is started again first: for a moment after one process was killed, messages of the others may come too late.
     """
     goal = RunTrial.Goal(
         scenario=manifest.scenario,
