@@ -244,6 +244,7 @@ class RecorderNode(NodeProgram):
             return response
         self._abort()
         self._configured = self._finished = None
+        self._presence.forget_absent()  # somebody asks, whether or not it has been met again
         try:
             info = TrialInfo.from_message(request.trial)
             plan = info.spec.plan if info.scenario_json else None
