@@ -41,8 +41,8 @@ def ours(without: Sequence[str]) -> list[str]:
 def set_middleware(environment: MutableMapping[str, str]) -> None:
     """How the nodes and who calls them talk, where the environment does not say it.
 
-    Over the loopback: a process that is killed or frozen while it holds a lock in the shared memory of Fast DDS stalls
-    the others, and leaves its segments behind. It costs a trial nothing that can be measured.
+    Over the loopback: in the shared memory of Fast DDS a process that is killed leaves its segments behind, and one
+    that is frozen can hold a lock. It costs a trial nothing that can be measured.
     """
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if not any(name in environment for name in PROFILES):  # who has a profile has chosen

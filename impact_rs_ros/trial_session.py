@@ -42,6 +42,7 @@ from impact_rs_trials.bags.writer import partial_path
 ATTEMPT = 1.0  # s; a request into the discovery of a restarted node can be lost and is sent again
 LOOK = 0.1  # s, between two looks whether who is to answer is there
 MEMBERS = ("recorder", "controller", "plant")
+ALL = (*MEMBERS, "experiment")  # who must be there once for a trial
 LAST_SAMPLE = 0.5  # s, how long the last controller state may take
 FINISH = 1.0  # s, how long plant or controller may take to leave a trial
 
@@ -98,7 +99,7 @@ class TrialSession:
         def client(kind: Any, name: str) -> Client:
             return node.create_client(kind, name, callback_group=group)
 
-        self._presence = Presence(node, (*MEMBERS, "experiment"))
+        self._presence = Presence(node, ALL)
         self._configure = {name: client(ConfigureTrial, f"{name}/configure_trial") for name in MEMBERS}
         self._finish = {name: client(FinishTrial, f"{name}/finish_trial") for name in MEMBERS}
         self._run = client(Trigger, "plant/run_trial")
@@ -182,8 +183,8 @@ class TrialSession:
     def _call(self, name: str, client: Client, request: Any, timeout: float) -> Any:
         """Answer of a service to a request that is sent again where none comes.
 
-        A node that is slow answers every one of them. To configure once more undoes the first time, so that what counts
-        is the answer to the last request; but who refuses one would refuse the next, and what is finished is finished.
+        A node that is slow answers every one of them, and any answer counts: who is asked once more for what it has
+        done does not begin again.
 
         Raises:
             TrialError: No answer.
@@ -196,7 +197,7 @@ class TrialSession:
                 self._check_present(name)
 
         answered = threading.Event()
-        futures = []  # the answer to any attempt counts
+        futures = []
         try:
             while (left := deadline - time.monotonic()) > 0.0:
                 check()
@@ -252,11 +253,10 @@ class TrialSession:
         Raises:
             TrialError: One is.
         """
-        names = (*MEMBERS, "experiment")
         deadline = time.monotonic() + LEASE + GRACE
-        while wait and self._presence.twice(*names) and time.monotonic() < deadline:
+        while wait and self._presence.twice(*ALL) and time.monotonic() < deadline:
             time.sleep(LOOK)
-        if twice := self._presence.twice(*names, settled=not wait):
+        if twice := self._presence.twice(*ALL, settled=not wait):
             raise TrialError(
                 f"node {self._presence.full_name(twice[0])} is there twice: stop one of them, or give one another "
                 "namespace or ROS_DOMAIN_ID"

@@ -184,10 +184,10 @@ class RobotModel:
         q = np.array(guess, dtype=float)
         q[list(held)] = list(held.values())
 
-        inside = np.clip(q, lower + 1e-6, upper - 1e-6)[free]
-        bounds = (lower[free], upper[free])
         if free.size == 6 and (found := self._newton(target, q.copy(), free)) is not None:
             return found
+        inside = np.clip(q, lower + 1e-6, upper - 1e-6)[free]
+        bounds = (lower[free], upper[free])
 
         def error(angles: Array) -> Array:
             q[free] = angles

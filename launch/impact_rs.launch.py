@@ -18,7 +18,7 @@ def generate_launch_description() -> LaunchDescription:
     """Return the five nodes, or those that are wanted of them, all with the same parameter file and scenario."""
     return LaunchDescription(
         [
-            # The shared memory of Fast DDS stalls nodes when one of them is killed.
+            # In the shared memory of Fast DDS a node that is killed leaves its segments behind.
             SetEnvironmentVariable(
                 "FASTDDS_BUILTIN_TRANSPORTS", EnvironmentVariable("FASTDDS_BUILTIN_TRANSPORTS", default_value="UDPv4")
             ),

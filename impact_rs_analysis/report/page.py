@@ -22,7 +22,7 @@ from markupsafe import Markup, escape
 from plotly.offline import get_plotlyjs
 
 from impact_rs_analysis.diagnosis.thresholds import LEAST_P
-from impact_rs_analysis.diagnosis.words import estimate_text
+from impact_rs_analysis.diagnosis.words import estimate_in_line
 from impact_rs_analysis.evidence.tracks import TrackSet
 from impact_rs_sim.files import whole_folder
 from impact_rs_sim.robot import Array
@@ -169,7 +169,7 @@ def _environment() -> Environment:
     )
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
     environment.filters |= {
-        "estimate": lambda value: [_minus(text) for text in estimate_text(value.estimate, value.ci95)],
+        "estimate": lambda value: _minus(estimate_in_line(value.estimate, value.ci95)),
         "figure_json": figure_json,
         "number": number_text,
         "p_value": p_text,
