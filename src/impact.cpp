@@ -180,6 +180,7 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ThingState& thing
               sums[3 * k + c2];
     }
   }
+  take_root(count);
   terms_.take_inverse_mass();
   relative_velocities(arms, thing, before_twists_.data(), thing.twist, terms_.approach.data());
   for (int i = 0; i < m; ++i) {
@@ -188,6 +189,21 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ThingState& thing
     terms_.rebound[i] = *contact.restitution * dot(points[i].normal, vector(terms_.approach.data() + 3 * i));
   }
   return true;
+}
+
+// Y, from the columns of the object and of the arm at every point.
+void Impact::take_root(int arms) {
+  const int m = terms_.count, size = 3 * m, stride = m == 0 ? 0 : static_cast<int>(arm_columns_.size()) / m;
+  terms_.rank = static_cast<int>(before_.size());
+  terms_.root.assign(terms_.rank * size, 0.0);
+  const auto put = [this, size](const double* columns, const Block& block, int point) {
+    for (int r = 0; r < block.size; ++r)
+      for (int k = 0; k < 3; ++k) terms_.root[(block.start + r) * size + 3 * point + k] = columns[3 * r + k];
+  };
+  for (int i = 0; i < m; ++i) {
+    put(thing_columns_.data() + 18 * i, blocks_[arms], i);
+    if (points[i].partner < arms) put(arm_columns_.data() + stride * i, blocks_[points[i].partner], i);
+  }
 }
 
 void Impact::relative_velocities(const std::vector<ArmState>& arms, const ThingState& thing, const double* of_bodies,

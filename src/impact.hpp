@@ -86,6 +86,7 @@ class Impact {
   bool sound(const std::vector<ArmState>& arms, const ThingState& thing) const;
   bool find_points(const std::vector<ArmState>& arms, const ThingState& thing, const ContactState& contact);
   bool assemble(const std::vector<ArmState>& arms, const ThingState& thing, const ContactState& contact);
+  void take_root(int arms);
   void finish(const std::vector<ArmState>& arms, const ThingState& thing);
   void impulses_to_momenta(const std::vector<ArmState>& arms, const ThingState& thing, std::vector<double>& momenta);
   void relative_velocities(const std::vector<ArmState>& arms, const ThingState& thing, const double* of_bodies,

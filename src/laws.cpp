@@ -15,6 +15,8 @@ constexpr double SLOWEST = 0.98;  // a step as small is none
 constexpr double BOLD = 0.05;    // a larger step, of which Newton's method gets less time
 constexpr int HASTE = 8;         // steps of Newton's method then
 constexpr int EASY = 5;          // steps of Newton's method after which the next one is larger
+constexpr int MANY = 3;          // times as many impulses as velocities, from which a step is found by the root
+constexpr int REFINEMENTS = 2;   // of a step that was found by the root: each takes seven digits of its rounding away
 
 // Solve a x = b in place of both, by elimination with partial pivoting; false where a is singular.
 bool eliminate(double* a, double* b, int n) {
@@ -39,6 +41,21 @@ bool eliminate(double* a, double* b, int n) {
   for (int i = n - 1; i >= 0; --i) {
     for (int j = i + 1; j < n; ++j) b[i] -= a[i * n + j] * b[j];
     b[i] /= a[i * n + i];
+  }
+  return true;
+}
+
+// The inverse of a; false where it is singular.
+bool invert(const Matrix& a, Matrix& inverse) {
+  const Vector first = cross(row(a, 1), row(a, 2)), second = cross(row(a, 2), row(a, 0)),
+               third = cross(row(a, 0), row(a, 1));
+  const double determinant = dot(row(a, 0), first);
+  const double scale = 1.0 / determinant;
+  if (!std::isfinite(scale)) return false;
+  for (int i = 0; i < 3; ++i) {
+    inverse[3 * i] = scale * first[i];
+    inverse[3 * i + 1] = scale * second[i];
+    inverse[3 * i + 2] = scale * third[i];
   }
   return true;
 }
@@ -117,8 +134,62 @@ void Solver::velocities(const Terms& terms, const std::vector<double>& impulses,
   }
 }
 
+// The same step as newton_step, where there are more impulses than velocities. With A and V the derivatives of F by
+// impulse and velocity, D = A + yield V and P = D^-1 V, which are blocks of single points,
+//     (D + V Y^T Y) x = b    is    x = D^-1 b - P Y^T z    with    (1 + Y P Y^T) z = Y D^-1 b.
+// Points that hold yield little, D is small there, and x is a small difference; refined it has all its digits.
+bool Solver::step_by_root(const Terms& terms, double yield) {
+  const int size = 3 * terms.count, rank = terms.rank;
+  const double* root = terms.root.data();
+  const auto gathered = [root, size](int r, int point) { return vector(root + r * size + 3 * point); };
+  inverses_.resize(terms.count);
+  matrix_.assign(rank * rank, 0.0);
+  moved_.resize(3 * rank);
+  for (int i = 0; i < terms.count; ++i) {
+    Matrix block = laws_[i].by_impulse;
+    for (int k = 0; k < 9; ++k) block[k] += yield * laws_[i].by_velocity[k];
+    if (!invert(block, inverses_[i])) return false;
+    const Matrix passed = inverses_[i] * laws_[i].by_velocity;
+    for (int r = 0; r < rank; ++r) {
+      const Vector left = transposed_times(passed, gathered(r, i));
+      if (left[0] == 0.0 && left[1] == 0.0 && left[2] == 0.0) continue;
+      for (int c = 0; c < rank; ++c) matrix_[r * rank + c] += dot(left, gathered(c, i));
+    }
+  }
+  for (int r = 0; r < rank; ++r) matrix_[r * rank + r] += 1.0;
+  step_.assign(size, 0.0);
+  for (int round = 0; round <= REFINEMENTS; ++round) {
+    rest_.resize(size);  // b - (D + V Y^T Y) x, then D^-1 times that
+    right_.assign(rank, 0.0);
+    moved_.assign(rank, 0.0);
+    if (round > 0)
+      for (int r = 0; r < rank; ++r)
+        for (int i = 0; i < size; ++i) moved_[r] += root[r * size + i] * step_[i];
+    for (int i = 0; i < terms.count; ++i) {
+      Vector velocity = yield * at(step_, i);
+      for (int r = 0; r < rank; ++r) velocity = velocity + moved_[r] * gathered(r, i);
+      const Vector left =
+          -1.0 * laws_[i].defect - laws_[i].by_impulse * at(step_, i) - laws_[i].by_velocity * velocity;
+      const Vector alone = inverses_[i] * left;
+      put(rest_, i, alone);
+      for (int r = 0; r < rank; ++r) right_[r] += dot(gathered(r, i), alone);
+    }
+    work_ = matrix_;
+    if (!eliminate(work_.data(), right_.data(), rank)) return false;
+    for (int i = 0; i < terms.count; ++i) {
+      Vector velocity{};
+      for (int r = 0; r < rank; ++r) velocity = velocity + right_[r] * gathered(r, i);
+      put(step_, i, at(step_, i) + at(rest_, i) - inverses_[i] * (laws_[i].by_velocity * velocity));
+    }
+  }
+  for (const double value : step_)
+    if (!std::isfinite(value)) return false;
+  return true;
+}
+
 bool Solver::newton_step(const Terms& terms, double yield) {
   const int size = 3 * terms.count;
+  if (terms.rank > 0 && size > MANY * terms.rank && step_by_root(terms, yield)) return true;
   step_.assign(size, 0.0);
   coupled_.clear();
   for (int i = 0; i < terms.count; ++i) {

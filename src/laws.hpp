@@ -26,6 +26,8 @@ struct Terms {
   std::vector<double> least;         // bound a of the normal impulses, (m) [N s]
   std::vector<double> inverse_mass;  // g, (m) [1/kg]
   double mobility = 0.0;             // 1 / m of the object [1/kg]
+  int rank = 0;                      // rows of the root; 0: it is not known
+  std::vector<double> root;          // Y = L^-1 J_c^T with H = L L^T, so that G = Y^T Y, (rank, 3 m)
 
   void resize(int points);
   void take_inverse_mass();  // from the Delassus operator
@@ -67,11 +69,13 @@ class Solver {
   bool full_steps(const Terms& terms, std::vector<double>& impulses, double yield, double enough, int most);
   void sweep(const Terms& terms, std::vector<double>& impulses, double yield);
   bool newton_step(const Terms& terms, double yield);
+  bool step_by_root(const Terms& terms, double yield);
   void velocities(const Terms& terms, const std::vector<double>& impulses, double yield);
 
   std::vector<PointLaw> laws_;
   std::vector<int> coupled_;
-  std::vector<double> velocity_, step_, matrix_, right_, best_, origin_, kept_;
+  std::vector<double> velocity_, step_, matrix_, right_, best_, origin_, kept_, moved_, rest_, work_;
+  std::vector<Matrix> inverses_;
 };
 
 struct Judged {

@@ -14,7 +14,7 @@ from impact_rs_sim.impact_map import ImpactProblem, PinocchioEngine
 from impact_rs_sim.impact_map.compiled import SOLVED, STATES, CompiledMap
 from impact_rs_sim.impact_map.cones import solve_cones, solve_contacts
 from impact_rs_sim.impact_map.contacts import find_contacts
-from impact_rs_sim.impact_map.newton import delassus, harden, linearise, settle, yielding_velocity
+from impact_rs_sim.impact_map.newton import COMPLIANCE, delassus, harden, linearise, settle, yielding_velocity
 from impact_rs_sim.impact_map.problem import check_problem
 from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.sampling import random_problem
@@ -98,6 +98,30 @@ def test_points_that_are_given_are_those_that_are_taken() -> None:
     np.testing.assert_allclose(again.velocity, found.velocity, atol=1e-13)
     fewer = compiled.answer(problem, terms.contacts[:3])
     assert len(fewer.impulse) == 3
+
+
+def test_many_points_are_solved_through_velocities_as_few_are_through_impulses() -> None:
+    problem = nominal()
+    engine = PinocchioEngine(problem.physics)
+    found = check_problem(problem, engine.models)
+    pad = [point for point in find_contacts(problem.physics, found) if point.partner == "arm"]
+    first, second, third, fourth = (point.position for point in pad)
+    shares = np.linspace(0.0, 1.0, 5)
+    grid = [
+        replace(pad[0], position=(1 - v) * ((1 - u) * first + u * second) + v * ((1 - u) * fourth + u * third))
+        for u in shares
+        for v in shares
+    ]
+    system = build_system(problem, engine.models)
+    terms = ContactTerms.of(system, grid, 0.0)
+    impulses, solved, _ = terms.kernel.solve(COMPLIANCE)  # which knows no more than the Delassus operator
+    assert solved
+    answer = CompiledMap(problem.physics, engine.models).answer(problem, grid)
+    assert answer is not None
+    assert answer.status[0] == SOLVED
+    np.testing.assert_allclose(answer.velocity[0], system.velocity + terms.response @ impulses.ravel(), atol=1e-12)
+    np.testing.assert_allclose(answer.impulse, impulses, atol=1e-6)  # twenty of which nothing depends on
+    assert answer.residual.max() <= 1e-12
 
 
 @pytest.mark.parametrize(
