@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Who is there: a node that is killed or frozen is noticed within 3 s, and one that is there twice as well.
 
-Every node has a publisher on ``~/alive`` that never publishes anything. The middleware of its process asserts that
-publisher's *liveliness* from a thread of its own, so that long work in Python raises no alarm, and tells whoever
-subscribes when that has not come for a lease. What lives and hangs in our own code is noticed by those who wait for it.
+Every node has a publisher on ``~/alive``. The middleware of its process asserts that publisher's *liveliness* from a
+thread of its own, so that long work in Python raises no alarm, and tells whoever subscribes when that has not come for a
+lease. What lives and hangs in our own code is noticed by those who wait for it.
+
+The one message that is published there is latched: who receives it has been met by that node, and so have all
+subscriptions that its process had made before (:class:`Meeting`).
 """
 
 from __future__ import annotations
@@ -17,14 +20,17 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import Empty
 
-from impact_rs_ros.qos import ALIVE, LEASE
+from impact_rs_ros.exchange import Inbox
+from impact_rs_ros.qos import ALIVE, LEASE, PRESENT
 
 GRACE = 1.0  # s; a lease can lapse and be renewed at once when another publisher of the same topic leaves
 
 
 def announce(node: Node) -> Publisher:
     """Let others know that a node is there, for as long as its process runs."""
-    return node.create_publisher(Empty, "~/alive", ALIVE)
+    publisher = node.create_publisher(Empty, "~/alive", ALIVE)
+    publisher.publish(Empty())
+    return publisher
 
 
 class Presence:
@@ -45,7 +51,7 @@ class Presence:
                 Empty,
                 f"{name}/alive",
                 lambda _: None,
-                ALIVE,
+                PRESENT,
                 event_callbacks=SubscriptionEventCallbacks(liveliness=partial(self._changed, name)),
             )
 
@@ -91,3 +97,41 @@ class Presence:
         """Names, with namespace, of the nodes that publish a topic; one that died is among them for 20 s."""
         found = self._node.get_publishers_info_by_topic(topic)
         return sorted({f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in found if one.node_name[0] != "_"})
+
+
+class Meeting:
+    """Whether other nodes know the subscriptions of this process.
+
+    That a subscription has found its publisher does not say that the publisher has found the subscription, and until
+    then it is sent nothing. Number and names of its subscribers do not tell either: one that was killed is counted for
+    20 s. A process announces its subscriptions one after the other, and whoever has met the last one has met them all.
+
+    Args:
+        node: Who wants to be met.
+        names: Of the nodes that shall meet it, relative to its namespace.
+    """
+
+    def __init__(self, node: Node, names: Iterable[str]) -> None:
+        self._node = node
+        self._topics = [f"{name}/alive" for name in names]
+        self._inbox = Inbox(node, "meeting", ALIVE)
+        self._met: set[str] = set()
+
+    def begin(self) -> None:
+        """Ask to be met, with every subscription that there is now."""
+        self._met.clear()
+        self._inbox.connect(dict.fromkeys(self._topics, "std_msgs/msg/Empty"))
+
+    def awaited(self) -> list[str]:
+        """Topics of those that are there and have not met it yet."""
+        self._inbox.gather()
+        self._met.update(topic for topic, _ in self._inbox.take())
+        return [
+            topic
+            for topic in self._topics
+            if topic not in self._met and self._node.count_publishers(self._node.resolve_topic_name(topic))
+        ]
+
+    def close(self) -> None:
+        """Ask no more."""
+        self._inbox.close()

@@ -62,11 +62,21 @@ LEASE = 1.5  # s
 
 ALIVE = QoSProfile(
     reliability=QoSReliabilityPolicy.RELIABLE,
+    durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
+    history=QoSHistoryPolicy.KEEP_LAST,
+    depth=1,
+    liveliness=QoSLivelinessPolicy.AUTOMATIC,
+    liveliness_lease_duration=Duration(seconds=LEASE),
+)
+"""Publishers of ``~/alive``, and who wants to be met by them. Asserted by the middleware every two thirds of the lease;
+asserted by our own loops it would call a node dead that loads a scene."""
+
+PRESENT = QoSProfile(
+    reliability=QoSReliabilityPolicy.RELIABLE,
     durability=QoSDurabilityPolicy.VOLATILE,
     history=QoSHistoryPolicy.KEEP_LAST,
     depth=1,
     liveliness=QoSLivelinessPolicy.AUTOMATIC,
     liveliness_lease_duration=Duration(seconds=LEASE),
 )
-"""Of ``~/alive``, on both sides. Asserted by the middleware every two thirds of the lease; asserted by our own loops it
-would call a node dead that loads a scene."""
+"""Subscribers of ``~/alive`` that only want to know who is there."""

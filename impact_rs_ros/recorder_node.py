@@ -23,7 +23,7 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.derived import DERIVED, DerivedMessages
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.names import on_network
-from impact_rs_ros.presence import Presence
+from impact_rs_ros.presence import Meeting, Presence
 from impact_rs_ros.process import HARDWARE, NodeProgram, run
 from impact_rs_ros.qos import RECORD
 from impact_rs_sim.errors import InputError, full_traceback
@@ -149,6 +149,7 @@ class RecorderNode(NodeProgram):
         self._messages = 0
         self._saved = 0.0  # when the bag was put on the disk, on the monotonic clock [s]
         self._presence = Presence(self.node, ["experiment"])
+        self._meeting = Meeting(self.node, ["plant", "controller"])
 
     def offer(self) -> None:
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
@@ -170,14 +171,17 @@ class RecorderNode(NodeProgram):
             self._arms = arms
 
     def _await_publishers(self) -> None:
-        """Wait until the topics of the trial have their publishers; a recorder that was just started meets them late.
+        """Wait until the topics of the trial have their publishers, and these know of the recorder.
+
+        Of nodes that were just started both take a while.
 
         Raises:
             InputError: Nobody publishes what a trial cannot do without, or not so that the recorder receives it.
         """
         deadline = time.monotonic() + MATCHING
         needed = topics.needed(self._arms)
-        while unmatched := self._unmatched(needed):
+        self._meeting.begin()
+        while (unmatched := self._unmatched(needed)) or self._meeting.awaited():
             if time.monotonic() > deadline:
                 break
             time.sleep(0.005)
@@ -334,6 +338,7 @@ class RecorderNode(NodeProgram):
 
     def close(self) -> None:
         self._abort()
+        self._meeting.close()
         self._inbox.close()
 
 
