@@ -2,8 +2,8 @@
 """Who is there: a node that is killed or frozen is noticed within 3 s, and one that is there twice as well.
 
 Every node has a publisher on ``~/alive``. The middleware of its process asserts that publisher's *liveliness* from a
-thread of its own, so that long work in Python raises no alarm, and tells whoever subscribes when that has not come for a
-lease. What lives and hangs in our own code is noticed by those who wait for it.
+thread of its own, so that long work in Python raises no alarm, and tells whoever subscribes when that has not come
+for a lease. What lives and hangs in our own code is noticed by those who wait for it.
 
 The one message that is published there is latched: who receives it has been met by that node, and so have all
 subscriptions that its process had made before (:class:`Meeting`).
