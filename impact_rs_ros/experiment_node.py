@@ -40,6 +40,9 @@ class ExperimentNode(NodeProgram):
         self._aborted = 0
         self._servers: list[ActionServer] = []
 
+    def rehearse(self, spec: TrialSpec) -> None:
+        _ = spec.plan
+
     def offer(self) -> None:
         group = ReentrantCallbackGroup()
         self._servers = [

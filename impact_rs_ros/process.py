@@ -58,12 +58,13 @@ class NodeProgram:
     def start(self) -> None:
         """Get ready; called once, before the first turn.
 
-        A scene is made, because what that loads takes a second; whoever finds a service of the node finds it ready.
+        What the first trial would load comes first, for it takes a second; whoever finds a service of the node finds it
+        ready.
         """
         scenario = load_scenario(self.parameter("scenario"))
         self.connect(list(scenario.robots))
         try:
-            _ = TrialSpec.of(scenario, next(iter(scenario.objects)), next(iter(scenario.cases))).scene
+            self.rehearse(TrialSpec.of(scenario, next(iter(scenario.objects)), next(iter(scenario.cases))))
         except InputError as error:
             self.log.error(str(error))
         self.offer()
@@ -71,6 +72,14 @@ class NodeProgram:
             f"ready: serves {', '.join(self.served())} in ROS domain {self.node.context.get_domain_id()}, namespace "
             f"{self.node.get_namespace()}; {parameters.text(self.node, self.kind)}"
         )
+
+    def rehearse(self, spec: TrialSpec) -> None:
+        """Load what a trial needs of this node.
+
+        Raises:
+            InputError: The scenario cannot be run.
+        """
+        _ = spec.scene
 
     def connect(self, arms: list[str]) -> None:
         """Publish and subscribe what there is to these arms; again with others, with theirs in place of that."""

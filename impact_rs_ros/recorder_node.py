@@ -34,6 +34,7 @@ from impact_rs_trials.bags.reader import ControllerColumns, JointColumns, PoseCo
 from impact_rs_trials.bags.record import descriptions
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.writer import BagWriter, partial_path
+from impact_rs_trials.spec import TrialSpec
 
 MATCHING = 2.0  # s, for publishers to be discovered; less than a caller waits for the answer before it asks again
 SAVING = 0.2  # s, how much of a trial is lost when the recorder is killed
@@ -150,6 +151,9 @@ class RecorderNode(NodeProgram):
         self._saved = 0.0  # when the bag was put on the disk, on the monotonic clock [s]
         self._presence = Presence(self.node, ["experiment"])
         self._meeting = Meeting(self.node, ["plant", "controller"])
+
+    def rehearse(self, spec: TrialSpec) -> None:
+        DerivedMessages(spec.plan, tracked=True)
 
     def offer(self) -> None:
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)

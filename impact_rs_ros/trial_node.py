@@ -19,6 +19,7 @@ from impact_rs_ros.streams import Stream, StreamMaker
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_trials.bags.messages import MessageMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
+from impact_rs_trials.spec import TrialSpec
 
 SLICE = 0.02  # s, how long a running trial may keep a node from its services
 
@@ -109,6 +110,9 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         super().start()
         gc.collect()
         gc.freeze()  # the collection before a trial looks at what is new, and no more
+
+    def rehearse(self, spec: TrialSpec) -> None:
+        self.streams(StreamMaker(spec.plan), list(spec.plan.arms))
 
     def offer(self) -> None:
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
