@@ -12,6 +12,7 @@ inertia emerges. One step is one period of the loop; semi-implicit Euler, veloci
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -174,7 +175,7 @@ class LinkTorque:
         self._rate = (desired - self.elastic_torque) / self.period
         self.elastic_torque = desired
 
-    def sense(self, link_position: Array, link_velocity: Array) -> None:
+    def sense(self, link_position: Sequence[float] | Array, link_velocity: Sequence[float] | Array) -> None:
         """See :meth:`Drive.sense`; the motor is where the spring wants it."""
         self.position = link_position + self.elastic_torque / self._stiffness
         self.velocity = link_velocity + self._rate / self._stiffness
