@@ -62,13 +62,13 @@ bool Observer::update(const double* dq, const double* torque, const RigidTerms& 
   for (int i = 0; i < n; ++i) {
     double transposed = 0.0, straight = 0.0;
     for (int j = 0; j < n; ++j) {
-      transposed += coriolis[n * i + j] * dq[j];
-      straight += coriolis[n * j + i] * dq[j];
+      transposed += coriolis[n * j + i] * dq[j];
+      straight += coriolis[n * i + j] * dq[j];
     }
     const double known = torque[i] + transposed - (terms.bias[i] - straight);
     integral_[i] += period_ * (known + residual_[i]);
     residual_[i] = gain_ * (momentum_[i] - integral_[i]);
-    for (int row = 0; row < 6; ++row) right_[7 * i + row] = terms.jacobian[6 * i + row];
+    for (int row = 0; row < 6; ++row) right_[7 * i + row] = terms.jacobian[n * row + i];
     right_[7 * i + 6] = residual_[i];
   }
   factor_.assign(terms.inertia, terms.inertia + n * n);
@@ -78,8 +78,8 @@ bool Observer::update(const double* dq, const double* torque, const RigidTerms& 
   wrench.fill(0.0);
   for (int row = 0; row < 6; ++row)
     for (int i = 0; i < n; ++i) {
-      for (int c = 0; c < 6; ++c) mobility[6 * row + c] += terms.jacobian[6 * i + row] * right_[7 * i + c];
-      wrench[row] += terms.jacobian[6 * i + row] * right_[7 * i + 6];
+      for (int c = 0; c < 6; ++c) mobility[6 * row + c] += terms.jacobian[n * row + i] * right_[7 * i + c];
+      wrench[row] += terms.jacobian[n * row + i] * right_[7 * i + 6];
     }
   solve(mobility, 6, wrench.data(), 1);
   force = -(direction_[0] * wrench[0] + direction_[1] * wrench[1] + direction_[2] * wrench[2]) - baseline_;
@@ -111,7 +111,7 @@ void TaskLaw::decide(int tick, bool after, double gamma, const ArmTick& state, c
   const double* velocity = phase.velocity.data() + tick * t;
   const double* acceleration = phase.acceleration.data() + tick * t;
 
-  const Matrix axes = transposed(state.axes);
+  const Matrix axes = transposed(state.columns);
   Matrix wanted;
   std::copy_n(orientation_.data() + 9 * tick, 9, wanted.begin());
   const Vector tilt = axes * rotation_vector(transposed(axes.data()) * wanted);
@@ -127,15 +127,15 @@ void TaskLaw::decide(int tick, bool after, double gamma, const ArmTick& state, c
   std::copy_n(terms.inertia, n * n, inertia.data());
   for (int i = 0; i < n; ++i) inertia[i * n + i] += motor_inertia_[i];
   for (int row = 0; row < 6; ++row)
-    for (int i = 0; i < n; ++i) matrix[row * n + i] = terms.jacobian[6 * i + row];
+    for (int i = 0; i < n; ++i) matrix[row * n + i] = terms.jacobian[n * row + i];
   if (after) {
     push_.assign(n, 0.0);
     for (int i = 0; i < n; ++i)
-      for (int row = 0; row < 6; ++row) push_[i] += terms.jacobian[6 * i + row] * wrench_[6 * tick + row];
+      for (int row = 0; row < 6; ++row) push_[i] += terms.jacobian[n * row + i] * wrench_[6 * tick + row];
     factor_ = inertia;
     solve(factor_, n, push_.data(), 1);
     for (int row = 0; row < 6; ++row)  // paper eq. a_p_f
-      for (int i = 0; i < n; ++i) targets[row] += terms.jacobian[6 * i + row] * push_[i];
+      for (int i = 0; i < n; ++i) targets[row] += terms.jacobian[n * row + i] * push_[i];
     // The same torque moves these joints as well: no posture feedback shall fight it.
     for (int k = 0; k < held; ++k) targets[6 + k] += push_[posture_[k]];
   }

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Arithmetic of a control tick of one arm. What the numbers are and why stands in impact_rs_control: detection.py for the
-// Observer, controller.py for the TaskLaw, qp.py for the Program. Matrices with two indices stand row by row; those
-// that come from Pinocchio column by column.
+// Observer, controller.py for the TaskLaw, qp.py for the Program. Matrices stand row by row.
 
 #pragma once
 
@@ -15,7 +14,7 @@ namespace impact_rs {
 struct RigidTerms {
   const double* inertia;   // M, (n, n)
   const double* bias;      // h, (n)
-  const double* jacobian;  // J of frame E in E[A], (6, n), column by column
+  const double* jacobian;  // J of frame E in E[A], (6, n)
 };
 
 // Estimates the external wrench on E from momentum, and tells a sudden force against a direction.
@@ -32,7 +31,7 @@ class Observer {
 
   int joints() const { return joints_; }
 
-  // Take one measurement; `coriolis` is C, (n, n), column by column. True: the force is above the threshold.
+  // Take one measurement; `coriolis` is C, (n, n). True: the force is above the threshold.
   bool update(const double* dq, const double* torque, const RigidTerms& terms, const double* coriolis);
 
   std::array<double, 6> wrench{};  // on E, in E[A] [N, N m]
@@ -57,8 +56,9 @@ struct Phase {
 
 // State of the arm in a tick, besides the terms.
 struct ArmTick {
-  const double *q, *dq;                       // (n)
-  const double *drift, *place, *axes, *twist;  // dJ/dt dq, E's origin, its axes (column by column), J dq
+  const double *q, *dq;                         // (n)
+  const double *drift, *place, *twist;          // dJ/dt dq, origin of E, J dq
+  const double* columns;                        // axes of E, one after the other
 };
 
 // Feedback of the tasks, and the accelerations that they want.

@@ -14,7 +14,7 @@ class ObserverOfPython {
       : observer_(joints, gain, period, threshold, forgetting, vector(checked(direction, 3, "direction"))) {}
 
   bool update(const Numbers& velocity, const Numbers& torque, const Columns& inertia, const Numbers& bias,
-              const Columns& coriolis, const Columns& jacobian) {
+              const Numbers& coriolis, const Numbers& jacobian) {
     const py::ssize_t n = observer_.joints();
     const RigidTerms terms{checked(inertia, n * n, "inertia"), checked(bias, n, "bias"),
                            checked(jacobian, 6 * n, "jacobian")};
@@ -49,14 +49,14 @@ class TaskLawOfPython {
              copied(orientation, 9 * ticks_, "orientation"), copied(wrench, 6 * ticks_, "wrench"), idle_rate, idle) {}
 
   py::tuple decide(py::ssize_t tick, bool after, double gamma, const Numbers& position, const Numbers& velocity,
-                   const Columns& inertia, const Columns& jacobian, const Numbers& drift, const Numbers& place,
+                   const Columns& inertia, const Numbers& jacobian, const Numbers& drift, const Numbers& place,
                    const Columns& axes, const Numbers& twist) {
     if (tick < 0 || tick >= ticks_) throw py::index_error("tick: none of the plan");
     const py::ssize_t n = law_.joints(), rows = law_.rows();
     const RigidTerms terms{checked(inertia, n * n, "inertia"), nullptr, checked(jacobian, 6 * n, "jacobian")};
     law_.decide(static_cast<int>(tick), after, gamma,
                 {checked(position, n, "position"), checked(velocity, n, "velocity"), checked(drift, 6, "drift"),
-                 checked(place, 3, "place"), checked(axes, 9, "axes"), checked(twist, 6, "twist")},
+                 checked(place, 3, "place"), checked(twist, 6, "twist"), checked(axes, 9, "axes")},
                 terms);
     return py::make_tuple(array(law_.feedback, {law_.tasks()}), array(law_.matrix, {rows, n}),
                           array(law_.targets, {rows}), array(law_.inertia, {n, n}));

@@ -65,7 +65,7 @@ class DriveOfPython {
   }
   template <std::vector<double> Drive::*State>
   void set(const Numbers& values) {
-    drive_.*State = copied(values, drive_.size(), "torque");
+    drive_.*State = copied(values, drive_.size(), "values");
   }
 
  private:
@@ -84,8 +84,8 @@ void add_drive(py::module_& module) {
            py::arg("transmission"))
       .def("sense", &Python::sense, py::arg("link_position"), py::arg("link_velocity"))
       .def("turn", &Python::turn, py::arg("shaped"), py::arg("friction"))
-      .def_property_readonly("position", &Python::get<&Drive::position>)
-      .def_property_readonly("velocity", &Python::get<&Drive::velocity>)
+      .def_property("position", &Python::get<&Drive::position>, &Python::set<&Drive::position>)
+      .def_property("velocity", &Python::get<&Drive::velocity>, &Python::set<&Drive::velocity>)
       .def_property_readonly("actuation_torque", &Python::get<&Drive::actuation>)
       .def_property("elastic_torque", &Python::get<&Drive::elastic>, &Python::set<&Drive::elastic>)
       .def_property("transmission_torque", &Python::get<&Drive::transmission>, &Python::set<&Drive::transmission>);

@@ -15,7 +15,7 @@ namespace impact_rs {
 namespace py = pybind11;
 
 using Numbers = py::array_t<double, py::array::c_style | py::array::forcecast>;
-using Columns = py::array_t<double, py::array::f_style | py::array::forcecast>;  // column by column
+using Columns = py::array_t<double, py::array::f_style | py::array::forcecast>;  // as Pinocchio has M
 using Shape = std::vector<py::ssize_t>;
 
 inline Numbers array(const std::vector<double>& values, Shape shape) {

@@ -56,7 +56,7 @@ def test_friction_is_felt_as_stated_at_the_desired_torque(arm):
     """tau_fric = B_theta B_rho^-1 tau_fric,m: a motor pushed with exactly its friction keeps its velocity."""
     friction = JointFriction(np.full(7, 0.5), np.full(7, 0.3), np.zeros(7), np.full(7, 0.05))
     drive = Drive(replace(arm, friction=friction), PERIOD)
-    drive.start(ArmState(np.zeros(7), np.full(7, 0.8)), DriveStart(np.zeros(7), np.zeros(7)))
+    drive.velocity = np.full(7, 0.8)
     for _ in range(400):
         drive.sense(drive.position, drive.velocity)
         drive.step(np.full(7, 0.5 + 0.3 * 0.8))
@@ -244,7 +244,7 @@ def test_friction_acts_on_the_motor_that_is_scaled_by_the_loop(arm):
     """tau_fric,m = B_rho B_theta^-1 tau_fric (paper, below eq. EOM_motor_mod), against the motor's velocity."""
     friction = JointFriction(np.full(7, 0.5), np.full(7, 0.3), np.zeros(7), np.full(7, 0.05))
     drive = Drive(replace(arm, friction=friction), PERIOD)
-    drive.start(ArmState(np.zeros(7), np.full(7, 0.8)), DriveStart(np.zeros(7), np.zeros(7)))
+    drive.velocity = np.full(7, 0.8)
     drive.sense(drive.position, drive.velocity)
     drive.step(np.zeros(7))
     shaping = arm.motor_inertia_rotor / arm.motor_inertia_reduced
