@@ -19,7 +19,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState
 
 SOLVER_ITERATIONS = 60
-SOLVER_RESIDUAL = 1e-12
+SOLVER_RESIDUAL = 1e-9
 
 
 class Mechanics:
@@ -108,6 +108,7 @@ class Mechanics:
         loads = {name: self._load_torque(name, time) for name in self._loaded}
         for name, torque in (further or {}).items():
             loads[name] = loads.get(name, 0.0) + torque
+        motions = {}
         for wanted in zip(*desired.values(), strict=True):
             for name, torque in zip(desired, wanted, strict=True):
                 drive = drives[name]
@@ -116,11 +117,12 @@ class Mechanics:
                 drive.step(torque)
             world.step()
             for name, drive in drives.items():
-                drive.sense(*world.joint_motion(name))
+                motions[name] = world.joint_motion(name)
+                drive.sense(*motions[name])
                 if after_sense is not None:
                     after_sense(name)
-        for name in drives:
-            self.links[name] = ArmState(*map(np.array, world.joint_motion(name)))
+        for name, (position, velocity) in motions.items():
+            self.links[name] = ArmState(np.array(position), np.array(velocity))
 
     def _moving(self) -> BulletWorld | Approach:
         """What moves the links now."""
