@@ -125,7 +125,7 @@ class BagWriter:
     """
 
     def __init__(
-        self, path: Path, writer: Writer, arms: list[str], connections: dict[str, Connection], store: Typestore
+        self, path: Path, writer: _Writer, arms: list[str], connections: dict[str, Connection], store: Typestore
     ) -> None:
         self.path = path
         self._arms = arms

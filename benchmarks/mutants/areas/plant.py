@@ -91,8 +91,8 @@ MUTANTS = [
     Mutant(
         name="torque_sensor_sign",
         file=FILE,
-        original="                drive.elastic_torque,\n                drive.position,\n",
-        mutated="                -drive.elastic_torque,\n                drive.position,\n",
+        original="                link.velocity,\n                drive.elastic_torque,\n                drive.position,\n                drive.velocity,\n            )\n        tracked",
+        mutated="                link.velocity,\n                -drive.elastic_torque,\n                drive.position,\n                drive.velocity,\n            )\n        tracked",
         wrong="The joint torque sensor has the wrong sign.",
         tests=TESTS,
     ),
