@@ -176,8 +176,8 @@ class Observer:
         """Take one measurement: dq, tau_J, and M, h, C and J there; whether the force is above the threshold."""
 
 _Phase = tuple[Array, Array, Array, Array]
-"""References of E's position and the posture joints ``(ticks, 3 + k)``; velocities and accelerations of the tasks, these
-with friction compensation, ``(ticks, 6 + k)`` each; gains k_p of the tasks ``(6 + k,)``."""
+"""References of E's position and the posture joints ``(ticks, 3 + k)``; velocities and accelerations of the tasks,
+these with friction compensation, ``(ticks, 6 + k)`` each; gains k_p of the tasks ``(6 + k,)``."""
 
 class TaskLaw:
     """Feedback and wanted accelerations of the tasks of one arm; equations in :mod:`impact_rs_control.controller`.

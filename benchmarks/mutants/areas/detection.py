@@ -99,8 +99,8 @@ MUTANTS = [
     Mutant(
         name="force_of_any_direction",
         file=LAW,
-        original="force = -(direction_[0] * wrench[0] + direction_[1] * wrench[1] + direction_[2] * wrench[2]) - baseline_;",
-        mutated="force = norm(vector(wrench.data())) - baseline_;",
+        original="force = -(direction_[0] * wrench[0] + direction_[1] * wrench[1] + direction_[2] * wrench[2])",
+        mutated="force = norm(vector(wrench.data()))",
         wrong="A force across the motion counts as impact.",
         tests=TESTS,
     ),

@@ -133,8 +133,10 @@ MUTANTS = [
     Mutant(
         name="explicit_euler",
         file=MOTORS,
-        original="    velocity[i] += net * rotor_inverse_[i % n] * period_;\n    position[i] += velocity[i] * period_;\n",
-        mutated="    position[i] += velocity[i] * period_;\n    velocity[i] += net * rotor_inverse_[i % n] * period_;\n",
+        original="    velocity[i] += net * rotor_inverse_[i % n] * period_;\n"
+        "    position[i] += velocity[i] * period_;\n",
+        mutated="    position[i] += velocity[i] * period_;\n"
+        "    velocity[i] += net * rotor_inverse_[i % n] * period_;\n",
         wrong="Position is integrated before velocity, which adds energy to every oscillation.",
         tests=TESTS,
     ),
