@@ -10,7 +10,7 @@ from __future__ import annotations
 import shutil
 import struct
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 from operator import itemgetter
@@ -63,24 +63,25 @@ class _Storage(McapWriter):
         if compression == CompressionMode.STORAGE:
             self.compressor = partial(zstd.compress, level=COMPRESSION)
 
-    def write_many(self, messages: Iterable[tuple[int, Connection, bytes | memoryview]]) -> None:
-        """Write messages with their times [ns]."""
-        first, last = self.message_start_time, self.message_end_time
+    def write_many(self, messages: Sequence[tuple[int, Connection, bytes | memoryview]]) -> None:
+        """Write messages with their times [ns], in the order of time."""
+        chunk = self.chunk
         for nanoseconds, connection, data in messages:
-            chunk, channel = self.chunk, connection.id
-            chunk.message_start_time = min(nanoseconds, chunk.message_start_time)
-            chunk.message_end_time = max(nanoseconds, chunk.message_end_time)
-            first, last = min(nanoseconds, first), max(nanoseconds, last)
+            if nanoseconds < chunk.message_start_time:
+                chunk.message_start_time = nanoseconds
+            if nanoseconds > chunk.message_end_time:
+                chunk.message_end_time = nanoseconds
+            channel, start, size = connection.id, chunk.bio.tell(), _RECORD.size + len(data)
             self.channel_stats[channel] += 1
-            start = chunk.bio.tell()
             chunk.msgs[channel].append((nanoseconds, start))
-            size = _RECORD.size + len(data)
             head = (checksums.MESSAGE, size - checksums.HEAD, channel, 0, nanoseconds, nanoseconds)
             chunk.bio.write(_RECORD.pack(*head))
             chunk.bio.write(data)
             if start + size > LARGEST_CHUNK:
                 self.close_chunk()
-        self.message_start_time, self.message_end_time = first, last
+                chunk = self.chunk
+        self.message_start_time = min(self.message_start_time, messages[0][0])
+        self.message_end_time = max(self.message_end_time, messages[-1][0])
 
     def close_chunk(self) -> None:
         start, content = self.bio.tell(), self.chunk.bio.getbuffer()
@@ -96,13 +97,13 @@ class _Writer(Writer):
     STORAGE_PLUGINS = Writer.STORAGE_PLUGINS | {StoragePlugin.MCAP: _Storage}  # type: ignore[operator]
 
     def write_many(self, messages: Sequence[tuple[int, Connection, bytes | memoryview]]) -> None:
-        """Write messages with their times [ns], as :meth:`write` does one by one."""
+        """Write messages with their times [ns], in the order of time, as :meth:`write` does one by one."""
         assert isinstance(self.storage, _Storage)
         self.storage.write_many(messages)
-        for nanoseconds, connection, _ in messages:
+        for _, connection, _ in messages:
             self.counts[connection.id] += 1
-            self.min_timestamp = min(nanoseconds, self.min_timestamp)
-            self.max_timestamp = max(nanoseconds, self.max_timestamp)
+        self.min_timestamp = min(self.min_timestamp, messages[0][0])
+        self.max_timestamp = max(self.max_timestamp, messages[-1][0])
 
 
 def partial_path(path: Path) -> Path:
@@ -224,7 +225,8 @@ class BagWriter:
             times, messages = zip(*entries, strict=True)
             encoded = encode(self._store, connection.msgtype, messages)
             rows += [(time, connection, row) for time, row in zip(times, encoded, strict=True)]
-        self._writer.write_many(sorted(rows, key=itemgetter(0)))
+        if rows:
+            self._writer.write_many(sorted(rows, key=itemgetter(0)))
 
     def finish(self, outcome: Outcome, reason: str = "") -> None:
         """Close the bag and give it its name; what it lacks is noted in its metadata.
