@@ -91,7 +91,7 @@ def ran_away(plan: TrialPlan, measured: Mapping[str, ArmMeasurement], torques: M
     """
     for name, arm in measured.items():
         # A NaN is below no bound, and in a sum of products nothing that is not finite gets lost.
-        if not (np.abs(arm.velocity) <= RUNAWAY * plan.scene.models[name].velocity_max).all():
+        if not np.max(np.abs(arm.velocity) / plan.scene.models[name].velocity_max) <= RUNAWAY:
             return True
         if not math.isfinite(arm.position @ torques[name] + arm.torque @ arm.torque):
             return True

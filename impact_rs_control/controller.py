@@ -16,15 +16,14 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-import pinocchio as pin
-import scipy
 
 from impact_rs_control.detection import ImpactDetector
 from impact_rs_control.plan import ArmPlan, TrialPlan
 from impact_rs_control.qp import AccelerationProblem, AccelerationQp, JointLimits, QpStatus
+from impact_rs_sim import _kernel
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RigidTerms, RobotModel
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scenario import Gains, Scenario
 from impact_rs_sim.sensors import ArmMeasurement
 
 IDLE_WEIGHT = 1e-4  # of standing still, in joints that no task needs, against that of the tasks
@@ -122,31 +121,31 @@ class ArmController:
         timing, control = scenario.timing, scenario.control
         gains = control.gains
         self._model = model
-        self._plan = plan
         self._period = timing.control_period
         self._last_tick = timing.ticks
         self._window = timing.window
         self._armed_from = timing.nominal_impact - control.detection.arm_before
         self._interim_ticks = control.interim_duration / timing.control_period
         self._interim_from: int | None = None
-        self._position_gain = gains.position
-        self._position_rate = 2.0 * math.sqrt(gains.position)
-        self._orientation_gains = (gains.orientation, gains.orientation_post)
-        self._posture_gain = gains.posture
-        self._posture_rate = 2.0 * math.sqrt(gains.posture)
         held = len(plan.posture)
         # Where joints are left over, nothing but this keeps them from drifting.
-        self._idle = model.joint_count if 6 + held < model.joint_count else 0
+        idle = 6 + held < model.joint_count
+        sizes = (3, 3, held, model.joint_count if idle else 0)
         weights = (gains.position_weight, gains.orientation_weight, gains.posture_weight, IDLE_WEIGHT)
-        self._weights = np.repeat(weights, (3, 3, held, self._idle))
-        self._motor_inertia = np.diag(motor_inertia)
+        self._weights = np.repeat(weights, sizes)
+        self._law = _kernel.TaskLaw(
+            motor_inertia,
+            plan.posture,
+            _phase(plan, gains, after=False),
+            _phase(plan, gains, after=True),
+            plan.orientation,
+            plan.wrench,
+            idle_rate=2.0 * math.sqrt(gains.posture),
+            idle=idle,
+        )
         limits = JointLimits(model.position_min, model.position_max, model.velocity_max, model.torque_max)
         self._qp = AccelerationQp(limits, timing.control_period)
         self._detector = ImpactDetector(model, control.detection, plan.approach_direction, timing.control_period)
-        self._posture = list(plan.posture)
-        self._tasks = np.zeros((self._weights.size, model.joint_count))
-        self._tasks[6:] = np.eye(model.joint_count)[[*self._posture, *range(self._idle)]]
-        self._targets = np.zeros(self._weights.size)
         self._net = np.zeros(3)
         self.detection: ImpactDetection | None = None
 
@@ -168,47 +167,22 @@ class ArmController:
     def command(self, tick: int, measured: ArmMeasurement, watched: Watched) -> ArmCommand:
         """Second half of a control tick: decide; arguments as for :meth:`watch`, and what it answered."""
         now = tick * self._period
-        index = min(tick, self._last_tick)
-        q, dq = measured.position, measured.velocity
-        terms = watched.terms
+        q, dq, terms = measured.position, measured.velocity, watched.terms
         mode, gamma = self._mode(tick)
-        after = mode is not Mode.ANTE
-        plan = self._plan
-        position_path = plan.post_position if after else plan.ante_position
-        posture_path = plan.post_posture if after else plan.ante_posture
-        friction = plan.post_friction if after else plan.ante_friction
-
-        twist = terms.twist
-        feedback = np.empty(6 + len(self._posture))
-        feedback[:3] = self._position_rate * gamma * (position_path.velocity[index] - twist[:3])
-        feedback[:3] += self._position_gain * (position_path.position[index] - terms.position)
-        k_theta = self._orientation_gains[int(after)]
-        tilt = terms.rotation @ pin.log3(terms.rotation.T @ plan.orientation[index])
-        spin = plan.pad_normal * plan.rotation.velocity[index, 0]
-        feedback[3:6] = k_theta * tilt + 2.0 * math.sqrt(k_theta) * gamma * (spin - twist[3:])
-        held = self._posture
-        feedback[6:] = self._posture_rate * gamma * (posture_path.velocity[index] - dq[held])
-        feedback[6:] += self._posture_gain * (posture_path.position[index] - q[held])
-        everything = self._targets
-        targets = everything[: feedback.size]
-        targets[:3] = position_path.acceleration[index]
-        targets[3:6] = plan.pad_normal * plan.rotation.acceleration[index, 0]
-        targets[6:] = posture_path.acceleration[index]
-        targets += feedback
-        targets += friction[index]
-        inertia = terms.mass_matrix + self._motor_inertia
-        jacobian = terms.jacobian
-        if after:
-            push = scipy.linalg.lapack.dposv(inertia, jacobian.T @ plan.wrench[index])[1]
-            targets[:6] += jacobian @ push  # paper eq. a_p_f
-            targets[6:] += push[held]  # the same torque moves these joints as well: no posture feedback shall fight it
-        targets[:6] -= terms.drift
-        self._tasks[:6] = jacobian
-        if self._idle:
-            everything[feedback.size :] = -self._posture_rate * dq
-        solution = self._qp.solve(
-            AccelerationProblem(self._tasks, everything, self._weights, inertia, terms.bias, q, dq)
+        feedback, tasks, targets, inertia = self._law.decide(
+            min(tick, self._last_tick),
+            mode is not Mode.ANTE,
+            gamma,
+            q,
+            dq,
+            terms.mass_matrix,
+            terms.jacobian,
+            terms.drift,
+            terms.position,
+            terms.rotation,
+            terms.twist,
         )
+        solution = self._qp.solve(AccelerationProblem(tasks, targets, self._weights, inertia, terms.bias, q, dq))
         torque = inertia @ solution.acceleration + terms.bias
         if solution.status is not QpStatus.SOLVED:
             torque = np.clip(torque, -self._model.torque_max, self._model.torque_max)
@@ -219,7 +193,7 @@ class ArmController:
             mode=mode,
             gamma=gamma,
             position=terms.position.copy(),
-            twist=twist,
+            twist=terms.twist,
             task_feedback=feedback,
             net_feedback=self._net,
             wrench=self._detector.wrench,
@@ -247,6 +221,21 @@ class ArmController:
             return Mode.ANTE, 1.0
         gamma = (tick - self._interim_from) / self._interim_ticks
         return (Mode.INTERIM, gamma) if gamma < 1.0 - 1e-9 else (Mode.POST, 1.0)
+
+
+def _phase(plan: ArmPlan, gains: Gains, after: bool) -> tuple[Array, Array, Array, Array]:
+    """One phase as :class:`impact_rs_sim._kernel.TaskLaw` takes it: ante, or interim and post."""
+    position = plan.post_position if after else plan.ante_position
+    posture = plan.post_posture if after else plan.ante_posture
+    friction = plan.post_friction if after else plan.ante_friction
+    orientation = gains.orientation_post if after else gains.orientation
+    return (
+        np.hstack((position.position, posture.position)),
+        np.hstack((position.velocity, plan.rotation.velocity * plan.pad_normal, posture.velocity)),
+        np.hstack((position.acceleration, plan.rotation.acceleration * plan.pad_normal, posture.acceleration))
+        + friction,
+        np.repeat((gains.position, orientation, gains.posture), (3, 3, len(plan.posture))),
+    )
 
 
 class Controller:

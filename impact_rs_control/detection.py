@@ -7,15 +7,14 @@
 (De Luca and Mattone; see Haddadin et al. 2017, the survey the paper cites.) The measured joint torque stands on the
 link side of the motor, so motor friction and the torque loop do not enter. The residual is turned into the force at
 the end effector with the dynamically consistent inverse of J^T. What counts is its sudden part: a slow baseline,
-which a wrong payload would leave, is subtracted.
+which a wrong payload would leave, is subtracted. ``src/control.cpp`` does the arithmetic.
 """
 
 from __future__ import annotations
 
-import numpy as np
 import pinocchio as pin
-import scipy
 
+from impact_rs_sim import _kernel
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RigidTerms, RobotModel
 from impact_rs_sim.scenario import Detection
@@ -33,22 +32,30 @@ class ImpactDetector:
         period: Control period [s].
 
     Attributes:
-        wrench: Estimate of the external wrench on frame E, in E[A], ``(6,)`` [N, N m].
-        force: Sudden part of the force against ``direction`` [N].
+        threshold: What the sudden force has to exceed [N].
     """
 
     def __init__(self, model: RobotModel, settings: Detection, direction: Array, period: float) -> None:
         self._model = model
-        self._gain = settings.observer_gain
         self.threshold = settings.threshold
-        self._direction = direction
-        self._period = period
-        self._integral: Array | None = None
-        self._residual = np.zeros(model.joint_count)
-        self._right = np.zeros((model.joint_count, 7), order="F")
-        self._baseline = 0.0
-        self.wrench = np.zeros(6)
-        self.force = 0.0
+        self._observer = _kernel.Observer(
+            model.joint_count,
+            settings.observer_gain,
+            period,
+            settings.threshold,
+            period / BASELINE_TIME,
+            direction,
+        )
+
+    @property
+    def wrench(self) -> Array:
+        """Estimate of the external wrench on frame E, in E[A], ``(6,)`` [N, N m]."""
+        return self._observer.wrench
+
+    @property
+    def force(self) -> float:
+        """Sudden part of the force against ``direction`` [N]."""
+        return self._observer.force
 
     def update(self, q: Array, dq: Array, torque: Array, terms: RigidTerms) -> bool:
         """Take one measurement; True when the sudden force is above the threshold.
@@ -59,21 +66,5 @@ class ImpactDetector:
             torque: Measured joint torques tau_J, ``(n,)`` [N m].
             terms: Rigid-body terms at ``q``, ``dq``.
         """
-        model, data = self._model.pinocchio, self._model.data
-        coriolis = pin.computeCoriolisMatrix(model, data, q, dq)
-        momentum = terms.mass_matrix @ dq
-        known = torque + coriolis.T @ dq - (terms.bias - coriolis @ dq)
-        if self._integral is None:
-            self._integral = momentum.copy()
-        self._integral += self._period * (known + self._residual)
-        self._residual = self._gain * (momentum - self._integral)
-        jacobian = terms.jacobian
-        self._right[:, :6] = jacobian.T
-        self._right[:, 6] = self._residual
-        mobility = jacobian @ scipy.linalg.lapack.dposv(terms.mass_matrix, self._right)[1]
-        self.wrench = scipy.linalg.lapack.dposv(mobility[:, :6], mobility[:, 6])[1]
-        against = -float(self._direction @ self.wrench[:3])
-        self.force = against - self._baseline
-        if self.force < self.threshold:
-            self._baseline += self._period / BASELINE_TIME * self.force
-        return self.force > self.threshold
+        coriolis = pin.computeCoriolisMatrix(self._model.pinocchio, self._model.data, q, dq)
+        return self._observer.update(dq, torque, terms.mass_matrix, terms.bias, coriolis, terms.jacobian)

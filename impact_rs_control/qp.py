@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-import scipy
 from proxsuite import proxqp
 
+from impact_rs_sim import _kernel
 from impact_rs_sim.robot import Array
 
 SLACK_WEIGHT = 1e6  # cost of a squared violation against that of a squared task error
@@ -96,12 +96,6 @@ class QuadraticProgram:
         )
         return all(np.isfinite(part).all() for part in parts)
 
-    def allows(self, acceleration: Array) -> bool:
-        """Whether an acceleration ``(n,)`` [rad/s^2] keeps every limit; one with a NaN does not."""
-        return _within(acceleration, self.lower, self.upper) and _within(
-            self.inertia @ acceleration, self.torque_lower, self.torque_upper
-        )
-
 
 @dataclass(frozen=True)
 class QpSolution:
@@ -150,42 +144,30 @@ class AccelerationQp:
         self.limits = limits
         self.period = period
         self._count = joint_count = limits.torque_max.size
-        self._damping = regularisation * np.eye(joint_count)
+        self._program = _kernel.Program(
+            limits.position_min, limits.position_max, limits.velocity_max, limits.torque_max, period, regularisation
+        )
         self._qp = proxqp.dense.QP(joint_count, 0, joint_count, True)
         self._qp.settings.eps_abs = ACCURACY
         self._qp.settings.max_iter = 200
         self._qp.settings.initial_guess = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
         self._qp.settings.compute_timings = False
         self._ready = False
-        # Bounds of eqs. const_q and const_dq are linear in q and dq; their constants are worked out once.
-        self._per_period = 1.0 / period
-        self._per_square = 2.0 / period**2
-        self._position_high = limits.position_max * self._per_square
-        self._position_low = limits.position_min * self._per_square
-        self._velocity_bound = limits.velocity_max * self._per_period
         self._torque_max = limits.torque_max
 
     def program(self, problem: AccelerationProblem) -> QuadraticProgram:
         """The quadratic program of a problem."""
-        weighted = problem.tasks.T * problem.weights
-        lower, upper = self._acceleration_bounds(problem.position, problem.velocity)
-        return QuadraticProgram(
-            hessian=weighted @ problem.tasks + self._damping,
-            gradient=-(weighted @ problem.targets),
-            lower=lower,
-            upper=upper,
-            inertia=problem.inertia,
-            torque_lower=-self._torque_max - problem.bias,
-            torque_upper=self._torque_max - problem.bias,
-        )
+        self._set(problem)
+        return QuadraticProgram(*self._program.parts())
 
     def solve(self, problem: AccelerationProblem) -> QpSolution:
         """Solve for one tick; the status tells where limits had to give way."""
         started = time.perf_counter()
-        program = self.program(problem)
-        free, failed = scipy.linalg.lapack.dposv(program.hessian, -program.gradient)[1:]
-        if not failed and program.allows(free):
+        self._set(problem)
+        free = self._program.free()
+        if free is not None:
             return QpSolution(free, QpStatus.SOLVED, 0, time.perf_counter() - started)
+        program = QuadraticProgram(*self._program.parts())
         if not program.is_finite:  # ProxQP would look for an answer for many seconds
             return QpSolution(np.zeros(self._count), QpStatus.FAILED, 0, time.perf_counter() - started)
         if (program.lower <= program.upper).all():
@@ -196,13 +178,9 @@ class AccelerationQp:
         answer, iterations, status = self._solve_relaxed(program)
         return QpSolution(answer, status, iterations, time.perf_counter() - started)
 
-    def _acceleration_bounds(self, q: Array, dq: Array) -> tuple[Array, Array]:
-        """Bounds on ddq that paper eqs. const_q and const_dq imply."""
-        position = q * self._per_square + dq * (self._per_square * self.period)
-        velocity = dq * self._per_period
-        upper = np.minimum(self._position_high - position, self._velocity_bound - velocity)
-        lower = np.maximum(self._position_low - position, -self._velocity_bound - velocity)
-        return lower, upper
+    def _set(self, problem: AccelerationProblem) -> None:
+        p = problem
+        self._program.set(p.tasks, p.targets, p.weights, p.inertia, p.bias, p.position, p.velocity)
 
     def _solve_exactly(self, program: QuadraticProgram) -> tuple[Array, int, bool]:
         """Acceleration, iterations, and whether they ended well."""
@@ -245,7 +223,3 @@ class AccelerationQp:
         if not np.isfinite(acceleration).all():
             acceleration = np.zeros(count)
         return np.array(acceleration), int(qp.results.info.iter), status
-
-
-def _within(values: Array, lower: Array, upper: Array) -> bool:
-    return bool(((values >= lower) & (values <= upper)).all())

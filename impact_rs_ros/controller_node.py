@@ -14,10 +14,10 @@ from impact_rs_control.qp import QpStatus
 from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.joint_signals import JointReader, JointSignals
 from impact_rs_ros.process import run
-from impact_rs_ros.streams import Stream, StreamMaker
 from impact_rs_ros.trial_node import LockstepTrial, TrialNode
 from impact_rs_sim.sensors import ArmMeasurement
 from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 
 
@@ -152,12 +152,8 @@ class ControllerNode(TrialNode[ControllerTrial]):
             for name in (topics.joint_command(arm), topics.controller_state(arm), topics.impact_event(arm))
         }
 
-    def streams(self, maker: StreamMaker, arms: list[str]) -> dict[str, Stream]:
-        found = {}
-        for arm in arms:
-            found[topics.joint_command(arm)] = maker.joint_command(arm)
-            found[topics.controller_state(arm)] = maker.controller_state(arm)
-        return found
+    def streams(self, maker: StreamMaker) -> dict[str, Stream]:
+        return maker.of_controller()
 
     def prepare(self, plan: TrialPlan, info: TrialInfo) -> ControllerTrial:
         del info

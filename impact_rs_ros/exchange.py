@@ -24,7 +24,7 @@ from rclpy.task import Future
 
 from impact_rs_ros.message_types import available, message_type
 from impact_rs_ros.names import on_network
-from impact_rs_ros.streams import Stream
+from impact_rs_trials.bags.streams import Stream
 
 BURST = 40  # samples that wait for each other, some ten ticks
 BURST_AGE = 0.1  # s, wall clock: a slow trial still shows that it goes on
@@ -177,7 +177,7 @@ class Outbox:
     def flush(self) -> None:
         """Publish what waits."""
         for topic, stream in self._streams.items():
-            rows, publish = stream.take(), self._publishers[topic].publish
+            (_, rows), publish = stream.take(), self._publishers[topic].publish
             for row in rows:
                 publish(row)
             self.counts[topic] += len(rows)

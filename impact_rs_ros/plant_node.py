@@ -22,7 +22,6 @@ from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.joint_signals import JointReader
 from impact_rs_ros.names import frame_prefix
 from impact_rs_ros.process import run
-from impact_rs_ros.streams import Stream, StreamMaker
 from impact_rs_ros.trial_node import LockstepTrial, TrialNode
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import parse_model
@@ -30,6 +29,7 @@ from impact_rs_sim.plant import Plant
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.record import FrameSource, occasional_messages
+from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 
 MATCHING = 0.002  # s, between two looks whether everybody listens
@@ -225,14 +225,8 @@ class PlantNode(TrialNode[PlantTrial]):
         kinds = topics.recorded(arms)
         return {name: kinds[name] for name in names}
 
-    def streams(self, maker: StreamMaker, arms: list[str]) -> dict[str, Stream]:
-        found = {}
-        for arm in arms:
-            found[topics.joint_states(arm)] = maker.joint_states(arm)
-            found[topics.motor_states(arm)] = maker.motor_states(arm)
-            found[topics.truth_joint_states(arm)] = maker.joint_states(arm)
-            found[topics.truth_contact_wrench(arm)] = maker.contact_wrench(arm)
-        return found
+    def streams(self, maker: StreamMaker) -> dict[str, Stream]:
+        return maker.of_plant()
 
     def prepare(self, plan: TrialPlan, info: TrialInfo) -> PlantTrial:
         physics = plan.scene.physics

@@ -15,9 +15,9 @@ from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.process import NodeProgram
 from impact_rs_ros.qos import AWAITED, STREAM
-from impact_rs_ros.streams import Stream, StreamMaker
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_trials.bags.messages import MessageMaker
+from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.spec import TrialSpec
 
@@ -99,7 +99,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         """Topics that are published, with their types."""
 
     @abstractmethod
-    def streams(self, maker: StreamMaker, arms: list[str]) -> dict[str, Stream]:
+    def streams(self, maker: StreamMaker) -> dict[str, Stream]:
         """Published signals of every tick, by topic."""
 
     @abstractmethod
@@ -156,7 +156,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             plan = info.spec.plan
             self.connect(list(plan.arms))
             self.inbox.clear()
-            self.outbox.reset(self.streams(StreamMaker(plan), list(plan.arms)))
+            self.outbox.reset(self.streams(StreamMaker(plan)))
             self.trial = self.prepare(plan, info)
         except InputError as error:
             self.log.error(f"trial refused: {error}")

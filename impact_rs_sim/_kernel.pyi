@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled part of the impact map (``src/``): where boxes touch, the laws, and one question from end to end."""
+"""The compiled part (``src/``): the impact map from end to end, motors, and the arithmetic of a control tick."""
 
 from collections.abc import Sequence
 
@@ -99,3 +99,163 @@ def solve_impacts(
     Raises:
         ValueError: An array has the wrong size.
     """
+
+class Motors:
+    """Motors and springs of one arm; equations in :mod:`impact_rs_sim.drive`.
+
+    States are ``(n,)``, or ``(k, n)`` for several arms of a kind. Reading one gives a copy; setting one copies.
+
+    Args:
+        stiffness: K, ``(n,)`` [N m/rad].
+        damping: D, ``(n,)`` [N m s/rad].
+        feedback: Diagonal of I - B_rho B_theta^-1, ``(n,)`` [-].
+        rotor_inverse: Diagonal of B_rho^-1, ``(n,)`` [1/(kg m^2)].
+        period: Period of the torque loop [s].
+    """
+
+    position: Array
+    """theta [rad]."""
+    velocity: Array
+    """dtheta [rad/s]."""
+    elastic_torque: Array
+    """tau_J [N m]."""
+    transmission_torque: Array
+    """tau_J + D K^-1 dtau_J [N m]."""
+
+    def __init__(
+        self, stiffness: Array, damping: Array, feedback: Array, rotor_inverse: Array, period: float
+    ) -> None: ...
+    @property
+    def actuation_torque(self) -> Array:
+        """tau_act of the last step [N m]."""
+
+    def place(self, position: Array, velocity: Array, elastic: Array, transmission: Array) -> None:
+        """Set the whole state; its shape is that of ``position``.
+
+        Raises:
+            ValueError: The shapes do not fit.
+        """
+
+    def sense(self, link_position: Sequence[float] | Array, link_velocity: Sequence[float] | Array) -> None:
+        """Update the torques of spring and damper from the present motor and link state."""
+
+    def turn(self, shaped: Array, friction: Array | None) -> None:
+        """One period of the torque loop.
+
+        Args:
+            shaped: B_rho B_theta^-1 times the desired torque [N m].
+            friction: tau_fric,m [N m]; None: none.
+        """
+
+class Observer:
+    """Momentum observer of one arm; equations in :mod:`impact_rs_control.detection`.
+
+    Args:
+        joints: n.
+        gain: K_o [1/s].
+        period: Control period [s].
+        threshold: What the sudden force has to exceed [N].
+        forgetting: Share of the sudden force that the slow baseline takes over in a tick [-].
+        direction: Of the ante-impact velocity, unit vector in A, ``(3,)``.
+    """
+
+    def __init__(
+        self, joints: int, gain: float, period: float, threshold: float, forgetting: float, direction: Array
+    ) -> None: ...
+    @property
+    def wrench(self) -> Array:
+        """On E, in E[A], ``(6,)`` [N, N m]."""
+
+    @property
+    def force(self) -> float:
+        """Sudden part against the direction [N]."""
+
+    def update(
+        self, velocity: Array, torque: Array, inertia: Array, bias: Array, coriolis: Array, jacobian: Array
+    ) -> bool:
+        """Take one measurement: dq, tau_J, and M, h, C and J there; whether the force is above the threshold."""
+
+_Phase = tuple[Array, Array, Array, Array]
+"""References of E's position and the posture joints ``(ticks, 3 + k)``; velocities and accelerations of the tasks,
+these with friction compensation, ``(ticks, 6 + k)`` each; gains k_p of the tasks ``(6 + k,)``."""
+
+class TaskLaw:
+    """Feedback and wanted accelerations of the tasks of one arm; equations in :mod:`impact_rs_control.controller`.
+
+    Args:
+        motor_inertia: Diagonal of B_theta, ``(n,)`` [kg m^2].
+        posture: Joints of the posture task, counted from 0; k of them.
+        ante: References of the ante mode.
+        post: References of interim and post mode.
+        orientation: R_d, ``(ticks, 3, 3)``.
+        wrench: f_d, fed forward after the ante mode, ``(ticks, 6)`` [N, N m].
+        idle_rate: Damping of all joints in rows of their own [1/s].
+        idle: Whether there are such rows.
+    """
+
+    def __init__(
+        self,
+        motor_inertia: Array,
+        posture: Sequence[int],
+        ante: _Phase,
+        post: _Phase,
+        orientation: Array,
+        wrench: Array,
+        idle_rate: float,
+        idle: bool,
+    ) -> None: ...
+    def decide(
+        self,
+        tick: int,
+        after: bool,
+        gamma: float,
+        position: Array,
+        velocity: Array,
+        inertia: Array,
+        jacobian: Array,
+        drift: Array,
+        place: Array,
+        axes: Array,
+        twist: Array,
+    ) -> tuple[Array, Array, Array, Array]:
+        """One tick: q, dq, and M, J, dJ/dt dq, origin and axes of E, J dq there.
+
+        Returns:
+            Feedback ``(6 + k,)``; A ``(rows, n)`` and b ``(rows,)`` of the quadratic program; M + B_theta ``(n, n)``.
+
+        Raises:
+            IndexError: There is no such tick.
+        """
+
+class Program:
+    """The quadratic program of a tick; equations in :mod:`impact_rs_control.qp`.
+
+    Args:
+        low: Lower joint limits, ``(n,)`` [rad].
+        high: Upper joint limits, ``(n,)`` [rad].
+        fastest: Velocity limits, ``(n,)`` [rad/s].
+        strongest: Torque limits, ``(n,)`` [N m].
+        period: Control period [s].
+        regularisation: Added to the diagonal of the Hessian.
+    """
+
+    def __init__(
+        self, low: Array, high: Array, fastest: Array, strongest: Array, period: float, regularisation: float
+    ) -> None: ...
+    def set(
+        self,
+        tasks: Array,
+        targets: Array,
+        weights: Array,
+        inertia: Array,
+        bias: Array,
+        position: Array,
+        velocity: Array,
+    ) -> None:
+        """Take the fields of an :class:`~impact_rs_control.qp.AccelerationProblem`."""
+
+    def free(self) -> Array | None:
+        """The minimiser without limits, ``(n,)`` [rad/s^2]; None: there is none, or it would break a limit."""
+
+    def parts(self) -> tuple[Array, Array, Array, Array, Array, Array, Array]:
+        """The fields of a :class:`~impact_rs_control.qp.QuadraticProgram`."""

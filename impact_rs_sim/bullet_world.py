@@ -198,9 +198,14 @@ class BulletWorld:
         for state in (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP):
             self.client.changeDynamics(self.object, -1, activationState=state)
 
+    def joint_motion(self, name: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Joint positions [rad] and velocities [rad/s] of an arm, as Bullet tells them."""
+        position, velocity, *_ = zip(*self._get_joints(self.arms[name], self.joints[name]), strict=True)
+        return position, velocity
+
     def arm_state(self, name: str) -> ArmState:
         """Joint positions and velocities of an arm."""
-        position, velocity, *_ = zip(*self._get_joints(self.arms[name], self.joints[name]), strict=True)
+        position, velocity = self.joint_motion(name)
         return ArmState(np.array(position), np.array(velocity))
 
     def object_state(self) -> BodyState:

@@ -12,10 +12,12 @@ inertia emerges. One step is one period of the loop; semi-implicit Euler, veloci
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from impact_rs_sim import _kernel
 from impact_rs_sim.physics import ArmPhysics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState
@@ -37,8 +39,10 @@ class DriveStart:
     earlier: tuple[tuple[float, Array], ...] = ()
 
 
-class Drive:
+class Drive(_kernel.Motors):
     """Motor side of one arm.
+
+    Arrays that it tells are the reader's own, and stay as they are when it goes on.
 
     Args:
         physics: Motor inertias, stiffness, damping, friction and actuation.
@@ -55,12 +59,13 @@ class Drive:
     """
 
     def __init__(self, physics: ArmPhysics, period: float) -> None:
+        self._shaping = physics.motor_inertia_rotor / physics.motor_inertia_reduced
+        super().__init__(
+            physics.stiffness, physics.damping, 1.0 - self._shaping, 1.0 / physics.motor_inertia_rotor, period
+        )
         self.period = period
         self._stiffness = physics.stiffness
         self._damping = physics.damping
-        self._rotor_inverse = 1.0 / physics.motor_inertia_rotor
-        self._shaping = physics.motor_inertia_rotor / physics.motor_inertia_reduced
-        self._feedback = 1.0 - self._shaping
         self._friction = None if physics.friction.is_zero else physics.friction
         self._gain = physics.torque_gain
         self._offset = physics.torque_offset
@@ -68,16 +73,7 @@ class Drive:
         self._clock = 0.0
         self._commands: deque[tuple[float, Array]] = deque()
         self._desired: Array | None = None
-        count = physics.stiffness.size
-        self._shaped = np.zeros(count)
-        self._load = np.zeros(count)
-        self._net = np.zeros(count)
-        self.position = np.zeros(count)
-        self.velocity = np.zeros(count)
-        self.transmission_torque = np.zeros(count)
-        self.elastic_torque = np.zeros(count)
-        self.actuation_torque = np.zeros(count)
-        self.friction_torque = np.zeros(count)
+        self._shaped = self._load = self.friction_torque = np.zeros_like(physics.stiffness)
 
     def reset(self, link_position: Array, load: Array) -> None:
         """Rest in equilibrium: the spring carries ``load`` ``(n,)`` [N m] at link position ``(n,)`` [rad]."""
@@ -85,13 +81,18 @@ class Drive:
         self.start(ArmState(link_position, still), DriveStart(load, still))
 
     def start(self, link: ArmState, drive: DriveStart) -> None:
-        """Start with a spring that carries ``drive.torque``, stretched at ``drive.torque_rate``."""
-        self.position = link.position + drive.torque / self._stiffness
-        self.velocity = link.velocity + drive.torque_rate / self._stiffness
-        if self._net.shape != self.position.shape:  # several arms of a kind, one in every row
-            self._net, self.actuation_torque, self._load = (np.zeros_like(self.position) for _ in range(3))
-        self.elastic_torque = drive.torque.copy()
-        self.transmission_torque = drive.torque + self._damping / self._stiffness * drive.torque_rate
+        """Start with a spring that carries ``drive.torque``, stretched at ``drive.torque_rate``.
+
+        Arrays may be ``(k, n)``: several arms of a kind, one in every row.
+        """
+        self.place(
+            link.position + drive.torque / self._stiffness,
+            link.velocity + drive.torque_rate / self._stiffness,
+            drive.torque,
+            drive.torque + self._damping / self._stiffness * drive.torque_rate,
+        )
+        if self._load.shape != drive.torque.shape:
+            self._load = np.zeros_like(drive.torque)
         self._desired = None
         self._clock = 0.0
         self._commands.clear()
@@ -100,15 +101,6 @@ class Drive:
     def passed(self, desired: Array) -> Array:
         """Torque on the links over the coming period, ``(n,)`` [N m]."""
         return self.transmission_torque
-
-    def sense(self, link_position: Array, link_velocity: Array) -> None:
-        """Update the transmission torque from the present motor and link state; arrays are updated in place."""
-        elastic, transmission = self.elastic_torque, self.transmission_torque
-        np.subtract(self.position, link_position, out=elastic)
-        elastic *= self._stiffness
-        np.subtract(self.velocity, link_velocity, out=transmission)
-        transmission *= self._damping
-        transmission += elastic
 
     def load(self, torque: Array) -> None:
         """Set a further torque on the motors, ``(n,)`` [N m]; scaled by B_rho / B_theta as friction is."""
@@ -122,18 +114,10 @@ class Drive:
         if desired is not self._desired:  # the command is held over several periods of the loop
             self._desired = desired
             self._shaped = self._shaping * (self._gain * desired + self._offset + self._load)
-        actuation, net = self.actuation_torque, self._net
-        np.multiply(self._feedback, self.transmission_torque, out=actuation)
-        actuation += self._shaped
-        np.subtract(actuation, self.transmission_torque, out=net)
+        friction = None
         if self._friction is not None:
-            self.friction_torque = self._shaping * self._friction.torque(self.velocity)
-            net += self.friction_torque
-        net *= self._rotor_inverse
-        net *= self.period
-        self.velocity += net
-        np.multiply(self.velocity, self.period, out=net)
-        self.position += net
+            friction = self.friction_torque = self._shaping * self._friction.torque(self.velocity)
+        self.turn(self._shaped, friction)
 
     def _delayed(self, desired: Array) -> Array:
         """Mean of the held commands over the period that began ``delay`` ago, ``(n,)`` [N m]."""
@@ -191,7 +175,7 @@ class LinkTorque:
         self._rate = (desired - self.elastic_torque) / self.period
         self.elastic_torque = desired
 
-    def sense(self, link_position: Array, link_velocity: Array) -> None:
+    def sense(self, link_position: Sequence[float] | Array, link_velocity: Sequence[float] | Array) -> None:
         """See :meth:`Drive.sense`; the motor is where the spring wants it."""
         self.position = link_position + self.elastic_torque / self._stiffness
         self.velocity = link_velocity + self._rate / self._stiffness

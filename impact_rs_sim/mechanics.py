@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from impact_rs_sim.approach import Approach
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.drive import Drive, DriveStart, LinkTorque
 from impact_rs_sim.physics import Physics
@@ -18,7 +19,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState
 
 SOLVER_ITERATIONS = 60
-SOLVER_RESIDUAL = 1e-12
+SOLVER_RESIDUAL = 1e-9
 
 
 class Mechanics:
@@ -28,12 +29,18 @@ class Mechanics:
         physics: What they are.
         world: Their Bullet world.
         drives: Drives by arm.
+        period: Period of the torque loop, and step of Bullet [s].
     """
 
-    def __init__(self, physics: Physics, world: BulletWorld, drives: Mapping[str, Drive | LinkTorque]) -> None:
+    def __init__(
+        self, physics: Physics, world: BulletWorld, drives: Mapping[str, Drive | LinkTorque], period: float
+    ) -> None:
         self.physics, self.world, self.drives = physics, world, drives
         self.links: dict[str, ArmState] = {}
-        self._loaded = {name: physics.robot_model(name) for name, arm in physics.arms.items() if arm.loads}
+        self._models = physics.robot_models()
+        self._loaded = [name for name, arm in physics.arms.items() if arm.loads]
+        self._period = period
+        self._approach: Approach | None = None
 
     @classmethod
     def load(cls, physics: Physics, period: float, drive: type[Drive] | type[LinkTorque] = Drive) -> Mechanics:
@@ -55,7 +62,7 @@ class Mechanics:
             iterations=SOLVER_ITERATIONS,
             residual_threshold=SOLVER_RESIDUAL,
         )
-        return cls(physics, world, {name: drive(arm, period) for name, arm in physics.arms.items()})
+        return cls(physics, world, {name: drive(arm, period) for name, arm in physics.arms.items()}, period)
 
     def start(
         self,
@@ -70,11 +77,13 @@ class Mechanics:
             arms: Joint states by arm.
             drives: State of the drives by arm.
             thing: State of the object.
-            may_sleep: Whether an object that rests is left alone until something touches it, which is cheap.
+            may_sleep: Whether an object that rests is left alone, and Bullet with it, until something comes near.
         """
         self.world.set_object(thing)
+        self._approach = None
         if may_sleep and _rests(self.physics, thing):
             self.world.rest_object()
+            self._approach = Approach(self.physics, self._models, self._period, arms, thing)
         for name, link in arms.items():
             self.links[name] = link
             self.world.set_arm(name, link)
@@ -95,10 +104,11 @@ class Mechanics:
             further: By arm, a torque on the links besides, ``(n,)`` [N m].
             after_sense: Called with the name of an arm whenever its drive has sensed the links.
         """
-        world, drives, links = self.world, self.drives, self.links
+        world, drives = self._moving(), self.drives
         loads = {name: self._load_torque(name, time) for name in self._loaded}
         for name, torque in (further or {}).items():
             loads[name] = loads.get(name, 0.0) + torque
+        motions = {}
         for wanted in zip(*desired.values(), strict=True):
             for name, torque in zip(desired, wanted, strict=True):
                 drive = drives[name]
@@ -107,16 +117,25 @@ class Mechanics:
                 drive.step(torque)
             world.step()
             for name, drive in drives.items():
-                link = world.arm_state(name)
-                drive.sense(link.position, link.velocity)
+                motions[name] = world.joint_motion(name)
+                drive.sense(*motions[name])
                 if after_sense is not None:
                     after_sense(name)
-                links[name] = link
+        for name, (position, velocity) in motions.items():
+            self.links[name] = ArmState(np.array(position), np.array(velocity))
+
+    def _moving(self) -> BulletWorld | Approach:
+        """What moves the links now."""
+        if self._approach is not None and self._approach.is_near:
+            for name, link in self.links.items():
+                self.world.set_arm(name, link)
+            self._approach = None
+        return self._approach or self.world
 
     def _load_torque(self, name: str, time: float) -> Array:
         """Torque on the links of everything outside the model, ``(n,)`` [N m]; what acts on the motors goes there."""
         link = self.links[name]
-        on_links, on_motors = self.physics.load_torques(name, self._loaded[name], time, link.position, link.velocity)
+        on_links, on_motors = self.physics.load_torques(name, self._models[name], time, link.position, link.velocity)
         self.drives[name].load(on_motors)
         return on_links
 

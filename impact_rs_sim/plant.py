@@ -8,6 +8,7 @@ tests; no controller and no analyzer sees it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -207,9 +208,9 @@ class Plant:
             arms[name] = ArmTruth(
                 link.position,
                 link.velocity,
-                drive.elastic_torque.copy(),
-                drive.position.copy(),
-                drive.velocity.copy(),
+                drive.elastic_torque,
+                drive.position,
+                drive.velocity,
                 self.world.pad_force(name),
             )
         return Truth(self.time, arms, self.world.object_state() if self._tracked else None)
@@ -222,7 +223,8 @@ class Plant:
         """
         for name, link in self._mechanics.links.items():
             torque = desired[name]
-            if torque.shape != link.position.shape or not np.isfinite(torque).all():
+            # In a sum of squares nothing that is not finite gets lost.
+            if torque.shape != link.position.shape or not math.isfinite(torque @ torque):
                 raise InputError(
                     f"desired torque of arm {name!r} must be {link.position.size} finite numbers [N m], "
                     f"got {torque.tolist()}"

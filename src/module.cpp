@@ -1,33 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 // What Python sees of the kernel; impact_rs_sim/_kernel.pyi says it in Python's words.
 
-#include <pybind11/numpy.h>
-#include <pybind11/pybind11.h>
-#include <pybind11/stl.h>
-
 #include <optional>
-#include <string>
 
 #include "impact.hpp"
-
-namespace py = pybind11;
+#include "module.hpp"
 
 namespace impact_rs {
 namespace {
 
-using Numbers = py::array_t<double, py::array::c_style | py::array::forcecast>;
-using Shape = std::vector<py::ssize_t>;
-
 const char* const STATES[] = {"open", "stick", "slide"};
-
-Numbers array(const std::vector<double>& values, Shape shape) { return Numbers(std::move(shape), values.data()); }
-
-const double* checked(const Numbers& values, py::ssize_t size, const char* name) {
-  if (values.size() != size)
-    throw py::value_error(std::string(name) + ": expected " + std::to_string(size) + " numbers, got " +
-                          std::to_string(values.size()));
-  return values.data();
-}
 
 // Numbers of one question out of many: as many sets as there are questions, or one for all of them.
 class Field {
@@ -316,4 +298,6 @@ PYBIND11_MODULE(_kernel, module) {
       .def("judge", &TermsOfPython::judge, py::arg("impulses"), py::arg("after"), py::arg("least"));
   module.def("solve_impacts", &solve_impacts, py::arg("count"), py::arg("arms"), py::arg("thing"), py::arg("contact"),
              py::arg("support"), py::arg("rules"), py::arg("points") = py::none());
+  add_control(module);
+  add_drive(module);
 }

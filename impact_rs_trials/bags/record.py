@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from impact_rs_sim.urdf import WORLD, write_description, write_object_descriptio
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import TF_PERIOD, Frame, MessageMaker, RosbagsTypes
 from impact_rs_trials.bags.outcome import Verdict, Witness, judge
+from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.writer import BagWriter
 
@@ -85,20 +86,6 @@ class FrameSource:
         return [Frame(WORLD, self._prefix + WORLD, pin.SE3.Identity()), *named]
 
 
-def plant_messages(
-    maker: MessageMaker, tick: int, measurement: Measurement, truth: Truth | None, frames: FrameSource
-) -> Iterator[tuple[str, Any]]:
-    """What the plant publishes in one tick: measurements first, they are awaited; no truth where nobody knows it."""
-    for arm, measured in measurement.arms.items():
-        yield topics.joint_states(arm), maker.joint_states(tick, arm, measured)
-    for arm, measured in measurement.arms.items():
-        yield topics.motor_states(arm), maker.motor_states(tick, arm, measured)
-    for arm, state in () if truth is None else truth.arms.items():
-        yield topics.truth_joint_states(arm), maker.joint_states(tick, arm, state)
-        yield topics.truth_contact_wrench(arm), maker.truth_contact_wrench(tick, state)
-    yield from occasional_messages(maker, tick, measurement, truth, frames)
-
-
 def occasional_messages(
     maker: MessageMaker, tick: int, measurement: Measurement, truth: Truth | None, frames: FrameSource
 ) -> Iterator[tuple[str, Any]]:
@@ -113,14 +100,17 @@ def occasional_messages(
         yield topics.CLOCK, maker.clock(tick)
 
 
-def controller_messages(maker: MessageMaker, tick: int, commands: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """What the controller publishes in one tick: torques first, they are awaited."""
-    for arm, command in commands.items():
-        yield topics.joint_command(arm), maker.joint_command(tick, arm, command.torque)
-    for arm, command in commands.items():
-        yield topics.controller_state(arm), maker.controller_state(tick, arm, command)
-        if command.detection is not None:
-            yield topics.impact_event(arm), maker.impact_event(tick, arm, command.detection)
+def keep_tick(streams: Mapping[str, Stream], tick: Tick, truth: Truth | None) -> None:
+    """Put aside what plant and controller tell in every tick, by topic; no truth where nobody knows it."""
+    for arm, measured in tick.measurement.arms.items():
+        streams[topics.joint_states(arm)].add(tick.number, measured)
+        streams[topics.motor_states(arm)].add(tick.number, measured)
+    for arm, state in () if truth is None else truth.arms.items():
+        streams[topics.truth_joint_states(arm)].add(tick.number, state)
+        streams[topics.truth_contact_wrench(arm)].add(tick.number, state)
+    for arm, command in tick.commands.items():
+        streams[topics.joint_command(arm)].add(tick.number, command)
+        streams[topics.controller_state(arm)].add(tick.number, command)
 
 
 def record_trial(
@@ -174,16 +164,25 @@ def record_cell(
             bag.write(topics.TRIAL_INFO, 0, maker.trial_info(info))
             for topic, urdf in descriptions(plan).items():
                 bag.write(topic, 0, maker.robot_description(urdf))
-            witness = Witness(plan)
+            witness, streaming = Witness(plan), StreamMaker(plan)
+            streams = {**streaming.of_plant(), **streaming.of_controller()}
             tick: Tick
-            for tick in run_closed_loop(plan, cell):
-                now = maker.nanoseconds(tick.number)
-                told = None if truth is None else truth()
-                for topic, message in plant_messages(maker, tick.number, tick.measurement, told, frames):
-                    bag.write(topic, now, message)
-                for topic, message in controller_messages(maker, tick.number, tick.commands):
-                    bag.write(topic, now, message)
-                witness.see(tick)
+            try:
+                for tick in run_closed_loop(plan, cell):
+                    now = maker.nanoseconds(tick.number)
+                    told = None if truth is None else truth()
+                    keep_tick(streams, tick, told)
+                    for topic, message in occasional_messages(maker, tick.number, tick.measurement, told, frames):
+                        bag.write(topic, now, message)
+                    for arm, command in tick.commands.items():
+                        if command.detection is not None:
+                            bag.write(
+                                topics.impact_event(arm), now, maker.impact_event(tick.number, arm, command.detection)
+                            )
+                    witness.see(tick)
+            finally:  # a trial that breaks off is readable as far as it got
+                for topic, stream in streams.items():
+                    bag.write_rows(topic, *stream.take())
             verdict = judge(plan, witness.record())
             bag.finish(verdict.outcome, verdict.reason)
             return verdict, {arm: command.net_feedback for arm, command in tick.commands.items()}

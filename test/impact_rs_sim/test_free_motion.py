@@ -57,7 +57,7 @@ def test_it_is_what_bullet_does(physics: Physics, drive: type, effect: str, vect
     mechanics = Mechanics.load(believed, PERIOD, drive)
     try:
         for copy, path in zip(copies, paths, strict=True):
-            mechanics.start({"arm": copy.arm}, {"arm": copy.drive}, FAR)
+            mechanics.start({"arm": copy.arm}, {"arm": copy.drive}, FAR, may_sleep=False)
             for tick in range(TICKS):
                 rows = slice(SUBSTEPS * tick, SUBSTEPS * (tick + 1))
                 mechanics.step({"arm": list(copy.torque[rows])}, SUBSTEPS * PERIOD * tick)

@@ -3,6 +3,7 @@
 
 from mutant import Mutant
 
+MOTORS = "src/drive.cpp"
 FILE = "impact_rs_sim/drive.py"
 TESTS = ("test/impact_rs_sim/test_drive.py",)
 PHYSICS = "impact_rs_sim/physics.py"
@@ -28,56 +29,56 @@ MUTANTS = [
     Mutant(
         name="motor_integrated_with_the_reduced_inertia",
         file=FILE,
-        original="self._rotor_inverse = 1.0 / physics.motor_inertia_rotor",
-        mutated="self._rotor_inverse = 1.0 / physics.motor_inertia_reduced",
+        original="1.0 / physics.motor_inertia_rotor, period",
+        mutated="1.0 / physics.motor_inertia_reduced, period",
         wrong="The motor is as light as the loop makes it, and the loop makes it lighter again.",
         tests=TESTS,
     ),
     Mutant(
         name="feedback_sign_of_the_torque_loop",
         file=FILE,
-        original="self._feedback = 1.0 - self._shaping",
-        mutated="self._feedback = self._shaping - 1.0",
+        original="1.0 - self._shaping",
+        mutated="self._shaping - 1.0",
         wrong="The loop feeds the joint torque back with the wrong sign.",
         tests=TESTS,
     ),
     Mutant(
         name="no_transmission_damping",
-        file=FILE,
-        original="transmission *= self._damping",
-        mutated="transmission *= 0.0 * self._damping",
+        file=MOTORS,
+        original="(velocity[i] - dq[i]) * damping_[i % n] + elastic[i]",
+        mutated="elastic[i]",
         wrong="The joints have no damping.",
         tests=TESTS,
     ),
     Mutant(
         name="transmission_damping_sign",
-        file=FILE,
-        original="np.subtract(self.velocity, link_velocity, out=transmission)",
-        mutated="np.subtract(link_velocity, self.velocity, out=transmission)",
+        file=MOTORS,
+        original="(velocity[i] - dq[i])",
+        mutated="(dq[i] - velocity[i])",
         wrong="The damping of the joints drives them.",
         tests=TESTS,
     ),
     Mutant(
         name="spring_sign",
-        file=FILE,
-        original="np.subtract(self.position, link_position, out=elastic)",
-        mutated="np.subtract(link_position, self.position, out=elastic)",
+        file=MOTORS,
+        original="(position[i] - q[i])",
+        mutated="(q[i] - position[i])",
         wrong="The spring between motor and link pushes them apart.",
         tests=TESTS,
     ),
     Mutant(
         name="motor_does_not_feel_the_spring",
-        file=FILE,
-        original="np.subtract(actuation, self.transmission_torque, out=net)",
-        mutated="np.copyto(net, actuation)",
+        file=MOTORS,
+        original="net = actuation[i] - transmission[i]",
+        mutated="net = actuation[i]",
         wrong="The motor does not feel what it drives.",
         tests=TESTS,
     ),
     Mutant(
         name="equilibrium_on_the_wrong_side",
         file=FILE,
-        original="self.position = link.position + drive.torque / self._stiffness",
-        mutated="self.position = link.position - drive.torque / self._stiffness",
+        original="            link.position + drive.torque / self._stiffness,",
+        mutated="            link.position - drive.torque / self._stiffness,",
         wrong="At the start the spring carries the load the wrong way.",
         tests=TESTS,
     ),
@@ -123,19 +124,19 @@ MUTANTS = [
     ),
     Mutant(
         name="friction_drives",
-        file=FILE,
-        original="net += self.friction_torque",
-        mutated="net -= self.friction_torque",
+        file=MOTORS,
+        original="net += friction[i]",
+        mutated="net -= friction[i]",
         wrong="Joint friction accelerates the motor.",
         tests=TESTS,
     ),
     Mutant(
         name="explicit_euler",
-        file=FILE,
-        original="        self.velocity += net\n        np.multiply(self.velocity, self.period, out=net)\n"
-        "        self.position += net\n",
-        mutated="        old = self.velocity.copy()\n        self.velocity += net\n"
-        "        self.position += self.period * old\n",
+        file=MOTORS,
+        original="    velocity[i] += net * rotor_inverse_[i % n] * period_;\n"
+        "    position[i] += velocity[i] * period_;\n",
+        mutated="    position[i] += velocity[i] * period_;\n"
+        "    velocity[i] += net * rotor_inverse_[i % n] * period_;\n",
         wrong="Position is integrated before velocity, which adds energy to every oscillation.",
         tests=TESTS,
     ),

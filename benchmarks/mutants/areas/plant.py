@@ -12,6 +12,8 @@ SENSOR_TESTS = ("test/impact_rs_sim/test_sensors.py",)
 PHYSICS = "impact_rs_sim/physics.py"
 PHYSICS_TESTS = ("test/impact_rs_sim/test_physics.py",)
 MECHANICS = "impact_rs_sim/mechanics.py"
+APPROACH = "impact_rs_sim/approach.py"
+APPROACH_TESTS = ("test/impact_rs_sim/test_approach.py",)
 MODEL = "impact_rs_sim/robot_model.py"
 MODEL_TESTS = ("test/impact_rs_sim/test_robot_model.py",)
 
@@ -91,8 +93,9 @@ MUTANTS = [
     Mutant(
         name="torque_sensor_sign",
         file=FILE,
-        original="                drive.elastic_torque,\n                drive.position,\n",
-        mutated="                -drive.elastic_torque,\n                drive.position,\n",
+        original="            arms[name] = self._arm_sensors[name].measure(\n",
+        mutated="            drive.elastic_torque = -drive.elastic_torque\n"
+        "            arms[name] = self._arm_sensors[name].measure(\n",
         wrong="The joint torque sensor has the wrong sign.",
         tests=TESTS,
     ),
@@ -159,6 +162,30 @@ MUTANTS = [
         mutated="return True",
         wrong="An object on a slope steeper than its friction stays where it is.",
         tests=TESTS,
+    ),
+    Mutant(
+        name="arms_not_handed_over",
+        file=MECHANICS,
+        original="            for name, link in self.links.items():\n                self.world.set_arm(name, link)\n",
+        mutated="",
+        wrong="When Bullet takes over, its arms stand where they stood at the start.",
+        tests=APPROACH_TESTS,
+    ),
+    Mutant(
+        name="handed_over_in_contact",
+        file=APPROACH,
+        original="NEAR: Final = 2.0 * BULLET_MARGIN + 0.01 ",
+        mutated="NEAR: Final = -0.01 ",
+        wrong="Bullet takes over when a pad is in the object already.",
+        tests=APPROACH_TESTS,
+    ),
+    Mutant(
+        name="approach_by_explicit_euler",
+        file=APPROACH,
+        original="position + self._period * velocity\n",
+        mutated="position + self._period * self._velocity[name]\n",
+        wrong="Positions of an approach follow the velocity of the step before.",
+        tests=APPROACH_TESTS,
     ),
     Mutant(
         name="encoder_rounds_down",

@@ -42,8 +42,8 @@ MUTANTS = [
     Mutant(
         name="motor_starts_with_the_link",
         file=DRIVE,
-        original="self.velocity = link.velocity + drive.torque_rate / self._stiffness",
-        mutated="self.velocity = link.velocity - drive.torque_rate / self._stiffness",
+        original="            link.velocity + drive.torque_rate / self._stiffness,",
+        mutated="            link.velocity - drive.torque_rate / self._stiffness,",
         wrong="The spring of a starting motor is stretched the other way.",
         tests=(*FREE_TESTS, *TESTS, "test/impact_rs_sim/test_drive.py"),
     ),

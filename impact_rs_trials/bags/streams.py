@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signals of every tick, kept as samples and serialized many at once.
 
-A message object per tick and topic, filled field by field and serialized by rclpy, costs more than the physics. Here a
+A message object per tick and topic, filled field by field and serialized by itself, costs more than the physics. Here a
 sample is put aside when it is measured, and a whole burst becomes bytes by columns; the bytes are those that
 :class:`~impact_rs_trials.bags.messages.MessageMaker` stands for.
 """
@@ -75,17 +75,18 @@ class Stream:
         self._ticks.append(tick)
         self._samples.append(sample)
 
-    def take(self) -> list[bytes]:
-        """Everything kept so far, serialized."""
+    def take(self) -> tuple[list[int], list[bytes]]:
+        """Everything kept so far: trial time [ns] of every sample, and the sample serialized."""
         if not self._ticks:
-            return []
+            return [], []
         ticks, samples = np.array(self._ticks), self._samples
         self._ticks, self._samples = [], []
-        seconds, nanoseconds = np.divmod(ticks * self._period_ns, SECOND)
+        times = ticks * self._period_ns
+        seconds, nanoseconds = np.divmod(times, SECOND)
         columns: dict[str, Any] = {"header.stamp.sec": seconds, "header.stamp.nanosec": nanoseconds}
         columns |= {path: list(map(get, samples)) for path, get in self._fields.items()}
         columns |= {path: table[ticks] for path, table in self._tables.items()}
-        return self._template.rows(columns, len(ticks))
+        return times.tolist(), self._template.rows(columns, len(ticks))
 
     def one(self, tick: int, sample: Any) -> bytes:
         """One sample, serialized at once."""
@@ -107,6 +108,24 @@ class StreamMaker:
         self._plan = plan
         self._maker = MessageMaker(RosbagsTypes(), plan)
         self._period_ns = self._maker.nanoseconds(1)
+
+    def of_plant(self) -> dict[str, Stream]:
+        """What the plant tells in every tick, by topic."""
+        found = {}
+        for arm in self._plan.arms:
+            found[topics.joint_states(arm)] = self.joint_states(arm)
+            found[topics.motor_states(arm)] = self.motor_states(arm)
+            found[topics.truth_joint_states(arm)] = self.joint_states(arm)
+            found[topics.truth_contact_wrench(arm)] = self.contact_wrench(arm)
+        return found
+
+    def of_controller(self) -> dict[str, Stream]:
+        """What the controller tells in every tick, by topic."""
+        found = {}
+        for arm in self._plan.arms:
+            found[topics.joint_command(arm)] = self.joint_command(arm)
+            found[topics.controller_state(arm)] = self.controller_state(arm)
+        return found
 
     def _joints(self, arm: str) -> Array:
         return np.zeros(self._plan.arms[arm].initial.size)

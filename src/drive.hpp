@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: Apache-2.0
+// Motor and spring of every joint, one period of the torque loop at a time; impact_rs_sim/drive.py says by which laws.
+
+#pragma once
+
+#include <vector>
+
+namespace impact_rs {
+
+class Drive {
+ public:
+  // Numbers of the n joints; feedback is I - B_rho B_theta^-1.
+  Drive(std::vector<double> stiffness, std::vector<double> damping, std::vector<double> feedback,
+        std::vector<double> rotor_inverse, double period)
+      : stiffness_(std::move(stiffness)),
+        damping_(std::move(damping)),
+        feedback_(std::move(feedback)),
+        rotor_inverse_(std::move(rotor_inverse)),
+        period_(period) {
+    resize(stiffness_.size());
+  }
+
+  std::size_t joints() const { return stiffness_.size(); }
+  std::size_t size() const { return position.size(); }  // of every state below: the joints of one arm or of several
+
+  void resize(std::size_t size);
+
+  // Spring and damper between the motors and links at `q` [rad] that move at `dq` [rad/s].
+  void sense(const double* q, const double* dq);
+
+  // One period with B_rho B_theta^-1 tau_d in `shaped` [N m]; `friction` on the motors [N m] may be null.
+  void step(const double* shaped, const double* friction);
+
+  std::vector<double> position, velocity;     // of the motors [rad, rad/s]
+  std::vector<double> elastic, transmission;  // tau_J, and with the damper [N m]
+  std::vector<double> actuation;              // tau_act of the last step [N m]
+
+ private:
+  std::vector<double> stiffness_, damping_, feedback_, rotor_inverse_;
+  double period_;
+};
+
+}  // namespace impact_rs
