@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs in 3D as ``replay.js`` reads them: what stands in the scene, and what moves, as base64 float32.
+
+The page gets joint positions and does the forward kinematics itself: a joint frame in its parent, then the joint's turn
+about, or way along, its own z axis. Shapes are those of the URDF (:func:`impact_rs_sim.urdf.write_description`).
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_analysis.evidence.animation import OBJECT, Animation, Movement
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.urdf import joint_names
+
+SLOW_BEFORE, SLOW_AFTER = 0.02, 0.06  # s about the impact, in which every sample is kept and time is stretched
+STRIDE = 0.01  # s between samples elsewhere; the page interpolates
+
+
+def animation_data(animations: Sequence[Animation]) -> dict[str, Any]:
+    """What ``new ImpactReplay(element, data)`` takes.
+
+    Returns:
+        ``scenes`` (:func:`scene_data`), and by run its label, number of its scene, begin of the impact and of the slow
+        part [s], times [s] with the rows in which stretches begin, and its sides ``measured`` and ``model``: joint
+        positions of all arms side by side [rad], forces of the arms on what they touch [N], pose of the object [m, -],
+        and velocities before and after the impact [m/s].
+    """
+    scenes: list[dict[str, Any]] = []
+    runs = []
+    for animation in animations:
+        scene = scene_data(animation.physics)
+        if scene not in scenes:
+            scenes.append(scene)
+        runs.append(_run_data(animation, scenes.index(scene)))
+    return {"scenes": scenes, "runs": runs}
+
+
+def scene_data(physics: Physics) -> dict[str, Any]:
+    """Joints and links with their shapes, and the object's box.
+
+    Returns:
+        ``arms`` in the order of the data; ``joints`` base to tip with ``parent``, ``child``, ``type``, ``position`` [m]
+        and ``quaternion`` (x y z w) in the parent, and ``column`` of those that move; ``links``: by name the shapes with
+        pose in the link and colour; ``object``: extent along its axes [m].
+    """
+    robot = Xml.fromstring(physics.description)
+    moving = [f"{arm}_{joint}" for arm, own in physics.arms.items() for joint in joint_names(own.facts)]
+    joints = []
+    for joint in robot.iter("joint"):
+        name = joint.get("name", "")
+        joints.append(
+            {
+                "parent": _link(joint, "parent"),
+                "child": _link(joint, "child"),
+                "type": joint.get("type"),
+                **_origin(joint),
+                **({"column": moving.index(name)} if name in moving else {}),
+            }
+        )
+    links = {link.get("name", ""): [_shape(visual) for visual in link.iter("visual")] for link in robot.iter("link")}
+    return {"arms": list(physics.arms), "joints": joints, "links": links, "object": physics.object.size.tolist()}
+
+
+def _link(joint: Xml.Element, end: str) -> str:
+    element = joint.find(end)
+    assert element is not None  # we wrote it
+    return element.get("link", "")
+
+
+def _origin(element: Xml.Element) -> dict[str, list[float]]:
+    origin = element.find("origin")
+    found = {"xyz": "0 0 0", "rpy": "0 0 0"} | ({} if origin is None else origin.attrib)
+    turned = pin.Quaternion(pin.rpy.rpyToMatrix(*map(float, found["rpy"].split())))
+    return {"position": [float(word) for word in found["xyz"].split()], "quaternion": turned.coeffs().tolist()}
+
+
+def _shape(visual: Xml.Element) -> dict[str, Any]:
+    geometry, colour = visual.find("geometry"), visual.find("material/color")
+    assert geometry is not None
+    (form,) = geometry
+    numbers = {name: [float(word) for word in text.split()] for name, text in form.attrib.items()}
+    rgba = "" if colour is None else colour.get("rgba", "")
+    return {"kind": form.tag, **numbers, **_origin(visual), "colour": [float(word) for word in rgba.split()[:3]]}
+
+
+def _run_data(animation: Animation, scene: int) -> dict[str, Any]:
+    time, impact = animation.time, animation.impact
+    shown = _shown(animation)
+    starts = np.searchsorted(shown, animation.starts)
+    slow = None if impact is None else [impact - SLOW_BEFORE, impact + SLOW_AFTER]
+    return {
+        "label": animation.label,
+        "scene": scene,
+        "impact": impact,
+        "slow": slow,
+        "starts": starts.tolist(),
+        "time": _packed(time[shown]),
+        "measured": _side(animation.measured, shown),
+        "model": None if animation.model is None else _side(animation.model, shown),
+    }
+
+
+def _shown(animation: Animation) -> Array:
+    """Rows that the page gets: every one about the impact, few elsewhere, the first and last of every stretch."""
+    time = animation.time
+    edges = (*animation.starts, time.size)
+    kept = np.zeros(time.size, dtype=bool)
+    kept[[*animation.starts, *(edge - 1 for edge in edges[1:])]] = True
+    steps = np.floor((time - time[0]) / STRIDE + 1e-6)
+    kept[1:] |= steps[1:] > steps[:-1]
+    if animation.impact is not None:
+        kept |= (time >= animation.impact - SLOW_BEFORE) & (time <= animation.impact + SLOW_AFTER)
+    return np.flatnonzero(kept)
+
+
+def _side(movement: Movement, shown: Array) -> dict[str, Any]:
+    forces = np.column_stack([movement.forces[arm] for arm in movement.joints]) if movement.forces else None
+    return {
+        "joints": _packed(np.column_stack(list(movement.joints.values()))[shown]),
+        "forces": None if forces is None else _packed(forces[shown]),
+        "object": None if np.isnan(movement.object).all() else _packed(movement.object[shown]),
+        "jumps": [
+            {
+                "arm": None if jump.body == OBJECT else list(movement.joints).index(jump.body),
+                "place": jump.place.tolist(),
+                "before": jump.before.tolist(),
+                "after": jump.after.tolist(),
+            }
+            for jump in movement.jumps
+        ],
+    }
+
+
+def _packed(values: Array) -> str:
+    """Numbers as base64 of little-endian float32, row by row."""
+    return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode("ascii")
