@@ -49,12 +49,16 @@ class Movement:
 
     Attributes:
         joints: Joint positions by arm, ``(k, n)`` [rad].
+        rates: Joint velocities by arm, ``(k, n)`` [rad/s]; none where they are not known.
+        velocities: Velocity of E in A by arm, ``(k, 3)`` [m/s]; none where it is not known.
         forces: Force of every arm on what it touches, at E, axes of A, ``(k, 3)`` [N]; none where it is not known.
         object: Position of the object's centre in A and quaternion x y z w, ``(k, 7)`` [m, -]; NaN where it was not seen.
         jumps: Velocities before and after the impact.
     """
 
     joints: dict[str, Array]
+    rates: dict[str, Array]
+    velocities: dict[str, Array]
     forces: dict[str, Array]
     object: Array
     jumps: tuple[VelocityJump, ...]
@@ -110,7 +114,9 @@ def _of_track(aligned: AlignedRun, track: Track, models: Mapping[str, RobotModel
         forces[name] = -np.concatenate([part.force for part in parts])
         velocities[name] = np.concatenate([part.velocity for part in parts])
     joints = {name: arm.position for name, arm in track.arms.items()}
-    return Movement(joints, forces, thing, _jumps(time, joints, velocities, thing, run.impacts, models))
+    rates = {name: arm.velocity for name, arm in track.arms.items()}
+    jumps = _jumps(time, joints, velocities, thing, run.impacts, models)
+    return Movement(joints, rates, velocities, forces, thing, jumps)
 
 
 def _slices(edges: Sequence[int]) -> list[slice]:
@@ -128,23 +134,24 @@ def animation_of_bag(bag: TrialBag) -> Animation:
     models = physics.robot_models()
     columns = {arm: _joint_states(bag, arm) for arm in bag.info.robots}
     time = next(iter(columns.values())).time
-    joints, forces, velocities = {}, {}, {}
+    joints, rates, forces, velocities = {}, {}, {}, {}
     for arm, own in columns.items():
         joints[arm] = _at(time, own.time, own.position)
         if own.velocity.size and own.effort.size:
-            moving = [_at(time, own.time, values) for values in (own.velocity, own.effort)]
-            observed = observe(time, joints[arm], *moving, models[arm])
+            rates[arm] = _at(time, own.time, own.velocity)
+            observed = observe(time, joints[arm], rates[arm], _at(time, own.time, own.effort), models[arm])
             forces[arm], velocities[arm] = -observed.force, observed.velocity
     thing = _object_poses(bag, time)
     found = {arm: bag.impact_time(arm) for arm in columns}
     impacts = {arm: moment for arm, moment in found.items() if np.isfinite(moment)}
+    jumps = _jumps(time, joints, velocities, thing, impacts, models)
     return Animation(
         label=bag.path.name,
         physics=physics,
         time=time,
         starts=(0,),
         impact=min(impacts.values(), default=None),
-        measured=Movement(joints, forces, thing, _jumps(time, joints, velocities, thing, impacts, models)),
+        measured=Movement(joints, rates, velocities, forces, thing, jumps),
     )
 
 

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree as Xml
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from impact_rs_analysis.evidence.animation import OBJECT, Animation, Movement
 from impact_rs_sim.physics import Physics
@@ -22,6 +24,29 @@ from impact_rs_sim.urdf import joint_names
 
 SLOW_BEFORE, SLOW_AFTER = 0.02, 0.06  # s about the impact, in which every sample is kept and time is stretched
 STRIDE = 0.01  # s between samples elsewhere; the page interpolates
+
+
+@dataclass(frozen=True)
+class ReplayPart:
+    """Runs of a page in 3D.
+
+    Attributes:
+        data: What the page's script reads (:func:`animation_data`).
+        choose: Whether a reader chooses the run here; else the page has a choice of its own, in the same order.
+    """
+
+    data: dict[str, Any]
+    choose: bool
+
+    @classmethod
+    def of(cls, animations: Sequence[Animation], choose: bool = True) -> ReplayPart | None:
+        """Runs of a page; None where there are none."""
+        return cls(animation_data(animations), choose and len(animations) > 1) if animations else None
+
+    @property
+    def labels(self) -> list[str]:
+        """What the runs are called."""
+        return [run["label"] for run in self.data["runs"]]
 
 
 def animation_data(animations: Sequence[Animation]) -> dict[str, Any]:
@@ -47,7 +72,7 @@ def scene_data(physics: Physics) -> dict[str, Any]:
     """Joints and links with their shapes, and the object's box.
 
     Returns:
-        ``arms`` in the order of the data; ``joints`` base to tip with ``parent``, ``child``, ``type``, ``position`` [m]
+        ``arms`` in the order of the data; ``joints`` with ``parent``, ``child``, ``type``, ``position`` [m]
         and ``quaternion`` (x y z w) in the parent, and ``column`` of those that move; ``links``: by name the shapes with
         pose in the link and colour; ``object``: extent along its axes [m].
     """
@@ -93,7 +118,7 @@ def _shape(visual: Xml.Element) -> dict[str, Any]:
 
 def _run_data(animation: Animation, scene: int) -> dict[str, Any]:
     time, impact = animation.time, animation.impact
-    shown = _shown(animation)
+    shown = shown_rows(animation, STRIDE)
     starts = np.searchsorted(shown, animation.starts)
     slow = None if impact is None else [impact - SLOW_BEFORE, impact + SLOW_AFTER]
     return {
@@ -108,20 +133,25 @@ def _run_data(animation: Animation, scene: int) -> dict[str, Any]:
     }
 
 
-def _shown(animation: Animation) -> Array:
-    """Rows that the page gets: every one about the impact, few elsewhere, the first and last of every stretch."""
+def shown_rows(animation: Animation, stride: float) -> NDArray[np.int64]:
+    """Rows that a page gets: every one about the impact, few elsewhere, and the ends of every stretch.
+
+    Args:
+        animation: The run.
+        stride: Time between rows away from the impact [s].
+    """
     time = animation.time
     edges = (*animation.starts, time.size)
     kept = np.zeros(time.size, dtype=bool)
     kept[[*animation.starts, *(edge - 1 for edge in edges[1:])]] = True
-    steps = np.floor((time - time[0]) / STRIDE + 1e-6)
+    steps = np.floor((time - time[0]) / stride + 1e-6)
     kept[1:] |= steps[1:] > steps[:-1]
     if animation.impact is not None:
         kept |= (time >= animation.impact - SLOW_BEFORE) & (time <= animation.impact + SLOW_AFTER)
     return np.flatnonzero(kept)
 
 
-def _side(movement: Movement, shown: Array) -> dict[str, Any]:
+def _side(movement: Movement, shown: NDArray[np.int64]) -> dict[str, Any]:
     forces = np.column_stack([movement.forces[arm] for arm in movement.joints]) if movement.forces else None
     return {
         "joints": _packed(np.column_stack(list(movement.joints.values()))[shown]),

@@ -19,7 +19,6 @@ import plotly.graph_objects as go
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup, escape
-from plotly.offline import get_plotlyjs
 
 from impact_rs_analysis.diagnosis.thresholds import LEAST_P
 from impact_rs_analysis.diagnosis.words import estimate_in_line
@@ -28,6 +27,7 @@ from impact_rs_sim.files import whole_folder
 from impact_rs_sim.robot import Array
 
 TEMPLATES = Path(__file__).with_name("templates")
+BUNDLE = Path(__file__).with_name("bundle")
 MOST_POINTS = 500  # of a track; more are not seen on a screen
 PREFIXED = ("m", "rad")  # units whose small values are told with a prefix
 
@@ -42,6 +42,7 @@ class Plot:
         caption: What is seen; may hold ``<sub>``. Empty: nothing is said.
         title: Heading above it; empty: none.
         zoom: Whether a reader may zoom and save it.
+        run: Number of the run in 3D whose time its x axis is; None: of none.
     """
 
     name: str
@@ -49,16 +50,26 @@ class Plot:
     caption: str = ""
     title: str = ""
     zoom: bool = False
+    run: int | None = None
 
 
-def render(template: str, content: Any) -> str:
+def render(template: str, content: Any, replay: bool = False) -> str:
     """A page as HTML.
 
     Args:
         template: Name of its template.
         content: What the template knows as ``page``; has a ``title``.
+        replay: Whether it shows runs in 3D.
     """
-    return _environment().get_template(template).render(page=content, plotly=Markup(get_plotlyjs()))
+    scripts = [BUNDLE / "plotly-cartesian.min.js"]
+    if replay:
+        scripts += [BUNDLE / "three.min.js", TEMPLATES / "replay.js"]
+    return _environment().get_template(template).render(page=content, libraries=[script_of(path) for path in scripts])
+
+
+def script_of(path: Path) -> Markup:
+    """A file of JavaScript, to stand in a page as it is."""
+    return Markup(path.read_text(encoding="utf-8"))
 
 
 def write_files(directory: Path, files: Mapping[str, str]) -> list[Path]:
