@@ -289,9 +289,11 @@ class Physics:
 
     @property
     def description(self) -> str:
-        """URDF of the arms where they are mounted, beside the support (:func:`impact_rs_sim.urdf.write_description`)."""
+        """URDF of the mounted arms beside the support (:func:`impact_rs_sim.urdf.write_description`)."""
         arms = {name: (arm.facts, arm.end_effector, arm.base) for name, arm in self.arms.items()}
-        return write_description(arms, None if self.support_height is None else (self.support_height, self.support_size))
+        return write_description(
+            arms, None if self.support_height is None else (self.support_height, self.support_size)
+        )
 
     def robot_model(self, arm: str) -> RobotModel:
         """Rigid-body model of one arm under these physics."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What moves in a run, to be seen in 3D: arms, object, contact forces, and velocities before and after the impact.
 
-Contact forces are those of the momentum observer (:mod:`impact_rs_control.detection`), of a model as of the measurement;
-what the nominal rigid model of the arm lacks is in them.
+Contact forces are those of the momentum observer (:mod:`impact_rs_control.detection`), for a model as for what was
+measured: what the nominal rigid model of the arm lacks is in them.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Movement:
         rates: Joint velocities by arm, ``(k, n)`` [rad/s]; none where they are not known.
         velocities: Velocity of E in A by arm, ``(k, 3)`` [m/s]; none where it is not known.
         forces: Force of every arm on what it touches, at E, axes of A, ``(k, 3)`` [N]; none where it is not known.
-        object: Position of the object's centre in A and quaternion x y z w, ``(k, 7)`` [m, -]; NaN where it was not seen.
+        object: Position of the object's centre in A [m] and quaternion x y z w, ``(k, 7)``; NaN where it was not seen.
         jumps: Velocities before and after the impact.
     """
 
@@ -205,7 +205,7 @@ def _jumps(
     if impacts:
         first, last = min(impacts.values()), max(impacts.values())
         before, after = _within(time, first, JUMP_BEFORE), _within(time, last, OBJECT_WINDOWS[0])
-        rows = before | after
+        rows = np.logical_or(before, after)
         if before.sum() > 1 and after.sum() > 1 and np.isfinite(thing[rows]).all():
             slopes = [np.polyfit(time[part], thing[part, :3], 1)[0] for part in (before, after)]
             row = min(int(np.searchsorted(time, first)), time.size - 1)

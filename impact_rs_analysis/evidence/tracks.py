@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from impact_rs_analysis.evidence.animation import Animation, animation_of_run
 from impact_rs_analysis.evidence.torque_balance import ARM
 from impact_rs_sim.robot import Array
 
@@ -45,19 +46,21 @@ class TrackSet:
         impact: Begin of the impact [s]; None where nothing is hit.
         time: Of the trial or since the start of the recording, ``(k,)`` [s].
         signals: The signals, ``(k,)`` each.
+        animation: The same to be seen in 3D; None: nothing is known of what moves.
     """
 
     label: str
     impact: float | None
     time: Array
     signals: tuple[TrackSignal, ...]
+    animation: Animation | None = None
 
 
 def tracks_of_runs(aligned: Sequence[AlignedRun]) -> tuple[TrackSet, ...]:
     """Tracks of runs against their replays, those with an impact first; a gap parts the windows."""
     return tuple(
         TrackSet(
-            label=item.run.condition.removeprefix(f"{item.run.place[0]}/").replace("/", ", "),
+            label=label,
             impact=item.impact,
             time=_parted(item.time, item.starts),
             signals=tuple(
@@ -68,8 +71,10 @@ def tracks_of_runs(aligned: Sequence[AlignedRun]) -> tuple[TrackSet, ...]:
                 )
                 for signal in _signals(item)
             ),
+            animation=animation_of_run(item, label),
         )
         for item in sorted(aligned, key=lambda item: not item.run.hit)
+        for label in [item.run.condition.removeprefix(f"{item.run.place[0]}/").replace("/", ", ")]
     )
 
 

@@ -5,19 +5,24 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from impact_rs_analysis.evidence.animation import Animation, animation_of_bag
 from impact_rs_analysis.measure.analyze import Analysis, ArmSet, ExperimentSet
 from impact_rs_analysis.measure.arms import ArmDocument
 from impact_rs_analysis.measure.far import far_words
 from impact_rs_analysis.measure.sensitivity import setting_words
 from impact_rs_analysis.measure.table import Row, result_table
-from impact_rs_analysis.report.figures import Figure, figures_of
+from impact_rs_analysis.report.animation import ReplayPart
+from impact_rs_analysis.report.figures import MOST_POINTS, Figure, figures_of
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_analysis.report.png import write_png
 from impact_rs_sim.files import whole_folder
+from impact_rs_trials.bags.reader import TrialBag
+
+POINTS_OF_ALL = 3500  # of a curve over time, summed over the sets of a page: it is to stay below 3 MB
 
 
 @dataclass(frozen=True)
@@ -110,6 +115,7 @@ class AnalysisPage:
         left_out: What did not enter the fits.
         sets: Sets with an estimate.
         contact: Contact whose predictions the figures show.
+        replay: The trial with the least net feedback of every set in 3D; None: there is no set.
     """
 
     title: str
@@ -124,6 +130,7 @@ class AnalysisPage:
     left_out: tuple[Listing, ...]
     sets: tuple[SetPart, ...]
     contact: str
+    replay: ReplayPart | None
 
     @property
     def setting_words(self) -> list[str]:
@@ -151,15 +158,17 @@ def write_analysis_report(
     Raises:
         InputError: The folder cannot be written.
     """
+    points = min(MOST_POINTS, POINTS_OF_ALL // max(len(analysis.sets), 1))
     figures = [
-        (entry, figures_of(entry, contact, analysis.sensitivity.band(entry.scenario, entry.object)))
+        (entry, figures_of(entry, contact, analysis.sensitivity.band(entry.scenario, entry.object), points))
         for entry in analysis.sets
     ]
     drawn = [figure for _, own in figures for figure in own]
     data = json.dumps(analysis.to_json(), indent=2, allow_nan=False) + "\n"
-    page = render("analysis.html.j2", _page(analysis, figures, contact))
+    page = _page(analysis, figures, contact)
+    text = render("analysis.html.j2", page, replay=page.replay is not None)
     with whole_folder(directory) as aside:
-        written = write_files(aside, {"report.html": page, "analysis.json": data})
+        written = write_files(aside, {"report.html": text, "analysis.json": data})
         for count in range(len(drawn) + 1):
             if progress is not None:
                 progress(len(written), 2 + len(drawn))
@@ -170,6 +179,7 @@ def write_analysis_report(
 
 def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure]]], contact: str) -> AnalysisPage:
     rows = result_table(analysis)
+    animations = [_animation(entry) for entry in analysis.sets]
     return AnalysisPage(
         title="Predicted and measured velocity jumps",
         campaign=analysis.directory.resolve().name,
@@ -182,11 +192,24 @@ def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure
         far=far_words(analysis.jumps),
         left_out=tuple(listing for listing in _left_out(analysis) if listing.items),
         sets=tuple(
-            SetPart(entry, tuple(Plot(f.name, curves_plot(f), f.caption, zoom=True) for f in drawn))
-            for entry, drawn in figures
+            SetPart(
+                entry,
+                tuple(
+                    Plot(f.name, curves_plot(f), f.caption, zoom=True, run=number if f.over_time else None)
+                    for f in drawn
+                ),
+            )
+            for number, (entry, drawn) in enumerate(figures)
         ),
         contact=contact,
+        replay=ReplayPart.of(animations),
     )
+
+
+def _animation(entry: ExperimentSet) -> Animation:
+    """The trial of a set that needed the least feedback, and so moves as the estimate says."""
+    trial = min(entry.trials, key=lambda trial: abs(trial.net))
+    return replace(animation_of_bag(TrialBag.open(trial.path)), label=f"{entry.label}: {trial.name}")
 
 
 def arm_rows(analysis: Analysis) -> dict[str, tuple[ArmRow, ...]]:

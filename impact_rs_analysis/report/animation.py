@@ -7,7 +7,6 @@ about, or way along, its own z axis. Shapes are those of the URDF (:func:`impact
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,12 +17,14 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from impact_rs_analysis.evidence.animation import OBJECT, Animation, Movement
+from impact_rs_analysis.report.page import packed
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.urdf import joint_names
 
-SLOW_BEFORE, SLOW_AFTER = 0.02, 0.06  # s about the impact, in which every sample is kept and time is stretched
-STRIDE = 0.01  # s between samples elsewhere; the page interpolates
+SLOW_BEFORE, SLOW_AFTER = 0.02, 0.06  # s about the impact, in which time is stretched
+STRIDES = (0.001, 0.01)  # s between samples of a page at least, about the impact and elsewhere; the page interpolates
+MOST_RUNS = 8  # of a page with that many samples; of twice as many runs it has half of them
 
 
 @dataclass(frozen=True)
@@ -58,13 +59,14 @@ def animation_data(animations: Sequence[Animation]) -> dict[str, Any]:
         positions of all arms side by side [rad], forces of the arms on what they touch [N], pose of the object [m, -],
         and velocities before and after the impact [m/s].
     """
+    coarser = max(1.0, len(animations) / MOST_RUNS)
     scenes: list[dict[str, Any]] = []
     runs = []
     for animation in animations:
         scene = scene_data(animation.physics)
         if scene not in scenes:
             scenes.append(scene)
-        runs.append(_run_data(animation, scenes.index(scene)))
+        runs.append(_run_data(animation, scenes.index(scene), (coarser * STRIDES[0], coarser * STRIDES[1])))
     return {"scenes": scenes, "runs": runs}
 
 
@@ -72,8 +74,8 @@ def scene_data(physics: Physics) -> dict[str, Any]:
     """Joints and links with their shapes, and the object's box.
 
     Returns:
-        ``arms`` in the order of the data; ``joints`` with ``parent``, ``child``, ``type``, ``position`` [m]
-        and ``quaternion`` (x y z w) in the parent, and ``column`` of those that move; ``links``: by name the shapes with
+        ``arms`` in the order of the data; ``joints`` with ``parent``, ``child``, ``type``, ``position`` [m] and
+        ``quaternion`` (x y z w) in the parent, and ``column`` of those that move; ``links``: by name the shapes with
         pose in the link and colour; ``object``: extent along its axes [m].
     """
     robot = Xml.fromstring(physics.description)
@@ -116,9 +118,9 @@ def _shape(visual: Xml.Element) -> dict[str, Any]:
     return {"kind": form.tag, **numbers, **_origin(visual), "colour": [float(word) for word in rgba.split()[:3]]}
 
 
-def _run_data(animation: Animation, scene: int) -> dict[str, Any]:
+def _run_data(animation: Animation, scene: int, strides: tuple[float, float]) -> dict[str, Any]:
     time, impact = animation.time, animation.impact
-    shown = shown_rows(animation, STRIDE)
+    shown = shown_rows(animation, *strides)
     starts = np.searchsorted(shown, animation.starts)
     slow = None if impact is None else [impact - SLOW_BEFORE, impact + SLOW_AFTER]
     return {
@@ -127,36 +129,43 @@ def _run_data(animation: Animation, scene: int) -> dict[str, Any]:
         "impact": impact,
         "slow": slow,
         "starts": starts.tolist(),
-        "time": _packed(time[shown]),
+        "time": packed(time[shown]),
         "measured": _side(animation.measured, shown),
         "model": None if animation.model is None else _side(animation.model, shown),
     }
 
 
-def shown_rows(animation: Animation, stride: float) -> NDArray[np.int64]:
-    """Rows that a page gets: every one about the impact, few elsewhere, and the ends of every stretch.
+def shown_rows(animation: Animation, fine: float, coarse: float) -> NDArray[np.int64]:
+    """Rows that a page gets: many about the impact, few elsewhere, and the ends of every stretch.
 
     Args:
         animation: The run.
-        stride: Time between rows away from the impact [s].
+        fine: Time between rows about the impact, at least [s].
+        coarse: Time between other rows [s].
     """
     time = animation.time
     edges = (*animation.starts, time.size)
     kept = np.zeros(time.size, dtype=bool)
     kept[[*animation.starts, *(edge - 1 for edge in edges[1:])]] = True
-    steps = np.floor((time - time[0]) / stride + 1e-6)
-    kept[1:] |= steps[1:] > steps[:-1]
+    kept |= _first_of_each(time, coarse)
     if animation.impact is not None:
-        kept |= (time >= animation.impact - SLOW_BEFORE) & (time <= animation.impact + SLOW_AFTER)
+        slow = (time >= animation.impact - SLOW_BEFORE) & (time <= animation.impact + SLOW_AFTER)
+        kept |= slow & _first_of_each(time, fine)
     return np.flatnonzero(kept)
+
+
+def _first_of_each(time: Array, period: float) -> NDArray[np.bool_]:
+    """The first sample of every period."""
+    steps = np.floor((time - time[0]) / period + 1e-3)
+    return np.concatenate(([True], steps[1:] > steps[:-1]))
 
 
 def _side(movement: Movement, shown: NDArray[np.int64]) -> dict[str, Any]:
     forces = np.column_stack([movement.forces[arm] for arm in movement.joints]) if movement.forces else None
     return {
-        "joints": _packed(np.column_stack(list(movement.joints.values()))[shown]),
-        "forces": None if forces is None else _packed(forces[shown]),
-        "object": None if np.isnan(movement.object).all() else _packed(movement.object[shown]),
+        "joints": packed(np.column_stack(list(movement.joints.values()))[shown]),
+        "forces": None if forces is None else packed(forces[shown]),
+        "object": None if np.isnan(movement.object).all() else packed(movement.object[shown]),
         "jumps": [
             {
                 "arm": None if jump.body == OBJECT else list(movement.joints).index(jump.body),
@@ -167,8 +176,3 @@ def _side(movement: Movement, shown: NDArray[np.int64]) -> dict[str, Any]:
             for jump in movement.jumps
         ],
     }
-
-
-def _packed(values: Array) -> str:
-    """Numbers as base64 of little-endian float32, row by row."""
-    return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode("ascii")

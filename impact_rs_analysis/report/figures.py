@@ -6,6 +6,7 @@ Texts are Unicode with HTML's ``<sub>``, which both sides understand or translat
 
 from __future__ import annotations
 
+import math
 import re
 from collections import defaultdict
 from dataclasses import dataclass, field
@@ -34,6 +35,8 @@ MODEL_STYLE = {
     "rotor": ("Prediction, B<sub>ρ</sub>", RED, "triangle-up"),
     "zero": ("Prediction, B = 0", GREEN, "diamond"),
 }
+MOST_POINTS = 500  # of a curve over time; more are not seen on a screen
+TIME = "time [s]"  # label of an x axis
 SHOWN_BEFORE, SHOWN_AFTER = 0.1, 0.1  # s, shown around the window from t1 to t2
 
 Line = Literal["solid", "dashed", "none"]
@@ -107,16 +110,24 @@ class Figure:
     notes: tuple[Note, ...] = field(default=())
     x_range: tuple[float, float] | None = None
 
+    @property
+    def over_time(self) -> bool:
+        """Whether its x axis is the time of a trial."""
+        return self.x_label == TIME
 
-def figures_of(entry: ExperimentSet, contact: str = "first", band: tuple[float, float] | None = None) -> list[Figure]:
+
+def figures_of(
+    entry: ExperimentSet, contact: str = "first", band: tuple[float, float] | None = None, points: int = MOST_POINTS
+) -> list[Figure]:
     """The paper's two figures for one set.
 
     Args:
         entry: The set.
         contact: Predictions that are shown: for the ``first`` or the ``settled`` contact.
         band: Systematic band about the estimate, low then high [%].
+        points: Of a curve over time, at most.
     """
-    return [signals_figure(entry), fit_figure(entry, contact, band)]
+    return [signals_figure(entry, points), fit_figure(entry, contact, band)]
 
 
 def _stem(entry: ExperimentSet) -> str:
@@ -137,7 +148,7 @@ def _colours(count: int) -> list[str]:
     return ["#" + "".join(f"{round(value):02x}" for value in colour) for colour in zip(*channels, strict=True)]
 
 
-def signals_figure(entry: ExperimentSet) -> Figure:
+def signals_figure(entry: ExperimentSet, points: int = MOST_POINTS) -> Figure:
     """Velocity, feedback and its integral over time (paper fig. Single_trial_results_push).
 
     Signals are averaged over the repeats of a scale; dashed: velocity reference, ante-impact up to T_nom and
@@ -151,6 +162,7 @@ def signals_figure(entry: ExperimentSet) -> Figure:
     start, end, impact = info.window_start, info.window_end, info.nominal_impact_time
     all_times = entry.trials[0].time
     time = all_times[(all_times >= start - SHOWN_BEFORE - 1e-9) & (all_times <= end + SHOWN_AFTER + 1e-9)]
+    time = time[:: math.ceil(time.size / points)]
     curves: tuple[list[Curve], list[Curve], list[Curve]] = ([], [], [])
     scales = sorted(groups)
     for scale, colour in zip(scales, _colours(len(scales)), strict=True):
@@ -176,7 +188,7 @@ def signals_figure(entry: ExperimentSet) -> Figure:
             f"over {repeats} trial{'' if repeats == '1' else 's'} per post-impact reference. The reference that fits "
             "the natural velocity jump needs no net feedback: its integral ends at zero at t<sub>2</sub>."
         ),
-        x_label="time [s]",
+        x_label=TIME,
         panels=(
             Panel(f"v<sub>{axis}</sub> [m/s]", tuple(curves[0])),
             Panel(f"a<sub>fb,{axis}</sub> [m/s²]", tuple(curves[1])),

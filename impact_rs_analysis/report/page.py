@@ -7,6 +7,7 @@ Figures and tracks lie in the page as JSON and are drawn when they are first see
 
 from __future__ import annotations
 
+import base64
 import functools
 import math
 from collections.abc import Mapping, Sequence
@@ -29,6 +30,7 @@ from impact_rs_sim.robot import Array
 TEMPLATES = Path(__file__).with_name("templates")
 BUNDLE = Path(__file__).with_name("bundle")
 MOST_POINTS = 500  # of a track; more are not seen on a screen
+MOST_NUMBERS = 90_000  # of all tracks of a page, half a megabyte
 PREFIXED = ("m", "rad")  # units whose small values are told with a prefix
 
 
@@ -89,22 +91,24 @@ def write_files(directory: Path, files: Mapping[str, str]) -> list[Path]:
 
 
 def track_data(tracks: Sequence[TrackSet]) -> list[dict[str, Any]]:
-    """Tracks as the page's script reads them: thinned out but for the gaps that part windows, five digits."""
+    """Tracks as the page's script reads them: thinned out but for the gaps that part windows, as base64 float32."""
+    columns = sum(1 + 2 * len(track.signals) for track in tracks)
+    most = min(MOST_POINTS, MOST_NUMBERS // max(columns, 1))
     sets = []
     for track in tracks:
         shown = ~np.isfinite(track.time)
-        shown[:: max(1, math.ceil(track.time.size / MOST_POINTS))] = True
+        shown[:: max(1, math.ceil(track.time.size / most))] = True
         sets.append(
             {
                 "label": track.label,
                 "impact": track.impact,
-                "time": _short(track.time[shown]),
+                "time": packed(track.time[shown]),
                 "signals": [
                     {
                         "name": signal.name,
                         "unit": unit_text(signal.unit),
-                        "measured": _short(signal.measured[shown]),
-                        "predicted": _short(signal.predicted[shown]),
+                        "measured": packed(signal.measured[shown]),
+                        "predicted": packed(signal.predicted[shown]),
                     }
                     for signal in track.signals
                 ],
@@ -113,8 +117,9 @@ def track_data(tracks: Sequence[TrackSet]) -> list[dict[str, Any]]:
     return sets
 
 
-def _short(values: Array) -> list[float | None]:
-    return [float(f"{value:.5g}") if math.isfinite(value) else None for value in values]
+def packed(values: Array) -> str:
+    """Numbers as base64 of little-endian float32, row by row, as the page's scripts read them."""
+    return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode("ascii")
 
 
 def number_text(value: float | None, digits: int = 3) -> str:

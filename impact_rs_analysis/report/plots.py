@@ -16,7 +16,7 @@ from impact_rs_analysis.evidence.tracks import TrackSet
 from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED, Curve, Figure
 from impact_rs_analysis.report.labels import Tag, phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import quantity_text
-from impact_rs_sim.robot import told_units
+from impact_rs_sim.robot import Array, told_units
 
 if TYPE_CHECKING:  # the figures of an analysis need nothing of a diagnosis
     from impact_rs_analysis.diagnosis.compare import Cell, SignalLevel
@@ -89,8 +89,7 @@ def _curve(curve: Curve, axis: str, shared: bool) -> go.Scatter:
         low, high = curve.error
         error = {"type": "data", "symmetric": False, "array": [high], "arrayminus": [low], "thickness": 2}
     return go.Scatter(
-        # A curve without points keeps its legend entry only with one invisible point.
-        x=curve.x.astype(np.float32) if curve.x.size else [None],
+        **_places(curve.x),
         y=curve.y.astype(np.float32) if curve.y.size else [None],
         name=curve.label,
         showlegend=bool(curve.label),
@@ -109,6 +108,16 @@ def _curve(curve: Curve, axis: str, shared: bool) -> go.Scatter:
         xaxis="x",
         yaxis=axis,
     )
+
+
+def _places(x: Array) -> dict[str, Any]:
+    """Where the points of a curve are along x; of even steps begin and step alone, which keeps pages small."""
+    if not x.size:  # a curve without points keeps its legend entry only with one invisible point
+        return {"x": [None]}
+    steps = np.diff(x)
+    if steps.size > 1 and np.ptp(steps) < 1e-6 * abs(steps[0]):
+        return {"x0": float(x[0]), "dx": float(x[-1] - x[0]) / steps.size}
+    return {"x": x.astype(np.float32)}
 
 
 def effects_plot(document: DiagnosisDocument) -> go.Figure | None:

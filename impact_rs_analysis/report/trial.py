@@ -8,10 +8,24 @@ from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
+from numpy.typing import NDArray
 
 from impact_rs_analysis.evidence.animation import OBJECT, Animation, animation_of_bag
 from impact_rs_analysis.report.animation import ReplayPart, shown_rows
-from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY, Curve, Figure, Note, Panel
+from impact_rs_analysis.report.figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    RED,
+    SKY,
+    TIME,
+    Curve,
+    Figure,
+    Note,
+    Panel,
+)
 from impact_rs_analysis.report.page import Plot, render
 from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_sim.files import write_whole
@@ -19,7 +33,7 @@ from impact_rs_sim.robot import Array, told_units
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.bags.trial_info import TrialInfo
 
-STRIDE = 0.004  # s between samples of a figure, away from the impact
+STRIDES = (0.001, 0.004)  # s between samples of a figure at least, about the impact and elsewhere
 COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
 HEIGHT = 360  # px, of a figure
 
@@ -85,7 +99,11 @@ def write_trial(bag: TrialBag, path: Path) -> Path:
         reason=bag.reason,
         impact=animation.impact,
         jumps=tuple(
-            JumpRow("object" if jump.body == OBJECT else f"end effector of {jump.body}", _text(jump.before), _text(jump.after))
+            JumpRow(
+                "object" if jump.body == OBJECT else f"end effector of {jump.body}",
+                _text(jump.before),
+                _text(jump.after),
+            )
             for jump in animation.measured.jumps
         ),
         replay=replay,
@@ -97,7 +115,7 @@ def write_trial(bag: TrialBag, path: Path) -> Path:
 
 def trial_plots(animation: Animation) -> list[Plot]:
     """Velocity of the end effector, joint velocities and joint positions, arm by arm."""
-    shown = shown_rows(animation, STRIDE)
+    shown = shown_rows(animation, *STRIDES)
     found = []
     for number, (arm, own) in enumerate(animation.physics.arms.items()):
         of_arm = f" of {arm}" if len(animation.physics.arms) > 1 else ""
@@ -115,13 +133,15 @@ def trial_plots(animation: Animation) -> list[Plot]:
     return found
 
 
-def _over_time(animation: Animation, shown: Array, values: Array, labels: list[str], unit: str) -> go.Figure:
+def _over_time(
+    animation: Animation, shown: NDArray[np.int64], values: Array, labels: list[str], unit: str
+) -> go.Figure:
     curves = tuple(
         Curve(label, animation.time[shown], values[shown, column], COLOURS[column % len(COLOURS)])
         for column, label in enumerate(labels)
     )
     notes = () if animation.impact is None else (Note(animation.impact, "impact"),)
-    figure = Figure("", "", "", "time [s]", (Panel(f"[{unit}]", curves),), notes)
+    figure = Figure("", "", "", TIME, (Panel(f"[{unit}]", curves),), notes)
     return curves_plot(figure).update_layout(height=HEIGHT, margin={"t": 30})
 
 

@@ -13,7 +13,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.reader import BagError, TrialBag
 
 TEXT = f"""\
-Show one trial in 3D: arms, pad, object and support as measured, contact forces, and velocities before and after the impact.
+Show one trial in 3D: arms, object and support as measured, contact forces, velocities before and after the impact.
 
 Writes one HTML page that opens offline and on a phone, and opens it in the browser. A time slider moves the bodies and
 the plots of joint positions, joint velocities and end-effector velocity together; the impact is played a hundred times
@@ -31,7 +31,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     declare(parser, run, TEXT)
     parser.add_argument("bag", type=Path, metavar="BAG", help="folder of a trial")
     parser.add_argument(
-        "-o", dest="output", type=Path, metavar="FILE.html", help="the page; default: NAME_OF_THE_BAG.html beside the bag"
+        "-o",
+        dest="output",
+        type=Path,
+        metavar="FILE.html",
+        help="the page; default: NAME_OF_THE_BAG.html beside the bag",
     )
     parser.add_argument("--no-browser", action="store_true", help="write the page, and do not open it")
     add_json(parser)

@@ -10,8 +10,9 @@
 
 const ImpactReplay = (function () {
   const GHOST = '#0072B2', FORCE = '#D55E00', BEFORE = '#E69F00', AFTER = '#009E73', OBJECT = '#C2995F';
-  const LONGEST_ARROW = 0.25;
+  const LONGEST_ARROW = 0.25, SHORTEST_ARROW = 0.01;
   const SLOW_MOTION = 100;
+  const MARGIN = 1.03;
   const STEP = 0.001, BIG_STEP = 0.01;
   const ABOVE = {before: 0.09, after: 0.06, model: 0.03};  // arrows of one direction would hide each other
 
@@ -29,7 +30,7 @@ const ImpactReplay = (function () {
 
   function select(label, choices) {
     const made = element('select', {'aria-label': label});
-    Object.entries(choices).forEach(([value, text]) => made.add(new Option(text, value)));
+    choices.forEach(([value, text]) => made.add(new Option(text, value)));
     return made;
   }
 
@@ -57,8 +58,10 @@ const ImpactReplay = (function () {
         this.links[name] = new THREE.Group();
         if (ghost && name === 'support') return;
         shapes.forEach((shape) => {
-          const colour = new THREE.Color().setRGB(...shape.colour, THREE.SRGBColorSpace);
-          this.links[name].add(placed(new THREE.Mesh(geometry(shape), this.material(colour)), shape));
+          const material = this.material(new THREE.Color().setRGB(...shape.colour, THREE.SRGBColorSpace));
+          // What stands below the support is to be seen.
+          if (name === 'support') Object.assign(material, {transparent: true, opacity: 0.35, depthWrite: false});
+          this.links[name].add(placed(new THREE.Mesh(geometry(shape), material), shape));
         });
       });
       scene.joints.forEach((joint) => {
@@ -112,7 +115,7 @@ const ImpactReplay = (function () {
 
     set(start, vector) {
       const length = vector.length();
-      this.root.visible = length > 1e-4;
+      this.root.visible = length > SHORTEST_ARROW;
       if (!this.root.visible) return;
       this.root.position.copy(start);
       this.root.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), vector.clone().normalize());
@@ -148,10 +151,10 @@ const ImpactReplay = (function () {
       this.button = element('button', {type: 'button'}, 'Play');
       this.toImpact = element('button', {type: 'button', title: 'to the impact (I)'}, 'Impact');
       this.slider = element('input', {type: 'range', min: '0', max: '1', step: 'any', 'aria-label': 'time'});
-      this.speed = select('speed', {slow: `slow at the impact, 1 : ${SLOW_MOTION}`, 1: '1 : 1', 10: '1 : 10',
-                                    100: '1 : 100'});
+      this.speed = select('speed', [['slow', `slow at the impact, 1 : ${SLOW_MOTION}`], ['1', '1 : 1'],
+                                    ['10', '1 : 10'], ['100', '1 : 100']]);
       this.larger = select('size of what the model does differently',
-                           {1: 'model: true to size', 10: 'model: differences × 10', 100: 'model: differences × 100'});
+                           [['1', 'model true to size'], ['10', 'differences × 10'], ['100', 'differences × 100']]);
       this.readout = element('p', {class: 'note replay-time'});
       this.legend = element('ul', {class: 'plain replay-legend'});
       const controls = element('div', {class: 'replay-controls'}, this.button, this.toImpact, this.slider);
@@ -359,7 +362,7 @@ const ImpactReplay = (function () {
       const impact = this.run.impact, words = [`${this.time.toFixed(3)} s`];
       if (impact !== null) {
         const since = 1000 * (this.time - impact);
-        words.push(Math.abs(since) < 0.5 ? 'begin of the impact'
+        words.push(Math.abs(since) < 0.5 ? 'the impact'
           : `${Math.abs(since).toFixed(0)} ms ${since < 0 ? 'before' : 'after'} the impact`);
       }
       const newtons = (value) => `${value.toFixed(0)} N`;
@@ -431,13 +434,21 @@ const ImpactReplay = (function () {
       const aside = new THREE.Vector3(along.y, -along.x, 0);
       if (aside.dot(centre.clone().sub(base)) < 0) aside.negate();
       const direction = aside.addScaledVector(along, 0.35).add(new THREE.Vector3(0, 0, 0.45)).normalize();
-      const radius = bounds.getSize(new THREE.Vector3()).length() / 2;
-      const upright = THREE.MathUtils.degToRad(this.camera.fov) / 2;
-      const across = Math.atan(Math.tan(upright) * this.camera.aspect);
       this.controls.target.copy(centre);
-      this.camera.position.copy(centre).addScaledVector(direction, 0.9 * radius / Math.sin(Math.min(upright, across)));
+      this.camera.position.copy(centre).addScaledVector(direction, this.distance(bounds, centre, direction));
       this.controls.update();
       if (this.time !== undefined) this.seek(this.time);
+    }
+
+    // How far away, in a direction, everything within the bounds is in the picture.
+    distance(bounds, centre, direction) {
+      const right = new THREE.Vector3(0, 0, 1).cross(direction).normalize(), up = direction.clone().cross(right);
+      const upright = Math.tan(THREE.MathUtils.degToRad(this.camera.fov) / 2), across = upright * this.camera.aspect;
+      const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((bits) => new THREE.Vector3(
+        bits & 1 ? bounds.max.x : bounds.min.x, bits & 2 ? bounds.max.y : bounds.min.y,
+        bits & 4 ? bounds.max.z : bounds.min.z).sub(centre));
+      return MARGIN * Math.max(...corners.map((corner) => corner.dot(direction)
+        + Math.max(Math.abs(corner.dot(up)) / upright, Math.abs(corner.dot(right)) / across)));
     }
 
     resize() {
