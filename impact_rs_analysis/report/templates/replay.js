@@ -421,9 +421,9 @@ const ImpactReplay = (function () {
         this.measured.root.updateMatrixWorld(true);
         Object.entries(this.measured.links).forEach(([name, link]) => {
           if (name === 'support' || name === 'world') return;
-          link.children.filter((child) => child.isMesh).forEach((child) => bounds.expandByObject(child));
+          link.children.filter((child) => child.isMesh).forEach((child) => bounds.expandByObject(child, true));
         });
-        if (this.measured.object.visible) bounds.expandByObject(this.measured.object);
+        if (this.measured.object.visible) bounds.expandByObject(this.measured.object, true);
       }
       bounds.getCenter(centre);
       this.arms.forEach((arm) => base.add(this.measured.links[`${arm}_base`].getWorldPosition(new THREE.Vector3())));
