@@ -16,6 +16,7 @@ import pinocchio as pin
 from impact_rs_analysis.evidence.aligned import AlignedRun, Track
 from impact_rs_analysis.evidence.features import JUMP_BEFORE, JUMP_WINDOWS, OBJECT_WINDOWS, SETTLED
 from impact_rs_analysis.evidence.impacts import observe
+from impact_rs_analysis.evidence.torque_balance import Motion
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -121,6 +122,14 @@ def _of_track(aligned: AlignedRun, track: Track, models: Mapping[str, RobotModel
 
 def _slices(edges: Sequence[int]) -> list[slice]:
     return [slice(start, end) for start, end in zip(edges, edges[1:], strict=False)]
+
+
+def animation_of_motion(label: str, physics: Physics, arm: str, motion: Motion) -> Animation:
+    """A recording in free motion, of which nothing is known but the joints of one arm."""
+    time, kept = motion.time[motion.kept], motion.kept
+    nowhere = np.full((time.size, 7), np.nan)
+    moved = Movement({arm: motion.position[kept]}, {arm: motion.velocity[kept]}, {}, {}, nowhere, ())
+    return Animation(label, physics, time, (0,), None, moved)
 
 
 def animation_of_bag(bag: TrialBag) -> Animation:

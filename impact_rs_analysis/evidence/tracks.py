@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from impact_rs_analysis.evidence.animation import Animation, animation_of_run
+from impact_rs_analysis.evidence.animation import Animation, animation_of_motion, animation_of_run
 from impact_rs_analysis.evidence.torque_balance import ARM
 from impact_rs_sim.robot import Array
 
@@ -100,15 +100,17 @@ def tracks_of_recordings(source: RecordingSource, rests: Mapping[str, Array]) ->
             rows = slice(start, start + time.size)
             start += time.size
             measured, predicted = recorded[rows], (recorded - rest)[rows]
+            name = label if len(source.motions) == 1 else f"{recording.path.name}, {label}"
             found.append(
                 TrackSet(
-                    label=label if len(source.motions) == 1 else f"{recording.path.name}, {label}",
+                    label=name,
                     impact=None,
                     time=time,
                     signals=tuple(
                         TrackSignal(f"torque of joint {joint + 1}", unit, measured[:, joint], predicted[:, joint])
                         for joint, unit in enumerate(units)
                     ),
+                    animation=animation_of_motion(name, source.physics, ARM, motion),
                 )
             )
     return tuple(found)

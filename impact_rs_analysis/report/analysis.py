@@ -15,14 +15,14 @@ from impact_rs_analysis.measure.far import far_words
 from impact_rs_analysis.measure.sensitivity import setting_words
 from impact_rs_analysis.measure.table import Row, result_table
 from impact_rs_analysis.report.animation import ReplayPart
-from impact_rs_analysis.report.figures import MOST_POINTS, Figure, figures_of
-from impact_rs_analysis.report.page import Plot, render, write_files
+from impact_rs_analysis.report.figures import Figure, figures_of
+from impact_rs_analysis.report.page import MOST_POINTS, Plot, render, write_files
 from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_analysis.report.png import write_png
 from impact_rs_sim.files import whole_folder
 from impact_rs_trials.bags.reader import TrialBag
 
-POINTS_OF_ALL = 3500  # of a curve over time, summed over the sets of a page: it is to stay below 3 MB
+POINTS_OF_ALL = 2400  # of a curve over time, summed over the sets of a page: it is to stay below 3 MB
 
 
 @dataclass(frozen=True)
@@ -158,9 +158,8 @@ def write_analysis_report(
     Raises:
         InputError: The folder cannot be written.
     """
-    points = min(MOST_POINTS, POINTS_OF_ALL // max(len(analysis.sets), 1))
     figures = [
-        (entry, figures_of(entry, contact, analysis.sensitivity.band(entry.scenario, entry.object), points))
+        (entry, figures_of(entry, contact, analysis.sensitivity.band(entry.scenario, entry.object)))
         for entry in analysis.sets
     ]
     drawn = [figure for _, own in figures for figure in own]
@@ -180,6 +179,7 @@ def write_analysis_report(
 def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure]]], contact: str) -> AnalysisPage:
     rows = result_table(analysis)
     animations = [_animation(entry) for entry in analysis.sets]
+    points = min(MOST_POINTS, POINTS_OF_ALL // max(len(analysis.sets), 1))
     return AnalysisPage(
         title="Predicted and measured velocity jumps",
         campaign=analysis.directory.resolve().name,
@@ -195,7 +195,7 @@ def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure
             SetPart(
                 entry,
                 tuple(
-                    Plot(f.name, curves_plot(f), f.caption, zoom=True, run=number if f.over_time else None)
+                    Plot(f.name, curves_plot(f, points), f.caption, zoom=True, run=number if f.over_time else None)
                     for f in drawn
                 ),
             )

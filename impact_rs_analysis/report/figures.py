@@ -6,7 +6,6 @@ Texts are Unicode with HTML's ``<sub>``, which both sides understand or translat
 
 from __future__ import annotations
 
-import math
 import re
 from collections import defaultdict
 from dataclasses import dataclass, field
@@ -35,7 +34,6 @@ MODEL_STYLE = {
     "rotor": ("Prediction, B<sub>ρ</sub>", RED, "triangle-up"),
     "zero": ("Prediction, B = 0", GREEN, "diamond"),
 }
-MOST_POINTS = 500  # of a curve over time; more are not seen on a screen
 TIME = "time [s]"  # label of an x axis
 SHOWN_BEFORE, SHOWN_AFTER = 0.1, 0.1  # s, shown around the window from t1 to t2
 
@@ -116,18 +114,15 @@ class Figure:
         return self.x_label == TIME
 
 
-def figures_of(
-    entry: ExperimentSet, contact: str = "first", band: tuple[float, float] | None = None, points: int = MOST_POINTS
-) -> list[Figure]:
+def figures_of(entry: ExperimentSet, contact: str = "first", band: tuple[float, float] | None = None) -> list[Figure]:
     """The paper's two figures for one set.
 
     Args:
         entry: The set.
         contact: Predictions that are shown: for the ``first`` or the ``settled`` contact.
         band: Systematic band about the estimate, low then high [%].
-        points: Of a curve over time, at most.
     """
-    return [signals_figure(entry, points), fit_figure(entry, contact, band)]
+    return [signals_figure(entry), fit_figure(entry, contact, band)]
 
 
 def _stem(entry: ExperimentSet) -> str:
@@ -148,7 +143,7 @@ def _colours(count: int) -> list[str]:
     return ["#" + "".join(f"{round(value):02x}" for value in colour) for colour in zip(*channels, strict=True)]
 
 
-def signals_figure(entry: ExperimentSet, points: int = MOST_POINTS) -> Figure:
+def signals_figure(entry: ExperimentSet) -> Figure:
     """Velocity, feedback and its integral over time (paper fig. Single_trial_results_push).
 
     Signals are averaged over the repeats of a scale; dashed: velocity reference, ante-impact up to T_nom and
@@ -162,7 +157,6 @@ def signals_figure(entry: ExperimentSet, points: int = MOST_POINTS) -> Figure:
     start, end, impact = info.window_start, info.window_end, info.nominal_impact_time
     all_times = entry.trials[0].time
     time = all_times[(all_times >= start - SHOWN_BEFORE - 1e-9) & (all_times <= end + SHOWN_AFTER + 1e-9)]
-    time = time[:: math.ceil(time.size / points)]
     curves: tuple[list[Curve], list[Curve], list[Curve]] = ([], [], [])
     scales = sorted(groups)
     for scale, colour in zip(scales, _colours(len(scales)), strict=True):

@@ -12,7 +12,7 @@ const ImpactReplay = (function () {
   const GHOST = '#0072B2', FORCE = '#D55E00', BEFORE = '#E69F00', AFTER = '#009E73', OBJECT = '#C2995F';
   const LONGEST_ARROW = 0.25, SHORTEST_ARROW = 0.01;
   const SLOW_MOTION = 100;
-  const MARGIN = 1.03;
+  const MARGIN = 0.9;
   const STEP = 0.001, BIG_STEP = 0.01;
   const ABOVE = {before: 0.09, after: 0.06, model: 0.03};  // arrows of one direction would hide each other
 
