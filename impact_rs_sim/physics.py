@@ -287,13 +287,15 @@ class Physics:
         """
         return len(self.joints)
 
-    @property
-    def description(self) -> str:
-        """URDF of the mounted arms beside the support (:func:`impact_rs_sim.urdf.write_description`)."""
+    def description(self, meshes: bool = True) -> str:
+        """URDF of the mounted arms beside the support (:func:`impact_rs_sim.urdf.write_description`).
+
+        Args:
+            meshes: Show the meshes of arms that have some; else simple shapes.
+        """
         arms = {name: (arm.facts, arm.end_effector, arm.base) for name, arm in self.arms.items()}
-        return write_description(
-            arms, None if self.support_height is None else (self.support_height, self.support_size)
-        )
+        support = None if self.support_height is None else (self.support_height, self.support_size)
+        return write_description(arms, support, meshes)
 
     def robot_model(self, arm: str) -> RobotModel:
         """Rigid-body model of one arm under these physics."""

@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 
 from impact_rs_analysis.evidence.animation import OBJECT, Animation, Movement
 from impact_rs_analysis.report.page import packed
+from impact_rs_analysis.report.surface import surface_of
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.urdf import joint_names
 
 SLOW_BEFORE, SLOW_AFTER = 0.02, 0.06  # s about the impact, in which time is stretched
 STRIDES = (0.001, 0.01)  # s between samples of a page at least, about the impact and elsewhere; the page interpolates
+LIGHT = "0.88 0.88 0.9 1"  # of a mesh that says no colour, as text of a URDF
 MOST_RUNS = 8  # of a page with that many samples; of twice as many runs it has half of them
 
 
@@ -78,7 +80,7 @@ def scene_data(physics: Physics) -> dict[str, Any]:
         ``quaternion`` (x y z w) in the parent, and ``column`` of those that move; ``links``: by name the shapes with
         pose in the link and colour; ``object``: extent along its axes [m].
     """
-    robot = Xml.fromstring(physics.description)
+    robot, plain = (Xml.fromstring(physics.description(meshes)) for meshes in (True, False))
     moving = [f"{arm}_{joint}" for arm, own in physics.arms.items() for joint in joint_names(own.facts)]
     joints = []
     for joint in robot.iter("joint"):
@@ -92,7 +94,10 @@ def scene_data(physics: Physics) -> dict[str, Any]:
                 **({"column": moving.index(name)} if name in moving else {}),
             }
         )
-    links = {link.get("name", ""): [_shape(visual) for visual in link.iter("visual")] for link in robot.iter("link")}
+    links = {
+        link.get("name", ""): _shapes(link) or _shapes(simple)
+        for link, simple in zip(robot.iter("link"), plain.iter("link"), strict=True)
+    }
     return {"arms": list(physics.arms), "joints": joints, "links": links, "object": physics.object.size.tolist()}
 
 
@@ -105,17 +110,33 @@ def _link(joint: Xml.Element, end: str) -> str:
 def _origin(element: Xml.Element) -> dict[str, list[float]]:
     origin = element.find("origin")
     found = {"xyz": "0 0 0", "rpy": "0 0 0"} | ({} if origin is None else origin.attrib)
-    turned = pin.Quaternion(pin.rpy.rpyToMatrix(*map(float, found["rpy"].split())))
-    return {"position": [float(word) for word in found["xyz"].split()], "quaternion": turned.coeffs().tolist()}
+    turned = pin.Quaternion(pin.rpy.rpyToMatrix(*_numbers(found["rpy"])))
+    return {"position": _numbers(found["xyz"]), "quaternion": turned.coeffs().tolist()}
 
 
-def _shape(visual: Xml.Element) -> dict[str, Any]:
+def _shapes(link: Xml.Element) -> list[dict[str, Any]]:
+    """What is seen of a link; nothing where one of its meshes cannot be read."""
+    shapes = [_shape(visual) for visual in link.iter("visual")]
+    return [shape for shape in shapes if shape is not None] if None not in shapes else []
+
+
+def _shape(visual: Xml.Element) -> dict[str, Any] | None:
     geometry, colour = visual.find("geometry"), visual.find("material/color")
     assert geometry is not None
     (form,) = geometry
-    numbers = {name: [float(word) for word in text.split()] for name, text in form.attrib.items()}
-    rgba = "" if colour is None else colour.get("rgba", "")
-    return {"kind": form.tag, **numbers, **_origin(visual), "colour": [float(word) for word in rgba.split()[:3]]}
+    rgba = LIGHT if colour is None else colour.get("rgba", LIGHT)
+    look = {"kind": form.tag, **_origin(visual), "colour": _numbers(rgba)[:3]}
+    if form.tag != "mesh":
+        return look | {name: _numbers(text) for name, text in form.attrib.items()}
+    surface = surface_of(form.get("filename", ""))
+    if surface is None:
+        return None
+    scaled = surface.vertices * _numbers(form.get("scale", "1 1 1"))
+    return look | {"vertices": packed(scaled), "faces": packed(surface.faces.astype(float))}
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(word) for word in text.split()]
 
 
 def _run_data(animation: Animation, scene: int, strides: tuple[float, float]) -> dict[str, Any]:

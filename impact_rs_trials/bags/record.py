@@ -29,7 +29,7 @@ def descriptions(plan: TrialPlan) -> dict[str, str]:
     physics, thing = plan.scene.physics, plan.scene.physics.object
     arms = {name: (arm.facts, arm.end_effector, arm.base) for name, arm in physics.arms.items()}
     return {
-        topics.ROBOT_DESCRIPTION: physics.description,
+        topics.ROBOT_DESCRIPTION: physics.description(),
         **{topics.robot_description(name): write_description({name: arm}, None) for name, arm in arms.items()},
         topics.OBJECT_DESCRIPTION: write_object_description(
             thing.size, thing.mass, thing.com_offset, np.diag(thing.inertia)

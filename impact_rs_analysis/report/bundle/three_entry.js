@@ -19,7 +19,6 @@ export {
   PerspectiveCamera,
   SRGBColorSpace,
   Scene,
-  SphereGeometry,
   Vector3,
   WebGLRenderer,
 } from 'three';

@@ -41,9 +41,16 @@ const ImpactReplay = (function () {
   }
 
   function geometry(shape) {
+    if (shape.kind === 'mesh') {
+      const made = new THREE.BufferGeometry();
+      made.setAttribute('position', new THREE.BufferAttribute(floats(shape.vertices), 3));
+      made.setIndex(Array.from(floats(shape.faces)));
+      const flat = made.toNonIndexed();
+      flat.computeVertexNormals();
+      return flat;
+    }
     if (shape.kind === 'box') return new THREE.BoxGeometry(...shape.size);
     const [radius] = shape.radius;
-    if (shape.kind === 'sphere') return new THREE.SphereGeometry(radius, 24, 16);
     return new THREE.CylinderGeometry(radius, radius, shape.length[0], 32).rotateX(Math.PI / 2);
   }
 

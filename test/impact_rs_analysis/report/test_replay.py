@@ -22,6 +22,7 @@ from impact_rs_analysis.report.page import BUNDLE, TEMPLATES
 from impact_rs_analysis.report.trial import write_trial
 from impact_rs_cli.main import main
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Mesh
 from impact_rs_trials.bags.reader import TrialBag
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -100,6 +101,13 @@ def component(path: Path, animations: list[Animation]) -> Path:
     return path
 
 
+TETRAHEDRON = "solid\n" + "".join(
+    f"vertex {corner}\n"
+    for face in ("0 0 0", "0 .1 0", ".1 0 0"), ("0 0 0", ".1 0 0", "0 0 .1"), ("0 0 0", "0 0 .1", "0 .1 0")
+    for corner in face
+)
+
+
 def sliding(physics: Physics) -> Physics:
     """The same with one joint of the right arm that slides along its axis."""
     arm = physics.arms["right"]
@@ -113,6 +121,11 @@ def sliding(physics: Physics) -> Physics:
 def test_links_of_every_arm_are_where_pinocchio_says(opened: Callable[[Path], Page], tmp_path: Path) -> None:
     """Two arms, mounted apart, of seven joints and of six, one of which slides; between two samples as well."""
     physics = sliding(Physics.nominal(MIXED, next(iter(MIXED.objects))))
+    (tmp_path / "base.stl").write_text(TETRAHEDRON)
+    arms = dict(physics.arms)
+    base = Mesh(file=(tmp_path / "base.stl").as_uri())
+    arms["left"] = replace(arms["left"], facts=arms["left"].facts.model_copy(update={"base_meshes": (base,)}))
+    physics = replace(physics, arms=arms)
     time = np.arange(11) / 100.0
     rng = np.random.default_rng(1)
     sides = []
@@ -123,6 +136,8 @@ def test_links_of_every_arm_are_where_pinocchio_says(opened: Callable[[Path], Pa
         }
         sides.append(Movement(joints, {}, {}, {}, np.full((time.size, 7), np.nan), ()))
     page = opened(component(tmp_path / "page.html", [Animation("run", physics, time, (0,), 0.05, *sides)]))
+    corners = "replay.measured.links.left_base.children.find((child) => child.isMesh).geometry.attributes.position.count"
+    assert page.evaluate(corners) == 9  # of three triangles: its own mesh is seen
     for moment, before, share in ((0.0, 0, 0.0), (0.05, 5, 0.0), (0.073, 7, 0.3), (0.1, 10, 0.0)):
         after = min(before + 1, time.size - 1)
         found = page.evaluate(
