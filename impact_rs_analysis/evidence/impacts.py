@@ -78,8 +78,9 @@ def observe(time: Array, position: Array, velocity: Array, torque: Array, model:
     """
     moving = np.array([(model.jacobian(q) @ dq)[:3] for q, dq in zip(position, velocity, strict=True)])
     fastest = moving[int(np.argmax(np.linalg.norm(moving, axis=1)))]
-    settings = Detection(observer_gain=OBSERVER_GAIN, threshold=1e9, arm_before=1.0)
     period = float(np.median(np.diff(time)))
+    gain = min(OBSERVER_GAIN, 1.0 / period)  # from twice that on, the observer's steps grow without bound
+    settings = Detection(observer_gain=gain, threshold=1e9, arm_before=1.0)
     direction = fastest / (np.linalg.norm(fastest) or 1.0)  # an arm at rest has none
     detector = ImpactDetector(model, settings, direction, period)
     force, sudden = np.empty((time.size, 3)), np.empty(time.size)

@@ -11,6 +11,7 @@ import pytest
 
 from impact_rs_analysis.evidence.aligned import align
 from impact_rs_analysis.evidence.animation import OBJECT, Animation, animation_of_bag, animation_of_run
+from impact_rs_analysis.evidence.impacts import observe
 from impact_rs_analysis.evidence.measured import MeasuredRun
 from impact_rs_analysis.evidence.run import Run
 from impact_rs_sim.model import load_model
@@ -125,3 +126,11 @@ def test_a_free_motion_has_no_object_and_no_impact(free: Run) -> None:
     assert found.impact is None
     assert np.isnan(found.measured.object).all()
     assert found.measured.jumps == ()
+
+
+def test_the_force_of_a_slow_recording_stays_one(hit: Run) -> None:
+    """At 100 Hz an observer with the gain for 1 kHz would grow without bound."""
+    arm, rows = hit.signals.arms["arm"], slice(None, None, 10)
+    signals = [values[rows] for values in (hit.signals.time, arm.position, arm.velocity, arm.torque)]
+    force = observe(*signals, hit.physics.robot_model("arm")).force
+    assert np.abs(force).max() < 300.0  # N
