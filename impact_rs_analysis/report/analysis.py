@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,9 +20,11 @@ from impact_rs_analysis.report.figures import Figure, figures_of
 from impact_rs_analysis.report.page import MOST_POINTS, Plot, render, write_files
 from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_analysis.report.png import write_png
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole_folder
-from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.bags.reader import BagError, TrialBag, told
 
+logger = logging.getLogger(__name__)
 POINTS_OF_ALL = 2400  # of a curve over time, summed over the sets of a page: it is to stay below 3 MB
 
 
@@ -115,7 +118,7 @@ class AnalysisPage:
         left_out: What did not enter the fits.
         sets: Sets with an estimate.
         contact: Contact whose predictions the figures show.
-        replay: The trial with the least net feedback of every set in 3D; None: there is no set.
+        replay: The trial with the least net feedback of every set in 3D; None: none can be seen.
     """
 
     title: str
@@ -178,7 +181,9 @@ def write_analysis_report(
 
 def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure]]], contact: str) -> AnalysisPage:
     rows = result_table(analysis)
-    animations = [_animation(entry) for entry in analysis.sets]
+    found = {number: _animation(entry) for number, entry in enumerate(analysis.sets)}
+    animations = {number: animation for number, animation in found.items() if animation is not None}
+    runs = {number: run for run, number in enumerate(animations)}
     points = min(MOST_POINTS, POINTS_OF_ALL // max(len(analysis.sets), 1))
     return AnalysisPage(
         title="Predicted and measured velocity jumps",
@@ -195,21 +200,31 @@ def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure
             SetPart(
                 entry,
                 tuple(
-                    Plot(f.name, curves_plot(f, points), f.caption, zoom=True, run=number if f.over_time else None)
+                    Plot(
+                        f.name,
+                        curves_plot(f, points),
+                        f.caption,
+                        zoom=True,
+                        run=runs.get(number) if f.over_time else None,
+                    )
                     for f in drawn
                 ),
             )
             for number, (entry, drawn) in enumerate(figures)
         ),
         contact=contact,
-        replay=ReplayPart.of(animations),
+        replay=ReplayPart.of(list(animations.values())),
     )
 
 
-def _animation(entry: ExperimentSet) -> Animation:
-    """The trial of a set that needed the least feedback, and so moves as the estimate says."""
+def _animation(entry: ExperimentSet) -> Animation | None:
+    """The trial of a set that needed the least feedback, and so moves as the estimate says; None: it cannot be seen."""
     trial = min(entry.trials, key=lambda trial: abs(trial.net))
-    return replace(animation_of_bag(TrialBag.open(trial.path)), label=f"{entry.label}: {trial.name}")
+    try:
+        return replace(animation_of_bag(TrialBag.open(trial.path)), label=f"{entry.label}: {trial.name}")
+    except (BagError, InputError) as error:  # the estimate needs less of a bag than the picture
+        logger.warning("%s is not seen in 3D: %s", trial.name, told(error))
+        return None
 
 
 def arm_rows(analysis: Analysis) -> dict[str, tuple[ArmRow, ...]]:

@@ -26,6 +26,7 @@ from impact_rs_sim.urdf import joint_names
 SLOW_BEFORE, SLOW_AFTER = 0.02, 0.06  # s about the impact, in which time is stretched
 STRIDES = (0.001, 0.01)  # s between samples of a page at least, about the impact and elsewhere; the page interpolates
 LIGHT = "0.88 0.88 0.9 1"  # of a mesh that says no colour, as text of a URDF
+MOST_ROWS = 1500  # of a run away from the impact; a recording may last for minutes
 MOST_RUNS = 8  # of a page with that many samples; of twice as many runs it has half of them
 
 
@@ -141,7 +142,7 @@ def _numbers(text: str) -> list[float]:
 
 def _run_data(animation: Animation, scene: int, strides: tuple[float, float]) -> dict[str, Any]:
     time, impact = animation.time, animation.impact
-    shown = shown_rows(animation, *strides)
+    shown = shown_rows(animation, strides[0], max(strides[1], float(time[-1] - time[0]) / MOST_ROWS))
     starts = np.searchsorted(shown, animation.starts)
     slow = None if impact is None else [impact - SLOW_BEFORE, impact + SLOW_AFTER]
     return {

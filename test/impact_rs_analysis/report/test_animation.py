@@ -11,7 +11,7 @@ import pytest
 from mixed_grab import MIXED
 
 from impact_rs_analysis.evidence.animation import Animation, Movement
-from impact_rs_analysis.report.animation import MOST_RUNS, ReplayPart, animation_data, scene_data, shown_rows
+from impact_rs_analysis.report.animation import MOST_ROWS, MOST_RUNS, ReplayPart, animation_data, scene_data, shown_rows
 from impact_rs_sim.physics import Physics
 
 PHYSICS = Physics.nominal(MIXED, next(iter(MIXED.objects)))
@@ -81,6 +81,13 @@ def test_many_runs_have_fewer_samples_each() -> None:
     run = animation(np.arange(1001) / 1000.0)
     few, many = (len(animation_data(count * [run])["runs"][0]["time"]) for count in (MOST_RUNS, 2 * MOST_RUNS))
     assert many == pytest.approx(few / 2.0, rel=0.1)
+
+
+def test_a_long_recording_has_no_more_samples_than_are_seen() -> None:
+    run = animation_data([animation(np.arange(600_001) / 1000.0, impact=None)])["runs"][0]
+    kept = np.frombuffer(base64.b64decode(run["time"]), dtype="<f4")
+    assert MOST_ROWS <= kept.size <= MOST_ROWS + 2
+    assert (kept[0], kept[-1]) == (0.0, 600.0)
 
 
 def test_a_page_without_runs_has_no_part() -> None:
