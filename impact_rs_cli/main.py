@@ -21,6 +21,7 @@ COMMANDS = {  # name: module of impact_rs_cli.commands, imported when the comman
     "campaign": ("campaign", "run many trials, or go on with them"),
     "analyze": ("analyze", "compare predictions with recorded trials"),
     "study": ("study", "run and analyse all 450 trials of the published study"),
+    "show": ("show", "show a trial in 3D"),
     "export": ("export", "write a campaign into one Parquet or HDF5 file"),
     "compare": ("compare", "show where a model fails against trials"),
     "diagnose": ("diagnose", "name the physical effect that a model lacks"),

@@ -17,6 +17,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
 from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.urdf import write_description
 
 MOTOR_INERTIA_MODELS = ("reduced", "rotor", "zero")
 RESTITUTION_LAWS = ("newton", "poisson")
@@ -285,6 +286,16 @@ class Physics:
             InputError: As :attr:`joints`.
         """
         return len(self.joints)
+
+    def description(self, meshes: bool = True) -> str:
+        """URDF of the mounted arms beside the support (:func:`impact_rs_sim.urdf.write_description`).
+
+        Args:
+            meshes: Show the meshes of arms that have some; else simple shapes.
+        """
+        arms = {name: (arm.facts, arm.end_effector, arm.base) for name, arm in self.arms.items()}
+        support = None if self.support_height is None else (self.support_height, self.support_size)
+        return write_description(arms, support, meshes)
 
     def robot_model(self, arm: str) -> RobotModel:
         """Rigid-body model of one arm under these physics."""

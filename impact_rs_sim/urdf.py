@@ -147,7 +147,9 @@ def write_urdf(
 
 
 def write_description(
-    arms: Mapping[str, tuple[RobotFacts, EndEffector, pin.SE3]], support: tuple[float, tuple[float, float]] | None
+    arms: Mapping[str, tuple[RobotFacts, EndEffector, pin.SE3]],
+    support: tuple[float, tuple[float, float]] | None,
+    meshes: bool = True,
 ) -> str:
     """URDF of mounted arms, and of what they stand beside, from link ``world`` on; for viewers and other programs.
 
@@ -157,11 +159,12 @@ def write_description(
     Args:
         arms: Facts, end effector and placement of the base in A, by arm.
         support: Height of the surface and its extent along x, y [m]; its link is ``support``. None: there is none.
+        meshes: Show the meshes of arms that have some; else simple shapes.
     """
     scene = Xml.Element("robot", name="_".join(arms))
     Xml.SubElement(scene, "link", name=WORLD)
     for name, (facts, end_effector, base) in arms.items():
-        scene.extend(Xml.fromstring(write_urdf(facts, end_effector, prefix=f"{name}_", meshes=True)))
+        scene.extend(Xml.fromstring(write_urdf(facts, end_effector, prefix=f"{name}_", meshes=meshes)))
         _fix(scene, f"{name}_mount", f"{name}_base", base)
     if support is not None:
         height, (x, y) = support

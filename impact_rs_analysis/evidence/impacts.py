@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from impact_rs_analysis.evidence.features import LOSS_WITHIN, onset_level, onset_of
 from impact_rs_analysis.evidence.replay import BEFORE_IMPACT
 from impact_rs_analysis.evidence.run import Run
-from impact_rs_analysis.evidence.signals import ArmSignals
 from impact_rs_control.detection import ImpactDetector
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
@@ -33,7 +34,8 @@ def impacts_of(run: Run) -> dict[str, tuple[float, float]]:
     for name, arm in run.signals.arms.items():
         model = run.physics.robot_model(name)
         time = run.signals.time
-        velocity, force = observed_force(time, arm, model)
+        observed = observe(time, arm.position, arm.velocity, arm.torque, model)
+        velocity, force = observed.velocity, observed.sudden
         for start, end in run.gaps:  # what was interpolated ends with a start, which is no impact
             force[(time > start) & (time < end + SETTLES)] = 0.0
         row = first_rise(force, np.linalg.norm(velocity, axis=1), run.period)
@@ -49,27 +51,43 @@ def impacts_of(run: Run) -> dict[str, tuple[float, float]]:
     return found
 
 
-def observed_force(time: Array, arm: ArmSignals, model: RobotModel) -> tuple[Array, Array]:
-    """Velocity of the end effector, and the sudden part of the force against its direction.
+@dataclass(frozen=True)
+class Observed:
+    """What joint signals say of the end effector.
+
+    Attributes:
+        velocity: Of the origin of E in A, ``(k, 3)`` [m/s].
+        force: External force on the end effector, axes of A, ``(k, 3)`` [N].
+        sudden: Sudden part of it against the direction in which E is fastest, ``(k,)`` [N].
+    """
+
+    velocity: Array
+    force: Array
+    sudden: Array
+
+
+def observe(time: Array, position: Array, velocity: Array, torque: Array, model: RobotModel) -> Observed:
+    """Velocity of the end effector, and the force on it by the momentum observer.
 
     Args:
         time: Samples, ``(k,)`` [s].
-        arm: What was measured.
+        position: q, ``(k, n)`` [rad].
+        velocity: dq, ``(k, n)`` [rad/s].
+        torque: tau_J, ``(k, n)`` [N m].
         model: Nominal rigid-body model.
-
-    Returns:
-        ``(k, 3)`` [m/s] and ``(k,)`` [N].
     """
-    velocity = np.array([(model.jacobian(q) @ dq)[:3] for q, dq in zip(arm.position, arm.velocity, strict=True)])
-    fastest = velocity[int(np.argmax(np.linalg.norm(velocity, axis=1)))]
-    settings = Detection(observer_gain=OBSERVER_GAIN, threshold=1e9, arm_before=1.0)
+    moving = np.array([(model.jacobian(q) @ dq)[:3] for q, dq in zip(position, velocity, strict=True)])
+    fastest = moving[int(np.argmax(np.linalg.norm(moving, axis=1)))]
     period = float(np.median(np.diff(time)))
-    detector = ImpactDetector(model, settings, fastest / np.linalg.norm(fastest), period)
-    force = np.empty(time.size)
-    for row, (q, dq, torque) in enumerate(zip(arm.position, arm.velocity, arm.torque, strict=True)):
-        detector.update(q, dq, torque, model.terms(q, dq))
-        force[row] = detector.force
-    return velocity, force
+    gain = min(OBSERVER_GAIN, 1.0 / period)  # from twice that on, the observer's steps grow without bound
+    settings = Detection(observer_gain=gain, threshold=1e9, arm_before=1.0)
+    direction = fastest / (np.linalg.norm(fastest) or 1.0)  # an arm at rest has none
+    detector = ImpactDetector(model, settings, direction, period)
+    force, sudden = np.empty((time.size, 3)), np.empty(time.size)
+    for row, (q, dq, tau) in enumerate(zip(position, velocity, torque, strict=True)):
+        detector.update(q, dq, tau, model.terms(q, dq))
+        force[row], sudden[row] = detector.wrench[:3], detector.force
+    return Observed(moving, force, sudden)
 
 
 def first_rise(force: Array, speed: Array, period: float) -> int | None:

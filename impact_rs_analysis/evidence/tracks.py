@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from impact_rs_analysis.evidence.animation import Animation, animation_of_motion, animation_of_run
 from impact_rs_analysis.evidence.torque_balance import ARM
 from impact_rs_sim.robot import Array
 
@@ -45,19 +46,21 @@ class TrackSet:
         impact: Begin of the impact [s]; None where nothing is hit.
         time: Of the trial or since the start of the recording, ``(k,)`` [s].
         signals: The signals, ``(k,)`` each.
+        animation: The same to be seen in 3D; None: nothing is known of what moves.
     """
 
     label: str
     impact: float | None
     time: Array
     signals: tuple[TrackSignal, ...]
+    animation: Animation | None = None
 
 
 def tracks_of_runs(aligned: Sequence[AlignedRun]) -> tuple[TrackSet, ...]:
     """Tracks of runs against their replays, those with an impact first; a gap parts the windows."""
     return tuple(
         TrackSet(
-            label=item.run.condition.removeprefix(f"{item.run.place[0]}/").replace("/", ", "),
+            label=label,
             impact=item.impact,
             time=_parted(item.time, item.starts),
             signals=tuple(
@@ -68,8 +71,10 @@ def tracks_of_runs(aligned: Sequence[AlignedRun]) -> tuple[TrackSet, ...]:
                 )
                 for signal in _signals(item)
             ),
+            animation=animation_of_run(item, label),
         )
         for item in sorted(aligned, key=lambda item: not item.run.hit)
+        for label in [item.run.condition.removeprefix(f"{item.run.place[0]}/").replace("/", ", ")]
     )
 
 
@@ -95,15 +100,17 @@ def tracks_of_recordings(source: RecordingSource, rests: Mapping[str, Array]) ->
             rows = slice(start, start + time.size)
             start += time.size
             measured, predicted = recorded[rows], (recorded - rest)[rows]
+            name = label if len(source.motions) == 1 else f"{recording.path.name}, {label}"
             found.append(
                 TrackSet(
-                    label=label if len(source.motions) == 1 else f"{recording.path.name}, {label}",
+                    label=name,
                     impact=None,
                     time=time,
                     signals=tuple(
                         TrackSignal(f"torque of joint {joint + 1}", unit, measured[:, joint], predicted[:, joint])
                         for joint, unit in enumerate(units)
                     ),
+                    animation=animation_of_motion(name, source.physics, ARM, motion),
                 )
             )
     return tuple(found)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -34,7 +35,7 @@ class TrialFeedback:
     """One trial along the measured axis, mean over its arms.
 
     Attributes:
-        name: Folder name of the bag.
+        path: Folder of the bag.
         info: Identity of the trial.
         impact_times: Detected impact time of every arm [s]; NaN where none was detected.
         time: Trial time of the samples, ``(k,)`` [s].
@@ -49,7 +50,7 @@ class TrialFeedback:
             asked for was not delivered, so that its integral is no measure.
     """
 
-    name: str
+    path: Path
     info: TrialInfo
     impact_times: tuple[float, ...]
     time: Array
@@ -61,6 +62,11 @@ class TrialFeedback:
     net: float
     nets: dict[str, float]
     limited: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Folder name of the bag."""
+        return self.path.name
 
     @property
     def impact(self) -> bool:
@@ -126,7 +132,7 @@ def net_feedback(bag: TrialBag) -> TrialFeedback:
     mean = {name: np.mean(values, axis=0) for name, values in signals.items()}
     integral, net = held_integral(time, mean["feedback"], info.window_start, info.window_end)
     return TrialFeedback(
-        name=bag.path.name,
+        path=bag.path,
         info=info,
         impact_times=tuple(bag.impact_time(arm) for arm in info.robots),
         time=time,

@@ -4,20 +4,28 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from impact_rs_analysis.evidence.animation import Animation, animation_of_bag
 from impact_rs_analysis.measure.analyze import Analysis, ArmSet, ExperimentSet
 from impact_rs_analysis.measure.arms import ArmDocument
 from impact_rs_analysis.measure.far import far_words
 from impact_rs_analysis.measure.sensitivity import setting_words
 from impact_rs_analysis.measure.table import Row, result_table
+from impact_rs_analysis.report.animation import ReplayPart
 from impact_rs_analysis.report.figures import Figure, figures_of
-from impact_rs_analysis.report.page import Plot, render, write_files
+from impact_rs_analysis.report.page import MOST_POINTS, Plot, render, write_files
 from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_analysis.report.png import write_png
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole_folder
+from impact_rs_trials.bags.reader import BagError, TrialBag, told
+
+logger = logging.getLogger(__name__)
+POINTS_OF_ALL = 2400  # of a curve over time, summed over the sets of a page: it is to stay below 3 MB
 
 
 @dataclass(frozen=True)
@@ -110,6 +118,7 @@ class AnalysisPage:
         left_out: What did not enter the fits.
         sets: Sets with an estimate.
         contact: Contact whose predictions the figures show.
+        replay: The trial with the least net feedback of every set in 3D; None: none can be seen.
     """
 
     title: str
@@ -124,6 +133,7 @@ class AnalysisPage:
     left_out: tuple[Listing, ...]
     sets: tuple[SetPart, ...]
     contact: str
+    replay: ReplayPart | None
 
     @property
     def setting_words(self) -> list[str]:
@@ -157,9 +167,10 @@ def write_analysis_report(
     ]
     drawn = [figure for _, own in figures for figure in own]
     data = json.dumps(analysis.to_json(), indent=2, allow_nan=False) + "\n"
-    page = render("analysis.html.j2", _page(analysis, figures, contact))
+    page = _page(analysis, figures, contact)
+    text = render("analysis.html.j2", page, replay=page.replay is not None)
     with whole_folder(directory) as aside:
-        written = write_files(aside, {"report.html": page, "analysis.json": data})
+        written = write_files(aside, {"report.html": text, "analysis.json": data})
         for count in range(len(drawn) + 1):
             if progress is not None:
                 progress(len(written), 2 + len(drawn))
@@ -170,6 +181,10 @@ def write_analysis_report(
 
 def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure]]], contact: str) -> AnalysisPage:
     rows = result_table(analysis)
+    found = {number: _animation(entry) for number, entry in enumerate(analysis.sets)}
+    animations = {number: animation for number, animation in found.items() if animation is not None}
+    runs = {number: run for run, number in enumerate(animations)}
+    points = min(MOST_POINTS, POINTS_OF_ALL // max(len(analysis.sets), 1))
     return AnalysisPage(
         title="Predicted and measured velocity jumps",
         campaign=analysis.directory.resolve().name,
@@ -182,11 +197,34 @@ def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure
         far=far_words(analysis.jumps),
         left_out=tuple(listing for listing in _left_out(analysis) if listing.items),
         sets=tuple(
-            SetPart(entry, tuple(Plot(f.name, curves_plot(f), f.caption, zoom=True) for f in drawn))
-            for entry, drawn in figures
+            SetPart(
+                entry,
+                tuple(
+                    Plot(
+                        f.name,
+                        curves_plot(f, points),
+                        f.caption,
+                        zoom=True,
+                        run=runs.get(number) if f.over_time else None,
+                    )
+                    for f in drawn
+                ),
+            )
+            for number, (entry, drawn) in enumerate(figures)
         ),
         contact=contact,
+        replay=ReplayPart.of(list(animations.values())),
     )
+
+
+def _animation(entry: ExperimentSet) -> Animation | None:
+    """The trial of a set that needed the least feedback, and so moves as the estimate says; None: it cannot be seen."""
+    trial = min(entry.trials, key=lambda trial: abs(trial.net))
+    try:
+        return replace(animation_of_bag(TrialBag.open(trial.path)), label=f"{entry.label}: {trial.name}")
+    except (BagError, InputError) as error:  # the estimate needs less of a bag than the picture
+        logger.warning("%s is not seen in 3D: %s", trial.name, told(error))
+        return None
 
 
 def arm_rows(analysis: Analysis) -> dict[str, tuple[ArmRow, ...]]:

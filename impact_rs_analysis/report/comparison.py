@@ -13,6 +13,7 @@ from impact_rs_analysis.diagnosis.compare import Cell, ComparisonDocument, JumpL
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.tracks import TrackSet
+from impact_rs_analysis.report.animation import ReplayPart
 from impact_rs_analysis.report.history import HistoryPart, history_part
 from impact_rs_analysis.report.labels import (
     CARED_ABOUT,
@@ -115,12 +116,14 @@ class TracksPart:
         plot: The empty figure that it fills.
         of_trials: Whether the tracks are of trials; else of recordings.
         scatter: Measured against predicted numbers, of impacts, which have no time; None: tracks.
+        replay: The same runs in 3D; None: nothing is known of what moves.
     """
 
     sets: list[dict[str, Any]]
     plot: Plot
     of_trials: bool
     scatter: Plot | None = None
+    replay: ReplayPart | None = None
 
 
 @dataclass(frozen=True)
@@ -185,7 +188,8 @@ def write_comparison(
         history=history_part(versions) if versions else None,
     )
     data = json.dumps(document.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
-    files = {"compare.html": render("comparison.html.j2", page), "compare.json": data}
+    text = render("comparison.html.j2", page, replay=page.tracks.replay is not None)
+    files = {"compare.html": text, "compare.json": data}
     return write_files(directory, files)[0]
 
 
@@ -295,4 +299,10 @@ def tracks_part(document: ComparisonDocument, tracks: Sequence[TrackSet]) -> Tra
     if document.source == "impacts":
         scatter = Plot("scatter", scatter_plot(tracks), zoom=True) if tracks else None
         return TracksPart([], Plot("tracks-plot", tracks_plot(), zoom=True), False, scatter)
-    return TracksPart(track_data(tracks), Plot("tracks-plot", tracks_plot(), zoom=True), document.source == "trials")
+    animations = [track.animation for track in tracks if track.animation is not None]
+    return TracksPart(
+        track_data(tracks),
+        Plot("tracks-plot", tracks_plot(), zoom=True),
+        document.source == "trials",
+        replay=ReplayPart.of(animations, choose=False) if len(animations) == len(tracks) else None,
+    )

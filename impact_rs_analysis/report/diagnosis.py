@@ -155,7 +155,8 @@ def write_diagnosis(
         history=history_part(versions) if versions else None,
     )
     data = json.dumps(document.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
-    return write_files(directory, {"diagnosis.html": render("diagnosis.html.j2", page), "diagnosis.json": data})[0]
+    text = render("diagnosis.html.j2", page, replay=page.tracks.replay is not None)
+    return write_files(directory, {"diagnosis.html": text, "diagnosis.json": data})[0]
 
 
 def _floors(comparison: ComparisonDocument) -> tuple[Floor, ...]:

@@ -34,6 +34,7 @@ MODEL_STYLE = {
     "rotor": ("Prediction, B<sub>ρ</sub>", RED, "triangle-up"),
     "zero": ("Prediction, B = 0", GREEN, "diamond"),
 }
+TIME = "time [s]"  # label of an x axis
 SHOWN_BEFORE, SHOWN_AFTER = 0.1, 0.1  # s, shown around the window from t1 to t2
 
 Line = Literal["solid", "dashed", "none"]
@@ -107,6 +108,11 @@ class Figure:
     notes: tuple[Note, ...] = field(default=())
     x_range: tuple[float, float] | None = None
 
+    @property
+    def over_time(self) -> bool:
+        """Whether its x axis is the time of a trial."""
+        return self.x_label == TIME
+
 
 def figures_of(entry: ExperimentSet, contact: str = "first", band: tuple[float, float] | None = None) -> list[Figure]:
     """The paper's two figures for one set.
@@ -176,7 +182,7 @@ def signals_figure(entry: ExperimentSet) -> Figure:
             f"over {repeats} trial{'' if repeats == '1' else 's'} per post-impact reference. The reference that fits "
             "the natural velocity jump needs no net feedback: its integral ends at zero at t<sub>2</sub>."
         ),
-        x_label="time [s]",
+        x_label=TIME,
         panels=(
             Panel(f"v<sub>{axis}</sub> [m/s]", tuple(curves[0])),
             Panel(f"a<sub>fb,{axis}</sub> [m/s²]", tuple(curves[1])),

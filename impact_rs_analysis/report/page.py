@@ -7,6 +7,7 @@ Figures and tracks lie in the page as JSON and are drawn when they are first see
 
 from __future__ import annotations
 
+import base64
 import functools
 import math
 from collections.abc import Mapping, Sequence
@@ -19,7 +20,6 @@ import plotly.graph_objects as go
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup, escape
-from plotly.offline import get_plotlyjs
 
 from impact_rs_analysis.diagnosis.thresholds import LEAST_P
 from impact_rs_analysis.diagnosis.words import estimate_in_line
@@ -28,7 +28,9 @@ from impact_rs_sim.files import whole_folder
 from impact_rs_sim.robot import Array
 
 TEMPLATES = Path(__file__).with_name("templates")
-MOST_POINTS = 500  # of a track; more are not seen on a screen
+BUNDLE = Path(__file__).with_name("bundle")
+MOST_POINTS = 500  # of a curve over time; more are not seen on a screen
+MOST_NUMBERS = 90_000  # of all tracks of a page, half a megabyte
 PREFIXED = ("m", "rad")  # units whose small values are told with a prefix
 
 
@@ -42,6 +44,7 @@ class Plot:
         caption: What is seen; may hold ``<sub>``. Empty: nothing is said.
         title: Heading above it; empty: none.
         zoom: Whether a reader may zoom and save it.
+        run: Number of the run in 3D whose time its x axis is; None: of none.
     """
 
     name: str
@@ -49,16 +52,26 @@ class Plot:
     caption: str = ""
     title: str = ""
     zoom: bool = False
+    run: int | None = None
 
 
-def render(template: str, content: Any) -> str:
+def render(template: str, content: Any, replay: bool = False) -> str:
     """A page as HTML.
 
     Args:
         template: Name of its template.
         content: What the template knows as ``page``; has a ``title``.
+        replay: Whether it shows runs in 3D.
     """
-    return _environment().get_template(template).render(page=content, plotly=Markup(get_plotlyjs()))
+    scripts = [BUNDLE / "plotly-cartesian.min.js"]
+    if replay:
+        scripts += [BUNDLE / "three.min.js", TEMPLATES / "replay.js"]
+    return _environment().get_template(template).render(page=content, libraries=[script_of(path) for path in scripts])
+
+
+def script_of(path: Path) -> Markup:
+    """A file of JavaScript, to stand in a page as it is."""
+    return Markup(path.read_text(encoding="utf-8"))
 
 
 def write_files(directory: Path, files: Mapping[str, str]) -> list[Path]:
@@ -78,22 +91,24 @@ def write_files(directory: Path, files: Mapping[str, str]) -> list[Path]:
 
 
 def track_data(tracks: Sequence[TrackSet]) -> list[dict[str, Any]]:
-    """Tracks as the page's script reads them: thinned out but for the gaps that part windows, five digits."""
+    """Tracks as the page's script reads them: thinned out but for the gaps that part windows, as base64 float32."""
+    columns = sum(1 + 2 * len(track.signals) for track in tracks)
+    most = min(MOST_POINTS, MOST_NUMBERS // max(columns, 1))
     sets = []
     for track in tracks:
         shown = ~np.isfinite(track.time)
-        shown[:: max(1, math.ceil(track.time.size / MOST_POINTS))] = True
+        shown[:: max(1, math.ceil(track.time.size / most))] = True
         sets.append(
             {
                 "label": track.label,
                 "impact": track.impact,
-                "time": _short(track.time[shown]),
+                "time": packed(track.time[shown]),
                 "signals": [
                     {
                         "name": signal.name,
                         "unit": unit_text(signal.unit),
-                        "measured": _short(signal.measured[shown]),
-                        "predicted": _short(signal.predicted[shown]),
+                        "measured": packed(signal.measured[shown]),
+                        "predicted": packed(signal.predicted[shown]),
                     }
                     for signal in track.signals
                 ],
@@ -102,8 +117,9 @@ def track_data(tracks: Sequence[TrackSet]) -> list[dict[str, Any]]:
     return sets
 
 
-def _short(values: Array) -> list[float | None]:
-    return [float(f"{value:.5g}") if math.isfinite(value) else None for value in values]
+def packed(values: Array) -> str:
+    """Numbers as base64 of little-endian float32, row by row, as the page's scripts read them."""
+    return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode("ascii")
 
 
 def number_text(value: float | None, digits: int = 3) -> str:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,10 +14,10 @@ import plotly.graph_objects as go
 
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.tracks import TrackSet
-from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED, Curve, Figure
+from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED, Curve, Figure, Panel
 from impact_rs_analysis.report.labels import Tag, phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import quantity_text
-from impact_rs_sim.robot import told_units
+from impact_rs_sim.robot import Array, told_units
 
 if TYPE_CHECKING:  # the figures of an analysis need nothing of a diagnosis
     from impact_rs_analysis.diagnosis.compare import Cell, SignalLevel
@@ -32,7 +33,13 @@ DECADE = 10.0  # between smallest and largest, from which an axis is logarithmic
 NOTICEABLE = 2.0  # multiples of repetition from which a place is shown
 DARKEST = (3.0, 20.0)  # multiples of repetition that have the darkest colour, at least and at most
 
-_AXIS = {"automargin": True, "gridcolor": GRID, "zerolinecolor": ZERO, "title": {"standoff": 6, "font": {"size": 13}}}
+_AXIS = {
+    "automargin": True,
+    "gridcolor": GRID,
+    "zerolinecolor": ZERO,
+    "zerolinewidth": 2,
+    "title": {"standoff": 6, "font": {"size": 13}},
+}
 _BELOW = {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom", "x": 0, "xanchor": "left"}
 TEMPLATE = {  # as plain data: Plotly loads what makes an object of it, a fifth of a second, when something is drawn
     "layout": {
@@ -48,10 +55,22 @@ TEMPLATE = {  # as plain data: Plotly loads what makes an object of it, a fifth 
 }
 
 
-def curves_plot(figure: Figure) -> go.Figure:
-    """A figure that is also drawn as PNG, from the same description."""
+def _figure(data: Any = None) -> go.Figure:
+    """A figure with our template alone: with Plotly's own below it each would be 6 kB larger."""
+    return go.Figure(data, layout={"template": TEMPLATE})
+
+
+def curves_plot(figure: Figure, most: int | None = None) -> go.Figure:
+    """A figure that is also drawn as PNG, from the same description.
+
+    Args:
+        figure: What is shown.
+        most: Points of a curve over time, at most; None: all.
+    """
+    if most is not None and figure.over_time:
+        figure = replace(figure, panels=tuple(_thinned(panel, most) for panel in figure.panels))
     panels = len(figure.panels)
-    drawn = go.Figure()
+    drawn = _figure()
     gap = 0.045
     height = (1.0 - gap * (panels - 1)) / panels
     for number, panel in enumerate(figure.panels, start=1):
@@ -69,7 +88,6 @@ def curves_plot(figure: Figure) -> go.Figure:
             font={"color": "#555555"},
         )  # fmt: skip
     return drawn.update_layout(
-        template=TEMPLATE,
         height=720 if panels > 1 else 560,
         margin={"t": 58},
         xaxis={
@@ -81,6 +99,16 @@ def curves_plot(figure: Figure) -> go.Figure:
     )
 
 
+def _thinned(panel: Panel, most: int) -> Panel:
+    """Every so many of the points of every curve."""
+    strides = [max(1, math.ceil(curve.x.size / most)) for curve in panel.curves]
+    curves = [
+        replace(curve, x=curve.x[::stride], y=curve.y[::stride])
+        for curve, stride in zip(panel.curves, strides, strict=True)
+    ]
+    return replace(panel, curves=tuple(curves))
+
+
 def _curve(curve: Curve, axis: str, shared: bool) -> go.Scatter:
     # Hollow and large: an estimate must not hide the prediction that it agrees with.
     size = 17 if curve.error else 11 if curve.x.size == 1 else 7
@@ -89,8 +117,7 @@ def _curve(curve: Curve, axis: str, shared: bool) -> go.Scatter:
         low, high = curve.error
         error = {"type": "data", "symmetric": False, "array": [high], "arrayminus": [low], "thickness": 2}
     return go.Scatter(
-        # A curve without points keeps its legend entry only with one invisible point.
-        x=curve.x.astype(np.float32) if curve.x.size else [None],
+        **_places(curve.x),
         y=curve.y.astype(np.float32) if curve.y.size else [None],
         name=curve.label,
         showlegend=bool(curve.label),
@@ -111,6 +138,16 @@ def _curve(curve: Curve, axis: str, shared: bool) -> go.Scatter:
     )
 
 
+def _places(x: Array) -> dict[str, Any]:
+    """Where the points of a curve are along x; of even steps begin and step alone, which keeps pages small."""
+    if not x.size:  # a curve without points keeps its legend entry only with one invisible point
+        return {"x": [None]}
+    steps = np.diff(x)
+    if steps.size > 1 and np.ptp(steps) < 1e-6 * abs(steps[0]):
+        return {"x0": float(x[0]), "dx": float(x[-1] - x[0]) / steps.size}
+    return {"x": x.astype(np.float32)}
+
+
 def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
     """Held-out error of the best effects; None where nothing was measured of any."""
     shown = [
@@ -118,7 +155,7 @@ def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
     ][:MOST_EFFECTS]
     if not shown:
         return None
-    drawn = go.Figure(
+    drawn = _figure(
         go.Scatter(
             y=[_plain(effect.name) for effect, _ in shown],
             x=[error for _, error in shown],
@@ -136,7 +173,6 @@ def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
     numbers = [document.held_out_error_before, document.noise_floor, *(error for _, error in shown)]
     unit = "× repetition" if document.error_unit == TIMES else document.error_unit
     return drawn.update_layout(
-        template=TEMPLATE,
         height=130 + 24 * len(shown),
         xaxis={"title": {"text": f"held-out error [{_plain(unit)}]"}, "fixedrange": True} | _range(numbers),
         yaxis={"autorange": "reversed", "fixedrange": True},
@@ -171,11 +207,10 @@ def _joint_bars(
     joints: Sequence[str], groups: Sequence[tuple[str, str, list[float]]], noise: list[float], unit: str
 ) -> go.Figure:
     names = [_plain(joint) for joint in joints]
-    drawn = go.Figure([go.Bar(name=label, x=names, y=values, marker_color=colour) for label, colour, values in groups])
+    drawn = _figure([go.Bar(name=label, x=names, y=values, marker_color=colour) for label, colour, values in groups])
     marker = {"symbol": "line-ew", "size": 24, "color": BLACK, "line": {"width": 2, "color": BLACK}}
     drawn.add_trace(go.Scatter(x=names, y=noise, name="noise alone", mode="markers", marker=marker))
     return drawn.update_layout(
-        template=TEMPLATE,
         height=320,
         barmode="group",
         yaxis={"title": {"text": f"error [{_plain(unit)} rms]"}, "fixedrange": True},
@@ -228,7 +263,7 @@ def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]], top: f
     names = list(dict.fromkeys(name for name, _ in columns))
     known = {(cell.signal, cell.index, name): cell for name, cell in columns}
     found = [[known.get((*row, name)) for name in names] for row in rows]
-    drawn = go.Figure(
+    drawn = _figure(
         go.Heatmap(
             z=[[None if c is None else round(math.copysign(c.times_noise, c.error), 2) for c in row] for row in found],
             x=[_plain(name) for name in names],
@@ -244,7 +279,6 @@ def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]], top: f
         )
     )
     return drawn.update_layout(
-        template=TEMPLATE,
         # Names of columns stand upright where there is no room for them side by side.
         height=90 + 20 * len(rows) + 6 * max(len(name) for name in names),
         xaxis={
@@ -267,7 +301,7 @@ def history_plot(versions: Sequence[VersionError], unit: str) -> go.Figure:
         ("error, held out", [entry.error_held_out for entry in versions], RED, "dash"),
         ("noise alone", [entry.noise_floor for entry in versions], GREEN, "dot"),
     ]
-    drawn = go.Figure(
+    drawn = _figure(
         [
             go.Scatter(
                 x=numbers,
@@ -283,7 +317,6 @@ def history_plot(versions: Sequence[VersionError], unit: str) -> go.Figure:
         ]
     )
     return drawn.update_layout(
-        template=TEMPLATE,
         height=360,
         yaxis={"rangemode": "tozero", "title": {"text": _plain(unit)}, "fixedrange": True},
         xaxis={
@@ -298,7 +331,7 @@ def history_plot(versions: Sequence[VersionError], unit: str) -> go.Figure:
 
 def tracks_plot() -> go.Figure:
     """Measured against predicted over time with the residual below it; the page's script fills in the numbers."""
-    drawn = go.Figure(
+    drawn = _figure(
         [
             go.Scatter(name="measured", mode="lines", line={"color": BLACK, "width": 2}),
             go.Scatter(name="model", mode="lines", line={"color": BLUE, "width": 2, "dash": "dash"}),
@@ -306,7 +339,6 @@ def tracks_plot() -> go.Figure:
         ]
     )
     return drawn.update_layout(
-        template=TEMPLATE,
         height=480,
         shapes=[_vertical(0.0)],
         xaxis={"title": {"text": "time [s]"}, "anchor": "y2", "zeroline": False},
@@ -318,7 +350,7 @@ def tracks_plot() -> go.Figure:
 def scatter_plot(sets: Sequence[TrackSet]) -> go.Figure:
     """Measured over predicted numbers, a panel per quantity; of several predictions the last is on top."""
     groups = list(dict.fromkeys(signal.name.rsplit(" ", 1)[0] for signal in sets[0].signals))
-    drawn = go.Figure()
+    drawn = _figure()
     gap = 0.12
     width = (1.0 - gap * (len(groups) - 1)) / len(groups)
     for number, group in enumerate(groups):
@@ -365,7 +397,7 @@ def scatter_plot(sets: Sequence[TrackSet]) -> go.Figure:
                 f"yaxis{suffix}": {"anchor": f"x{suffix}", "title": {"text": f"{_plain(group)}, measured [{unit}]"}},
             }
         )
-    return drawn.update_layout(template=TEMPLATE, height=380)
+    return drawn.update_layout(height=380)
 
 
 def _vertical(x: float) -> dict[str, Any]:

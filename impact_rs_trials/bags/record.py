@@ -28,10 +28,9 @@ from impact_rs_trials.bags.writer import BagWriter
 def descriptions(plan: TrialPlan) -> dict[str, str]:
     """URDFs by topic: the arms beside the support, every arm alone, and the object."""
     physics, thing = plan.scene.physics, plan.scene.physics.object
-    support = None if physics.support_height is None else (physics.support_height, physics.support_size)
     arms = {name: (arm.facts, arm.end_effector, arm.base) for name, arm in physics.arms.items()}
     return {
-        topics.ROBOT_DESCRIPTION: write_description(arms, support),
+        topics.ROBOT_DESCRIPTION: physics.description(),
         **{topics.robot_description(name): write_description({name: arm}, None) for name, arm in arms.items()},
         topics.OBJECT_DESCRIPTION: write_object_description(
             thing.size, thing.mass, thing.com_offset, np.diag(thing.inertia)

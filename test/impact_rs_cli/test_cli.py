@@ -112,6 +112,8 @@ def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Pat
         (["campaign", "push", "-o", "{}/new/out", "--objects", "juce"], "did you mean 'juice'"),
         (["campaign", "push", "-o", "{}/file/out"], "cannot be written"),
         (["analyze", "{}"], "holds no trials"),
+        (["show", "{}", "--no-browser"], "no metadata.yaml"),
+        (["show", "{}/nothing", "-o", "{}/new/page.html", "--no-browser"], "a bare file; a trial is a folder"),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(
@@ -243,6 +245,31 @@ def test_analyze_shows_table_and_report(push_campaign: Path, tmp_path: Path, cap
     assert "Cat food" in out
     assert "report.html" in out
     assert not err
+
+
+def test_show_opens_the_page_that_it_wrote_beside_the_bag(
+    push_campaign: Path, tmp_path: Path, capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda address: seen.append(address) or True)
+    bag = tmp_path / "cat_food__case_2__s1.000__r0"
+    shutil.copytree(push_campaign / bag.name, bag)
+    assert main(["show", str(bag)]) == 0
+    page = tmp_path / f"{bag.name}.html"
+    assert seen == [page.as_uri()]
+    assert f"page: {page}" in capfd.readouterr().out
+    assert main(["show", str(bag), "-o", str(tmp_path / "other.html"), "--no-browser", "--json"]) == 0
+    assert json.loads(capfd.readouterr().out) == {"page": str(tmp_path / "other.html")}
+    assert len(seen) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([bag.name, page.name, "other.html"])
+
+
+def test_show_says_where_the_page_is_where_there_is_no_browser(
+    push_campaign: Path, tmp_path: Path, capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("webbrowser.open", lambda address: False)
+    assert main(["show", str(push_campaign / "cat_food__case_2__s1.000__r0"), "-o", str(tmp_path / "page.html")]) == 0
+    assert "open the page by hand" in capfd.readouterr().err
 
 
 def test_a_job_that_was_not_done_is_no_success(

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from impact_rs_analysis.evidence import tracks
 from impact_rs_analysis.evidence.aligned import AlignedRun, ArmTrack, Track
 from impact_rs_analysis.evidence.torque_balance import ARM
 from impact_rs_analysis.evidence.tracks import tracks_of_recordings, tracks_of_runs
@@ -17,6 +18,13 @@ from impact_rs_sim.robot import UNITS, load_facts
 TIME = np.linspace(0.0, 1.8, 19)
 UR5E = load_facts("ur5e")
 SECOND = 10  # row in which the second window begins
+
+
+@pytest.fixture(autouse=True)
+def nothing_moves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here nothing is seen in 3D, which would need a whole scene."""
+    for name in ("animation_of_run", "animation_of_motion"):
+        monkeypatch.setattr(tracks, name, lambda *_: None)
 
 
 def arm(level: float) -> ArmTrack:

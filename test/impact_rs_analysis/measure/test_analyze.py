@@ -163,10 +163,22 @@ def test_the_report_is_one_file_that_needs_no_network(push_campaign: Path, tmp_p
     text = written[0].read_text(encoding="utf-8")
     assert not re.search(r"<(script|link|img)[^>]+(src|href)=", text)
     assert "Plotly" in text
-    figures = [json.loads(data) for data in re.findall(r'<script type="application/json" id=.*?>(.*?)</script>', text)]
+    found = [json.loads(data) for data in re.findall(r'<script type="application/json" id=.*?>(.*?)</script>', text)]
+    figures = [data for data in found if "layout" in data]
     assert len(figures) == 2
     assert all("[m/s" in figure["layout"]["yaxis"]["title"]["text"] for figure in figures)
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in written[2:])
+
+
+def test_a_report_needs_no_joint_states_and_then_shows_nothing_in_3d(
+    push_campaign: Path, tmp_path: Path, rewrite_bag: Callable, caplog: pytest.LogCaptureFixture
+) -> None:
+    for bag in (path for path in push_campaign.iterdir() if path.is_dir()):
+        rewrite_bag(bag, tmp_path / bag.name, lambda topic: topic != "/arm/joint_states")
+    text = write_report(analyze_campaign(tmp_path), tmp_path / "report")[0].read_text(encoding="utf-8")
+    assert 'id="replay"' not in text
+    assert "three.js" not in text
+    assert "is not seen in 3D: /arm/joint_states has no joint positions" in caplog.text
 
 
 def test_html_and_png_are_drawn_from_the_same_numbers(push_campaign: Path) -> None:

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What moves in a run, to be seen in 3D: arms, object, contact forces, and velocities before and after the impact.
+
+Contact forces are those of the momentum observer (:mod:`impact_rs_control.detection`), for a model as for what was
+measured: what the nominal rigid model of the arm lacks is in them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_analysis.evidence.aligned import AlignedRun, Track
+from impact_rs_analysis.evidence.features import JUMP_BEFORE, JUMP_WINDOWS, OBJECT_WINDOWS, SETTLED
+from impact_rs_analysis.evidence.impacts import observe
+from impact_rs_analysis.evidence.torque_balance import Motion
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.reader import BagError, JointColumns, TrialBag
+
+OBJECT = "object"  # what the object is called beside the arms
+AFTER = JUMP_WINDOWS[SETTLED]  # s from the begin of the impact, over which the velocity after it is averaged
+
+
+@dataclass(frozen=True)
+class VelocityJump:
+    """Velocity of one body before and after the impact.
+
+    Attributes:
+        body: Name of the arm, whose end effector it is, or ``object``.
+        place: Where the body is when the impact begins, in A, ``(3,)`` [m].
+        before: Velocity 18 to 3 ms before that, in A, ``(3,)`` [m/s].
+        after: Velocity 20 to 40 ms after it, of the object 6 to 40 ms, in A, ``(3,)`` [m/s].
+    """
+
+    body: str
+    place: Array
+    before: Array
+    after: Array
+
+
+@dataclass(frozen=True)
+class Movement:
+    """What moves, measured or predicted.
+
+    Attributes:
+        joints: Joint positions by arm, ``(k, n)`` [rad].
+        rates: Joint velocities by arm, ``(k, n)`` [rad/s]; none where they are not known.
+        velocities: Velocity of E in A by arm, ``(k, 3)`` [m/s]; none where it is not known.
+        forces: Force of every arm on what it touches, at E, axes of A, ``(k, 3)`` [N]; none where it is not known.
+        object: Position of the object's centre in A [m] and quaternion x y z w, ``(k, 7)``; NaN where it was not seen.
+        jumps: Velocities before and after the impact.
+    """
+
+    joints: dict[str, Array]
+    rates: dict[str, Array]
+    velocities: dict[str, Array]
+    forces: dict[str, Array]
+    object: Array
+    jumps: tuple[VelocityJump, ...]
+
+
+@dataclass(frozen=True)
+class Animation:
+    """A run to be seen.
+
+    Attributes:
+        label: Which run.
+        physics: What stands in the scene, nominal.
+        time: Of the run, ``(k,)`` [s].
+        starts: Rows in which a stretch begins; nothing is known between two stretches.
+        impact: Begin of the first impact [s]; None where nothing is hit.
+        measured: What was measured.
+        model: What the model does instead when it starts where a stretch starts; None: there is no model.
+    """
+
+    label: str
+    physics: Physics
+    time: Array
+    starts: tuple[int, ...]
+    impact: float | None
+    measured: Movement
+    model: Movement | None = None
+
+
+def animation_of_run(aligned: AlignedRun, label: str) -> Animation:
+    """A run beside its replay, window by window."""
+    run = aligned.run
+    models = run.setup.physics.robot_models()
+    sides = [_of_track(aligned, track, models) for track in (aligned.measured, aligned.predicted)]
+    return Animation(label, run.setup.physics, aligned.time, aligned.starts, aligned.impact, *sides)
+
+
+def _of_track(aligned: AlignedRun, track: Track, models: Mapping[str, RobotModel]) -> Movement:
+    run, time = aligned.run, aligned.time
+    edges = (*aligned.starts, time.size)
+    thing = np.full((time.size, 7), np.nan)
+    half = 0.5 * track.object_yaw
+    thing[:, :3] = track.object_position
+    thing[:, 3:] = np.column_stack((0.0 * half, 0.0 * half, np.sin(half), np.cos(half)))
+    for window, rows in zip(run.setup.windows, _slices(edges), strict=True):
+        if run.hit and not window.contact:  # it stands where the impact will find it
+            thing[rows] = [*window.object.position, *pin.Quaternion(window.object.rotation).coeffs()]
+    forces, velocities = {}, {}
+    for name, arm in track.arms.items():
+        parts = [
+            observe(time[rows], arm.position[rows], arm.velocity[rows], arm.torque[rows], models[name])
+            for rows in _slices(edges)
+        ]
+        forces[name] = -np.concatenate([part.force for part in parts])
+        velocities[name] = np.concatenate([part.velocity for part in parts])
+    joints = {name: arm.position for name, arm in track.arms.items()}
+    rates = {name: arm.velocity for name, arm in track.arms.items()}
+    jumps = _jumps(time, joints, velocities, thing, run.impacts, models)
+    return Movement(joints, rates, velocities, forces, thing, jumps)
+
+
+def _slices(edges: Sequence[int]) -> list[slice]:
+    return [slice(start, end) for start, end in zip(edges, edges[1:], strict=False)]
+
+
+def animation_of_motion(label: str, physics: Physics, arm: str, motion: Motion) -> Animation:
+    """A recording in free motion, of which nothing is known but the joints of one arm."""
+    time, kept = motion.time[motion.kept], motion.kept
+    nowhere = np.full((time.size, 7), np.nan)
+    moved = Movement({arm: motion.position[kept]}, {arm: motion.velocity[kept]}, {}, {}, nowhere, ())
+    return Animation(label, physics, time, (0,), None, moved)
+
+
+def animation_of_bag(bag: TrialBag) -> Animation:
+    """A recorded trial, from what a robot would tell: nothing below ``/truth`` is touched.
+
+    Raises:
+        BagError: An arm's joint states are missing or damaged.
+        InputError: The scenario in the bag cannot be read.
+    """
+    physics = bag.info.spec.scene.physics
+    models = physics.robot_models()
+    columns = {arm: _joint_states(bag, arm) for arm in bag.info.robots}
+    time = next(iter(columns.values())).time
+    joints, rates, forces, velocities = {}, {}, {}, {}
+    for arm, own in columns.items():
+        joints[arm] = _at(time, own.time, own.position)
+        if own.velocity.size and own.effort.size:
+            rates[arm] = _at(time, own.time, own.velocity)
+            observed = observe(time, joints[arm], rates[arm], _at(time, own.time, own.effort), models[arm])
+            forces[arm], velocities[arm] = -observed.force, observed.velocity
+    thing = _object_poses(bag, time)
+    found = {arm: bag.impact_time(arm) for arm in columns}
+    impacts = {arm: moment for arm, moment in found.items() if np.isfinite(moment)}
+    jumps = _jumps(time, joints, velocities, thing, impacts, models)
+    return Animation(
+        label=bag.path.name,
+        physics=physics,
+        time=time,
+        starts=(0,),
+        impact=min(impacts.values(), default=None),
+        measured=Movement(joints, rates, velocities, forces, thing, jumps),
+    )
+
+
+def _joint_states(bag: TrialBag, arm: str) -> JointColumns:
+    topic = topics.joint_states(arm)
+    columns = bag.joints(topic)
+    if columns.time.size < 2 or not columns.position.size:
+        raise BagError(bag.path, f"{topic} has no joint positions")
+    if not np.isfinite(columns.position).all() or np.any(np.diff(columns.time) <= 0.0):
+        raise BagError(bag.path, f"{topic} has positions that are not finite, or stamps that run backwards")
+    return columns
+
+
+def _object_poses(bag: TrialBag, time: Array) -> Array:
+    """Pose of the object at some times, ``(k, 7)``; NaN before and after it was tracked."""
+    seen = bag.poses(topics.OBJECT_POSE)
+    if seen.time.size < 2 or bag.info.spec.scenario.excursion is not None:
+        return np.full((time.size, 7), np.nan)
+    flips = np.cumprod(np.where(np.sum(seen.quaternion[1:] * seen.quaternion[:-1], axis=1) < 0.0, -1.0, 1.0))
+    turned = seen.quaternion * np.concatenate(([1.0], flips))[:, None]  # q and -q are the same orientation
+    poses = _at(time, seen.time, np.column_stack((seen.position, turned)))
+    poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1)[:, None]
+    period = float(np.median(np.diff(seen.time)))
+    poses[(time < seen.time[0] - period) | (time > seen.time[-1] + period)] = np.nan
+    return poses
+
+
+def _at(time: Array, known: Array, values: Array) -> Array:
+    return np.column_stack([np.interp(time, known, column) for column in values.T])
+
+
+def _jumps(
+    time: Array,
+    joints: Mapping[str, Array],
+    velocities: Mapping[str, Array],
+    thing: Array,
+    impacts: Mapping[str, float],
+    models: Mapping[str, RobotModel],
+) -> tuple[VelocityJump, ...]:
+    """Of every arm that hit, and of the object; none where the windows hold no samples."""
+    found = []
+    for arm, begin in impacts.items():
+        if arm not in velocities:
+            continue
+        before, after = _within(time, begin, JUMP_BEFORE), _within(time, begin, AFTER)
+        row = min(int(np.searchsorted(time, begin)), time.size - 1)
+        if before.any() and after.any():
+            place = models[arm].placement(joints[arm][row]).translation
+            means = [velocities[arm][rows].mean(axis=0) for rows in (before, after)]
+            found.append(VelocityJump(arm, place, *means))
+    if impacts:
+        first, last = min(impacts.values()), max(impacts.values())
+        before, after = _within(time, first, JUMP_BEFORE), _within(time, last, OBJECT_WINDOWS[0])
+        rows = np.logical_or(before, after)
+        if before.sum() > 1 and after.sum() > 1 and np.isfinite(thing[rows]).all():
+            slopes = [np.polyfit(time[part], thing[part, :3], 1)[0] for part in (before, after)]
+            row = min(int(np.searchsorted(time, first)), time.size - 1)
+            found.append(VelocityJump(OBJECT, thing[row, :3], *slopes))
+    return tuple(found)
+
+
+def _within(time: Array, begin: float, window: tuple[float, float]) -> Array:
+    """Which samples lie in a window that is told from the begin of the impact."""
+    return np.asarray((time >= begin + window[0]) & (time <= begin + window[1]))

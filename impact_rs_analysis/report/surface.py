@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot's own meshes, coarse enough for a page: STL files that a URDF names.
+
+Vertices that share a cell of a grid become one, their mean (Rossignac and Borrel 1993); the cells grow until few
+enough triangles are left.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import unquote, urlparse
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rs_sim.robot import Array
+
+MOST_FACES = 1200  # of a mesh; twenty of them are 0.5 MB of a page
+FINEST = 64  # cells along the longest side, to begin with
+COARSER = 0.8  # cells of the next try
+LARGEST_FILE = 50_000_000  # bytes
+HEADER, RECORD = 84, 50  # bytes, of a binary STL
+VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Triangles.
+
+    Attributes:
+        vertices: In the units of the file, ``(v, 3)``.
+        faces: Rows of the vertices of every triangle, ``(f, 3)``.
+    """
+
+    vertices: Array
+    faces: NDArray[np.int64]
+
+
+@functools.lru_cache(maxsize=64)
+def surface_of(address: str) -> Surface | None:
+    """The mesh at a ``file://`` or ``package://`` address; None where there is no STL file that can be read.
+
+    Packages are looked for where ROS 2 installs them, by ``AMENT_PREFIX_PATH``.
+    """
+    path = _found(address)
+    try:
+        if path is None or not path.is_file() or path.stat().st_size > LARGEST_FILE:
+            return None
+        corners = _corners(path.read_bytes())
+    except (OSError, ValueError):
+        return None
+    return _coarse(corners) if corners.size and np.isfinite(corners).all() else None
+
+
+def _found(address: str) -> Path | None:
+    parts = urlparse(address)
+    if parts.scheme == "file":
+        return Path(unquote(parts.path))
+    places = [
+        Path(prefix) / "share" / parts.netloc / unquote(parts.path).lstrip("/")
+        for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+        if prefix
+    ]
+    return next((place for place in places if place.is_file()), None)
+
+
+def _corners(data: bytes) -> Array:
+    """Corners of the triangles of an STL file, binary or text, ``(f, 3, 3)``; none of another file."""
+    count = int.from_bytes(data[HEADER - 4 : HEADER], "little")
+    if len(data) == HEADER + RECORD * count:
+        kind = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+        return np.frombuffer(data, kind, offset=HEADER)["corners"].astype(float)
+    if not data.lstrip().startswith(b"solid"):
+        return np.zeros((0, 3, 3))
+    return np.array([[float(word) for word in found] for found in VERTEX.findall(data)]).reshape(-1, 3, 3)
+
+
+def _coarse(corners: Array) -> Surface:
+    points = corners.reshape(-1, 3)
+    low, side = points.min(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
+    cells = float(FINEST)
+    while True:
+        grid = np.floor((points - low) / side * cells).astype(int)
+        _, rows = np.unique(grid, axis=0, return_inverse=True)
+        faces = rows.reshape(-1, 3)
+        whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+        _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+        kept = faces[[row for row in first if whole[row]]]
+        if len(kept) <= MOST_FACES:
+            break
+        cells *= COARSER
+    sums = np.zeros((rows.max() + 1, 3))
+    np.add.at(sums, rows.ravel(), points)
+    return Surface(sums / np.bincount(rows.ravel())[:, None], kept)

@@ -1,0 +1,478 @@
+// SPDX-License-Identifier: Apache-2.0
+// Runs in 3D: measured bodies solid, the model's as a ghost, contact forces and velocities as arrows.
+//
+//   const replay = new ImpactReplay(element, data, {onSeek: (time) => ...});   // data: report/animation.py
+//   replay.show(number);   replay.seek(time);   replay.play();   replay.pause();
+//
+// One call moves everything: seek(time) places joints and object between the two nearest samples, and tells onSeek.
+// Lengths are in m, times in s, z is up. Needs THREE, of three.min.js.
+'use strict';
+
+const ImpactReplay = (function () {
+  const GHOST = '#0072B2', FORCE = '#D55E00', BEFORE = '#E69F00', AFTER = '#009E73', OBJECT = '#C2995F';
+  const LONGEST_ARROW = 0.25, SHORTEST_ARROW = 0.01;
+  const SLOW_MOTION = 100;
+  const MARGIN = 0.9;
+  const STEP = 0.001, BIG_STEP = 0.01;
+  const ABOVE = {before: 0.09, after: 0.06, model: 0.03};  // arrows of one direction would hide each other
+
+  function floats(text) {
+    const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+    return new Float32Array(bytes.buffer);
+  }
+
+  function element(tag, attributes, ...children) {
+    const made = document.createElement(tag);
+    Object.entries(attributes).forEach(([name, value]) => made.setAttribute(name, value));
+    made.append(...children);
+    return made;
+  }
+
+  function select(label, choices) {
+    const made = element('select', {'aria-label': label});
+    choices.forEach(([value, text]) => made.add(new Option(text, value)));
+    return made;
+  }
+
+  function placed(thing, origin) {
+    thing.position.fromArray(origin.position);
+    thing.quaternion.fromArray(origin.quaternion);
+    return thing;
+  }
+
+  function geometry(shape) {
+    if (shape.kind === 'mesh') {
+      const made = new THREE.BufferGeometry();
+      made.setAttribute('position', new THREE.BufferAttribute(floats(shape.vertices), 3));
+      made.setIndex(Array.from(floats(shape.faces)));
+      const flat = made.toNonIndexed();
+      flat.computeVertexNormals();
+      return flat;
+    }
+    if (shape.kind === 'box') return new THREE.BoxGeometry(...shape.size);
+    const [radius] = shape.radius;
+    return new THREE.CylinderGeometry(radius, radius, shape.length[0], 32).rotateX(Math.PI / 2);
+  }
+
+  // Arms, support and object of one side; a ghost has neither support nor colours of its own.
+  class Bodies {
+    constructor(scene, ghost) {
+      this.root = new THREE.Group();
+      this.links = {};
+      this.joints = [];
+      this.ghost = ghost;
+      Object.entries(scene.links).forEach(([name, shapes]) => {
+        this.links[name] = new THREE.Group();
+        if (ghost && name === 'support') return;
+        shapes.forEach((shape) => {
+          const material = this.material(new THREE.Color().setRGB(...shape.colour, THREE.SRGBColorSpace));
+          // What stands below the support is to be seen.
+          if (name === 'support') Object.assign(material, {transparent: true, opacity: 0.35, depthWrite: false});
+          this.links[name].add(placed(new THREE.Mesh(geometry(shape), material), shape));
+        });
+      });
+      scene.joints.forEach((joint) => {
+        const frame = placed(new THREE.Group(), joint);
+        this.links[joint.parent].add(frame);
+        frame.add(this.links[joint.child]);
+        if (joint.column !== undefined) this.joints[joint.column] = {type: joint.type, link: this.links[joint.child]};
+      });
+      this.object = new THREE.Mesh(new THREE.BoxGeometry(...scene.object), this.material(new THREE.Color(OBJECT)));
+      this.root.add(this.links.world, this.object);
+    }
+
+    // A ghost is pushed back a little, so that it is seen only where it leaves the measured body.
+    material(colour) {
+      return this.ghost
+        ? new THREE.MeshLambertMaterial({color: GHOST, transparent: true, opacity: 0.4, depthWrite: false,
+                                         polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 2})
+        : new THREE.MeshLambertMaterial({color: colour});
+    }
+
+    place(joints, pose) {
+      this.joints.forEach((joint, column) => {
+        if (joint.type === 'prismatic') joint.link.position.z = joints[column];
+        else joint.link.quaternion.set(0, 0, Math.sin(joints[column] / 2), Math.cos(joints[column] / 2));
+      });
+      this.object.visible = pose !== null && Number.isFinite(pose[0]);
+      if (this.object.visible) {
+        this.object.position.fromArray(pose);
+        this.object.quaternion.fromArray(pose, 3).normalize();
+      }
+    }
+
+    positions() {
+      this.root.updateMatrixWorld(true);
+      return Object.fromEntries(Object.entries(this.links).map(([name, link]) =>
+        [name, link.getWorldPosition(new THREE.Vector3()).toArray()]));
+    }
+  }
+
+  // An arrow that nothing hides.
+  class Arrow {
+    constructor(colour, width) {
+      const material = new THREE.MeshBasicMaterial({color: colour, depthTest: false, transparent: true});
+      this.shaft = new THREE.Mesh(new THREE.CylinderGeometry(width, width, 1, 12).translate(0, 0.5, 0), material);
+      this.head = new THREE.Mesh(new THREE.ConeGeometry(2.5 * width, 6 * width, 16), material);
+      this.headLength = 6 * width;
+      this.root = new THREE.Group();
+      this.root.add(this.shaft, this.head);
+      this.root.renderOrder = this.shaft.renderOrder = this.head.renderOrder = 1;
+    }
+
+    set(start, vector) {
+      const length = vector.length();
+      this.root.visible = length > SHORTEST_ARROW;
+      if (!this.root.visible) return;
+      this.root.position.copy(start);
+      this.root.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), vector.clone().normalize());
+      const head = Math.min(this.headLength, length);
+      this.shaft.visible = length > head;
+      this.shaft.scale.y = Math.max(length - head, 1e-6);
+      this.head.scale.y = head / this.headLength;
+      this.head.position.y = length - head / 2;
+    }
+  }
+
+  // Samples of one side, as numbers.
+  function unpacked(side) {
+    return side && {
+      joints: floats(side.joints),
+      forces: side.forces && floats(side.forces),
+      object: side.object && floats(side.object),
+      jumps: side.jumps,
+    };
+  }
+
+  class Replay {
+    constructor(parent, data, options = {}) {
+      this.data = data;
+      this.onSeek = options.onSeek || (() => {});
+      this.parent = parent;
+      this.build();
+      this.show(options.run || 0);
+    }
+
+    build() {
+      this.canvas = element('canvas', {tabindex: '0', role: 'img'});
+      this.button = element('button', {type: 'button'}, 'Play');
+      this.toImpact = element('button', {type: 'button', title: 'to the impact (I)'}, 'Impact');
+      this.slider = element('input', {type: 'range', min: '0', max: '1', step: 'any', 'aria-label': 'time'});
+      this.speed = select('speed', [['slow', `slow at the impact, 1 : ${SLOW_MOTION}`], ['1', '1 : 1'],
+                                    ['10', '1 : 10'], ['100', '1 : 100']]);
+      this.larger = select('size of what the model does differently',
+                           [['1', 'model true to size'], ['10', 'differences × 10'], ['100', 'differences × 100']]);
+      this.readout = element('p', {class: 'note replay-time'});
+      this.legend = element('ul', {class: 'plain replay-legend'});
+      const controls = element('div', {class: 'replay-controls'}, this.button, this.toImpact, this.slider);
+      const choices = element('div', {}, this.speed, this.larger);
+      this.parent.append(this.canvas, controls, choices, this.readout, this.legend);
+      this.parent.setAttribute('role', 'group');
+      this.parent.setAttribute('aria-label', '3D replay: space plays, arrow keys step by 1 ms, with shift by 10 ms');
+      this.button.addEventListener('click', () => (this.playing ? this.pause() : this.play()));
+      this.toImpact.addEventListener('click', () => { this.pause(); this.seek(this.run.impact); });
+      this.slider.addEventListener('input', () => {
+        this.pause();
+        this.seek(this.timeAt(this.slider.value * this.length));
+      });
+      this.speed.addEventListener('change', () => { this.cut(); this.seek(this.time); });
+      this.larger.addEventListener('change', () => this.seek(this.time));
+      this.parent.addEventListener('keydown', (event) => this.key(event));
+      try {
+        this.renderer = new THREE.WebGLRenderer({canvas: this.canvas, antialias: true});
+      } catch {
+        this.canvas.replaceWith(element('p', {class: 'note'},
+          'This browser draws nothing in 3D: it has no WebGL. Time and figures move all the same.'));
+        return;
+      }
+      this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
+      this.camera = new THREE.PerspectiveCamera(35, 1, 0.05, 50);
+      this.camera.up.set(0, 0, 1);
+      this.controls = new THREE.OrbitControls(this.camera, this.canvas);
+      this.controls.addEventListener('change', () => this.draw());
+      // A page is scrolled across the picture, with a wheel or a finger, until the picture is asked for.
+      this.canvas.style.touchAction = 'pan-y';
+      this.controls.enableZoom = false;
+      this.canvas.addEventListener('pointerdown', () => this.canvas.focus({preventScroll: true}));
+      this.canvas.addEventListener('focus', () => { this.controls.enableZoom = true; });
+      this.canvas.addEventListener('blur', () => { this.controls.enableZoom = false; });
+      this.canvas.addEventListener('dblclick', () => this.fit());
+      new ResizeObserver(() => this.resize()).observe(this.canvas);
+    }
+
+    // Show a run, at its impact.
+    show(number) {
+      this.pause();
+      this.number = number;
+      const packed = this.data.runs[number], scene = this.data.scenes[packed.scene];
+      this.run = {...packed, time: floats(packed.time), measured: unpacked(packed.measured),
+                  model: unpacked(packed.model)};
+      this.arms = scene.arms;
+      this.columns = scene.joints.filter((joint) => joint.column !== undefined).length;
+      this.measured = new Bodies(scene, false);
+      this.model = this.run.model && new Bodies(scene, true);
+      this.larger.hidden = !this.model;
+      this.toImpact.hidden = this.run.impact === null;
+      this.speed.options[0].hidden = this.run.impact === null;
+      if (this.run.impact === null && this.speed.value === 'slow') this.speed.value = '1';
+      this.canvas.setAttribute('aria-label', `${packed.label}: ${this.arms.join(' and ')} in 3D`);
+      this.furnish();
+      this.cut();
+      this.fit();
+      this.seek(this.run.impact === null ? this.run.time[0] : this.run.impact);
+    }
+
+    // Everything that stands in the scene of a run.
+    furnish() {
+      if (this.scene) {
+        this.scene.traverse((thing) => [thing.geometry, thing.material].forEach((part) => part && part.dispose()));
+      }
+      this.scene = new THREE.Scene();
+      this.scene.background = new THREE.Color('#F4F6F8');
+      const sun = new THREE.DirectionalLight('#FFFFFF', 1.8);
+      sun.position.set(1, -2, 4);
+      const grid = new THREE.GridHelper(3, 12, '#C9CFD6', '#DFE3E8').rotateX(Math.PI / 2);
+      this.scene.add(new THREE.HemisphereLight('#FFFFFF', '#8A929C', 1.8), sun, grid, this.measured.root);
+      if (this.model) this.scene.add(this.model.root);
+      const sides = [this.run.measured, this.run.model].filter(Boolean);
+      const lengths = (values) => Math.max(1e-9, ...values.map((value) => Math.hypot(...value)));
+      const forces = sides.flatMap((side) => side.forces ? this.triples(side.forces) : []);
+      const speeds = sides.flatMap((side) => side.jumps.flatMap((jump) => [jump.before, jump.after]));
+      this.newton = LONGEST_ARROW / lengths(forces);
+      this.metrePerSecond = LONGEST_ARROW / lengths(speeds);
+      this.forces = [];
+      this.velocities = new THREE.Group();
+      [this.run.measured, this.run.model].forEach((side, number) => {
+        if (!side) return;
+        this.forces.push(this.arms.map(() => new Arrow(number ? GHOST : FORCE, number ? 0.004 : 0.007)));
+        side.jumps.forEach((jump) => {
+          const top = new THREE.Vector3(...jump.place);
+          if (jump.arm === null) top.z += this.data.scenes[this.run.scene].object[2] / 2;
+          ['before', 'after'].forEach((when) => {
+            if (number && when === 'before') return;  // it starts as measured
+            const arrow = new Arrow(number ? GHOST : {before: BEFORE, after: AFTER}[when], 0.005);
+            const start = top.clone().setZ(top.z + ABOVE[number ? 'model' : when]);
+            arrow.set(start, new THREE.Vector3(...jump[when]).multiplyScalar(this.metrePerSecond));
+            this.velocities.add(arrow.root);
+          });
+        });
+      });
+      this.forces.flat().forEach((arrow) => this.scene.add(arrow.root));
+      this.scene.add(this.velocities);
+      this.explain(forces.length > 0, speeds.length > 0);
+    }
+
+    triples(values) {
+      return Array.from({length: values.length / 3}, (_, row) => values.subarray(3 * row, 3 * row + 3));
+    }
+
+    explain(forces, velocities) {
+      const entries = [['#8A929C', 'measured']];
+      const long = (scale, unit) => ` (${(100 * LONGEST_ARROW).toFixed(0)} cm: ${(LONGEST_ARROW / scale).toPrecision(3)} ${unit})`;
+      if (this.model) entries.push([GHOST, 'model']);
+      if (forces) entries.push([FORCE, `force on the object${long(this.newton, 'N')}`]);
+      if (velocities) {
+        entries.push([BEFORE, `velocity before the impact${long(this.metrePerSecond, 'm/s')}`]);
+        entries.push([AFTER, 'velocity after it']);
+      }
+      this.legend.replaceChildren(...entries.map(([colour, text]) => {
+        const swatch = element('span', {class: 'swatch', 'aria-hidden': 'true'});
+        swatch.style.background = colour;
+        return element('li', {}, swatch, text);
+      }));
+    }
+
+    // Playing time over time of the run: stretches follow each other, and the impact is stretched.
+    cut() {
+      const {time, starts, slow} = this.run, stretched = this.speed.value === 'slow';
+      this.knots = [];
+      let played = 0;
+      starts.forEach((start, number) => {
+        const first = time[start], last = time[(starts[number + 1] || time.length) - 1];
+        const inside = slow ? slow.filter((moment) => moment > first && moment < last) : [];
+        [first, ...inside, last].forEach((moment, place, moments) => {
+          if (place > 0) {
+            const middle = (moments[place - 1] + moment) / 2;
+            const at = stretched && slow && middle > slow[0] && middle < slow[1];
+            played += (moment - moments[place - 1]) * (at ? SLOW_MOTION : stretched ? 1 : Number(this.speed.value));
+          }
+          this.knots.push([moment, played]);
+        });
+      });
+      this.length = played;
+    }
+
+    between(value, from, to) {
+      const knots = this.knots;
+      let row = knots.findIndex((knot) => knot[from] > value);
+      if (row === 0) return knots[0][to];
+      if (row < 0) return knots[knots.length - 1][to];
+      const [before, after] = [knots[row - 1], knots[row]];
+      return before[to] + (value - before[from]) / (after[from] - before[from]) * (after[to] - before[to]);
+    }
+
+    playedAt(time) { return this.between(time, 0, 1); }
+
+    timeAt(played) { return this.between(played, 1, 0); }
+
+    // The sample at or before a time, and the share of the way to the next one; a gap is not crossed.
+    row(time) {
+      const times = this.run.time;
+      let low = 0, high = times.length - 1;
+      while (low < high) {
+        const middle = (low + high + 1) >> 1;
+        if (times[middle] <= time) low = middle; else high = middle - 1;
+      }
+      if (low === times.length - 1 || this.run.starts.includes(low + 1)) return [low, 0];
+      return [low, Math.max(0, (time - times[low]) / (times[low + 1] - times[low]))];
+    }
+
+    values(samples, width, [row, share]) {
+      const next = share > 0 ? row + 1 : row;
+      return Array.from({length: width}, (_, i) =>
+        (1 - share) * samples[row * width + i] + share * samples[next * width + i]);
+    }
+
+    // Move everything to a time of the run [s].
+    seek(time) {
+      const {time: times, measured, model} = this.run;
+      this.time = Math.min(Math.max(time, times[0]), times[times.length - 1]);
+      const at = this.row(this.time);
+      const sides = [[this.measured, measured], [this.model, model]].filter(([bodies]) => bodies);
+      const told = sides.map(([bodies, side], number) => {
+        let joints = this.values(side.joints, this.columns, at);
+        let pose = side.object && this.values(side.object, 7, at);
+        if (number) {
+          const larger = Number(this.larger.value);
+          const from = (truth, value) => value.map((one, i) => truth[i] + larger * (one - truth[i]));
+          joints = from(this.values(measured.joints, this.columns, at), joints);
+          if (pose && measured.object) pose = from(this.values(measured.object, 7, at), pose);
+        }
+        bodies.place(joints, pose);
+        const hands = bodies.positions();
+        return this.arms.map((arm, place) => {
+          const force = side.forces && this.values(side.forces, 3 * this.arms.length, at).slice(3 * place, 3 * place + 3);
+          this.forces[number][place].set(new THREE.Vector3(...hands[`${arm}_end_effector`]),
+                                         new THREE.Vector3(...(force || [0, 0, 0])).multiplyScalar(this.newton));
+          return force && Math.hypot(...force);
+        });
+      });
+      const slow = this.run.slow;
+      this.velocities.visible = slow !== null && this.time >= slow[0] && this.time <= slow[1];
+      this.tell(told);
+      this.slider.value = this.length > 0 ? this.playedAt(this.time) / this.length : 0;
+      this.draw();
+      this.onSeek(this.time, this.number);
+    }
+
+    tell(forces) {
+      const impact = this.run.impact, words = [`${this.time.toFixed(3)} s`];
+      if (impact !== null) {
+        const since = 1000 * (this.time - impact);
+        words.push(Math.abs(since) < 0.5 ? 'the impact'
+          : `${Math.abs(since).toFixed(0)} ms ${since < 0 ? 'before' : 'after'} the impact`);
+      }
+      const newtons = (value) => `${value.toFixed(0)} N`;
+      this.arms.forEach((arm, place) => {
+        if (forces[0][place] === null) return;
+        const name = this.arms.length > 1 ? `force of ${arm}` : 'force';
+        words.push(`${name} ${newtons(forces[0][place])}${forces[1] ? ` (model ${newtons(forces[1][place])})` : ''}`);
+      });
+      this.readout.textContent = words.join(' · ');
+      this.slider.setAttribute('aria-valuetext', words.slice(0, 2).join(', '));
+    }
+
+    play() {
+      if (this.playing) return;
+      if (this.time >= this.run.time[this.run.time.length - 1]) this.seek(this.run.time[0]);
+      this.button.textContent = 'Pause';
+      let before = null, played = this.playedAt(this.time);
+      const step = (now) => {
+        played += before === null ? 0 : (now - before) / 1000;
+        before = now;
+        this.seek(this.timeAt(Math.min(played, this.length)));
+        if (played >= this.length) this.pause();
+        else this.playing = requestAnimationFrame(step);
+      };
+      this.playing = requestAnimationFrame(step);
+    }
+
+    pause() {
+      cancelAnimationFrame(this.playing);
+      this.playing = null;
+      this.button.textContent = 'Play';
+    }
+
+    key(event) {
+      if (event.target.tagName === 'SELECT' || event.ctrlKey || event.altKey || event.metaKey) return;
+      const step = event.shiftKey ? BIG_STEP : STEP, times = this.run.time;
+      const moves = {ArrowLeft: this.time - step, ArrowRight: this.time + step, Home: times[0],
+                     End: times[times.length - 1], i: this.run.impact};
+      if (event.key === ' ' && event.target.tagName !== 'BUTTON') {
+        if (this.playing) this.pause(); else this.play();
+      } else if (event.key in moves && moves[event.key] !== null) {
+        this.pause();
+        this.seek(moves[event.key]);
+      } else return;
+      event.preventDefault();
+    }
+
+    // Look at all that moves, from the side of its motion.
+    fit() {
+      if (!this.renderer) return;
+      const bounds = new THREE.Box3(), centre = new THREE.Vector3(), base = new THREE.Vector3();
+      const {time, measured} = this.run;
+      for (let row = 0; row < time.length; row += Math.ceil(time.length / 24)) {
+        const pose = measured.object && this.values(measured.object, 7, [row, 0]);
+        this.measured.place(this.values(measured.joints, this.columns, [row, 0]), pose);
+        this.measured.root.updateMatrixWorld(true);
+        Object.entries(this.measured.links).forEach(([name, link]) => {
+          if (name === 'support' || name === 'world') return;
+          link.children.filter((child) => child.isMesh).forEach((child) => bounds.expandByObject(child, true));
+        });
+        if (this.measured.object.visible) bounds.expandByObject(this.measured.object, true);
+      }
+      bounds.getCenter(centre);
+      this.arms.forEach((arm) => base.add(this.measured.links[`${arm}_base`].getWorldPosition(new THREE.Vector3())));
+      base.divideScalar(this.arms.length);
+      const along = new THREE.Vector3(...(measured.jumps.length ? measured.jumps[0].before : [0, 1, 0])).setZ(0);
+      if (along.length() < 1e-6) along.set(0, 1, 0);
+      along.normalize();
+      const aside = new THREE.Vector3(along.y, -along.x, 0);
+      if (aside.dot(centre.clone().sub(base)) < 0) aside.negate();
+      const direction = aside.addScaledVector(along, 0.35).add(new THREE.Vector3(0, 0, 0.45)).normalize();
+      this.controls.target.copy(centre);
+      this.camera.position.copy(centre).addScaledVector(direction, this.distance(bounds, centre, direction));
+      this.controls.update();
+      if (this.time !== undefined) this.seek(this.time);
+    }
+
+    // How far away, in a direction, everything within the bounds is in the picture.
+    distance(bounds, centre, direction) {
+      const right = new THREE.Vector3(0, 0, 1).cross(direction).normalize(), up = direction.clone().cross(right);
+      const upright = Math.tan(THREE.MathUtils.degToRad(this.camera.fov) / 2), across = upright * this.camera.aspect;
+      const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((bits) => new THREE.Vector3(
+        bits & 1 ? bounds.max.x : bounds.min.x, bits & 2 ? bounds.max.y : bounds.min.y,
+        bits & 4 ? bounds.max.z : bounds.min.z).sub(centre));
+      return MARGIN * Math.max(...corners.map((corner) => corner.dot(direction)
+        + Math.max(Math.abs(corner.dot(up)) / upright, Math.abs(corner.dot(right)) / across)));
+    }
+
+    resize() {
+      const {clientWidth: width, clientHeight: height} = this.canvas;
+      if (!width || !height) return;
+      const first = !this.sized;
+      this.sized = true;
+      this.renderer.setSize(width, height, false);
+      this.camera.aspect = width / height;
+      this.camera.updateProjectionMatrix();
+      if (first) this.fit(); else this.draw();
+    }
+
+    draw() {
+      if (this.renderer && this.scene) this.renderer.render(this.scene, this.camera);
+    }
+  }
+
+  return Replay;
+})();

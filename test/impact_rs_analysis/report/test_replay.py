@@ -1,0 +1,365 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs in 3D in a browser: bodies are where Pinocchio says, and one time cursor moves them and the figures."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mixed_grab import MIXED
+from playwright.sync_api import Browser, Page, Playwright, sync_playwright
+from plotly.offline import get_plotlyjs_version
+
+from impact_rs_analysis.evidence.animation import Animation, Movement
+from impact_rs_analysis.report.animation import animation_data
+from impact_rs_analysis.report.page import BUNDLE, TEMPLATES
+from impact_rs_analysis.report.trial import write_trial
+from impact_rs_cli.main import main
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Mesh
+from impact_rs_trials.bags.reader import TrialBag
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+SOFTWARE = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+LOCAL = ("file:", "data:", "blob:")
+LARGEST_PAGE = 3e6  # bytes
+DESK = {"width": 1280, "height": 720}
+PHONE = {"width": 390, "height": 844}
+
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no chromium or chrome on this machine")
+
+
+@pytest.fixture(scope="module")
+def playwright() -> Iterator[Playwright]:
+    with sync_playwright() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def browser(playwright: Playwright) -> Iterator[Browser]:
+    found = playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+    yield found
+    found.close()
+
+
+@pytest.fixture(scope="module")
+def opened(browser: Browser) -> Iterator[Callable[[Path], Page]]:
+    """Opens a file, once for all tests; whatever a page complains of or asks the network for is wrong."""
+    pages: dict[Path, Page] = {}
+    wrong: list[str] = []
+
+    def open_page(path: Path) -> Page:
+        if path not in pages:
+            page = pages[path] = browser.new_page(reduced_motion="reduce")
+            page.on("pageerror", lambda error: wrong.append(str(error)))
+            page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
+            page.on("request", lambda asked: None if asked.url.startswith(LOCAL) else wrong.append(asked.url))
+            page.goto(path.as_uri())
+        pages[path].set_viewport_size(DESK)
+        return pages[path]
+
+    yield open_page
+    assert wrong == []
+
+
+@pytest.fixture(scope="module")
+def bag(push_campaign: Path) -> TrialBag:
+    return TrialBag.open(push_campaign / "cat_food__case_2__s1.000__r0")
+
+
+@pytest.fixture(scope="module")
+def trial(bag: TrialBag, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of a push."""
+    return write_trial(bag, tmp_path_factory.mktemp("trial") / "trial.html")
+
+
+def until(page: Page, condition: str) -> None:
+    """Wait for something in the page, picture by picture; its policy forbids what ``wait_for_function`` does."""
+    page.evaluate(f"async () => {{ while (!({condition})) await new Promise(requestAnimationFrame); }}")
+
+
+COMPONENT = """<!DOCTYPE html><meta charset="utf-8"><div id="here"></div>
+<script>{three}</script><script>{replay}</script><script>
+var seeks = [];
+var replay = new ImpactReplay(document.getElementById('here'), {data}, {{onSeek: (time) => seeks.push(time)}});
+</script>"""
+
+
+def component(path: Path, animations: list[Animation]) -> Path:
+    """The 3D alone, as another page has it: two scripts, data, and one element."""
+    data = json.dumps(animation_data(animations))
+    three, replay = (
+        (folder / name).read_text() for folder, name in ((BUNDLE, "three.min.js"), (TEMPLATES, "replay.js"))
+    )
+    path.write_text(COMPONENT.format(three=three, replay=replay, data=data))
+    return path
+
+
+CORNERS = ("0 0 0", "0 .1 0", ".1 0 0", "0 0 0", ".1 0 0", "0 0 .1", "0 0 0", "0 0 .1", "0 .1 0")
+TRIANGLES = "solid\n" + "".join(f"vertex {corner}\n" for corner in CORNERS)
+
+
+def sliding(physics: Physics) -> Physics:
+    """The same with one joint of the right arm that slides along its axis."""
+    arm = physics.arms["right"]
+    joints = list(arm.facts.joints)
+    joints[2] = joints[2].model_copy(update={"type": "prismatic"})
+    facts = arm.facts.model_copy(update={"joints": tuple(joints)})
+    return replace(physics, arms=physics.arms | {"right": replace(arm, facts=facts)})
+
+
+@needs_browser
+def test_links_of_every_arm_are_where_pinocchio_says(opened: Callable[[Path], Page], tmp_path: Path) -> None:
+    """Two arms, mounted apart, of seven joints and of six, one of which slides; between two samples as well."""
+    physics = sliding(Physics.nominal(MIXED, next(iter(MIXED.objects))))
+    (tmp_path / "base.stl").write_text(TRIANGLES)
+    arms = dict(physics.arms)
+    base = Mesh(file=(tmp_path / "base.stl").as_uri())
+    arms["left"] = replace(arms["left"], facts=arms["left"].facts.model_copy(update={"base_meshes": (base,)}))
+    physics = replace(physics, arms=arms)
+    time = np.arange(11) / 100.0
+    rng = np.random.default_rng(1)
+    sides = []
+    for _ in range(2):
+        joints = {
+            name: rng.uniform(-0.5, 0.5, (time.size, own.facts.joint_count)).astype("<f4").astype(float)
+            for name, own in physics.arms.items()
+        }
+        sides.append(Movement(joints, {}, {}, {}, np.full((time.size, 7), np.nan), ()))
+    page = opened(component(tmp_path / "page.html", [Animation("run", physics, time, (0,), 0.05, *sides)]))
+    mesh = "replay.measured.links.left_base.children.find((child) => child.isMesh)"
+    assert page.evaluate(f"{mesh}.geometry.attributes.position.count") == len(CORNERS)  # the arm's own mesh is seen
+    for moment, before, share in ((0.0, 0, 0.0), (0.05, 5, 0.0), (0.073, 7, 0.3), (0.1, 10, 0.0)):
+        after = min(before + 1, time.size - 1)
+        found = page.evaluate(
+            "(time) => { replay.seek(time); return [replay.measured.positions(), replay.model.positions()]; }", moment
+        )
+        for side, positions in zip(sides, found, strict=True):
+            for name, model in physics.robot_models().items():
+                rows = side.joints[name]
+                q = (1.0 - share) * rows[before] + share * rows[after]
+                for link, placement in model.link_placements(q).items():
+                    assert positions[f"{name}_{link}"] == pytest.approx(placement.translation, abs=1e-6), (name, link)
+
+
+@needs_browser
+def test_end_effector_and_object_of_a_trial_are_where_they_were_measured(
+    opened: Callable[[Path], Page], trial: Path, bag: TrialBag
+) -> None:
+    page = opened(trial)
+    measured, seen = bag.joints("/arm/joint_states"), bag.poses("/object/pose")
+    model = bag.info.spec.scene.physics.robot_model("arm")
+    for moment in (0.0, 0.9, 0.904, 0.94, 1.8):
+        row, tracked = int(np.argmin(np.abs(measured.time - moment))), int(np.argmin(np.abs(seen.time - moment)))
+        hand, thing = page.evaluate(
+            """(time) => { const {replay} = window.impact_rs; replay.seek(time);
+                 return [replay.measured.positions().arm_end_effector, replay.measured.object.position.toArray()]; }""",
+            moment,
+        )
+        assert hand == pytest.approx(model.placement(measured.position[row]).translation, abs=1e-6)
+        assert thing == pytest.approx(seen.position[tracked], abs=1e-6)
+
+
+CURSORS = """() => [...document.querySelectorAll('.plot[data-run]')].map((plot) => {
+  const line = plot.querySelector('.cursor'), axis = plot._fullLayout.xaxis, box = plot.getBoundingClientRect();
+  return line.hidden ? null : axis.p2d(line.getBoundingClientRect().left + 1 - box.left - axis._offset);
+})"""
+
+
+@needs_browser
+def test_one_seek_moves_the_bodies_and_the_line_in_every_figure(opened: Callable[[Path], Page], trial: Path) -> None:
+    page = opened(trial)
+    until(page, "document.querySelectorAll('.cursor').length === 3")
+    for moment in (0.3, 0.91):
+        page.evaluate("(time) => window.impact_rs.replay.seek(time)", moment)
+        assert page.evaluate(CURSORS) == pytest.approx([moment] * 3, abs=2e-3)  # a pixel
+        assert f"{moment:.3f} s" in page.inner_text(".replay-time")
+
+
+@needs_browser
+def test_a_tap_on_a_curve_moves_the_time(opened: Callable[[Path], Page], trial: Path) -> None:
+    page = opened(trial)
+    plot = page.locator(".plot[data-run]").first
+    plot.scroll_into_view_if_needed()
+    until(page, "document.querySelectorAll('.cursor').length === 3")
+    x, y = plot.evaluate(
+        """(plot) => {
+             const {xaxis, yaxis} = plot._fullLayout, curve = plot.calcdata[1], {x, y} = curve[curve.length >> 2];
+             return [xaxis._offset + xaxis.d2p(x), yaxis._offset + yaxis.d2p(y)]; }"""
+    )
+    plot.click(position={"x": x, "y": y})
+    until(page, "Math.abs(window.impact_rs.replay.time - 0.902) > 0.1")
+
+
+@needs_browser
+def test_the_keyboard_plays_steps_and_finds_the_impact(opened: Callable[[Path], Page], trial: Path) -> None:
+    page = opened(trial)
+
+    def time() -> float:
+        return float(page.evaluate("window.impact_rs.replay.time"))
+
+    page.get_by_role("button", name="Impact").click()
+    page.locator(".replay canvas").focus()
+    impact = time()
+    for key, expected in (
+        ("ArrowRight", impact + 0.001),
+        ("Shift+ArrowRight", impact + 0.011),
+        ("ArrowLeft", impact + 0.010),
+        ("Home", 0.0),
+        ("End", 1.8),
+        ("i", impact),
+    ):
+        page.keyboard.press(key)
+        assert time() == pytest.approx(expected, abs=1e-6), key
+    page.keyboard.press("Home")
+    page.keyboard.press("Space")
+    until(page, "window.impact_rs.replay.playing && window.impact_rs.replay.time > 0.05")
+    page.keyboard.press("Space")
+    assert page.evaluate("window.impact_rs.replay.playing") is None
+    assert page.get_by_role("button", name="Play").is_visible()
+
+
+@needs_browser
+def test_nothing_moves_before_a_reader_plays_it(opened: Callable[[Path], Page], trial: Path) -> None:
+    page = opened(trial)
+    assert page.evaluate("window.impact_rs.replay.playing") is None
+
+
+@needs_browser
+def test_the_impact_is_played_a_hundred_times_slower(opened: Callable[[Path], Page], trial: Path) -> None:
+    """80 ms of the slider's 1.8 s are 8 s of playing time; at 1 : 1 they are as long as they were."""
+    page = opened(trial)
+    length = """() => { const {replay} = window.impact_rs;
+      return [replay.playedAt(0.962) - replay.playedAt(0.882), replay.length]; }"""
+    begin = page.evaluate("window.impact_rs.replay.run.impact") - 0.02
+    assert begin == pytest.approx(0.882, abs=2e-3)
+    slow, whole = page.evaluate(length)
+    assert slow == pytest.approx(8.0, abs=0.2)
+    assert whole == pytest.approx(1.72 + 8.0, abs=1e-3)
+    page.get_by_label("speed").select_option("1 : 1")
+    assert page.evaluate(length) == pytest.approx([0.08, 1.8], abs=1e-5)
+    page.get_by_label("speed").select_option("slow")
+
+
+@needs_browser
+def test_the_slider_and_everything_else_has_a_name_for_who_does_not_see_it(
+    opened: Callable[[Path], Page], trial: Path
+) -> None:
+    page = opened(trial)
+    assert "0 ms" not in (page.get_by_role("slider", name="time").get_attribute("aria-valuetext") or "")
+    assert page.get_by_role("img", name=re.compile("in 3D")).is_visible()
+    assert page.get_by_role("group", name=re.compile("space plays")).is_visible()
+
+
+@needs_browser
+def test_without_webgl_the_time_still_moves_the_figures(
+    playwright: Playwright, opened: Callable[[Path], Page], trial: Path
+) -> None:
+    blind = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-3d-apis"])
+    page = blind.new_page()
+    page.goto(trial.as_uri())
+    assert "no WebGL" in page.inner_text(".replay")
+    until(page, "document.querySelectorAll('.cursor').length === 3")
+    page.evaluate("window.impact_rs.replay.seek(0.3)")
+    assert page.evaluate(CURSORS) == pytest.approx([0.3] * 3, abs=2e-3)
+    blind.close()
+
+
+@pytest.fixture(scope="module")
+def compared(push_campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of a comparison of three pushes."""
+    folder = tmp_path_factory.mktemp("compared")
+    assert main(["compare", str(push_campaign), "--jobs", "1", "-o", str(folder)]) == 0
+    return folder / "compare.html"
+
+
+@pytest.fixture(scope="module")
+def analysed(push_campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of an analysis of the same."""
+    folder = tmp_path_factory.mktemp("analysed")
+    assert main(["analyze", str(push_campaign), "-o", str(folder)]) == 0
+    return folder / "report.html"
+
+
+@needs_browser
+def test_the_run_that_is_chosen_is_seen_beside_its_model(opened: Callable[[Path], Page], compared: Path) -> None:
+    page = opened(compared)
+    labels = page.locator("#track-set option").all_inner_texts()
+    page.get_by_label("what is shown").select_option(labels[-1])
+    assert page.evaluate("window.impact_rs.replay.run.label") == labels[-1]
+    until(page, "document.querySelectorAll('.cursor').length === 1")
+    page.evaluate("window.impact_rs.replay.seek(0.95)")
+    assert page.evaluate(CURSORS) == pytest.approx([0.95], abs=2e-3)
+    ghost = """(larger) => { const {replay} = window.impact_rs; replay.larger.value = larger; replay.seek(1.2);
+      const at = (bodies) => bodies.object.position.toArray();
+      return at(replay.model).map((one, i) => one - at(replay.measured)[i]); }"""
+    apart, larger = page.evaluate(ghost, "1"), page.evaluate(ghost, "10")
+    assert np.linalg.norm(apart) > 1e-4
+    assert larger == pytest.approx([10.0 * one for one in apart], rel=1e-6, abs=1e-9)
+
+
+@needs_browser
+def test_what_was_not_recorded_is_neither_played_nor_made_up(opened: Callable[[Path], Page], compared: Path) -> None:
+    """Between two windows the bodies stay where the first one ends."""
+    page = opened(compared)
+    ends = page.evaluate(
+        "() => { const {time, starts} = window.impact_rs.replay.run; return [time[starts[1] - 1], time[starts[1]]]; }"
+    )
+    assert ends[1] - ends[0] > 0.01
+    hand = """(time) => { const {replay} = window.impact_rs;
+      replay.seek(time); return replay.measured.positions().arm_end_effector; }"""
+    places = [page.evaluate(hand, time) for time in (ends[0], 0.5 * sum(ends))]
+    assert places[0] == places[1]
+    played = [page.evaluate("(time) => window.impact_rs.replay.playedAt(time)", time) for time in ends]
+    assert played[0] == played[1]
+
+
+@needs_browser
+@pytest.mark.parametrize("which", ["trial", "compared", "analysed"])
+def test_a_page_fits_a_phone_asks_for_nothing_and_is_light(
+    opened: Callable[[Path], Page], which: str, request: pytest.FixtureRequest
+) -> None:
+    path = request.getfixturevalue(which)
+    page = opened(path)
+    page.set_viewport_size(PHONE)
+    until(page, f"document.documentElement.scrollWidth <= {PHONE['width']}")  # figures follow a little later
+    assert path.stat().st_size <= LARGEST_PAGE
+    canvas = page.locator(".replay canvas").bounding_box()
+    assert canvas is not None
+    assert canvas["width"] <= PHONE["width"]
+
+
+@needs_browser
+def test_something_is_drawn(opened: Callable[[Path], Page], trial: Path) -> None:
+    """Pixels of the picture are not all of one colour, and others at another time."""
+    page = opened(trial)
+    look = """(time) => { const {replay} = window.impact_rs, {canvas} = replay; replay.seek(time);
+      const copy = Object.assign(document.createElement('canvas'), {width: canvas.width, height: canvas.height});
+      const pen = copy.getContext('2d'), colours = {};
+      pen.drawImage(canvas, 0, 0);
+      new Uint32Array(pen.getImageData(0, 0, copy.width, copy.height).data.buffer).forEach((colour) => {
+        colours[colour] = 1 + (colours[colour] || 0);
+      });
+      return colours; }"""
+    at_rest, at_impact = page.evaluate(look, 0.0), page.evaluate(look, 0.91)
+    assert len(at_impact) > 100
+    assert at_rest != at_impact
+
+
+def test_figures_are_drawn_by_the_plotly_that_python_writes_for() -> None:
+    head = (BUNDLE / "plotly-cartesian.min.js").read_text(encoding="utf-8")[:100]
+    assert f"plotly.js (cartesian - minified) v{get_plotlyjs_version()}" in head
+
+
+def test_the_bundle_is_of_the_versions_that_its_recipe_names() -> None:
+    recipe = json.loads((BUNDLE / "package.json").read_text(encoding="utf-8"))["devDependencies"]
+    assert recipe["plotly.js-cartesian-dist-min"] == get_plotlyjs_version()
+    assert f"three.js {recipe['three']}, MIT" in (BUNDLE / "three.min.js").read_text(encoding="utf-8")[:100]
+    for name in ("three", "plotly"):
+        assert "MIT License" in (BUNDLE / f"LICENSE.{name}.txt").read_text().replace("The MIT", "MIT")

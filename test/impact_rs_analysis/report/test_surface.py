@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Meshes of a robot keep their shape on the way into a page, and what is no mesh is left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mixed_grab import MIXED
+
+from impact_rs_analysis.report.animation import scene_data
+from impact_rs_analysis.report.surface import MOST_FACES, surface_of
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Mesh
+
+
+def ball(rings: int, radius: float = 0.1) -> np.ndarray:
+    """Triangles of a ball, ``(f, 3, 3)``."""
+    theta, phi = np.meshgrid(np.linspace(0, np.pi, rings), np.linspace(0, 2 * np.pi, 2 * rings), indexing="ij")
+    points = radius * np.stack((np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)), axis=-1)
+    a, b, c, d = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
+    return np.concatenate((np.stack((a, b, c), axis=2), np.stack((a, c, d), axis=2))).reshape(-1, 3, 3)
+
+
+def write_stl(path: Path, corners: np.ndarray) -> Path:
+    rows = np.zeros(len(corners), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]))
+    rows["corners"] = corners
+    path.write_bytes(b"solid by chance".ljust(80) + len(corners).to_bytes(4, "little") + rows.tobytes())
+    return path
+
+
+def test_a_fine_mesh_becomes_coarse_and_stays_a_ball(tmp_path: Path) -> None:
+    found = surface_of(write_stl(tmp_path / "ball.stl", ball(120)).as_uri())
+    assert found is not None
+    assert MOST_FACES / 3 < len(found.faces) <= MOST_FACES
+    assert np.linalg.norm(found.vertices, axis=1) == pytest.approx(0.1, abs=0.008)
+    assert set(np.unique(found.faces)) <= set(range(len(found.vertices)))
+    a, b, c = (found.vertices[found.faces[:, corner]] for corner in range(3))
+    volume = np.sum(np.einsum("ij,ij->i", a, np.cross(b, c))) / 6.0
+    assert volume == pytest.approx(4.0 / 3.0 * np.pi * 0.1**3, rel=0.1)  # every triangle looks outward as before
+
+
+def test_a_mesh_in_text_is_read_as_one_in_numbers(tmp_path: Path) -> None:
+    corners = ball(4)
+    facets = "".join(
+        "facet normal 0 0 0\nouter loop\n"
+        + "".join(f"vertex {x} {y} {z}\n" for x, y, z in facet)
+        + "endloop\nendfacet\n"
+        for facet in corners
+    )
+    (tmp_path / "text.stl").write_text(f"solid ball\n{facets}endsolid ball\n")
+    text = surface_of((tmp_path / "text.stl").as_uri())
+    binary = surface_of(write_stl(tmp_path / "binary.stl", corners).as_uri())
+    assert text is not None
+    assert binary is not None
+    assert text.vertices == pytest.approx(binary.vertices, abs=1e-7)
+    assert np.array_equal(text.faces, binary.faces)
+
+
+@pytest.mark.parametrize("content", [b"", b"<COLLADA/>", b"solid x\nvertex 1 2\n", b"solid x\nvertex 1 2 nan\n" * 3])
+def test_what_is_no_mesh_is_none(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "file.stl").write_bytes(content)
+    assert surface_of((tmp_path / "file.stl").as_uri()) is None
+
+
+def test_a_mesh_of_a_package_is_found_where_ros_installs_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "share" / "arm_description" / "meshes"
+    folder.mkdir(parents=True)
+    write_stl(folder / "link.stl", ball(4))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'other'}:{tmp_path}")
+    assert surface_of("package://arm_description/meshes/link.stl") is not None
+    assert surface_of("package://arm_description/meshes/nothing.stl") is None
+
+
+def test_a_link_shows_its_mesh_and_one_whose_mesh_is_away_its_simple_shape(tmp_path: Path) -> None:
+    physics = Physics.nominal(MIXED, next(iter(MIXED.objects)))
+    arm = physics.arms["left"]
+    here = Mesh(file=write_stl(tmp_path / "here.stl", ball(4)).as_uri(), xyz=(0.0, 0.0, 0.1), scale=(2.0, 2.0, 2.0))
+    away = Mesh(file=(tmp_path / "away.dae").as_uri())
+    links = list(arm.facts.links)
+    links[0] = links[0].model_copy(update={"meshes": (here,)})
+    links[1] = links[1].model_copy(update={"meshes": (here, away)})
+    facts = arm.facts.model_copy(update={"links": tuple(links)})
+    scene = scene_data(replace(physics, arms=physics.arms | {"left": replace(arm, facts=facts)}))
+    (shown,) = scene["links"]["left_link1"]
+    assert (shown["kind"], shown["position"]) == ("mesh", [0.0, 0.0, 0.1])
+    assert scene["links"]["left_link2"] == scene_data(physics)["links"]["left_link2"]
+    assert {shape["kind"] for shape in scene["links"]["left_link2"]} == {"cylinder"}
