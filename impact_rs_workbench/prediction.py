@@ -1,0 +1,283 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predictions while a slider moves: the impact map of a scenario with some of its values changed.
+
+Every slider is a key of the scenario, so what is seen is what ``impact-rs map --uncertainty --set KEY=VALUE`` says, and
+the command is told with it. The interval is that of :mod:`impact_rs_sim.impact_map.uncertainty`, from fewer draws while
+a slider moves; the draws are the same ones every time, so the band moves with the slider and does not flicker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from impact_rs_analysis.report.figures import MODEL_STYLE
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, predict_impact
+from impact_rs_sim.impact_map.uncertainty import DRAWS, LEVEL, UncertainPrediction, predict
+from impact_rs_sim.impact_map.uniqueness import uniqueness_of
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scenario import Scenario, Uncertainties, load_scenario
+from impact_rs_sim.scene import Scene
+from impact_rs_sim.schema import Schema
+
+MOVING_DRAWS = 24  # while a slider moves; the ends of an interval then scatter by a quarter of its width
+SWEEP_POINTS = 13
+SPEED = "speed"  # the slider that is no key: a factor on every arm's ante_velocity
+
+Setting = float | tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A number of the scenario that may be moved.
+
+    Attributes:
+        key: Key of the scenario, or ``speed``.
+        label: What it is, in short.
+        unit: Unit, ``-`` where it has none.
+        value: What the scenario says.
+        low: Left end.
+        high: Right end.
+        meaning: What it is, in a sentence.
+        page: Page of the manual.
+        known: Whether it says how well a number is known.
+    """
+
+    key: str
+    label: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    meaning: str
+    page: str = "physics.md"
+    known: bool = False
+
+
+class Question(Schema):
+    """What is asked of the impact map."""
+
+    scenario: str = Field(description="name, or path of a file in the folder")
+    object: str = Field(description="object of the scenario")
+    case: str = Field(description="case of the scenario")
+    motor_inertia: Literal["reduced", "rotor", "zero"] = Field("reduced", description="motor-inertia model")
+    values: dict[str, float] = Field({}, description="sliders that were moved, by key")
+    moving: bool = Field(False, description="whether a slider is being moved: fewer draws, nothing that takes long")
+
+
+def sliders_of(scenario: Scenario, object_name: str) -> tuple[Slider, ...]:
+    """The sliders of an object, with what a reader should know of each."""
+    thing = scenario.object(object_name)
+    widths = Uncertainties.model_fields
+    return (
+        Slider(SPEED, "ante-impact speed", "×", 1.0, 0.3, 1.4, "factor on the velocity of every arm before the impact"),
+        Slider(
+            f"objects.{object_name}.mass", "object mass", "kg", thing.mass, 0.25 * thing.mass, 2.5 * thing.mass,
+            "mass of the object",
+        ),
+        Slider("contact.restitution", "restitution e", "-", scenario.contact.restitution, 0.0, 1.0,
+               "normal velocity after over before, with the sign turned (Newton)"),
+        Slider("contact.friction", "pad friction µ", "-", scenario.contact.friction, 0.0, 1.2,
+               "Coulomb friction between pad and object"),
+        Slider("support.friction", "support friction µ", "-", scenario.support.friction, 0.0, 1.2,
+               "Coulomb friction between object and support"),
+        *(
+            Slider(f"uncertainty.{name}", name.replace("_", " "), "± relative", getattr(scenario.uncertainty, name),
+                   0.0, 0.3, str(widths[name].description), "scenarios.md", True)
+            for name in widths if str(widths[name].description).find("relative") >= 0
+        ),
+    )  # fmt: skip
+
+
+def settings_of(scenario: Scenario, question: Question) -> dict[str, Setting]:
+    """Values that the scenario has instead of its own, by dotted key.
+
+    Raises:
+        InputError: There is no such slider.
+    """
+    known = {slider.key: slider for slider in sliders_of(scenario, question.object)}
+    settings: dict[str, Setting] = {}
+    for key, value in question.values.items():
+        if key not in known:
+            raise InputError(f"no slider {key!r}; known: {', '.join(known)}")
+        if key != SPEED:
+            settings[key] = value
+            continue
+        case = scenario.case_name(question.case)
+        for name, robot in scenario.cases[case].robots.items():
+            x, y, z = (float(f"{value * speed:.6g}") for speed in robot.ante_velocity)
+            settings[f"cases.{case}.robots.{name}.ante_velocity"] = (x, y, z)
+    return settings
+
+
+def map_arguments(scenario: str, question: Question, settings: Mapping[str, Setting]) -> list[str]:
+    """The arguments of ``impact-rs`` that give the same answer."""
+    words = ["map", scenario, question.object, question.case, "--uncertainty"]
+    if question.motor_inertia != "reduced":
+        words += ["--motor-inertia", question.motor_inertia]
+    if settings:
+        words += ["--set", *(f"{key}={_yaml(value)}" for key, value in settings.items())]
+    return words
+
+
+def _yaml(value: Setting) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else f"[{', '.join(f'{one:.6g}' for one in value)}]"
+
+
+def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
+    """Velocities before and after with their intervals, impulse, and who contributes what.
+
+    Raises:
+        InputError: The scenario has no such object, case or value, or the question has no answer.
+        ImpactMapError: No answer was found.
+    """
+    scene, problem = _problem(scenario, question)
+    found = predict_impact(problem, "first", "pinocchio")
+    told: UncertainPrediction | None = None
+    note = ""
+    try:
+        told = predict(problem, scene.scenario.uncertainty, scene.models, MOVING_DRAWS if question.moving else DRAWS)
+    except (InputError, ImpactMapError) as error:  # velocities are known all the same
+        note = f"no interval: {error}"
+    if not question.moving:
+        note = note or (uniqueness_of(problem, scene.models).warning or "")
+    before = {name: scene.models[name].jacobian(arm.position) @ arm.velocity for name, arm in scene.arms.items()}
+    bodies = [(name, before[name], twist) for name, twist in found.end_effector_twist.items()]
+    bodies.append(("object", scene.object.twist, found.object_twist))
+    rows = [
+        _row(body, axis, ante[index], post[index], told, axis == scenario.axis)
+        for body, ante, post in bodies
+        for index, axis in enumerate("xyz")
+    ]
+    impulse = sum((contact.impulse for contact in found.contacts if contact.body_b != "support"), np.zeros(3))
+    return {
+        "axis": scenario.axis,
+        "rows": rows,
+        "impulse": [float(value) for value in impulse],
+        "budget": _budget(told, f"{bodies[0][0]}.velocity.{scenario.axis}"),
+        "interval": None if told is None else {"level": LEVEL, "method": told.method, "draws": told.draws},
+        "residual": found.residual.largest,
+        "note": note,
+    }
+
+
+def _row(
+    body: str, axis: str, ante: float, post: float, told: UncertainPrediction | None, main: bool
+) -> dict[str, Any]:
+    low = high = None
+    if told is not None:
+        place = told.names.index(f"{body}.velocity.{axis}")
+        low, high = float(told.low[place]), float(told.high[place])
+    return {
+        "body": body, "axis": axis, "main": main, "before": float(ante), "after": float(post), "low": low, "high": high,
+    }  # fmt: skip
+
+
+def _budget(told: UncertainPrediction | None, name: str) -> list[dict[str, Any]]:
+    """Who contributes what to the variance of a velocity, the largest first."""
+    if told is None:
+        return []
+    place = told.names.index(name)
+    shares = {source: float(rows[place]) for source, rows in told.budget.items()}
+    return [
+        {"source": source.replace("_", " "), "share": share}
+        for source, share in sorted(shares.items(), key=lambda entry: -entry[1])
+        if share >= 0.005
+    ]
+
+
+def _problem(scenario: Scenario, question: Question) -> tuple[Scene, ImpactProblem]:
+    changed = scenario.with_settings(settings_of(scenario, question))
+    scene = Scene.resolve(changed, question.object, question.case)
+    return scene, ImpactProblem.at_nominal_impact(scene, question.motor_inertia)
+
+
+def sweep(scenario: Scenario, question: Question, key: str) -> dict[str, Any]:
+    """Velocity after the impact along the scenario's axis over one slider, for all motor inertias, with its band.
+
+    Args:
+        scenario: The scenario.
+        question: All other sliders.
+        key: The slider.
+
+    Raises:
+        InputError: There is no such slider, or the scenario has no such object, case or value.
+    """
+    sliders = {slider.key: slider for slider in sliders_of(scenario, question.object)}
+    if key not in sliders:
+        raise InputError(f"no slider {key!r}; known: {', '.join(sliders)}")
+    slider = sliders[key]
+    x = np.linspace(slider.low, slider.high, SWEEP_POINTS)
+    lines: dict[str, list[float | None]] = {name: [] for name in MOTOR_INERTIA_MODELS}
+    things: list[float | None] = []
+    low: list[float | None] = []
+    high: list[float | None] = []
+    for value in x:
+        at = question.model_copy(update={"values": {**question.values, key: float(value)}, "moving": True})
+        for name in MOTOR_INERTIA_MODELS:
+            found = _velocities(scenario, at.model_copy(update={"motor_inertia": name}))
+            lines[name].append(None if found is None else found[0])
+            if name == question.motor_inertia:
+                things.append(None if found is None else found[1])
+        band = _band(scenario, at)
+        low.append(band[0])
+        high.append(band[1])
+    drawn = [
+        {
+            "label": MODEL_STYLE[name][0],
+            "colour": MODEL_STYLE[name][1],
+            "y": y,
+            "chosen": name == question.motor_inertia,
+        }
+        for name, y in lines.items()
+    ]
+    return {"slider": asdict(slider), "x": x.tolist(), "lines": drawn, "object": things, "low": low, "high": high}
+
+
+def _velocities(scenario: Scenario, question: Question) -> tuple[float, float] | None:
+    """Of the first arm and the object along the axis, after the impact [m/s]; None: there is no answer."""
+    try:
+        _, problem = _problem(scenario, question)
+        found = predict_impact(problem, "first", "pinocchio")
+    except (InputError, ImpactMapError):
+        return None
+    arm: Array = next(iter(found.end_effector_twist.values()))
+    return float(arm[scenario.axis_index]), float(found.object_twist[scenario.axis_index])
+
+
+def _band(scenario: Scenario, question: Question) -> tuple[float, float] | tuple[None, None]:
+    try:
+        scene, problem = _problem(scenario, question)
+        told = predict(problem, scene.scenario.uncertainty, scene.models, MOVING_DRAWS)
+    except (InputError, ImpactMapError):
+        return None, None
+    place = told.names.index(f"{next(iter(scene.arms))}.velocity.{scenario.axis}")
+    return float(told.low[place]), float(told.high[place])
+
+
+def describe(name: str, path: str) -> dict[str, Any]:
+    """What can be chosen in a scenario.
+
+    Raises:
+        InputError: There is no such scenario, or it breaks its schema.
+    """
+    scenario = load_scenario(path)
+    arms = {arm: robot.facts_name for arm, robot in scenario.robots.items()}
+    return {
+        "name": name,
+        "description": scenario.description,
+        "axis": scenario.axis,
+        "arms": arms,
+        "hits": scenario.excursion is None,
+        "scales": list(scenario.velocity_scales),
+        "trials": scenario.trials,
+        "objects": {key: {"label": thing.label, "mass": thing.mass} for key, thing in scenario.objects.items()},
+        "cases": {key: case.label for key, case in scenario.cases.items()},
+        "sliders": {key: [asdict(slider) for slider in sliders_of(scenario, key)] for key in scenario.objects},
+    }
