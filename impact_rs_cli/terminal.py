@@ -99,6 +99,10 @@ class Terminal:
 
             yield tell
 
+    def rank(self, name: str, error: float) -> None:
+        """Tell programs what is thought of an explanation so far; people read it at the end."""
+        self._file.rank(name, error)
+
     @contextmanager
     def owned_output(self) -> Iterator[None]:
         """With ``--json``, whatever a library writes to standard output goes to standard error instead."""

@@ -2,7 +2,8 @@
 """Progress for programs: with ``IMPACT_RS_PROGRESS=FILE`` a command keeps in that file how far it is.
 
 The file holds one JSON document, replaced as a whole: ``what`` is under way, how much of it is ``done`` of which
-``total``, and when this stage began and was last heard of (``since``, ``at``, seconds of the wall clock).
+``total``, and when this stage began and was last heard of (``since``, ``at``, seconds of the wall clock). Where
+explanations are weighed, ``ranking`` holds them with the error that they leave, the smallest first.
 """
 
 from __future__ import annotations
@@ -28,6 +29,11 @@ class ProgressFile:
         self._path = None if not name else Path(name)
         self._what: str | None = None
         self._since = self._at = 0.0
+        self._ranking: dict[str, float] = {}
+
+    def rank(self, name: str, error: float) -> None:
+        """Keep what is thought of an explanation so far; it is written with the next stage or step."""
+        self._ranking[name] = error
 
     def tell(self, what: str, done: int, total: int | None) -> None:
         """Keep how far a stage is.
@@ -45,6 +51,7 @@ class ProgressFile:
         elif done != total and now - self._at < PERIOD:
             return
         self._at = now
-        document = {"what": what, "done": done, "total": total, "since": self._since, "at": now}
+        ranking = sorted(self._ranking.items(), key=lambda entry: entry[1])
+        document = {"what": what, "done": done, "total": total, "since": self._since, "at": now, "ranking": ranking}
         with suppress(InputError):  # a full disk stops no command that only wants to say how far it is
             write_whole(self._path, json.dumps(document))

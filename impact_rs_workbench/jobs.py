@@ -29,6 +29,7 @@ from impact_rs_sim.files import write_whole
 from impact_rs_sim.progress import VARIABLE
 
 RECORD, PROGRESS, OUTPUT = "job.json", "progress.json", "output.txt"
+MOST = 10  # explanations that a job shows while it weighs them
 SHOWN = 40  # last lines of a log that are shown
 LARGEST_TAIL = 20_000  # bytes of a log that are looked at
 KILLED_AFTER = 5.0  # s, that a stopped job has to end when the workbench ends
@@ -248,7 +249,7 @@ class Jobs:
             return None
         done, total, spent = found["done"], found["total"], found["at"] - found["since"]
         left = None if not total or not done else spent / done * (total - done)
-        return {"what": found["what"], "done": done, "total": total, "left": left}
+        return {"what": found["what"], "done": done, "total": total, "left": left, "ranking": found["ranking"][:MOST]}
 
 
 def _shared(writes: Sequence[Path], others: Sequence[str]) -> Path | None:

@@ -31,9 +31,11 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.store import Folder, owned
-from impact_rs_workbench import manual, prediction, results
+from impact_rs_workbench import formulas, laboratory, manual, prediction, results
+from impact_rs_workbench.formulas import FormulaText
 from impact_rs_workbench.guard import FILE_POLICY, Guard
 from impact_rs_workbench.jobs import Jobs
+from impact_rs_workbench.laboratory import Description, PreviewRequest
 from impact_rs_workbench.prediction import Question
 from impact_rs_workbench.steps import order_of, seen
 from impact_rs_workbench.workspace import HIDDEN, Workspace
@@ -120,6 +122,12 @@ def _routes(workbench: Workbench) -> list[Route]:
         key = data.pop("over", "") if isinstance(data, dict) else ""
         return workbench.sweep(_question(data), str(key))
 
+    def preview(data: Any) -> Any:
+        return laboratory.preview(workspace, checked(PreviewRequest, data))
+
+    def check(data: Any) -> Any:
+        return formulas.check(checked(FormulaText, data).text)
+
     return [
         Route("/", _page),
         Route("/static/{name}", _static),
@@ -130,11 +138,16 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/scenario", _got(lambda given: workbench.scenario(given.get("name", "")))),
         Route("/api/comparison", _got(lambda given: results.comparison(workspace.existing(given.get("path", ""))))),
         Route("/api/diagnosis", _got(lambda given: results.diagnosis(workspace.existing(given.get("path", ""))))),
+        Route("/api/laboratory", _got(lambda given: laboratory.look(workspace, given.get("path", "")))),
         Route("/api/jobs", _got(lambda _: jobs.all())),
         Route("/api/jobs/{number:int}/log", _got(lambda given: {"log": jobs.log(given["number"])})),
         Route("/api/events", _events(workbench)),
         Route("/api/predict", _posted(lambda data: workbench.predict(_question(data))), methods=["POST"]),
         Route("/api/sweep", _posted(sweep), methods=["POST"]),
+        Route("/api/laboratory/preview", _posted(preview), methods=["POST"]),
+        Route("/api/laboratory", _posted(lambda data: _described(workbench, data)), methods=["POST"]),
+        Route("/api/formulas/check", _posted(check), methods=["POST"]),
+        Route("/api/formulas", _posted(lambda data: _kept(workbench, data)), methods=["POST"]),
         Route("/api/command", _posted(lambda data: _command(workbench, data)), methods=["POST"]),
         Route("/api/jobs", _posted(lambda data: asdict(jobs.start(order_of(data, workspace)))), methods=["POST"]),
         Route("/api/jobs/{number:int}/stop", _done(jobs.stop), methods=["POST"]),
@@ -144,6 +157,19 @@ def _routes(workbench: Workbench) -> list[Route]:
 
 def _command(workbench: Workbench, data: Any) -> dict[str, str]:
     return {"command": workbench.command(list(order_of(data, workbench.workspace).arguments))}
+
+
+def _described(workbench: Workbench, data: Any) -> dict[str, Any]:
+    description: Description = checked(Description, data)
+    written = laboratory.describe(workbench.workspace, description)
+    name = description.path.strip("./") or "lab"
+    step = {"step": "compare", "runs": description.path, "experiment": written[0], "output": f"reports/compare_{name}"}
+    return {"written": written} | _command(workbench, step)
+
+
+def _kept(workbench: Workbench, data: Any) -> dict[str, str]:
+    path = formulas.keep(workbench.workspace, checked(FormulaText, data))
+    return {"command": workbench.command(["effects", "--formulas", seen(workbench.workspace.existing(path))])}
 
 
 def _question(data: Any) -> Question:

@@ -625,7 +625,10 @@ const diagnose = {
     const ranking = job?.progress?.ranking ?? [];
     this.progress.replaceChildren(...(job ? [h('p', {role: 'status'}, progressText(job)),
       h('progress', {max: job.progress?.total || 1, ...(job.progress?.total ? {value: job.progress.done} : {})}),
-      ranking.length ? h('ol', {class: 'bars'}, ...ranking.map((one) => h('li', {}, one))) : ''] : []));
+      ranking.length ? h('p', {class: 'note'}, 'So far: error on left-out conditions with each effect, the smaller the better.') : '',
+      ranking.length ? h('ol', {class: 'bars'}, ...ranking.map(([name, error]) => h('li', {},
+        h('span', {}, name), h('i', {style: `width: ${Math.min(100, 100 * error / ranking[ranking.length - 1][1]).toFixed(1)}%`}),
+        h('span', {}, number(error))))) : ''] : []));
   },
 
   async open() {
@@ -821,6 +824,7 @@ const laboratory = {
       this.scenario.value = 'push';
       this.rows = h('tbody', {});
       this.gravity = h('input', {type: 'checkbox', checked: true});
+      this.signals = null;
       this.signals = SIGNALS.map((signal) => this.signal(signal));
       this.body.replaceChildren(h('div', {class: 'fields'}, labelled('scenario with robot, boxes and support', this.scenario)),
         h('h3', {}, `Signals, as ${found.recording} has them`), h('p', {class: 'note'}, 'Choose where each signal is and look at it: are its size and unit right?'),
@@ -847,7 +851,7 @@ const laboratory = {
       if (source.value === '') { plot.replaceChildren(); Plotly.purge(plot); line.textContent = ''; return; }
       try {
         const seen_ = await ask('/api/laboratory/preview', {path: this.found.path, signal: signal.name,
-          source: {...this.found.streams[source.value].source, unit: units.value}, joints: this.found.joints});
+          source: {...this.found.streams[source.value].source, unit: units.value}, position: this.position(), joints: this.found.joints});
         line.className = 'note';
         line.textContent = `${seen_.place}; ${seen_.samples} samples at ${number(seen_.rate)} Hz; from ${number(seen_.low)} to ${number(seen_.high)} ${seen_.unit}`;
         await draw(plot, {data: seen_.columns.map((column) => ({x: seen_.time, y: column.values, name: column.name, mode: 'lines', line: {width: 1.2}})),
@@ -860,6 +864,13 @@ const laboratory = {
     const node = h('div', {'data-lab-signal': signal.name}, h('div', {class: 'fields'}, labelled(signal.text, source), labelled('unit in the file', units)), line, plot);
     show();
     return {node, name: signal.name, value: () => source.value === '' ? null : {...this.found.streams[source.value].source, unit: units.value}};
+  },
+
+  // The clock of all signals is that of the joint positions.
+  position() {
+    const chosen = this.signals?.find((one) => one.name === 'position')?.value();
+    const first = this.found.streams.find((stream) => stream.guess === 'position') ?? this.found.streams.find((stream) => !stream.pose);
+    return chosen ?? {...(first ?? this.found.streams[0]).source, unit: 'rad'};
   },
 
   async table() {
