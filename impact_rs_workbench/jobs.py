@@ -128,7 +128,8 @@ class Jobs:
                     raise InputError(
                         f"job {other.number} ({other.step}) is writing to {place}; wait for it, or stop it"
                     )
-            number = max(self._jobs, default=0) + 1
+            taken = [int(path.name) for path in self.folder.glob("*") if path.name.isdecimal()]  # unreadable ones, too
+            number = max(taken, default=0) + 1
             command = self.line(order.arguments)
             writes = tuple(str(path) for path in order.writes)
             job = Job(number, order.step, command, order.arguments, writes, time.time())

@@ -330,7 +330,7 @@ def serve(root: Path, program: str, port: int, browser: bool, tell: Callable[[st
         listener = socket.create_server(("127.0.0.1", port))
     except OSError as error:
         raise InputError(f"port {port} cannot be had: {error.strerror}; choose another one, or none") from None
-    with listener, owned(Folder(root / HIDDEN)):
+    with listener, owned(Folder(root / HIDDEN), "workbench"):
         number = listener.getsockname()[1]
         token = secrets.token_urlsafe(24)
         address = f"http://127.0.0.1:{number}/?token={token}"

@@ -15,10 +15,11 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, TypeAdapter, ValidationError
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.schema import Name, Schema
+from impact_rs_sim.schema import Schema
 from impact_rs_workbench.jobs import Order
 from impact_rs_workbench.workspace import Workspace
 
+# What no command can take for an option.
 Plain = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$", max_length=200)]
 Address = Annotated[str, Field(pattern=r"^(tcp|tls|ucx|ws)://[A-Za-z0-9_.:\[\]-]+$", max_length=200)]
 PathName = Annotated[str, Field(min_length=1, max_length=1000)]
@@ -42,8 +43,8 @@ class CampaignStep(Step):
     step: Literal["campaign"]
     scenario: PathName = Field(description="scenario")
     output: PathName = Field(description="folder of the campaign")
-    objects: tuple[Name, ...] = Field((), description="objects; none: all")
-    cases: tuple[Name, ...] = Field((), description="cases; none: all")
+    objects: tuple[Plain, ...] = Field((), description="objects; none: all")
+    cases: tuple[Plain, ...] = Field((), description="cases; none: all")
     scales: tuple[Annotated[float, Field(gt=0.0, le=10.0)], ...] = Field((), description="scales [-]; none: all")
     trials: int | None = Field(None, ge=1, le=1000, description="repeats")
     seed: int = Field(0, ge=0, description="seed")
@@ -68,8 +69,8 @@ class TrialStep(Step):
 
     step: Literal["trial"]
     scenario: PathName = Field(description="scenario")
-    object: Name = Field(description="object")
-    case: Name = Field(description="case")
+    object: Plain = Field(description="object")
+    case: Plain = Field(description="case")
     scale: float = Field(1.0, gt=0.0, le=10.0, description="post-impact reference over prediction [-]")
     seed: int = Field(0, ge=0, description="seed")
     output: PathName = Field(description="folder for the bag")

@@ -7,15 +7,16 @@ line does beside it is seen.
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from impact_rs_analysis.diagnosis.document import read_document
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.paths import config_directory
@@ -31,6 +32,28 @@ LARGEST_DOCUMENT = 20_000_000  # bytes of a report's numbers
 REPORTS = ("report.html", "compare.html", "diagnosis.html", "history.html")
 NOMINAL = "nominal"
 RUN_TABLE = "runs.csv"
+
+
+Read = TypeVar("Read")
+
+
+def once(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
+    """What is read of a file, kept until the file changes: the folder is looked at every other second."""
+
+    @functools.lru_cache(maxsize=2000)
+    def kept(path: Path, modified: int, size: int) -> Read:
+        del modified, size
+        return read(path)
+
+    @functools.wraps(read)
+    def reader(path: Path) -> Read:
+        try:
+            state = path.stat()
+        except OSError:  # it has just gone, or leads nowhere
+            return read(path)
+        return kept(path, state.st_mtime_ns, state.st_size)
+
+    return reader
 
 
 @dataclass(frozen=True)
@@ -202,8 +225,7 @@ class Workspace:
         """What is there now; files that are none of ours are left out."""
         campaigns, laboratories, models, diagnoses, reports, scenarios, formulas = [], [], [], [], [], [], []
         scores: list[dict[str, Any]] = []
-        for folder, files in self._folders():
-            bags = [item.name for item in sorted(folder.iterdir()) if is_bag(item)]
+        for folder, files, bags in self._folders():
             ours = [name for name in bags if _is_ours(folder / name)]
             if MANIFEST in files:
                 campaigns.append(self._campaign(folder))
@@ -240,18 +262,19 @@ class Workspace:
             stamps={name: (self.root / name).stat().st_mtime for name in [*reports, *(one.path for one in diagnoses)]},
         )
 
-    def _folders(self) -> Iterator[tuple[Path, list[str]]]:
-        """Folders and their files in order; hidden ones and bags are not looked into."""
+    def _folders(self) -> Iterator[tuple[Path, list[str], list[str]]]:
+        """Folders with their files and bags, in order; hidden ones are left out, and bags not looked into."""
         for place, folders, files in os.walk(self.root):
             here = Path(place)
             deep = len(here.relative_to(self.root).parts)
-            inner = () if deep >= DEEPEST else sorted(folders)
-            folders[:] = [name for name in inner if not name.startswith(".") and not is_bag(here / name)]
-            yield here, sorted(files)
+            shown = sorted(name for name in folders if not name.startswith("."))
+            bags = [name for name in shown if is_bag(here / name)]
+            folders[:] = [] if deep >= DEEPEST else [name for name in shown if name not in bags]
+            yield here, sorted(files), bags
 
     def _campaign(self, folder: Path) -> Campaign:
         try:
-            manifest = validate(Manifest, load_mapping(folder / MANIFEST), folder / MANIFEST)
+            manifest = _manifest(folder / MANIFEST)
         except InputError as error:
             return Campaign(self.name(folder), "", 0, 0, str(error))
         keys = {key.name for key in manifest.keys}
@@ -288,13 +311,26 @@ class Workspace:
         return NOMINAL if Path(model.parent).stem == NOMINAL else None
 
     def _diagnosis(self, path: Path) -> DiagnosisFile | None:
-        try:
-            document = read_document(path)
-        except InputError:  # some other JSON
+        document = _document(path)
+        if document is None:
             return None
         return DiagnosisFile(
             self.name(path), document.verdict, document.model.name, document.model.digest, document.named
         )
+
+
+@once
+def _manifest(path: Path) -> Manifest:
+    return validate(Manifest, load_mapping(path), path)
+
+
+@once
+def _document(path: Path) -> DiagnosisDocument | None:
+    """A diagnosis; None: some other JSON."""
+    try:
+        return read_document(path)
+    except InputError:
+        return None
 
 
 def _nominal() -> ModelNode:
@@ -305,6 +341,7 @@ def _node(path: str, model: Model, parent: str | None) -> ModelNode:
     return ModelNode(path, model.name, model.digest, parent, tuple(item.name for item in model.effects), model.note)
 
 
+@once
 def _is_ours(bag: Path) -> bool:
     """Whether a bag is one of our trials: its metadata names the topic that says so."""
     try:
@@ -313,6 +350,7 @@ def _is_ours(bag: Path) -> bool:
         return False
 
 
+@once
 def _kind_of_yaml(path: Path) -> str | None:
     """``model``, ``scenario`` or ``formulas`` by the keys that nothing else has; None: something else."""
     try:
@@ -349,6 +387,7 @@ def read_json(path: Path) -> dict[str, Any] | None:
     return found if isinstance(found, dict) else None
 
 
+@once
 def _scores(path: Path) -> list[dict[str, Any]]:
     """Errors of models that a comparison or a history has found, newest files last."""
     document = read_json(path)

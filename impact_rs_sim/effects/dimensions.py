@@ -40,7 +40,7 @@ def dimension_of(unit: str) -> Dimension:
     """
     total = NUMBER
     for place, part in enumerate(unit.split("/")):
-        for word in part.split():
+        for word in part.strip("()").split():
             found = re.fullmatch(r"([A-Za-z]+|1|-)(?:\^(-?\d+))?", word)
             if found is None or found[1] not in BASE:
                 raise InputError(f"unit {unit!r}: {word!r} is not understood; known: {', '.join(BASE)}, as in N s/m")
