@@ -8,7 +8,7 @@ a slider moves; the draws are the same ones every time, so the band moves with t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -21,7 +21,6 @@ from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, predict_impa
 from impact_rs_sim.impact_map.uncertainty import DRAWS, LEVEL, UncertainPrediction, predict
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
-from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario, Uncertainties, load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import Schema
@@ -198,67 +197,80 @@ def _problem(scenario: Scenario, question: Question) -> tuple[Scene, ImpactProbl
     return scene, ImpactProblem.at_nominal_impact(scene, question.motor_inertia)
 
 
-def sweep(scenario: Scenario, question: Question, key: str) -> dict[str, Any]:
-    """Velocity after the impact along the scenario's axis over one slider, for all motor inertias, with its band.
+@dataclass(frozen=True)
+class SweepPoint:
+    """Velocities along the scenario's axis after the impact at one place of a slider [m/s]; None: no answer.
 
-    Args:
-        scenario: The scenario.
-        question: All other sliders.
-        key: The slider.
+    Attributes:
+        value: Where the slider is.
+        arms: Of the first arm, by motor inertia.
+        object: Of the object, with the motor inertia that was asked for.
+        low: Lower end of the first arm's interval.
+        high: Upper end of it.
+    """
+
+    value: float
+    arms: dict[str, float | None]
+    object: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+
+def slider_of(scenario: Scenario, object_name: str, key: str) -> Slider:
+    """One slider.
 
     Raises:
-        InputError: There is no such slider, or the scenario has no such object, case or value.
+        InputError: There is no such slider.
     """
-    sliders = {slider.key: slider for slider in sliders_of(scenario, question.object)}
+    sliders = {slider.key: slider for slider in sliders_of(scenario, object_name)}
     if key not in sliders:
         raise InputError(f"no slider {key!r}; known: {', '.join(sliders)}")
-    slider = sliders[key]
-    x = np.linspace(slider.low, slider.high, SWEEP_POINTS)
-    lines: dict[str, list[float | None]] = {name: [] for name in MOTOR_INERTIA_MODELS}
-    things: list[float | None] = []
-    low: list[float | None] = []
-    high: list[float | None] = []
-    for value in x:
-        at = question.model_copy(update={"values": {**question.values, key: float(value)}, "moving": True})
-        for name in MOTOR_INERTIA_MODELS:
-            found = _velocities(scenario, at.model_copy(update={"motor_inertia": name}))
-            lines[name].append(None if found is None else found[0])
-            if name == question.motor_inertia:
-                things.append(None if found is None else found[1])
-        band = _band(scenario, at)
-        low.append(band[0])
-        high.append(band[1])
-    drawn = [
-        {
-            "label": MODEL_STYLE[name][0],
-            "colour": MODEL_STYLE[name][1],
-            "y": y,
-            "chosen": name == question.motor_inertia,
-        }
-        for name, y in lines.items()
-    ]
-    return {"slider": asdict(slider), "x": x.tolist(), "lines": drawn, "object": things, "low": low, "high": high}
+    return sliders[key]
 
 
-def _velocities(scenario: Scenario, question: Question) -> tuple[float, float] | None:
-    """Of the first arm and the object along the axis, after the impact [m/s]; None: there is no answer."""
-    try:
-        _, problem = _problem(scenario, question)
-        found = predict_impact(problem, "first", "pinocchio")
-    except (InputError, ImpactMapError):
-        return None
-    arm: Array = next(iter(found.end_effector_twist.values()))
-    return float(arm[scenario.axis_index]), float(found.object_twist[scenario.axis_index])
+def sweep(scenario: Scenario, question: Question, slider: Slider) -> Iterator[SweepPoint]:
+    """Points over one slider, each worked out when it is asked for."""
+    for value in np.linspace(slider.low, slider.high, SWEEP_POINTS):
+        at = question.model_copy(update={"values": {**question.values, slider.key: float(value)}})
+        yield _point(scenario, at, float(value))
 
 
-def _band(scenario: Scenario, question: Question) -> tuple[float, float] | tuple[None, None]:
+def _point(scenario: Scenario, question: Question, value: float) -> SweepPoint:
+    arms: dict[str, float | None] = dict.fromkeys(MOTOR_INERTIA_MODELS)
+    thing = low = high = None
+    axis = scenario.axis_index
     try:
         scene, problem = _problem(scenario, question)
+        for name in arms:
+            found = predict_impact(ImpactProblem.at_nominal_impact(scene, name), "first", "pinocchio")
+            arms[name] = float(next(iter(found.end_effector_twist.values()))[axis])
+            thing = float(found.object_twist[axis]) if name == question.motor_inertia else thing
         told = predict(problem, scene.scenario.uncertainty, scene.models, MOVING_DRAWS)
-    except (InputError, ImpactMapError):
-        return None, None
-    place = told.names.index(f"{next(iter(scene.arms))}.velocity.{scenario.axis}")
-    return float(told.low[place]), float(told.high[place])
+        place = told.names.index(f"{next(iter(scene.arms))}.velocity.{scenario.axis}")
+        low, high = float(told.low[place]), float(told.high[place])
+    except (InputError, ImpactMapError):  # a value at which there is no answer leaves a gap
+        pass
+    return SweepPoint(value, arms, thing, low, high)
+
+
+def drawn(question: Question, slider: Slider, points: Sequence[SweepPoint]) -> dict[str, Any]:
+    """Points of a sweep as the page draws them."""
+    return {
+        "slider": asdict(slider),
+        "x": [point.value for point in points],
+        "lines": [
+            {
+                "label": label,
+                "colour": colour,
+                "y": [point.arms[name] for point in points],
+                "chosen": name == question.motor_inertia,
+            }
+            for name, (label, colour, _) in MODEL_STYLE.items()
+        ],
+        "object": [point.object for point in points],
+        "low": [point.low for point in points],
+        "high": [point.high for point in points],
+    }
 
 
 def describe(name: str, path: str) -> dict[str, Any]:

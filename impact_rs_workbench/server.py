@@ -65,6 +65,7 @@ class Workbench:
         self.program = program
         self.jobs = Jobs(self.workspace.root / HIDDEN / "jobs", program)
         self.ended: Callable[[], bool] = lambda: False  # whether streams are to end
+        self._asked = 0  # predictions so far
         self._map = threading.Lock()  # the impact map keeps engines warm and answers one question at a time
 
     def state(self) -> dict[str, Any]:
@@ -82,16 +83,24 @@ class Workbench:
         name = question.scenario
         if name.endswith((".yaml", ".yml")):
             name = seen(self.workspace.existing(name))
+        self._asked += 1
         with self._map:
             found = prediction.answer(scenario, question)
         words = prediction.map_arguments(name, question, settings)
         return found | {"command": self.command(words)}
 
     def sweep(self, question: Question, key: str) -> dict[str, Any]:
-        """Predictions over a slider."""
+        """Predictions over a slider; ``superseded`` where a slider has moved meanwhile, which comes first."""
         scenario = load_scenario(self.workspace.scenario_path(question.scenario))
-        with self._map:
-            return prediction.sweep(scenario, question, key)
+        slider = prediction.slider_of(scenario, question.object, key)
+        rest, points, asked = prediction.sweep(scenario, question, slider), [], self._asked
+        while self._asked == asked:
+            with self._map:
+                point = next(rest, None)
+            if point is None:
+                return prediction.drawn(question, slider, points)
+            points.append(point)
+        return {"superseded": True}
 
     def command(self, words: list[str]) -> str:
         """Arguments as a line for a terminal."""

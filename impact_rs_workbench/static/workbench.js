@@ -248,7 +248,7 @@ const predict = {
     const made = (slider) => {
       const output = h('output', {}, `${number(slider.value)}${unit(slider.unit)}`);
       const input = h('input', {type: 'range', min: slider.low, max: slider.high, step: (slider.high - slider.low) / 200,
-        value: slider.value, 'data-key': slider.key, title: slider.meaning});
+        value: slider.value, 'data-key': slider.key, title: slider.meaning, 'aria-label': `${slider.label} [${slider.unit}]`});
       input.value = slider.value;
       const label = h('label', {}, h('span', {}, slider.label), output, input);
       const moved = (moving) => {
@@ -296,6 +296,7 @@ const predict = {
     try {
       const found = await ask('/api/sweep', {...this.question, moving: false, over: this.over});
       if (number_ !== this.sweepNumber || this.busy) return;
+      if (found.superseded) { this.sweepAgain(); return; } // by another tab
       this.sweep = found;
       this.paint();
     } catch (error) { this.told.error(error.message); }
@@ -379,7 +380,7 @@ const measure = {
     const objects = checks('objects'), cases = checks('cases'), scales = checks('post-impact reference over prediction');
     const trials = h('input', {type: 'number', min: 1, max: 100, value: 2});
     const seed = h('input', {type: 'number', min: 0, value: 0});
-    const output = h('input', {id: 'campaign-output', value: 'campaigns/push'});
+    const output = h('input', {id: 'campaign-output', value: 'campaigns/push', oninput: () => { this.typed = output.value !== ''; }});
     const via = h('select', {}, new Option('in one program, in parallel', 'inprocess'), new Option('through the ROS 2 nodes', 'nodes'),
       new Option('on a dask cluster', 'scheduler'));
     const address = h('input', {placeholder: 'tcp://10.0.0.1:8786'});
@@ -442,7 +443,7 @@ const measure = {
     boxes(this.objects, chosen(Object.entries(found.objects).map(([key, thing]) => [key, thing.label]), only.object, 2));
     boxes(this.cases, chosen(Object.entries(found.cases), only.case, 2));
     boxes(this.scales, found.scales.map((scale) => ({value: scale, text: `${scale}`, on: only.object ? true : scale === 1})));
-    this.output.value = `campaigns/${stem(this.scenario.value)}${only.object ? `_${only.object}` : ''}`;
+    if (!this.typed) this.output.value = `campaigns/${stem(this.scenario.value)}${only.object ? `_${only.object}` : ''}`;
     this.tellCampaign();
   },
 
@@ -599,9 +600,10 @@ function wholeReport(path, open) {
 const diagnose = {
   build() {
     const formulas = h('select', {id: 'diagnose-formulas'});
+    const effects = h('input', {id: 'diagnose-effects', placeholder: 'all'});
     this.formulas = formulas;
-    this.form = runsForm('diagnose', 'Diagnose', {extraFields: [labelled('effects of my own', formulas)],
-      extra: () => ({formulas: formulas.value})});
+    this.form = runsForm('diagnose', 'Diagnose', {extraFields: [labelled('effects of my own', formulas), labelled('only these effects', effects)],
+      extra: () => ({formulas: formulas.value, effects: effects.value.split(/[\s,]+/).filter(Boolean)})});
     this.file = h('select', {id: 'diagnose-file', onchange: () => this.open()});
     this.progress = h('div', {});
     this.result = h('div', {id: 'diagnose-result'});

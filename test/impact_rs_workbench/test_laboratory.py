@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A folder of somebody else's recordings: what is in it is found, looked at, and described in files that can be read."""
+"""A folder of somebody else's recordings: what is in it is found, looked at, and described in files."""
 
 from __future__ import annotations
 

@@ -7,7 +7,16 @@ import pytest
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_workbench.prediction import Question, answer, map_arguments, settings_of, sliders_of, sweep
+from impact_rs_workbench.prediction import (
+    Question,
+    answer,
+    drawn,
+    map_arguments,
+    settings_of,
+    slider_of,
+    sliders_of,
+    sweep,
+)
 
 PUSH = load_scenario("push")
 
@@ -33,24 +42,21 @@ def test_velocities_grow_with_the_speed_before() -> None:
 
 def test_a_bouncing_object_leaves_faster_than_the_pad() -> None:
     rows = answer(PUSH, question(values={"contact.restitution": 0.5}))["rows"]
-    arm, thing = (
-        next(row["after"] for row in rows if row["main"] and row["body"] == body) for body in ("arm", "object")
-    )
-    assert abs(thing) > abs(arm)
+    speed = {row["body"]: abs(row["after"]) for row in rows if row["main"]}
+    assert speed["object"] > speed["arm"]
 
 
 def test_what_is_known_worse_has_a_wider_interval() -> None:
     def width(value: float) -> float:
-        (row, *_) = (
-            row for row in answer(PUSH, question(values={"uncertainty.object_mass": value}))["rows"] if row["main"]
-        )
-        return float(row["high"] - row["low"])
+        rows = answer(PUSH, question(values={"uncertainty.object_mass": value}))["rows"]
+        return next(float(row["high"] - row["low"]) for row in rows if row["main"])
 
     assert width(0.2) > 1.2 * width(0.005)
 
 
 def test_more_motor_inertia_keeps_more_of_the_velocity_all_along_a_slider() -> None:
-    found = sweep(PUSH, question(), "objects.cat_food.mass")
+    slider = slider_of(PUSH, "cat_food", "objects.cat_food.mass")
+    found = drawn(question(), slider, list(sweep(PUSH, question(), slider)))
     reduced, rotor, zero = (line["y"] for line in found["lines"])
     assert all(abs(a) > abs(b) > abs(c) for a, b, c in zip(rotor, reduced, zero, strict=True))
     assert all(low <= high for low, high in zip(found["low"], found["high"], strict=True))

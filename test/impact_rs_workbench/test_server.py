@@ -66,7 +66,7 @@ OUTSIDE = [
     "/etc/passwd",
     "a/../../secret.html",
     "..%2Fsecret.html",
-    ".workbench/jobs/x.json",
+    ".workbench/x.json",
     "link.html",
 ]
 
