@@ -2,8 +2,8 @@
 """Predictions while a slider moves: the impact map of a scenario with some of its values changed.
 
 Every slider is a key of the scenario, so what is seen is what ``impact-rs map --uncertainty --set KEY=VALUE`` says, and
-the command is told with it. The interval is that of :mod:`impact_rs_sim.impact_map.uncertainty`, from fewer draws while
-a slider moves; the draws are the same ones every time, so the band moves with the slider and does not flicker.
+the command is told with it. The interval is that of :mod:`impact_rs_sim.impact_map.uncertainty`; while a slider moves,
+and along a band, it comes from few draws alone, the same ones every time, so it moves along and does not flicker.
 """
 
 from __future__ import annotations
@@ -18,17 +18,18 @@ from pydantic import Field
 from impact_rs_analysis.report.figures import MODEL_STYLE
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, predict_impact
-from impact_rs_sim.impact_map.uncertainty import DRAWS, LEVEL, UncertainPrediction, predict
+from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, interval_of_draws, predict
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.scenario import Scenario, Uncertainties, load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import Schema
 
-MOVING_DRAWS = 24  # while a slider moves; the ends of an interval then scatter by a quarter of its width
+MOVING_DRAWS = 16  # while a slider moves; half an interval then scatters by a fifth
 SWEEP_POINTS = 13
 SPEED = "speed"  # the slider that is no key: a factor on every arm's ante_velocity
 
+Ends = dict[str, tuple[float, float]]  # of intervals, by velocity
 Setting = float | tuple[float, float, float]
 
 
@@ -138,10 +139,17 @@ def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
     """
     scene, problem = _problem(scenario, question)
     found = predict_impact(problem, "first", "pinocchio")
+    stated = scene.scenario.uncertainty
     told: UncertainPrediction | None = None
+    ends: Ends = {}
     note = ""
     try:
-        told = predict(problem, scene.scenario.uncertainty, scene.models, MOVING_DRAWS if question.moving else DRAWS)
+        if question.moving:
+            names, low, high = interval_of_draws(problem, stated, scene.models, MOVING_DRAWS)
+        else:
+            told = predict(problem, stated, scene.models)
+            names, low, high = told.names, told.low, told.high
+        ends = dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True))
     except (InputError, ImpactMapError) as error:  # velocities are known all the same
         note = f"no interval: {error}"
     if not question.moving:
@@ -150,7 +158,7 @@ def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
     bodies = [(name, before[name], twist) for name, twist in found.end_effector_twist.items()]
     bodies.append(("object", scene.object.twist, found.object_twist))
     rows = [
-        _row(body, axis, ante[index], post[index], told, axis == scenario.axis)
+        _row(body, axis, ante[index], post[index], ends, axis == scenario.axis)
         for body, ante, post in bodies
         for index, axis in enumerate("xyz")
     ]
@@ -161,21 +169,16 @@ def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
         "impulse": [float(value) for value in impulse],
         "budget": _budget(told, f"{bodies[0][0]}.velocity.{scenario.axis}"),
         "interval": None if told is None else {"level": LEVEL, "method": told.method, "draws": told.draws},
+        "moving": question.moving,
         "residual": found.residual.largest,
         "note": note,
     }
 
 
-def _row(
-    body: str, axis: str, ante: float, post: float, told: UncertainPrediction | None, main: bool
-) -> dict[str, Any]:
-    low = high = None
-    if told is not None:
-        place = told.names.index(f"{body}.velocity.{axis}")
-        low, high = float(told.low[place]), float(told.high[place])
-    return {
-        "body": body, "axis": axis, "main": main, "before": float(ante), "after": float(post), "low": low, "high": high,
-    }  # fmt: skip
+def _row(body: str, axis: str, ante: float, post: float, ends: Ends, main: bool) -> dict[str, Any]:
+    low, high = ends.get(f"{body}.velocity.{axis}", (None, None))
+    ante, post = float(ante), float(post)
+    return {"body": body, "axis": axis, "main": main, "before": ante, "after": post, "low": low, "high": high}
 
 
 def _budget(told: UncertainPrediction | None, name: str) -> list[dict[str, Any]]:
@@ -245,9 +248,9 @@ def _point(scenario: Scenario, question: Question, value: float) -> SweepPoint:
             found = predict_impact(ImpactProblem.at_nominal_impact(scene, name), "first", "pinocchio")
             arms[name] = float(next(iter(found.end_effector_twist.values()))[axis])
             thing = float(found.object_twist[axis]) if name == question.motor_inertia else thing
-        told = predict(problem, scene.scenario.uncertainty, scene.models, MOVING_DRAWS)
-        place = told.names.index(f"{next(iter(scene.arms))}.velocity.{scenario.axis}")
-        low, high = float(told.low[place]), float(told.high[place])
+        names, lows, highs = interval_of_draws(problem, scene.scenario.uncertainty, scene.models, MOVING_DRAWS)
+        place = names.index(f"{next(iter(scene.arms))}.velocity.{scenario.axis}")
+        low, high = float(lows[place]), float(highs[place])
     except (InputError, ImpactMapError):  # a value at which there is no answer leaves a gap
         pass
     return SweepPoint(value, arms, thing, low, high)

@@ -309,22 +309,36 @@ const predict = {
       .map((row) => h('tr', {class: row.main ? 'main' : ''}, h('td', {}, `${row.body}, ${row.axis}`), h('td', {}, fixed(row.before)),
         h('td', {}, fixed(row.after)), h('td', {}, row.low === null ? '–' : `${fixed(row.low)} … ${fixed(row.high)}`))));
     const [x, y, z] = answer.impulse.map((value) => fixed(value));
-    const told = answer.interval ? `; interval ${answer.interval.method.replace('_', ' ')}, ${answer.interval.draws} draws` : '';
+    const told = answer.moving ? '; interval from few draws while a slider moves' : answer.interval ? `; interval ${answer.interval.method.replace('_', ' ')}, ${answer.interval.draws} draws` : '';
     this.facts.textContent = `m/s. Impulse of the pads on the object [${x}, ${y}, ${z}] N s${told}. ${answer.note}`;
-    this.budget.replaceChildren(...answer.budget.slice(0, 7).map((one) => h('li', {}, h('span', {}, one.source),
+    if (!answer.moving) this.budget.replaceChildren(...answer.budget.slice(0, 7).map((one) => h('li', {}, h('span', {}, one.source),
       h('i', {style: `width: ${(100 * one.share).toFixed(1)}%`}), h('span', {}, `${Math.round(100 * one.share)} %`))));
-    this.paint();
+    this.place(question.moving);
     requestAnimationFrame(() => { this.plot.dataset.shown = JSON.stringify(question.values); });
   },
 
-  // The map over one slider, and where we stand on it; while a slider moves only the latter changes.
-  paint() {
-    const key = this.over, slider = this.found.sliders[this.object.value].find((one) => one.key === key);
-    const x = this.values[key] ?? slider.value;
+  // Where we stand on the map: shapes, which a figure moves without working out its lines and axes again.
+  marks() {
+    const slider = this.slider(), x = this.values[slider.key] ?? slider.value;
     const row = this.answer.rows.find((one) => one.main), thing = this.answer.rows.find((one) => one.main && one.body === 'object');
+    const dot = (y, size, colour) => ({type: 'circle', xsizemode: 'pixel', ysizemode: 'pixel', xanchor: x, yanchor: y, x0: -size, x1: size,
+      y0: -size, y1: size, fillcolor: seen(colour), line: {width: 0}});
+    const bar = row.low === null ? [] : [{type: 'line', x0: x, x1: x, y0: row.low, y1: row.high, line: {width: 4, color: seen('#000000')}}];
+    return [...bar, dot(row.after, 6, '#000000'), dot(thing.after, 4, '#E69F00')];
+  },
+
+  slider() { return this.found.sliders[this.object.value].find((one) => one.key === this.over); },
+
+  place(moving) {
+    const drawn = this.sweep?.slider.key === this.over && this.plot.dataset.over === this.over;
+    if (moving && drawn) Plotly.relayout(this.plot, {shapes: this.marks()}); else this.paint();
+  },
+
+  // The map over one slider, and where we stand on it.
+  paint() {
+    const slider = this.slider(), key = slider.key, row = this.answer.rows.find((one) => one.main);
     const lines = this.sweep?.slider.key === key ? this.sweep : null;
-    const error = row.low === null ? {} : {error_y: {type: 'data', symmetric: false, array: [row.high - row.after],
-      arrayminus: [row.after - row.low], thickness: 3, width: 8, color: seen('#000000')}};
+    this.plot.dataset.over = lines ? key : '';
     const data = [];
     if (lines) {
       data.push({x: [...lines.x, ...[...lines.x].reverse()], y: [...lines.high, ...[...lines.low].reverse()], fill: 'toself',
@@ -336,12 +350,11 @@ const predict = {
       data.push({x: lines.x, y: lines.object, name: 'object', mode: 'lines', line: {color: '#E69F00', width: 2, dash: 'dot'},
         hovertemplate: '%{y:.3f} m/s'});
     }
-    data.push({x: [x], y: [row.after], mode: 'markers', name: `${row.body}, here`, marker: {color: '#000000', size: 11}, ...error,
-      hovertemplate: '%{y:.3f} m/s'});
-    data.push({x: [x], y: [thing.after], mode: 'markers', name: 'object, here', marker: {color: '#E69F00', size: 10, symbol: 'diamond'},
-      hovertemplate: '%{y:.3f} m/s'});
-    draw(this.plot, {data, layout: {height: 330, margin: {l: 60, r: 12, t: 10, b: 85}, hovermode: 'closest',
-      xaxis: {title: {text: `${slider.label} [${slider.unit}]`}, range: [slider.low, slider.high], zeroline: false},
+    for (const [name, colour] of [[`${row.body}, here`, '#000000'], ['object, here', '#E69F00']]) { // for the legend
+      data.push({x: [null], y: [null], mode: 'markers', name, marker: {color: colour, size: 11}});
+    }
+    draw(this.plot, {data, layout: {height: 360, margin: {l: 60, r: 12, t: 10, b: 110}, hovermode: 'closest', shapes: this.marks(),
+      xaxis: {title: {text: `${slider.label} [${slider.unit}]`, standoff: 8}, range: [slider.low, slider.high], zeroline: false},
       yaxis: {title: {text: `v<sub>${this.answer.axis}</sub> after the impact [m/s]`}, zeroline: true, automargin: true},
       legend: {orientation: 'h', yref: 'container', y: 0, yanchor: 'bottom', x: 0, xanchor: 'left', font: {size: 11}}}});
   },

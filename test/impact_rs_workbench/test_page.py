@@ -7,6 +7,7 @@ Waits are for what shall be there, never for time.
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 from collections.abc import Callable, Iterator
@@ -74,7 +75,16 @@ def start(page: Page, label: str) -> None:
     expect(page.locator("#job-list > li[data-job]")).to_have_count(count + 1)
 
 
-def test_a_slider_moved_with_the_keyboard_moves_the_prediction_and_its_command(page: Page) -> None:
+def picture(page: Page, name: str, folder: Path) -> None:
+    """What the manual shows: into its folder where IMPACT_RS_PICTURES is set, else beside the workbench."""
+    target = IMAGES if os.environ.get("IMPACT_RS_PICTURES") else folder.parent
+    page.evaluate("scrollTo(0, 0)")
+    page.screenshot(path=target / f"{name}.png", animations="disabled")
+
+
+def test_a_slider_moved_with_the_keyboard_moves_the_prediction_and_its_command(
+    page: Page, address: tuple[str, Path]
+) -> None:
     before = page.locator("#predict-table tr.main td").nth(2).inner_text()
     page.locator("[data-key='contact.restitution']").focus()
     for _ in range(40):
@@ -83,7 +93,10 @@ def test_a_slider_moved_with_the_keyboard_moves_the_prediction_and_its_command(p
     expect(page.locator(".command code").first).to_contain_text("--set contact.restitution=0.2")
     assert page.locator("#predict-table tr.main td").nth(2).inner_text() != before
     expect(page.locator("#right h2")).to_have_text("restitution e")  # what the selected thing is
-    expect(page.locator("#predict-plot .scatterlayer .trace")).to_have_count(7)  # band, three lines, object, two points
+    expect(page.locator("#predict-plot .scatterlayer .trace")).to_have_count(
+        7
+    )  # band, three lines, object, two in the legend
+    picture(page, "workbench", address[1])
 
 
 @pytest.mark.timeout(900)
@@ -99,6 +112,7 @@ def test_the_whole_loop_by_mouse_names_the_hidden_effect_and_the_error_falls(
     heat_map = page.locator("#compare-result .plot .nsewdrag").last
     heat_map.click()
     expect(page.locator("#signal .scatterlayer .trace")).to_have_count(3)  # measured, model, residual
+    picture(page, "workbench_compare", address[1])
 
     page.locator("[data-step=diagnose]").click()
     page.select_option("#diagnose-runs", "blind/runs")
@@ -108,6 +122,7 @@ def test_the_whole_loop_by_mouse_names_the_hidden_effect_and_the_error_falls(
     job(page)
     expect(page.locator("#verdict")).to_contain_text("Model 'nominal' lacks support_friction.")
     expect(page.locator("#ranking tr.main")).to_contain_text("CONFIRMED")
+    picture(page, "workbench_diagnose", address[1])
 
     page.locator("#ranking tr.main button").click()
     expect(page.locator("#add-effect")).to_have_value("support_friction")
