@@ -20,11 +20,6 @@ def pages() -> list[str]:
     return sorted(path.name for path in FOLDER.glob("*.md"))
 
 
-def title_of(name: str) -> str:
-    """Heading of a page."""
-    return (FOLDER / name).read_text(encoding="utf-8").partition("\n")[0].lstrip("# ")
-
-
 @functools.cache
 def page(name: str) -> str:
     """A page as HTML, its headings with the names that links to them use.

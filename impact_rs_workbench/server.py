@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import logging
 import secrets
 import socket
 import threading
@@ -45,8 +44,6 @@ SHOWN_FILES = {".html": "text/html", ".json": "application/json", ".yaml": "text
 LARGEST_REQUEST = 1_000_000  # bytes
 LOOKED_AT = 0.25  # s, between two looks at running jobs
 SCANNED_AT = 2.0  # s, between two looks at the folder
-
-logger = logging.getLogger(__name__)
 
 Endpoint = Callable[[Request], Awaitable[Response]]
 Work = Callable[[Any], Any]
@@ -93,7 +90,8 @@ class Workbench:
         """Predictions over a slider; ``superseded`` where a slider has moved meanwhile, which comes first."""
         scenario = load_scenario(self.workspace.scenario_path(question.scenario))
         slider = prediction.slider_of(scenario, question.object, key)
-        rest, points, asked = prediction.sweep(scenario, question, slider), [], self._asked
+        rest, asked = prediction.sweep(scenario, question, slider), self._asked
+        points: list[prediction.SweepPoint] = []
         while self._asked == asked:
             with self._map:
                 point = next(rest, None)

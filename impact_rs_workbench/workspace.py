@@ -205,14 +205,6 @@ class Workspace:
         """A path as it is seen from the folder."""
         return path.relative_to(self.root).as_posix()
 
-    def model_path(self, name: str) -> str:
-        """What ``--model`` is given: ``nominal``, or a file of the folder.
-
-        Raises:
-            InputError: As :meth:`existing`.
-        """
-        return NOMINAL if name == NOMINAL else str(self.existing(name))
-
     def scenario_path(self, name: str) -> str:
         """What SCENARIO is given: the name of one that comes with impact_rs, or a file of the folder.
 

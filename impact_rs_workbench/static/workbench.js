@@ -724,7 +724,7 @@ const add = {
   },
 
   update() {
-    const files = state.workspace.diagnoses.filter((one) => one.named.length || true);
+    const files = state.workspace.diagnoses;
     fill(this.file, files.map(({path, verdict, model}) => ({value: path, text: `${path}: ${model}, ${verdict}`})), this.wanted?.file);
     this.note.textContent = files.length ? '' : 'Nothing is diagnosed yet.';
     if (this.file.value !== this.opened || this.wanted) this.choose(); else this.named();
