@@ -12,8 +12,10 @@ import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Literal
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -194,6 +196,17 @@ def test_nothing_is_wider_than_the_screen_of_a_phone_a_tablet_or_a_laptop(page: 
         page.locator(f"[data-step={step}]").click()
         expect(page.locator("main > section:visible h2").first).to_be_visible()
         expect(page.locator("html")).to_have_js_property("scrollWidth", width)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_that_keeps_anybody_out(page: Page, scheme: Literal["light", "dark"]) -> None:
+    """Names, roles, order of headings, contrast: the rules of axe-core, step by step."""
+    page.emulate_media(color_scheme=scheme)
+    for step in ("predict", "measure", "compare", "diagnose", "add", "history"):
+        page.locator(f"[data-step={step}]").click()
+        expect(page.locator("main > section:visible h2").first).to_be_visible()
+        found = Axe().run(page).response["violations"]
+        assert [(one["id"], one["nodes"][0]["html"]) for one in found] == [], step
 
 
 def test_every_control_has_a_name_and_the_manual_opens_by_keyboard(page: Page) -> None:
