@@ -25,7 +25,7 @@ from impact_rs_sim.scenario import Scenario, Uncertainties, load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import Schema
 
-MOVING_DRAWS = 16  # while a slider moves; half an interval then scatters by a fifth
+MOVING_DRAWS = 16  # while a slider moves; the interval of so few is too narrow by about a tenth
 SWEEP_POINTS = 13
 SPEED = "speed"  # the slider that is no key: a factor on every arm's ante_velocity
 

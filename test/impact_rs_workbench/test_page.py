@@ -124,7 +124,6 @@ def test_the_whole_loop_by_mouse_names_the_hidden_effect_and_the_error_falls(
     job(page)
     expect(page.locator("#verdict")).to_contain_text("Model 'nominal' lacks support_friction.")
     expect(page.locator("#ranking tr.main")).to_contain_text("CONFIRMED")
-    picture(page, "workbench_diagnose", address[1])
 
     page.locator("#ranking tr.main button").click()
     expect(page.locator("#add-effect")).to_have_value("support_friction")
