@@ -109,13 +109,11 @@ def test_the_interval_of_a_combination_of_draws_is_theirs() -> None:
 
 
 def test_few_draws_give_nearly_the_interval_of_many_and_the_same_every_time() -> None:
-    problem = nominal("push", "cat_food", "case_2")
-    models = problem.physics.robot_models()
-    told = predict(problem, Uncertainties(), models)
-    names, low, high = interval_of_draws(problem, Uncertainties(), models, 16)
+    told = predict(PROBLEM, Uncertainties(), MODELS)
+    names, low, high = interval_of_draws(PROBLEM, Uncertainties(), MODELS, 16)
     place = names.index("arm.velocity.y")
     assert names == told.names
     assert high[place] - low[place] == pytest.approx(told.high[place] - told.low[place], rel=0.5)
-    again = interval_of_draws(problem, Uncertainties(), models, 16)
+    again = interval_of_draws(PROBLEM, Uncertainties(), MODELS, 16)
     assert np.array_equal(low, again[1])
     assert np.array_equal(high, again[2])
