@@ -46,7 +46,7 @@ SI = {"position": "rad", "velocity": "rad/s", "torque": "N m", "length": "m"}
 
 
 @dataclass(frozen=True)
-class Stream:
+class SignalCandidate:
     """Something in a recording that may be a signal.
 
     Attributes:
@@ -71,7 +71,7 @@ class Found:
         joints: Names of joints, in order of their numbers; empty: the recording names none.
     """
 
-    streams: list[Stream] = field(default_factory=list)
+    streams: list[SignalCandidate] = field(default_factory=list)
     joints: list[str] = field(default_factory=list)
 
 
@@ -161,7 +161,7 @@ def _look_at_bag(path: Path) -> Found:
 
 def _look_at_message(found: Found, topic: str, kind: str, message: Any) -> None:
     if _holds_pose(message):
-        found.streams.append(Stream(topic, {"topic": topic, "type": kind}, True, "object_pose"))
+        found.streams.append(SignalCandidate(topic, {"topic": topic, "type": kind}, True, "object_pose"))
     names = _names(message)
     for place, numbers in _numbers(message):
         source = {"topic": topic, "type": kind, "field": place}
@@ -171,7 +171,7 @@ def _look_at_message(found: Found, topic: str, kind: str, message: Any) -> None:
         guess = {"effort": "torque"}.get(place, place)
         guess = "command" if "command" in topic else guess if "names" in source else ""
         label = f"{topic}: {place} ({numbers})"
-        found.streams.append(Stream(label, source, False, guess))
+        found.streams.append(SignalCandidate(label, source, False, guess))
 
 
 def _names(message: Any) -> list[str] | None:
@@ -218,12 +218,12 @@ def _look_at_table(path: Path) -> Found:
         if len(numbers) > 1 and numbers == set(range(1, len(numbers) + 1)):
             found.joints = found.joints or [f"joint{number}" for number in sorted(numbers)]
             label = f"{pattern.replace('{joint}', '1')} … {pattern.replace('{joint}', str(len(numbers)))}"
-            found.streams.append(Stream(label, {"column": pattern}, False, _guess(pattern)))
+            found.streams.append(SignalCandidate(label, {"column": pattern}, False, _guess(pattern)))
     for column in columns:
         before = column.removesuffix("qw")
         names = [f"{before}{axis}" for axis in POSE_COLUMNS]
         if before != column and set(names) <= set(columns):
-            found.streams.append(Stream(f"{names[0]} … {names[-1]}", {"columns": names}, True, "object_pose"))
+            found.streams.append(SignalCandidate(f"{names[0]} … {names[-1]}", {"columns": names}, True, "object_pose"))
     return found
 
 
@@ -235,7 +235,7 @@ def _look_at_arrays(path: Path) -> Found:
         pose = shape[1] == len(POSE_COLUMNS) and ("pose" in name or "object" in name)
         found.joints = found.joints or ([] if pose else [f"joint{number + 1}" for number in range(shape[1])])
         guess = "object_pose" if pose else _guess(name)
-        found.streams.append(Stream(f"{name} ({shape[0]} × {shape[1]})", {"array": name}, pose, guess))
+        found.streams.append(SignalCandidate(f"{name} ({shape[0]} × {shape[1]})", {"array": name}, pose, guess))
     return found
 
 
