@@ -38,6 +38,10 @@ MOVE = """(value) => new Promise((done) => {
 })"""
 
 
+ANSWERS = """performance.getEntriesByType('resource').filter((one) => one.name.endsWith('/api/predict'))
+    .map((one) => one.responseEnd - one.requestStart)"""
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -62,12 +66,14 @@ def main() -> None:
         masses = 1.0 + 0.4 * np.sin(np.linspace(0.0, 6.0, moves + 1))
         page.evaluate(MOVE, float(masses[0]))
         times = [float(page.evaluate(MOVE, float(mass))) for mass in masses[1:]]
+        answers = page.evaluate(ANSWERS)[-moves:]
         browser.close()
         process.send_signal(signal.SIGINT)
         process.wait()
     median, late = np.percentile(times, [50, 95])
-    load = os.getloadavg()[0]
+    server, load = float(np.median(answers)), os.getloadavg()[0]
     print(f"slider to paint: median {median:.0f} ms, 95 % {late:.0f} ms, {moves} moves; load {load:.1f}")
+    print(f"of which until the answer is there: median {server:.0f} ms")
     print(f"start of the command: {start:.1f} s")
 
 
