@@ -9,13 +9,15 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 from impact_rs_cli.terminal import Command, Terminal
 from impact_rs_control.plan import check_joint_counts
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.impact_map import CONTACTS
 from impact_rs_sim.robot_check import failures_of
 from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.schema import parse_value
 from impact_rs_trials.store import is_url, local_copy
 from impact_rs_trials.workers import Map, Workforce, workers
 
@@ -98,6 +100,35 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="ROS namespace of the nodes, so that several sets of them run side by side; default: none",
     )
+
+
+def add_settings(parser: argparse.ArgumentParser) -> None:
+    """The option ``--set``."""
+    parser.add_argument(
+        "--set",
+        dest="settings",
+        nargs="+",
+        type=_setting,
+        default=[],
+        metavar="KEY=VALUE",
+        help="values that the scenario has instead of its own, as in control.clamp_force=90",
+    )
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    """Key and value of a setting.
+
+    Raises:
+        argparse.ArgumentTypeError: There is no key, or the value is no YAML.
+    """
+    key, equals, value = text.partition("=")
+    try:
+        read = parse_value(value, shortened(key))
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    if not (key and equals and value):
+        raise argparse.ArgumentTypeError(f"expected KEY=VALUE, as in control.clamp_force=90, got {text!r}")
+    return key, read
 
 
 def workforce_of(args: argparse.Namespace) -> Workforce:

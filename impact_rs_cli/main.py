@@ -34,6 +34,7 @@ COMMANDS = {  # name: module of impact_rs_cli.commands, imported when the comman
     "scenario": ("scenario", "write a scenario to start from, for any robot"),
     "paper": ("paper", "what a motor-inertia scale explains in the published rows"),
     "up": ("up", "start the ROS 2 nodes"),
+    "workbench": ("workbench", "walk the loop with the mouse, in the browser"),
 }
 
 LONGEST_MESSAGE = 2000  # characters of an error; some repeat what they were given
@@ -44,6 +45,7 @@ PACKAGES = (  # whose log --debug shows
     "impact_rs_trials",
     "impact_rs_analysis",
     "impact_rs_ros",
+    "impact_rs_workbench",
     "impact_rs_cli",
 )
 

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.progress import ProgressFile
 from impact_rs_trials.store import is_bag, is_url
 
 OUTPUTS = ("output", "mcap", "report")  # where commands write, as their parsers call it
@@ -40,6 +41,7 @@ class Terminal:
         self.debug = debug
         self._document: dict[str, Any] | None = None
         self._errors = Console(stderr=True, highlight=False)
+        self._file = ProgressFile()
 
     def result(self, document: dict[str, Any]) -> None:
         """The document of ``--json``; printed when the command has ended."""
@@ -78,14 +80,28 @@ class Terminal:
         """A bar with the time left, on standard error; none where that is no terminal."""
         with self._bar() as bar:
             task = bar.add_task(what, total=None)
-            yield lambda done, total: bar.update(task, completed=done, total=total)
+
+            def tell(done: int, total: int) -> None:
+                bar.update(task, completed=done, total=total)
+                self._file.tell(what, done, total)
+
+            yield tell
 
     @contextmanager
     def stages(self) -> Iterator[Callable[[str, int, int], None]]:
         """A bar for work in several stages, told as (what, done, total)."""
         with self._bar() as bar:
             task = bar.add_task("", total=None)
-            yield lambda what, done, total: bar.update(task, description=what, completed=done, total=total)
+
+            def tell(what: str, done: int, total: int) -> None:
+                bar.update(task, description=what, completed=done, total=total)
+                self._file.tell(what, done, total)
+
+            yield tell
+
+    def rank(self, name: str, error: float) -> None:
+        """Tell programs what is thought of an explanation so far; people read it at the end."""
+        self._file.rank(name, error)
 
     @contextmanager
     def owned_output(self) -> Iterator[None]:

@@ -291,10 +291,14 @@ def local_copy(
 
 
 @contextmanager
-def owned(store: Store) -> Iterator[None]:
+def owned(store: Store, what: str = "campaign") -> Iterator[None]:
     """Keep other processes from a folder; the lock ends with this process, however it ends.
 
     A URL cannot be locked: two campaigns that run on one waste work, and each bag is one trial all the same.
+
+    Args:
+        store: The folder.
+        what: What lies in it, for the error.
 
     Raises:
         InputError: Another process works on it, or it cannot be written.
@@ -303,7 +307,7 @@ def owned(store: Store) -> Iterator[None]:
         yield
         return
     path = store.path / LOCK
-    with _locked(path) as file:
+    with _locked(path, what) as file:
         file.truncate(0)
         file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
         file.flush()
@@ -313,7 +317,7 @@ def owned(store: Store) -> Iterator[None]:
             path.unlink(missing_ok=True)
 
 
-def _locked(path: Path) -> TextIO:
+def _locked(path: Path, what: str) -> TextIO:
     """An open file with an exclusive lock, which goes when the file is closed."""
     while True:
         try:
@@ -327,7 +331,7 @@ def _locked(path: Path) -> TextIO:
             file.seek(0)
             owner = file.read().strip() or "another process"
             file.close()
-            raise InputError(f"{owner} works on this campaign; wait for it, or stop it", file=path.parent) from None
+            raise InputError(f"{owner} works on this {what}; wait for it, or stop it", file=path.parent) from None
         if os.fstat(file.fileno()).st_nlink:
             return file
         file.close()  # its owner removed it between our two calls

@@ -18,6 +18,7 @@ from impact_rs_sim.effects import library
 ROOT = Path(__file__).resolve().parent.parent
 LAYERS = (  # the higher imports the lower; packages beside each other do not know each other
     ("impact_rs_cli",),
+    ("impact_rs_workbench",),
     ("impact_rs_analysis", "impact_rs_ros"),
     ("impact_rs_trials",),
     ("impact_rs_control",),
@@ -59,6 +60,10 @@ def test_ros_is_known_to_its_nodes_alone(graph: grimp.ImportGraph) -> None:
     for name in {"rclpy", "impact_rs", "impact_msgs_py"} | ros:
         importers = {importer.split(".")[0] for importer in graph.find_modules_that_directly_import(name)}
         assert importers <= {"impact_rs_ros", "impact_msgs_py"}, name
+
+
+def test_the_workbench_does_without_ros(graph: grimp.ImportGraph) -> None:
+    assert not graph.find_shortest_chains("impact_rs_workbench", "impact_rs_ros")
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,7 @@ PACKAGES = (
     "impact_rs_ros",
     "impact_rs_sim",
     "impact_rs_trials",
+    "impact_rs_workbench",
 )
 FOLDERS = (*PACKAGES, ".ci", "benchmarks", "cmake", "config", "examples", "launch", "scripts", "test")
 FILES = sorted(

@@ -25,7 +25,7 @@ from impact_rs_analysis.diagnosis.document import (
 from impact_rs_analysis.diagnosis.experiment import next_experiment
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
-from impact_rs_analysis.diagnosis.search import Rival, Search, adjusted
+from impact_rs_analysis.diagnosis.search import Rival, Search, Told, adjusted
 from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P
 from impact_rs_analysis.diagnosis.verdicts import (
     MOST_RESTS,
@@ -52,13 +52,16 @@ from impact_rs_sim.robot import Array
 CORRELATED = 0.8
 
 
-def diagnose(source: Source, model: Model, only: Sequence[str] | None = None) -> DiagnosisDocument:
+def diagnose(
+    source: Source, model: Model, only: Sequence[str] | None = None, told: Told = lambda *_: None
+) -> DiagnosisDocument:
     """Find out which effects are missing in a model.
 
     Args:
         source: Measurements with the model's predictions.
         model: The model as its file says it; that of the source may know further effects.
         only: Names of the effects to consider; None: all that the source's model knows and has not.
+        told: Hears how well effects do while the search goes on, as :class:`Search` tells it.
 
     Raises:
         InputError: Too few conditions to hold one out.
@@ -72,7 +75,7 @@ def diagnose(source: Source, model: Model, only: Sequence[str] | None = None) ->
     known = source.model.known_effects
     present = {item.name for item in source.model.effects}
     effects = [known[name] for name in known if name not in present and (only is None or name in only)]
-    search = Search.screened(effects, Evidence.of(source))
+    search = Search.screened(effects, Evidence.of(source), told=told)
     chosen = None if search.evidence.reference.shortage is not None else search.choose()
     rivals: Sequence[Rival] = ()
     if chosen is not None:

@@ -8,7 +8,7 @@ runs it again without every cluster that it shall predict.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 
@@ -65,6 +65,9 @@ class Rival:
     tied: bool
 
 
+Told = Callable[[str, float], None]
+
+
 class Search:
     """Search over effects.
 
@@ -72,6 +75,8 @@ class Search:
         effects: Effects to consider.
         evidence: Residuals of the model in the clusters that may be looked at.
         shortlist: Candidates that are fitted through the model in every round.
+        told: Called with effects joined by ``+`` and the error that they leave in clusters left out, on the scale of
+            :meth:`Evidence.size`, whenever they have been fitted.
 
     Attributes:
         singles: Every effect alone, linearised where it does nothing; not those that are never measured.
@@ -79,8 +84,10 @@ class Search:
         ruled_out: Effects that free motion rules out, which are not looked for in contact.
     """
 
-    def __init__(self, effects: Sequence[Effect], evidence: Evidence, shortlist: int = SHORTLIST) -> None:
-        self.evidence, self._shortlist = evidence, shortlist
+    def __init__(
+        self, effects: Sequence[Effect], evidence: Evidence, shortlist: int = SHORTLIST, told: Told = lambda *_: None
+    ) -> None:
+        self.evidence, self._shortlist, self._told = evidence, shortlist, told
         self.source = evidence.source
         self._effects = tuple(effects)
         self.singles: dict[str, Candidate] = {}
@@ -90,9 +97,11 @@ class Search:
         self.ruled_out: set[str] = set()
 
     @classmethod
-    def screened(cls, effects: Sequence[Effect], evidence: Evidence, shortlist: int = SHORTLIST) -> Search:
+    def screened(
+        cls, effects: Sequence[Effect], evidence: Evidence, shortlist: int = SHORTLIST, told: Told = lambda *_: None
+    ) -> Search:
         """A search that knows what every effect does to the clusters; arguments as for the class."""
-        search = cls(effects, evidence, shortlist)
+        search = cls(effects, evidence, shortlist, told)
         search._screen()
         return search
 
@@ -298,6 +307,8 @@ class Search:
             )
             likely = [n for n, p in p_values.items() if n not in self.ruled_out and (p < SIGNIFICANT or not decidable)]
             linear = sorted((self.beside(chosen, name) for name in likely), key=lambda entry: entry.score)
+            for entry in linear:
+                self._tell(entry)
             # What is small is linear: a proposal that gains nothing there will not gain by being fitted properly.
             if chosen is not None:
                 linear = [entry for entry in linear if excess - evidence.excess(entry.held_out) > 0.5 * needed]
@@ -308,6 +319,9 @@ class Search:
                 break
             chosen = best if thrifty else measure_again(best)
         return chosen
+
+    def _tell(self, fitted: Fit) -> None:
+        self._told("+".join(fitted.candidate.names), self.evidence.size(fitted.held_out))
 
     @property
     def _lacking(self) -> bool:
@@ -327,6 +341,7 @@ class Search:
         for entry in shortlist:
             beat = min((proposal.score for proposal in found), default=np.inf)
             found.append(refine(entry.candidate, entry.evidence, HOPELESS * beat, steps))
+            self._tell(found[-1])
         if not found:
             return None
         top = min(proposal.score for proposal in found)

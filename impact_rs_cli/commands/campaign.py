@@ -7,14 +7,12 @@ import argparse
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from typing import Any
 
-from impact_rs_cli.arguments import add_jobs, add_namespace, add_without, check_robots, workforce_of
+from impact_rs_cli.arguments import add_jobs, add_namespace, add_settings, add_without, check_robots, workforce_of
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 from impact_rs_ros.names import full_namespace
-from impact_rs_sim.errors import InputError, shortened
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.schema import parse_value
 from impact_rs_trials.campaign import (
     FAILURES,
     Manifest,
@@ -57,15 +55,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scales", nargs="+", type=float, metavar="S", help="default: the scenario's [-]")
     parser.add_argument("--trials", type=int, metavar="N", help="repeats of every scale; default: the scenario's")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the campaign; default: 0")
-    parser.add_argument(
-        "--set",
-        dest="settings",
-        nargs="+",
-        type=_setting,
-        default=[],
-        metavar="KEY=VALUE",
-        help="values that the scenario has instead of its own, as in control.clamp_force=90",
-    )
+    add_settings(parser)
     parser.add_argument(
         "--sensitivity",
         action="store_true",
@@ -83,22 +73,6 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_namespace(parser)
     add_json(parser)
     parser.set_defaults(resumable=True)
-
-
-def _setting(text: str) -> tuple[str, Any]:
-    """Key and value of a setting.
-
-    Raises:
-        argparse.ArgumentTypeError: There is no key, or the value is no YAML.
-    """
-    key, equals, value = text.partition("=")
-    try:
-        read = parse_value(value, shortened(key))
-    except InputError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-    if not (key and equals and value):
-        raise argparse.ArgumentTypeError(f"expected KEY=VALUE, as in control.clamp_force=90, got {text!r}")
-    return key, read
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:

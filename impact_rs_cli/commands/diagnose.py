@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-import numpy as np
 from rich.table import Table
 
 from impact_rs_analysis.diagnosis.compare import compare
@@ -19,18 +18,17 @@ from impact_rs_analysis.diagnosis.document import (
     EstimateDocument,
     write_document,
 )
+from impact_rs_analysis.diagnosis.formulas import try_out
 from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.diagnosis.words import estimate_text
 from impact_rs_analysis.report.diagnosis import write_diagnosis
 from impact_rs_cli.arguments import add_jobs, add_runs, number, on_local_runs
 from impact_rs_cli.measurements import Measurements, add_source, added_of, measured
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
-from impact_rs_sim.effects.formula import FormulaEffect, load_formulas
+from impact_rs_sim.effects.formula import load_formulas
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.robot import told_units
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import Scene
 
 TEXT = f"""\
 Find out which physical effect is missing in a model.
@@ -123,28 +121,8 @@ def with_formulas(model: Model, path: Path | None) -> Model:
     for name in own:
         if name in model.known_effects:
             raise InputError(f"there is already an effect called {name!r}; give yours another name", file=path)
-    _try_out(own, path)
+    try_out(own.values(), path)
     return model.model_copy(update={"formulas": (*model.formulas, *(effect.spec for effect in own.values()))})
-
-
-def _try_out(effects: dict[str, FormulaEffect], path: Path) -> None:
-    """Evaluate formulas once, at nominal values and a step away, before hours are spent on measurements.
-
-    Raises:
-        InputError: One of them blows up.
-    """
-    scenario = load_scenario("push")
-    scene = Scene.resolve(scenario, next(iter(scenario.objects)), next(iter(scenario.cases)))
-    name, arm = next(iter(scene.arms.items()))
-    joints = arm.position.size
-    for effect in effects.values():
-        step = np.array([scalar.scale for scalar in effect.scalars(joints)])
-        for vector in (effect.nominal(joints), effect.nominal(joints) + step):
-            try:
-                physics = effect.apply_vector(scene.physics, vector)
-                physics.load_torques(name, scene.models[name], 0.0, arm.position, arm.velocity)
-            except InputError as error:
-                raise InputError(error.message, file=path) from None
 
 
 def check_effects(model: Model, names: list[str] | None) -> None:
@@ -177,7 +155,7 @@ def diagnosis_of(
         terminal: Where to show it.
     """
     with measurements.progress():
-        document = diagnose(measurements.against(extended), model, only)
+        document = diagnose(measurements.against(extended), model, only, terminal.rank)
     new = tuple(spec for spec in extended.formulas if spec not in model.formulas)
     document = document.model_copy(update={"formulas": new})
     _show(document, terminal)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from impact_rs_cli.arguments import add_contact, add_jobs, started
+from impact_rs_cli.arguments import add_contact, add_jobs, add_settings, started
 from impact_rs_cli.terminal import Terminal, add_json, declare
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
@@ -38,6 +38,7 @@ example:
   impact-rs map grab cat_food 2 --contact settled
   impact-rs map push cat_food 2 --uncertainty
   impact-rs map push cat_food 2 --derivatives
+  impact-rs map push cat_food 2 --set contact.restitution=0.2 objects.cat_food.mass=1.5
   impact-rs map push --table problems.parquet -o answers.parquet
   impact-rs map --table tosses.csv -o answers.csv
 
@@ -73,6 +74,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="how every velocity changes with masses, inertias, B, friction, restitution, poses and velocities before",
     )
+    add_settings(parser)
     parser.add_argument("--table", type=Path, metavar="FILE", help="many problems: a .csv or .parquet table of impacts")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="where the answers of --table go")
     add_jobs(parser)
@@ -85,7 +87,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         return _many(args, terminal)
     if args.scenario is None or args.object is None or args.case is None:
         raise InputError("expected SCENARIO OBJECT CASE, or --table FILE -o FILE")
-    scenario = load_scenario(args.scenario)
+    scenario = load_scenario(args.scenario).with_settings(dict(args.settings))
     scenario.object(args.object)
     scene = Scene.resolve(scenario, args.object, args.case)
     problem = ImpactProblem.at_nominal_impact(scene, args.motor_inertia)
@@ -161,7 +163,7 @@ def _many(args: argparse.Namespace, terminal: Terminal) -> int:
     """Answer a table."""
     if args.output is None:
         raise InputError("--table needs -o FILE, where the answers go (.csv or .parquet)")
-    if args.object is not None or args.uncertainty or args.derivatives or args.restitution_law:
+    if args.object is not None or args.uncertainty or args.derivatives or args.restitution_law or args.settings:
         raise InputError("--table goes with at most a SCENARIO; the rest stands in its columns")
     scenario = load_scenario(args.scenario) if args.scenario is not None else None
     table = read_impact_table(args.table, scenario, questions=True)

@@ -33,6 +33,16 @@ class ArrayFile:
         self._path, self._mapping, self._names = path, mapping, names
         self._arrays = _read_npz(path) if path.suffix == ".npz" else _read_hdf5(path)
 
+    @staticmethod
+    def shapes_of(path: Path) -> dict[str, tuple[int, ...]]:
+        """Names and shapes of the arrays of a file.
+
+        Raises:
+            InputError: It is no such file.
+        """
+        arrays = _read_npz(path) if path.suffix == ".npz" else _read_hdf5(path)
+        return {name: array.shape for name, array in arrays.items()}
+
     def series(self, name: SignalName, source: SignalSource) -> Series:
         """One signal in SI units.
 

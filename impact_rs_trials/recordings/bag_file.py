@@ -52,7 +52,7 @@ def typestore_for(mapping: Mapping) -> Typestore:
     return store
 
 
-def _register(store: Typestore, connection: Connection) -> None:
+def register(store: Typestore, connection: Connection) -> None:
     """Prefer the definition that the bag carries itself."""
     kind, definition = connection.msgtype, connection.msgdef
     if connection.msgdef.format == MessageDefinitionFormat.NONE or kind.startswith(("sensor_msgs/", "std_msgs/")):
@@ -92,7 +92,7 @@ class BagFile:
                 self._connections = list(reader.connections)
                 chosen = self._chosen(wanted)
                 for connection in chosen:
-                    _register(self._store, connection)
+                    register(self._store, connection)
                     self._messages[connection.topic] = []
                 for connection, log, data in reader.messages(connections=chosen) if chosen else ():  # [] is all
                     message = self._store.deserialize_cdr(data, connection.msgtype)

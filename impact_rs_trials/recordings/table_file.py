@@ -52,6 +52,15 @@ class TableFile:
             _read_csv(path) if path.suffix == ".csv" else _read_parquet(path, UNITS["time"][mapping.time.unit])
         )
 
+    @staticmethod
+    def columns_of(path: Path) -> list[str]:
+        """Names of the columns of a file.
+
+        Raises:
+            InputError: It is no such file.
+        """
+        return list(_read_csv(path) if path.suffix == ".csv" else _read_parquet(path, 1.0))
+
     def series(self, name: SignalName, source: SignalSource) -> Series:
         """One signal in SI units.
 

@@ -10,7 +10,14 @@ from impact_map_cases import nominal
 from impact_rs_sim.impact_map.derivatives import differentiate
 from impact_rs_sim.impact_map.parameters import change
 from impact_rs_sim.impact_map.problem import ImpactProblem
-from impact_rs_sim.impact_map.uncertainty import answer_of, draw, predict, sources_of, velocity_names
+from impact_rs_sim.impact_map.uncertainty import (
+    answer_of,
+    draw,
+    interval_of_draws,
+    predict,
+    sources_of,
+    velocity_names,
+)
 from impact_rs_sim.scenario import Uncertainties
 
 NONE = dict.fromkeys(Uncertainties.model_fields, 0.0)
@@ -99,3 +106,14 @@ def test_the_interval_of_a_combination_of_draws_is_theirs() -> None:
     )
     expected = np.quantile(sum_, [0.025, 0.975])
     assert found.interval_of({"arm.velocity.y": 1.0, "object.velocity.y": 1.0}) == pytest.approx(expected)
+
+
+def test_few_draws_give_nearly_the_interval_of_many_and_the_same_every_time() -> None:
+    told = predict(PROBLEM, Uncertainties(), MODELS)
+    names, low, high = interval_of_draws(PROBLEM, Uncertainties(), MODELS, 16)
+    place = names.index("arm.velocity.y")
+    assert names == told.names
+    assert high[place] - low[place] == pytest.approx(told.high[place] - told.low[place], rel=0.5)
+    again = interval_of_draws(PROBLEM, Uncertainties(), MODELS, 16)
+    assert np.array_equal(low, again[1])
+    assert np.array_equal(high, again[2])

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``impact-rs workbench``: the loop as a page in the browser."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from impact_rs_cli.terminal import PROGRAM, Terminal, declare
+from impact_rs_sim.errors import InputError
+from impact_rs_workbench.server import serve
+
+TEXT = f"""\
+Walk the loop with the mouse: predict, measure, compare, diagnose, add, history, on one page in the browser.
+
+Serves this machine alone, until Ctrl-C; the address that it prints holds the key. Everything it does is a command of
+this command line, shown to be copied, and everything it makes is a file in DIR, so closing the page loses nothing.
+
+example:
+  {PROGRAM} workbench
+  {PROGRAM} workbench campaigns --no-browser
+
+Units: with every number on the page."""
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the command."""
+    declare(parser, run, TEXT)
+    parser.add_argument(
+        "directory", metavar="DIR", nargs="?", type=Path, default=Path("workbench"),
+        help="folder of campaigns, recordings and models; default: %(default)s",
+    )  # fmt: skip
+    parser.add_argument("--no-browser", action="store_true", help="only print the address")
+    parser.add_argument("--port", type=int, default=0, metavar="N", help="port to listen on; default: a free one")
+
+
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Run the command."""
+    if args.directory.exists() and not args.directory.is_dir():
+        raise InputError("a file where the folder of the workbench is expected", file=args.directory)
+    if not 0 <= args.port <= 65535:
+        raise InputError(f"port {args.port}: expected 0 (a free one) to 65535")
+
+    def tell(address: str) -> None:
+        terminal.say(f"workbench of {args.directory}: {address}", "Ctrl-C ends it; jobs that run are stopped with it")
+
+    serve(args.directory, PROGRAM, args.port, not args.no_browser, tell)
+    return 0

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects of a user's own: checked while they are written, and kept as a file that ``diagnose --formulas`` reads."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import Field
+
+from impact_rs_analysis.diagnosis.formulas import try_out
+from impact_rs_sim.effects import library
+from impact_rs_sim.effects.dimensions import check_units
+from impact_rs_sim.effects.formula import FormulaEffect, FormulaFile
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import write_whole
+from impact_rs_sim.schema import Schema, parse_yaml, validate
+from impact_rs_workbench.workspace import Workspace
+
+PLACE = "formulas"  # what errors call a text that has no file yet
+
+
+class FormulaText(Schema):
+    """What is written on the page."""
+
+    text: str = Field(max_length=100_000, description="YAML of a formula file")
+    path: str = Field("", description="where it is kept")
+
+
+def check(text: str, place: str = PLACE) -> dict[str, Any]:
+    """What formulas say, once syntax, units and numbers are right.
+
+    Raises:
+        InputError: They are not; the message says where.
+    """
+    effects = [FormulaEffect(spec) for spec in validate(FormulaFile, parse_yaml(text, place), place).effects]
+    for effect in effects:
+        if effect.name in library():
+            raise InputError(f"there is already an effect called {effect.name!r}; give yours another name", file=place)
+    units = {effect.name: check_units(effect.spec) for effect in effects}
+    try_out(effects, place)
+    return {
+        "effects": [
+            {
+                "name": effect.name,
+                "sentence": effect.sentence,
+                "lines": [
+                    *(
+                        f"{formula}: {f'gives {unit}' if unit else 'a number in it leaves the unit open'}"
+                        for formula, unit in units[effect.name].items()
+                    ),
+                    *(
+                        f"{name}: {one.lower:g} … {one.upper:g} {one.unit}, does nothing at {one.nominal:g}"
+                        for name, one in effect.spec.parameters.items()
+                    ),
+                ],
+            }
+            for effect in effects
+        ]
+    }
+
+
+def keep(workspace: Workspace, content: FormulaText) -> str:
+    """Write formulas into a file of the folder; an earlier one is replaced.
+
+    Returns:
+        The file as it is seen from the folder.
+
+    Raises:
+        InputError: They are not right, or the file is none of the folder.
+    """
+    path = workspace.inside(content.path)
+    if path.suffix not in (".yaml", ".yml"):
+        raise InputError("expected a name that ends in .yaml", file=content.path)
+    check(content.text, content.path)
+    if path.exists() and workspace.name(path) not in workspace.contents().formulas:
+        raise InputError("there is a file of another kind; choose another name", file=content.path)
+    write_whole(path, content.text)
+    return workspace.name(path)

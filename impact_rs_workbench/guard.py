@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who may talk to the workbench: the browser that was given its address, and no page of another site.
+
+The address holds a token once; from there on a cookie does, which a browser sends with nothing that another site asked
+for (``SameSite=Strict``). A name that somebody points at this machine (DNS rebinding) is no ``Host`` of ours, and what
+changes something has to come from our own page (``Origin``).
+"""
+
+from __future__ import annotations
+
+import secrets
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qs
+
+from starlette.datastructures import Headers
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+PAGE_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
+    "connect-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+# A report was written by a program that read somebody's bags: it is shown as if it came from another site.
+FILE_POLICY = "sandbox allow-scripts allow-popups allow-downloads; frame-ancestors 'self'"
+SAFE_METHODS = ("GET", "HEAD")
+
+
+class Guard:
+    """Lets requests through that know the token and come from our own page.
+
+    Args:
+        app: What is guarded.
+        token: What the address holds.
+        port: Port that is listened on, as ``Host`` names it.
+    """
+
+    def __init__(self, app: ASGIApp, token: str, port: int) -> None:
+        self._app, self._token = app, token
+        self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
+        self.cookie = f"impact_rs_workbench_{port}"  # cookies know no ports; two workbenches must not share one
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer, or pass on."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        answer = self._refused(scope, Headers(scope=scope))
+        if answer is not None:
+            await answer(scope, receive, send)
+            return
+
+        async def sent(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = dict(message["headers"])
+                for name, value in _HEADERS.items():
+                    headers.setdefault(name, value)
+                message["headers"] = list(headers.items())
+            await send(message)
+
+        await self._app(scope, receive, sent)
+
+    def _refused(self, scope: Scope, headers: Headers) -> Response | None:
+        """What a request is answered that goes no further; None: it may pass."""
+        host = headers.get("host", "")
+        if host not in self._hosts:
+            return PlainTextResponse("This workbench answers on its own machine only.", 403)
+        if scope["method"] not in SAFE_METHODS and headers.get("origin") != f"http://{host}":
+            return PlainTextResponse("Only the page of this workbench may change something.", 403)
+        given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[-1]
+        if scope["path"] == "/" and self._is_token(given):
+            answer = RedirectResponse("/", 303)
+            answer.set_cookie(self.cookie, self._token, httponly=True, samesite="strict")
+            return answer
+        if not self._is_token(_cookie(headers.get("cookie", ""), self.cookie)):
+            return PlainTextResponse("Open the address that impact-rs workbench has printed: it holds the key.", 403)
+        return None
+
+    def _is_token(self, text: str) -> bool:
+        return secrets.compare_digest(text.encode(), self._token.encode())
+
+
+_HEADERS = {
+    b"content-security-policy": PAGE_POLICY.encode(),
+    b"x-content-type-options": b"nosniff",
+    b"referrer-policy": b"no-referrer",
+    b"cache-control": b"no-store",
+}
+
+
+def _cookie(text: str, name: str) -> str:
+    """Value of a cookie; empty: it is not there."""
+    try:
+        found = SimpleCookie(text).get(name)
+    except CookieError:
+        return ""
+    return "" if found is None else found.value

@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Jobs of a workbench: commands of our own command line, each with a folder that keeps what it was and how it went.
+
+    .workbench/jobs/0007/job.json        command, what it writes, when it began and ended, exit code
+                         progress.json   how far it is (:mod:`impact_rs_sim.progress`)
+                         output.txt      what it printed
+
+A job is stopped as Ctrl-C stops it, and goes on by the same command. Two jobs never write into one folder at a time.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import write_whole
+from impact_rs_sim.progress import VARIABLE
+
+RECORD, PROGRESS, OUTPUT = "job.json", "progress.json", "output.txt"
+MOST = 10  # explanations that a job shows while it weighs them
+SHOWN = 40  # last lines of a log that are shown
+LARGEST_TAIL = 20_000  # bytes of a log that are looked at
+KILLED_AFTER = 5.0  # s, that a stopped job has to end when the workbench ends
+LOST = "ended with the workbench that had started it; the same command goes on where it stopped"
+
+
+@dataclass(frozen=True)
+class Order:
+    """A command to be run.
+
+    Attributes:
+        step: Step of the loop that it belongs to.
+        arguments: Arguments of ``impact-rs``, with paths as the job's working directory sees them.
+        writes: Files and folders that it writes.
+    """
+
+    step: str
+    arguments: tuple[str, ...]
+    writes: tuple[Path, ...]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is known of a job.
+
+    Attributes:
+        number: Its number.
+        step: Step of the loop that it belongs to.
+        command: The command that does the same in a terminal.
+        arguments: Arguments of ``impact-rs``.
+        writes: What it writes.
+        started: When [s of the wall clock].
+        ended: When [s of the wall clock]; None: it runs.
+        exit_code: 0 done, 1 not done, 2 a mistake in the input, 130 stopped; None: it runs.
+        line: What went wrong, in one line; empty: nothing.
+        stopping: Whether it was told to stop.
+    """
+
+    number: int
+    step: str
+    command: str
+    arguments: tuple[str, ...]
+    writes: tuple[str, ...]
+    started: float
+    ended: float | None = None
+    exit_code: int | None = None
+    line: str = ""
+    stopping: bool = False
+
+    @property
+    def runs(self) -> bool:
+        """Whether it has not ended."""
+        return self.ended is None
+
+
+@dataclass
+class Jobs:
+    """The jobs of a workbench.
+
+    Args:
+        folder: Where their records are.
+        program: How a terminal calls ``impact-rs``.
+        changed: Called when something is to be told.
+    """
+
+    folder: Path
+    program: str
+    changed: Callable[[], None] = lambda: None
+    _jobs: dict[int, Job] = field(default_factory=dict)
+    _processes: dict[int, subprocess.Popen[bytes]] = field(default_factory=dict)
+    _waiting: dict[int, threading.Thread] = field(default_factory=dict)
+    _lock: threading.RLock = field(default_factory=threading.RLock)
+
+    def __post_init__(self) -> None:
+        """Read what earlier workbenches have left."""
+        for path in sorted(self.folder.glob(f"*/{RECORD}")):
+            try:
+                data = json.loads(path.read_text(encoding="utf-8"))
+                job = Job(**(data | {name: tuple(data[name]) for name in ("arguments", "writes")}))
+            except (OSError, ValueError, TypeError, KeyError):  # half a record of a machine that went off
+                continue
+            if job.runs:
+                job = replace(job, ended=path.stat().st_mtime, exit_code=130, line=LOST)
+                self._keep(job)
+            self._jobs[job.number] = job
+
+    def start(self, order: Order) -> Job:
+        """Start a command.
+
+        Raises:
+            InputError: A job that runs writes to the same place.
+        """
+        with self._lock:
+            for other in self._jobs.values():
+                if other.runs and (place := _shared(order.writes, other.writes)) is not None:
+                    raise InputError(
+                        f"job {other.number} ({other.step}) is writing to {place}; wait for it, or stop it"
+                    )
+            taken = [int(path.name) for path in self.folder.glob("*") if path.name.isdecimal()]  # unreadable ones, too
+            number = max(taken, default=0) + 1
+            command = self.line(order.arguments)
+            writes = tuple(str(path) for path in order.writes)
+            job = Job(number, order.step, command, order.arguments, writes, time.time())
+            folder = self._folder(number)
+            folder.mkdir(parents=True)
+            self._jobs[number] = job
+            self._keep(job)
+            with (folder / OUTPUT).open("wb") as output:
+                process = subprocess.Popen(
+                    [sys.executable, "-m", "impact_rs_cli.main", *order.arguments],
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                    env=os.environ | {VARIABLE: str(folder / PROGRESS), "COLUMNS": "110", "PYTHONUNBUFFERED": "1"},
+                    start_new_session=True,  # so that stopping it reaches its workers, and Ctrl-C of ours does not
+                )
+            self._processes[number] = process
+            thread = threading.Thread(target=self._wait, args=(number, process), daemon=True)
+            self._waiting[number] = thread
+            thread.start()
+        self.changed()
+        return job
+
+    def line(self, arguments: Sequence[str]) -> str:
+        """Arguments of ``impact-rs`` as a line for a terminal."""
+        return shlex.join([*shlex.split(self.program), *arguments])
+
+    def again(self, number: int) -> Job:
+        """Run the command of an earlier job once more; where it can go on, it does.
+
+        Raises:
+            InputError: There is no such job, it still runs, or another job writes to the same place.
+        """
+        job = self.get(number)
+        if job.runs:
+            raise InputError(f"job {number} is still running")
+        return self.start(Order(job.step, job.arguments, tuple(Path(path) for path in job.writes)))
+
+    def stop(self, number: int) -> Job:
+        """Stop a job as Ctrl-C would; one that has ended stays as it is.
+
+        Raises:
+            InputError: There is no such job.
+        """
+        with self._lock:
+            job = self.get(number)
+            if job.runs:
+                job = self._jobs[number] = replace(job, stopping=True)
+                _signal(self._processes[number], signal.SIGINT)
+        self.changed()
+        return job
+
+    def get(self, number: int) -> Job:
+        """A job.
+
+        Raises:
+            InputError: There is none with this number.
+        """
+        if number not in self._jobs:
+            raise InputError(f"no job {number}; there are {len(self._jobs)}")
+        return self._jobs[number]
+
+    def wait(self, number: int) -> Job:
+        """A job when it has ended."""
+        self._waiting[number].join()
+        return self.get(number)
+
+    def all(self) -> list[dict[str, Any]]:
+        """All jobs, the newest first, with how far they are."""
+        with self._lock:
+            jobs = sorted(self._jobs.values(), key=lambda job: -job.number)
+        return [asdict(job) | {"progress": self._progress(job)} for job in jobs]
+
+    def log(self, number: int) -> str:
+        """The last lines that a job has printed.
+
+        Raises:
+            InputError: There is no such job.
+        """
+        self.get(number)
+        return "\n".join(_tail(self._folder(number) / OUTPUT)[-SHOWN:])
+
+    def close(self) -> None:
+        """Stop what runs, and wait for it."""
+        with self._lock:
+            running = [number for number, job in self._jobs.items() if job.runs]
+        for number in running:
+            self.stop(number)
+        for number in running:
+            self._waiting[number].join(KILLED_AFTER)
+            if self._waiting[number].is_alive():
+                _signal(self._processes[number], signal.SIGKILL)
+                self._waiting[number].join()
+
+    def _wait(self, number: int, process: subprocess.Popen[bytes]) -> None:
+        code = process.wait()
+        line = "" if code == 0 else _last_words(_tail(self._folder(number) / OUTPUT), code)
+        with self._lock:
+            code = 128 - code if code < 0 else code  # as a shell tells of a signal
+            job = replace(self._jobs[number], ended=time.time(), exit_code=code, line=line, stopping=False)
+            self._jobs[number] = job
+            self._keep(job)
+        self.changed()
+
+    def _folder(self, number: int) -> Path:
+        return self.folder / f"{number:04d}"
+
+    def _keep(self, job: Job) -> None:
+        write_whole(self._folder(job.number) / RECORD, json.dumps(asdict(job), indent=2))
+
+    def _progress(self, job: Job) -> dict[str, Any] | None:
+        """How far a job is, with the time that its stage still takes [s], where that can be told."""
+        if not job.runs:
+            return None
+        try:
+            found: dict[str, Any] = json.loads((self._folder(job.number) / PROGRESS).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        done, total, spent = found["done"], found["total"], found["at"] - found["since"]
+        left = None if not total or not done else spent / done * (total - done)
+        return {"what": found["what"], "done": done, "total": total, "left": left, "ranking": found["ranking"][:MOST]}
+
+
+def _shared(writes: Sequence[Path], others: Sequence[str]) -> Path | None:
+    """A place that both write to, or inside of which one of them writes; None: there is none."""
+    for path in writes:
+        for other in map(Path, others):
+            if path == other or path in other.parents or other in path.parents:
+                return path
+    return None
+
+
+def _signal(process: subprocess.Popen[bytes], number: signal.Signals) -> None:
+    """To a job and its workers."""
+    try:
+        os.killpg(process.pid, number)
+    except ProcessLookupError:  # it has just ended
+        return
+
+
+def _tail(path: Path) -> list[str]:
+    """Lines at the end of a log."""
+    try:
+        with path.open("rb") as file:
+            file.seek(max(0, path.stat().st_size - LARGEST_TAIL))
+            return file.read().decode("utf-8", "replace").splitlines()
+    except OSError:
+        return []
+
+
+def _last_words(lines: Sequence[str], code: int) -> str:
+    """The line in which a command said what is wrong."""
+    told = [line for line in lines if re.match(r"impact-rs[\w -]*: ", line)]
+    if told:
+        return told[-1].partition(": ")[2]
+    return next((line for line in reversed(lines) if line.strip()), f"exit code {code}")

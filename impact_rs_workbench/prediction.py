@@ -1,0 +1,298 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predictions while a slider moves: the impact map of a scenario with some of its values changed.
+
+Every slider is a key of the scenario, so what is seen is what ``impact-rs map --uncertainty --set KEY=VALUE`` says, and
+the command is told with it. The interval is that of :mod:`impact_rs_sim.impact_map.uncertainty`; while a slider moves,
+and along a band, it comes from few draws alone, the same ones every time, so it moves along and does not flicker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from impact_rs_analysis.report.figures import MODEL_STYLE
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, predict_impact
+from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, interval_of_draws, predict
+from impact_rs_sim.impact_map.uniqueness import uniqueness_of
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
+from impact_rs_sim.scenario import Scenario, Uncertainties, load_scenario
+from impact_rs_sim.scene import Scene
+from impact_rs_sim.schema import Schema
+
+MOVING_DRAWS = 16  # while a slider moves; the interval of so few is too narrow by about a tenth
+SWEEP_POINTS = 13
+SPEED = "speed"  # the slider that is no key: a factor on every arm's ante_velocity
+
+Ends = dict[str, tuple[float, float]]  # of intervals, by velocity
+Setting = float | tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A number of the scenario that may be moved.
+
+    Attributes:
+        key: Key of the scenario, or ``speed``.
+        label: What it is, in short.
+        unit: Unit, ``-`` where it has none.
+        value: What the scenario says.
+        low: Left end.
+        high: Right end.
+        meaning: What it is, in a sentence.
+        page: Page of the manual.
+        known: Whether it says how well a number is known.
+    """
+
+    key: str
+    label: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    meaning: str
+    page: str = "physics.md"
+    known: bool = False
+
+
+class Question(Schema):
+    """What is asked of the impact map."""
+
+    scenario: str = Field(description="name, or path of a file in the folder")
+    object: str = Field(description="object of the scenario")
+    case: str = Field(description="case of the scenario")
+    motor_inertia: Literal["reduced", "rotor", "zero"] = Field("reduced", description="motor-inertia model")
+    values: dict[str, float] = Field({}, description="sliders that were moved, by key")
+    moving: bool = Field(False, description="whether a slider is being moved: fewer draws, nothing that takes long")
+
+
+def sliders_of(scenario: Scenario, object_name: str) -> tuple[Slider, ...]:
+    """The sliders of an object, with what a reader should know of each."""
+    thing = scenario.object(object_name)
+    widths = Uncertainties.model_fields
+    return (
+        Slider(SPEED, "ante-impact speed", "×", 1.0, 0.3, 1.4, "factor on the velocity of every arm before the impact"),
+        Slider(
+            f"objects.{object_name}.mass", "object mass", "kg", thing.mass, 0.25 * thing.mass, 2.5 * thing.mass,
+            "mass of the object",
+        ),
+        Slider("contact.restitution", "restitution e", "-", scenario.contact.restitution, 0.0, 1.0,
+               "normal velocity after over before, with the sign turned (Newton)"),
+        Slider("contact.friction", "pad friction µ", "-", scenario.contact.friction, 0.0, 1.2,
+               "Coulomb friction between pad and object"),
+        Slider("support.friction", "support friction µ", "-", scenario.support.friction, 0.0, 1.2,
+               "Coulomb friction between object and support"),
+        *(
+            Slider(f"uncertainty.{name}", name.replace("_", " "), "± relative", getattr(scenario.uncertainty, name),
+                   0.0, 0.3, str(widths[name].description), "scenarios.md", True)
+            for name in widths if str(widths[name].description).find("relative") >= 0
+        ),
+    )  # fmt: skip
+
+
+def settings_of(scenario: Scenario, question: Question) -> dict[str, Setting]:
+    """Values that the scenario has instead of its own, by dotted key.
+
+    Raises:
+        InputError: There is no such slider.
+    """
+    known = {slider.key: slider for slider in sliders_of(scenario, question.object)}
+    settings: dict[str, Setting] = {}
+    for key, value in question.values.items():
+        if key not in known:
+            raise InputError(f"no slider {key!r}; known: {', '.join(known)}")
+        if key != SPEED:
+            settings[key] = value
+            continue
+        case = scenario.case_name(question.case)
+        for name, robot in scenario.cases[case].robots.items():
+            x, y, z = (float(f"{value * speed:.6g}") for speed in robot.ante_velocity)
+            settings[f"cases.{case}.robots.{name}.ante_velocity"] = (x, y, z)
+    return settings
+
+
+def map_arguments(scenario: str, question: Question, settings: Mapping[str, Setting]) -> list[str]:
+    """The arguments of ``impact-rs`` that give the same answer."""
+    words = ["map", scenario, question.object, question.case, "--uncertainty"]
+    if question.motor_inertia != "reduced":
+        words += ["--motor-inertia", question.motor_inertia]
+    if settings:
+        words += ["--set", *(f"{key}={_yaml(value)}" for key, value in settings.items())]
+    return words
+
+
+def _yaml(value: Setting) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else f"[{', '.join(f'{one:.6g}' for one in value)}]"
+
+
+def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
+    """Velocities before and after with their intervals, impulse, and who contributes what.
+
+    Raises:
+        InputError: The scenario has no such object, case or value, or the question has no answer.
+        ImpactMapError: No answer was found.
+    """
+    scene, problem = _problem(scenario, question)
+    found = predict_impact(problem, "first", "pinocchio")
+    stated = scene.scenario.uncertainty
+    told: UncertainPrediction | None = None
+    ends: Ends = {}
+    note = ""
+    try:
+        if question.moving:
+            names, low, high = interval_of_draws(problem, stated, scene.models, MOVING_DRAWS)
+        else:
+            told = predict(problem, stated, scene.models)
+            names, low, high = told.names, told.low, told.high
+        ends = dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True))
+    except (InputError, ImpactMapError) as error:  # velocities are known all the same
+        note = f"no interval: {error}"
+    if not question.moving:
+        note = note or (uniqueness_of(problem, scene.models).warning or "")
+    before = {name: scene.models[name].jacobian(arm.position) @ arm.velocity for name, arm in scene.arms.items()}
+    bodies = [(name, before[name], twist) for name, twist in found.end_effector_twist.items()]
+    bodies.append(("object", scene.object.twist, found.object_twist))
+    rows = [
+        _row(body, axis, ante[index], post[index], ends, axis == scenario.axis)
+        for body, ante, post in bodies
+        for index, axis in enumerate("xyz")
+    ]
+    impulse = sum((contact.impulse for contact in found.contacts if contact.body_b != "support"), np.zeros(3))
+    return {
+        "axis": scenario.axis,
+        "rows": rows,
+        "impulse": [float(value) for value in impulse],
+        "budget": _budget(told, f"{bodies[0][0]}.velocity.{scenario.axis}"),
+        "interval": None if told is None else {"level": LEVEL, "method": told.method, "draws": told.draws},
+        "moving": question.moving,
+        "residual": found.residual.largest,
+        "note": note,
+    }
+
+
+def _row(body: str, axis: str, ante: float, post: float, ends: Ends, main: bool) -> dict[str, Any]:
+    low, high = ends.get(f"{body}.velocity.{axis}", (None, None))
+    ante, post = float(ante), float(post)
+    return {"body": body, "axis": axis, "main": main, "before": ante, "after": post, "low": low, "high": high}
+
+
+def _budget(told: UncertainPrediction | None, name: str) -> list[dict[str, Any]]:
+    """Who contributes what to the variance of a velocity, the largest first."""
+    if told is None:
+        return []
+    place = told.names.index(name)
+    shares = {source: float(rows[place]) for source, rows in told.budget.items()}
+    return [
+        {"source": source.replace("_", " "), "share": share}
+        for source, share in sorted(shares.items(), key=lambda entry: -entry[1])
+        if share >= 0.005
+    ]
+
+
+def _problem(scenario: Scenario, question: Question) -> tuple[Scene, ImpactProblem]:
+    changed = scenario.with_settings(settings_of(scenario, question))
+    scene = Scene.resolve(changed, question.object, question.case)
+    return scene, ImpactProblem.at_nominal_impact(scene, question.motor_inertia)
+
+
+@dataclass(frozen=True)
+class SweepPoint:
+    """Velocities along the scenario's axis after the impact at one place of a slider [m/s]; None: no answer.
+
+    Attributes:
+        value: Where the slider is.
+        arms: Of the first arm, by motor inertia.
+        object: Of the object, with the motor inertia that was asked for.
+        low: Lower end of the first arm's interval.
+        high: Upper end of it.
+    """
+
+    value: float
+    arms: dict[str, float | None]
+    object: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+
+def slider_of(scenario: Scenario, object_name: str, key: str) -> Slider:
+    """One slider.
+
+    Raises:
+        InputError: There is no such slider.
+    """
+    sliders = {slider.key: slider for slider in sliders_of(scenario, object_name)}
+    if key not in sliders:
+        raise InputError(f"no slider {key!r}; known: {', '.join(sliders)}")
+    return sliders[key]
+
+
+def sweep(scenario: Scenario, question: Question, slider: Slider) -> Iterator[SweepPoint]:
+    """Points over one slider, each worked out when it is asked for."""
+    for value in np.linspace(slider.low, slider.high, SWEEP_POINTS):
+        at = question.model_copy(update={"values": {**question.values, slider.key: float(value)}})
+        yield _point(scenario, at, float(value))
+
+
+def _point(scenario: Scenario, question: Question, value: float) -> SweepPoint:
+    arms: dict[str, float | None] = dict.fromkeys(MOTOR_INERTIA_MODELS)
+    thing = low = high = None
+    axis = scenario.axis_index
+    try:
+        scene, problem = _problem(scenario, question)
+        for name in arms:
+            found = predict_impact(ImpactProblem.at_nominal_impact(scene, name), "first", "pinocchio")
+            arms[name] = float(next(iter(found.end_effector_twist.values()))[axis])
+            thing = float(found.object_twist[axis]) if name == question.motor_inertia else thing
+        names, lows, highs = interval_of_draws(problem, scene.scenario.uncertainty, scene.models, MOVING_DRAWS)
+        place = names.index(f"{next(iter(scene.arms))}.velocity.{scenario.axis}")
+        low, high = float(lows[place]), float(highs[place])
+    except (InputError, ImpactMapError):  # a value at which there is no answer leaves a gap
+        pass
+    return SweepPoint(value, arms, thing, low, high)
+
+
+def drawn(question: Question, slider: Slider, points: Sequence[SweepPoint]) -> dict[str, Any]:
+    """Points of a sweep as the page draws them."""
+    return {
+        "slider": asdict(slider),
+        "x": [point.value for point in points],
+        "lines": [
+            {
+                "label": label,
+                "colour": colour,
+                "y": [point.arms[name] for point in points],
+                "chosen": name == question.motor_inertia,
+            }
+            for name, (label, colour, _) in MODEL_STYLE.items()
+        ],
+        "object": [point.object for point in points],
+        "low": [point.low for point in points],
+        "high": [point.high for point in points],
+    }
+
+
+def describe(name: str, path: str) -> dict[str, Any]:
+    """What can be chosen in a scenario.
+
+    Raises:
+        InputError: There is no such scenario, or it breaks its schema.
+    """
+    scenario = load_scenario(path)
+    arms = {arm: robot.facts_name for arm, robot in scenario.robots.items()}
+    return {
+        "name": name,
+        "description": scenario.description,
+        "axis": scenario.axis,
+        "arms": arms,
+        "hits": scenario.excursion is None,
+        "scales": list(scenario.velocity_scales),
+        "trials": scenario.trials,
+        "objects": {key: {"label": thing.label, "mass": thing.mass} for key, thing in scenario.objects.items()},
+        "cases": {key: case.label for key, case in scenario.cases.items()},
+        "sliders": {key: [asdict(slider) for slider in sliders_of(scenario, key)] for key in scenario.objects},
+    }

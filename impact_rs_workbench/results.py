@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What comparisons and diagnoses have found, as the page draws it; figures are those of the reports."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from impact_rs_analysis.diagnosis.compare import Cell, ComparisonDocument
+from impact_rs_analysis.diagnosis.document import read_document
+from impact_rs_analysis.report.comparison import comparison_in_words, on_scale, where_part
+from impact_rs_analysis.report.labels import phase_text, place_text, tag_of
+from impact_rs_analysis.report.page import number_text, p_text, quantity_text
+from impact_rs_analysis.report.plots import effects_plot
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.schema import validate
+from impact_rs_workbench.workspace import read_json
+
+
+def comparison(folder: Path) -> dict[str, Any]:
+    """Heat maps of a comparison, and which signal over time belongs to each of their cells.
+
+    Raises:
+        InputError: There is no comparison in the folder.
+    """
+    path = folder / "compare.json"
+    data = read_json(path)
+    if data is None:
+        raise InputError("no comparison here; expected compare.json", file=folder)
+    document = validate(ComparisonDocument, data, path)
+    several = len({cell.scenario for cell in document.where}) > 1
+    part, by_phase = where_part(document), not on_scale(document)
+    return {
+        "headline": comparison_in_words(document),
+        "score": document.score,
+        "floor": document.noise_floor,
+        "model": document.model.name,
+        "figures": [
+            {"title": plot.title, "caption": plot.caption, "figure": json.loads(str(plot.figure.to_json()))}
+            for plot in part.plots
+        ],
+        "cells": [
+            {
+                "row": f"{cell.signal} {cell.index}",
+                "column": phase_text(cell.phase) if by_phase else place_text(cell, several),
+                "map": "" if by_phase else phase_text(cell.phase),
+                "set": ", ".join(filter(None, (cell.object, cell.case))),
+                "signal": nearest_signal(cell),
+                "error": quantity_text(cell.error, cell.unit),
+                "times": number_text(cell.times_noise),
+            }
+            for cell in document.where
+        ],
+        "remarks": list(document.remarks),
+    }
+
+
+def nearest_signal(cell: Cell) -> str:
+    """Name of the signal over time (:mod:`impact_rs_analysis.evidence.tracks`) that shows best what a cell is about.
+
+    Forces and balances are worked out from signals and are none themselves: a force shows in the velocity along its
+    axis, a balance in the torque of its joint.
+    """
+    arm, _, index = cell.index.rpartition(".")
+    before = f"{arm}: " if arm else ""
+    if (joint := re.fullmatch(r"joint(\d+)", index)) is not None:
+        what = "velocity" if "velocity" in cell.signal else "torque"
+        return f"{before}{what} of joint {joint[1]}"
+    if cell.signal.startswith("object"):
+        return "object yaw" if "rotation" in cell.signal else f"object position {index}"
+    return f"{before}end-effector velocity {index}"
+
+
+def diagnosis(path: Path) -> dict[str, Any]:
+    """A diagnosis in words and numbers.
+
+    Raises:
+        InputError: There is no diagnosis.
+    """
+    document = read_document(path)
+    figure = effects_plot(document)
+    experiment = document.next_experiment
+    return {
+        "verdict": document.verdict,
+        "summary": document.summary,
+        "model": document.model.name,
+        "digest": document.model.digest,
+        "named": list(document.named),
+        "unit": document.error_unit,
+        "figure": None if figure is None else json.loads(str(figure.to_json())),
+        "left": [
+            {
+                "what": f"{rest.signal} {rest.index}".strip(),
+                "phase": rest.phase,
+                "value": quantity_text(rest.value, rest.unit),
+                "floor": quantity_text(rest.floor, rest.unit),
+                "times": number_text(rest.times_noise),
+            }
+            for rest in document.unexplained.where[:5]
+        ],
+        "effects": [
+            {
+                "name": effect.name,
+                "sentence": effect.sentence,
+                "verdict": effect.verdict,
+                "tag": tag_of(effect.verdict).value,
+                "reason": effect.reason,
+                "before": effect.held_out_error_before,
+                "after": effect.held_out_error_after,
+                "p": p_text(effect.p_value),
+                "parameters": [
+                    {"name": name, "estimate": value.estimate, "ci95": value.ci95, "unit": value.unit}
+                    for name, value in effect.parameters.items()
+                ],
+            }
+            for effect in document.effects
+            if effect.measured
+        ],
+        "next": None if experiment is None else experiment.model_dump(),
+        "remarks": list(document.remarks),
+    }

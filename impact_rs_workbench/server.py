@@ -1,0 +1,357 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The workbench as a web application on this machine: one page, what it asks for, and a stream of what changes."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+import socket
+import threading
+import webbrowser
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
+from dataclasses import asdict
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from plotly.offline import get_plotlyjs
+from pydantic import TypeAdapter, ValidationError
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import Route
+from starlette.types import ASGIApp
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import ImpactMapError
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.store import Folder, owned
+from impact_rs_workbench import formulas, laboratory, manual, prediction, results
+from impact_rs_workbench.formulas import FormulaText
+from impact_rs_workbench.guard import FILE_POLICY, Guard
+from impact_rs_workbench.jobs import Jobs
+from impact_rs_workbench.laboratory import Description, PreviewRequest
+from impact_rs_workbench.prediction import Question
+from impact_rs_workbench.steps import order_of, seen
+from impact_rs_workbench.workspace import HIDDEN, Workspace
+
+STATIC = {"workbench.css": "text/css", "workbench.js": "text/javascript"}
+SHOWN_FILES = {".html": "text/html", ".json": "application/json", ".yaml": "text/plain", ".csv": "text/plain"}
+LARGEST_REQUEST = 1_000_000  # bytes
+LOOKED_AT = 0.25  # s, between two looks at running jobs
+SCANNED_AT = 2.0  # s, between two looks at the folder
+
+Endpoint = Callable[[Request], Awaitable[Response]]
+Work = Callable[[Any], Any]
+
+
+class Workbench:
+    """What the pages of one workbench share.
+
+    Args:
+        root: Its folder.
+        program: How a terminal calls ``impact-rs``.
+    """
+
+    def __init__(self, root: Path, program: str) -> None:
+        self.workspace = Workspace(root)
+        self.program = program
+        self.jobs = Jobs(self.workspace.root / HIDDEN / "jobs", program)
+        self.ended: Callable[[], bool] = lambda: False  # whether streams are to end
+        self._asked = 0  # predictions so far
+        self._map = threading.Lock()  # the impact map keeps engines warm and answers one question at a time
+
+    def state(self) -> dict[str, Any]:
+        """All that lies in the folder."""
+        return {"root": str(self.workspace.root), **asdict(self.workspace.contents())}
+
+    def scenario(self, name: str) -> dict[str, Any]:
+        """What can be chosen in a scenario."""
+        return prediction.describe(name, self.workspace.scenario_path(name))
+
+    def predict(self, question: Question) -> dict[str, Any]:
+        """One prediction, with the command that gives it."""
+        scenario = load_scenario(self.workspace.scenario_path(question.scenario))
+        settings = prediction.settings_of(scenario, question)
+        name = question.scenario
+        if name.endswith((".yaml", ".yml")):
+            name = seen(self.workspace.existing(name))
+        self._asked += 1
+        with self._map:
+            found = prediction.answer(scenario, question)
+        words = prediction.map_arguments(name, question, settings)
+        return found | {"command": self.command(words)}
+
+    def sweep(self, question: Question, key: str) -> dict[str, Any]:
+        """Predictions over a slider; ``superseded`` where a slider has moved meanwhile, which comes first."""
+        scenario = load_scenario(self.workspace.scenario_path(question.scenario))
+        slider = prediction.slider_of(scenario, question.object, key)
+        rest, asked = prediction.sweep(scenario, question, slider), self._asked
+        points: list[prediction.SweepPoint] = []
+        while self._asked == asked:
+            with self._map:
+                point = next(rest, None)
+            if point is None:
+                return prediction.drawn(question, slider, points)
+            points.append(point)
+        return {"superseded": True}
+
+    def command(self, words: list[str]) -> str:
+        """Arguments as a line for a terminal."""
+        return self.jobs.line(words)
+
+
+def application(workbench: Workbench, token: str, port: int) -> ASGIApp:
+    """The web application.
+
+    Args:
+        workbench: What it shows.
+        token: What its address holds.
+        port: Port that it is reached at.
+    """
+
+    @asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        yield
+        await run_in_threadpool(workbench.jobs.close)
+
+    return Guard(Starlette(routes=_routes(workbench), lifespan=lifespan), token, port)
+
+
+def _routes(workbench: Workbench) -> list[Route]:
+    workspace, jobs = workbench.workspace, workbench.jobs
+
+    def sweep(data: Any) -> Any:
+        key = data.pop("over", "") if isinstance(data, dict) else ""
+        return workbench.sweep(_question(data), str(key))
+
+    def preview(data: Any) -> Any:
+        return laboratory.preview(workspace, checked(PreviewRequest, data))
+
+    def check(data: Any) -> Any:
+        return formulas.check(checked(FormulaText, data).text)
+
+    return [
+        Route("/", _page),
+        Route("/static/{name}", _static),
+        Route("/files/{path:path}", _file_of(workspace)),
+        Route("/manual/{name}", _manual),
+        Route("/manual/images/{name}", _picture),
+        Route("/api/workspace", _got(lambda _: workbench.state())),
+        Route("/api/scenario", _got(lambda given: workbench.scenario(given.get("name", "")))),
+        Route("/api/comparison", _got(lambda given: results.comparison(workspace.existing(given.get("path", ""))))),
+        Route("/api/diagnosis", _got(lambda given: results.diagnosis(workspace.existing(given.get("path", ""))))),
+        Route("/api/laboratory", _got(lambda given: laboratory.look(workspace, given.get("path", "")))),
+        Route("/api/jobs", _got(lambda _: jobs.all())),
+        Route("/api/jobs/{number:int}/log", _got(lambda given: {"log": jobs.log(given["number"])})),
+        Route("/api/events", _events(workbench)),
+        Route("/api/predict", _posted(lambda data: workbench.predict(_question(data))), methods=["POST"]),
+        Route("/api/sweep", _posted(sweep), methods=["POST"]),
+        Route("/api/laboratory/preview", _posted(preview), methods=["POST"]),
+        Route("/api/laboratory", _posted(lambda data: _described(workbench, data)), methods=["POST"]),
+        Route("/api/formulas/check", _posted(check), methods=["POST"]),
+        Route("/api/formulas", _posted(lambda data: _kept(workbench, data)), methods=["POST"]),
+        Route("/api/command", _posted(lambda data: _command(workbench, data)), methods=["POST"]),
+        Route("/api/jobs", _posted(lambda data: asdict(jobs.start(order_of(data, workspace)))), methods=["POST"]),
+        Route("/api/jobs/{number:int}/stop", _done(jobs.stop), methods=["POST"]),
+        Route("/api/jobs/{number:int}/again", _done(jobs.again), methods=["POST"]),
+    ]
+
+
+def _command(workbench: Workbench, data: Any) -> dict[str, str]:
+    return {"command": workbench.command(list(order_of(data, workbench.workspace).arguments))}
+
+
+def _described(workbench: Workbench, data: Any) -> dict[str, Any]:
+    description: Description = checked(Description, data)
+    written = laboratory.describe(workbench.workspace, description)
+    name = description.path.strip("./") or "lab"
+    step = {"step": "compare", "runs": description.path, "experiment": written[0], "output": f"reports/compare_{name}"}
+    return {"written": written} | _command(workbench, step)
+
+
+def _kept(workbench: Workbench, data: Any) -> dict[str, str]:
+    path = formulas.keep(workbench.workspace, checked(FormulaText, data))
+    return {"command": workbench.command(["effects", "--formulas", seen(workbench.workspace.existing(path))])}
+
+
+def _question(data: Any) -> Question:
+    return checked(Question, data)
+
+
+def checked(schema: type[Any], data: Any) -> Any:
+    """What a request says, checked against its schema.
+
+    Raises:
+        InputError: It breaks the schema.
+    """
+    try:
+        return TypeAdapter(schema).validate_python(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise InputError(first["msg"], key=".".join(map(str, first["loc"])) or "request") from None
+
+
+def _got(work: Work) -> Endpoint:
+    """An endpoint that reads; ``work`` is given the query and what the path names."""
+
+    async def endpoint(request: Request) -> Response:
+        return await _answered(work, {**request.query_params, **request.path_params})
+
+    return endpoint
+
+
+def _posted(work: Work) -> Endpoint:
+    """An endpoint that is given a JSON document."""
+
+    async def endpoint(request: Request) -> Response:
+        body = b""
+        async for part in request.stream():
+            body += part
+            if len(body) > LARGEST_REQUEST:
+                return _mistake(f"the request is larger than {LARGEST_REQUEST} bytes")
+        try:
+            data = json.loads(body)
+        except (ValueError, RecursionError):
+            return _mistake("the request is no JSON")
+        return await _answered(work, data)
+
+    return endpoint
+
+
+def _done(work: Callable[[int], Any]) -> Endpoint:
+    """An endpoint that does something to a job."""
+
+    async def endpoint(request: Request) -> Response:
+        return await _answered(lambda number: asdict(work(number)), request.path_params["number"])
+
+    return endpoint
+
+
+async def _answered(work: Work, given: Any) -> Response:
+    """What ``work`` gives, beside the event loop; mistakes as one line."""
+    try:
+        return JSONResponse(await run_in_threadpool(work, given))
+    except (InputError, ImpactMapError) as error:
+        return _mistake(str(error))
+    except OSError as error:
+        return _mistake(f"{error.filename or ''}: {error.strerror or error}")
+
+
+def _mistake(text: str) -> JSONResponse:
+    return JSONResponse({"error": text}, 400)
+
+
+async def _page(request: Request) -> Response:
+    return HTMLResponse((files(__package__) / "static" / "workbench.html").read_text(encoding="utf-8"))
+
+
+async def _static(request: Request) -> Response:
+    name = request.path_params["name"]
+    if name == "plotly.js":
+        return Response(
+            await run_in_threadpool(get_plotlyjs),
+            media_type="text/javascript",
+            headers={"cache-control": "max-age=86400"},
+        )
+    if name not in STATIC:
+        return PlainTextResponse("There is no such file.", 404)
+    text = (files(__package__) / "static" / name).read_text(encoding="utf-8")
+    return Response(text, media_type=STATIC[name])
+
+
+def _file_of(workspace: Workspace) -> Endpoint:
+    async def endpoint(request: Request) -> Response:
+        try:
+            path = workspace.existing(request.path_params["path"])
+        except InputError as error:
+            return PlainTextResponse(str(error), 404)
+        if path.suffix not in SHOWN_FILES or not path.is_file():
+            return PlainTextResponse(f"{path.name} is nothing that a page shows.", 404)
+        return FileResponse(path, media_type=SHOWN_FILES[path.suffix], headers={"content-security-policy": FILE_POLICY})
+
+    return endpoint
+
+
+async def _manual(request: Request) -> Response:
+    try:
+        return JSONResponse({"html": await run_in_threadpool(manual.page, request.path_params["name"])})
+    except InputError as error:
+        return _mistake(str(error))
+
+
+async def _picture(request: Request) -> Response:
+    try:
+        return FileResponse(manual.picture(request.path_params["name"]))
+    except InputError as error:
+        return PlainTextResponse(str(error), 404)
+
+
+def _events(workbench: Workbench) -> Endpoint:
+    """Server-sent events: ``jobs`` and ``workspace``, each as a whole and only when it has changed."""
+
+    async def stream(request: Request) -> AsyncIterator[str]:
+        told: dict[str, str] = {}
+        scanned = -SCANNED_AT
+        clock = asyncio.get_running_loop().time
+        running: set[int] = set()
+        while not (workbench.ended() or await request.is_disconnected()):
+            jobs = workbench.jobs.all()
+            news: dict[str, Any] = {"jobs": jobs}
+            before, running = running, {job["number"] for job in jobs if job["ended"] is None}
+            if clock() - scanned >= SCANNED_AT or before - running:  # a job that ends has written something
+                scanned = clock()
+                news["workspace"] = await run_in_threadpool(workbench.state)
+            for name, content in news.items():
+                text = json.dumps(content)
+                if told.get(name) != text:
+                    told[name] = text
+                    yield f"event: {name}\ndata: {text}\n\n"
+            await asyncio.sleep(LOOKED_AT)
+
+    async def endpoint(request: Request) -> Response:
+        return StreamingResponse(stream(request), media_type="text/event-stream")
+
+    return endpoint
+
+
+def serve(root: Path, program: str, port: int, browser: bool, tell: Callable[[str], None]) -> None:
+    """Serve the workbench of a folder until Ctrl-C.
+
+    Args:
+        root: The folder; made if it does not exist.
+        program: How a terminal calls ``impact-rs``.
+        port: Port; 0: any that is free.
+        browser: Whether to open a browser.
+        tell: Hears the address.
+
+    Raises:
+        InputError: Another workbench has this folder, or the folder or the port cannot be had.
+    """
+    root.mkdir(parents=True, exist_ok=True)
+    try:
+        listener = socket.create_server(("127.0.0.1", port))
+    except OSError as error:
+        raise InputError(f"port {port} cannot be had: {error.strerror}; choose another one, or none") from None
+    with listener, owned(Folder(root / HIDDEN), "workbench"):
+        number = listener.getsockname()[1]
+        token = secrets.token_urlsafe(24)
+        address = f"http://127.0.0.1:{number}/?token={token}"
+        workbench = Workbench(root, program)
+        settings = uvicorn.Config(
+            application(workbench, token, number),
+            log_level="warning",
+            access_log=False,
+            timeout_graceful_shutdown=1,
+        )
+        server = uvicorn.Server(settings)
+        workbench.ended = lambda: server.should_exit
+        tell(address)
+        if browser:
+            webbrowser.open(address)
+        with suppress(KeyboardInterrupt):  # which uvicorn passes on when it has ended
+            server.run(sockets=[listener])

@@ -1,0 +1,1082 @@
+// SPDX-License-Identifier: Apache-2.0
+// The page of the workbench. What is shown comes from the server, which reads it from files; nothing is kept here.
+
+const $ = (id) => document.getElementById(id);
+const state = {workspace: null, jobs: [], step: 'predict', chosen: null};
+
+// ---- small tools ---------------------------------------------------------------------------------------------------
+
+function h(tag, attributes = {}, ...children) {
+  const node = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name.startsWith('on')) node.addEventListener(name.slice(2), value);
+    else if (value === true) node.setAttribute(name, '');
+    else if (value !== false && value !== null && value !== undefined) node.setAttribute(name, value);
+  }
+  node.append(...children.flat().filter((child) => child !== null && child !== undefined && child !== ''));
+  return node;
+}
+
+async function ask(path, body) {
+  const options = body === undefined ? {} :
+    {method: 'POST', headers: {'content-type': 'application/json'}, body: JSON.stringify(body)};
+  const answer = await fetch(path, options);
+  const data = answer.headers.get('content-type')?.startsWith('application/json') ?
+    await answer.json() : {error: await answer.text()};
+  if (!answer.ok) throw new Error(data.error);
+  return data;
+}
+
+const query = (values) => new URLSearchParams(values).toString();
+const tidy = (text) => text.replace('-', '−');
+const number = (value, digits = 3) => value === null || value === undefined ? '–' : tidy(Number(value).toPrecision(digits)
+  .replace(/\.?0+(e|$)/, '$1'));
+const fixed = (value, digits = 3) => value === null ? '–' : tidy(value.toFixed(digits));
+const unit = (text) => !text || text === '-' ? '' : ` ${text}`;
+const slug = (text) => text.replace(/[^A-Za-z0-9]+/g, '_').replace(/^_|_$/g, '');
+const stem = (path) => path.split('/').pop().replace(/\.[a-z]+$/, '');
+
+function seconds(value) {
+  if (value === null || value === undefined) return '';
+  return value < 90 ? `${Math.max(1, Math.round(value))} s left` : `${Math.round(value / 60)} min left`;
+}
+
+function later(wait, work) {
+  let timer = 0;
+  return (...given) => { clearTimeout(timer); timer = setTimeout(() => work(...given), wait); };
+}
+
+// Fills a list of choices and keeps what was chosen.
+function fill(select, options, wanted) {
+  const before = wanted ?? select.value;
+  const told = (all) => JSON.stringify([...all].map((one) => [one.value, one.text]));
+  const same = told(select.options) === told(options);
+  if (!same) select.replaceChildren(...options.map((one) => new Option(one.text, one.value)));
+  if (options.some((one) => one.value === before)) select.value = before;
+}
+
+const plain = (values) => values.map((value) => ({value, text: value}));
+
+function labelled(text, control, attributes = {}) {
+  return h('label', attributes, h('span', {}, text), control);
+}
+
+function commandLine(text) {
+  const copied = h('button', {type: 'button', onclick: async () => {
+    await navigator.clipboard.writeText(text);
+    copied.textContent = 'copied';
+  }}, 'copy');
+  return h('div', {class: 'command'}, h('code', {}, text), copied);
+}
+
+// A command that is told while a form is filled in, or the one line that is wrong with it.
+function teller() {
+  const node = h('div', {class: 'told', 'aria-live': 'polite'});
+  return {
+    node,
+    command(text) { node.replaceChildren(commandLine(text)); },
+    error(text) { node.replaceChildren(h('p', {class: 'error', role: 'alert'}, text)); },
+  };
+}
+
+// ---- figures -------------------------------------------------------------------------------------------------------
+
+const darkScheme = matchMedia('(prefers-color-scheme: dark)');
+const IN_THE_DARK = {'#0072b2': '#56b4e9', '#d55e00': '#ff9142', '#009e73': '#2fcf9f', '#000000': '#f0f0f0',
+  '#555555': '#b0b8bd', '#1a1a1a': '#eceff1', '#777777': '#b0b8bd'};
+
+function seen(colour) {
+  return darkScheme.matches && typeof colour === 'string' ? IN_THE_DARK[colour.toLowerCase()] ?? colour : colour;
+}
+
+// A figure of the reports in the colours of this page.
+function draw(node, figure, config = {}) {
+  const style = getComputedStyle(document.documentElement);
+  const ink = style.getPropertyValue('--ink').trim(), grid = style.getPropertyValue('--grid').trim();
+  const data = figure.data.map((trace) => ({
+    ...trace,
+    ...(trace.line ? {line: {...trace.line, color: seen(trace.line.color)}} : {}),
+    ...(trace.marker && typeof trace.marker.color === 'string' ?
+      {marker: {...trace.marker, color: seen(trace.marker.color)}} : {}),
+  }));
+  const axes = Object.fromEntries(['xaxis', 'yaxis', 'xaxis2', 'yaxis2'].filter((name) => figure.layout[name] || !name.endsWith('2'))
+    .map((name) => [name, {...figure.layout[name], gridcolor: grid, zerolinecolor: grid, color: ink}]));
+  const layout = {...figure.layout, ...axes, paper_bgcolor: 'rgba(0,0,0,0)', plot_bgcolor: 'rgba(0,0,0,0)',
+    font: {...figure.layout.font, color: ink, family: 'system-ui, sans-serif'}};
+  return Plotly.react(node, data, layout, {responsive: true, displaylogo: false, displayModeBar: false, ...config});
+}
+
+// ---- what a thing is ------------------------------------------------------------------------------------------------
+
+const ABOUT = {
+  predict: {title: 'Impact map', text: 'The velocities just after an impact, from those just before: rigid bodies, one ' +
+    'instant, forces that are not impulsive drop out. B is the inertia that the motors have meanwhile.',
+    equation: '(M + B)(v⁺ − v⁻) = J_cᵀ Λ\n0 ≤ Λₙ ⊥ Jₙ v⁺ + e Jₙ v⁻ ≥ 0\n|Λₜ| ≤ µ Λₙ, against sliding',
+    units: 'm/s, rad/s; impulses in N s; axes of the world frame', page: 'physics.md'},
+  measure: {title: 'Trials', text: 'A trial is one hit and the push after it, recorded as one bag. A campaign repeats it for ' +
+    'post-impact references below and above the prediction; an interrupted one goes on where it stopped.',
+    equation: 'a_fb,net = ∫ a_fb dt from T_nom − 0.1 s to T_nom + 0.6 s', units: 'scales have none: reference over prediction',
+    page: 'bags.md'},
+  laboratory: {title: 'Runs of a laboratory', text: 'A robot that pushes a box with its own controller: joint states, torque, ' +
+    'and motion capture of the box are enough. Every run is replayed open loop with the recorded torque.',
+    units: 'each signal says its own in the mapping', page: 'laboratory.md'},
+  compare: {title: 'Score', text: 'One number for all signals and conditions: 1 is what repeating a trial gives alone. Cells of the ' +
+    'map say where the model fails, measured minus model.',
+    equation: 'score² = Σ r² / Σ (s²/n + d²)', units: 'multiples of repetition; differences in their own unit',
+    page: 'missing_effects.md'},
+  diagnose: {title: 'Diagnosis', text: 'Every effect of the library is fitted and judged by how well it predicts conditions ' +
+    'that no part of the search has seen.', equation: 'error held out: before → after', units: 'multiples of what repetition alone gives',
+    page: 'missing_effects.md'},
+  add: {title: 'A better model', text: 'The parent and one effect with its estimate. Model files are never overwritten and name their ' +
+    'parent. An effect of your own is a formula; nothing but arithmetic is understood.',
+    units: 'each parameter says its own', page: 'missing_effects.md'},
+  history: {title: 'History', text: 'How the error fell from model to model: with the parameters of the file, and held out, which ' +
+    'fitting noise makes worse.', units: 'multiples of what repetition alone gives', page: 'missing_effects.md'},
+};
+
+function showAbout({title, text, equation, units, page, facts = [], actions = []}) {
+  $('right').replaceChildren(
+    h('h2', {}, title), text ? h('p', {}, text) : '',
+    equation ? h('p', {}, ...equation.split('\n').flatMap((line) => [h('code', {}, line), h('br')])) : '',
+    units ? h('p', {class: 'note'}, `Units: ${units}`) : '',
+    ...facts.map((fact) => h('p', {}, fact)),
+    actions.length ? h('div', {class: 'actions'}, ...actions) : '',
+    page ? h('p', {}, h('a', {href: `#manual/${page}`, onclick: (event) => { event.preventDefault(); openManual(page); }},
+      'In the manual')) : '',
+  );
+}
+
+async function openManual(name) {
+  const [page, anchor] = name.split('#');
+  try {
+    const {html} = await ask(`/manual/${page}`);
+    const article = $('manual-page');
+    article.innerHTML = html;
+    for (const image of article.querySelectorAll('img')) image.src = `/manual/${image.getAttribute('src')}`;
+    for (const link of article.querySelectorAll('a[href]')) {
+      const target = link.getAttribute('href');
+      if (/^[a-z_]+\.md/.test(target)) {
+        link.addEventListener('click', (event) => { event.preventDefault(); openManual(target); });
+      } else if (!target.startsWith('http')) link.removeAttribute('href');
+    }
+    if (!$('manual').open) $('manual').showModal();
+    $('manual').scrollTop = 0;
+    if (anchor) document.getElementById(anchor)?.scrollIntoView();
+  } catch (error) { showAbout({title: 'Manual', text: error.message}); }
+}
+
+// ---- forms that become commands ---------------------------------------------------------------------------------------
+
+// A form whose content is a command: told while it is filled in, run as a job when it is sent.
+function orderForm(fields, body, label, extra = []) {
+  const told = teller();
+  const button = h('button', {class: 'primary', type: 'submit'}, label);
+  const tell = later(150, async () => {
+    const content = body();
+    if (content === null) { told.node.replaceChildren(); button.disabled = true; return; }
+    try {
+      told.command((await ask('/api/command', content)).command);
+      button.disabled = false;
+    } catch (error) { told.error(error.message); button.disabled = true; }
+  });
+  const node = h('form', {onsubmit: async (event) => {
+    event.preventDefault();
+    try { keepJob(await ask('/api/jobs', body())); } catch (error) { told.error(error.message); }
+  }, oninput: tell, onchange: tell}, h('div', {class: 'fields'}, ...fields), told.node,
+  h('div', {class: 'actions'}, button, ...extra));
+  return {node, tell};
+}
+
+function keepJob(job) {
+  if (!state.jobs.some((other) => other.number === job.number)) showJobs([{...job, progress: null}, ...state.jobs]);
+}
+
+// ---- predict ----------------------------------------------------------------------------------------------------------
+
+const predict = {
+  scenarios: {}, values: {}, over: 'speed', wanted: null, busy: false, sweep: null, question: null, sweepNumber: 0,
+
+  build() {
+    this.scenario = h('select', {id: 'predict-scenario', onchange: () => this.choose()});
+    this.object = h('select', {id: 'predict-object', onchange: () => this.objectChosen()});
+    this.case = h('select', {id: 'predict-case', onchange: () => this.again()});
+    this.inertia = h('select', {id: 'predict-inertia', onchange: () => this.again()},
+      new Option('B_θ: what the torque loop leaves', 'reduced'), new Option('B_ρ: the whole rotor', 'rotor'), new Option('none', 'zero'));
+    this.sliders = h('div', {class: 'sliders', id: 'sliders'});
+    this.known = h('div', {class: 'sliders'});
+    this.plot = h('div', {class: 'plot', id: 'predict-plot', role: 'img', 'aria-label': 'Velocity after the impact'});
+    this.table = h('tbody');
+    this.facts = h('p', {class: 'note', id: 'predict-facts'});
+    this.budget = h('ul', {class: 'bars'});
+    this.told = teller();
+    return h('section', {},
+      h('h2', {}, 'Predict the velocities just after the impact'),
+      h('div', {class: 'fields'}, labelled('scenario', this.scenario), labelled('object', this.object),
+        labelled('case', this.case), labelled('motor inertia', this.inertia)),
+      this.sliders,
+      h('details', {}, h('summary', {}, 'How well numbers are known (95 %, relative)'), this.known),
+      this.plot, this.told.node,
+      h('div', {class: 'two'},
+        h('div', {}, h('div', {class: 'scroll'}, h('table', {id: 'predict-table'}, h('thead', {}, h('tr', {},
+          ...['body, axis', 'before', 'after', '95 % interval'].map((text) => h('th', {scope: 'col'}, text)))), this.table)),
+        this.facts),
+        h('div', {}, h('h3', {}, 'Who contributes to the interval'), this.budget)),
+      h('div', {class: 'actions'}, h('button', {type: 'button', onclick: () => this.reset()}, 'Sliders back'),
+        h('button', {type: 'button', onclick: () => this.measure()}, 'Measure this')));
+  },
+
+  async update() {
+    fill(this.scenario, plain(state.workspace.scenarios), this.scenario.value || 'push');
+    if (!this.question) await this.choose();
+  },
+
+  async choose() {
+    try {
+      const found = await ask(`/api/scenario?${query({name: this.scenario.value})}`);
+      this.found = found;
+      fill(this.object, Object.entries(found.objects).map(([value, one]) => ({value, text: `${one.label}, ${one.mass} kg`})),
+        this.object.value || 'cat_food');
+      fill(this.case, Object.entries(found.cases).map(([value, text]) => ({value, text})), this.case.value || 'case_2');
+      this.objectChosen();
+    } catch (error) { this.told.error(error.message); }
+  },
+
+  objectChosen() {
+    this.values = {};
+    const all = this.found.sliders[this.object.value];
+    this.over = all[0].key;
+    const made = (slider) => {
+      const output = h('output', {}, `${number(slider.value)}${unit(slider.unit)}`);
+      const input = h('input', {type: 'range', min: slider.low, max: slider.high, step: (slider.high - slider.low) / 200,
+        value: slider.value, 'data-key': slider.key, title: slider.meaning, 'aria-label': `${slider.label} [${slider.unit}]`});
+      input.value = slider.value;
+      const label = h('label', {}, h('span', {}, slider.label), output, input);
+      const moved = (moving) => {
+        const value = Number(input.value);
+        this.values[slider.key] = value;
+        label.classList.add('moved');
+        output.textContent = `${number(value)}${unit(slider.unit)}`;
+        if (this.over !== slider.key && !slider.known) { this.over = slider.key; this.sweep = null; }
+        this.again(moving);
+      };
+      input.addEventListener('input', () => moved(true));
+      input.addEventListener('change', () => moved(false));
+      input.addEventListener('focus', () => showAbout({title: slider.label, text: slider.meaning, page: slider.page,
+        facts: [`The scenario says ${number(slider.value)}${unit(slider.unit)}; key ${slider.key}.`], equation: ABOUT.predict.equation}));
+      return label;
+    };
+    this.sliders.replaceChildren(...all.filter((one) => !one.known).map(made));
+    this.known.replaceChildren(...all.filter((one) => one.known).map(made));
+    this.again();
+  },
+
+  reset() { this.objectChosen(); },
+
+  // Latest wins: while one answer is under way, only the newest question waits.
+  async again(moving = false) {
+    this.wanted = {scenario: this.scenario.value, object: this.object.value, case: this.case.value,
+      motor_inertia: this.inertia.value, values: {...this.values}, moving};
+    if (this.busy) return;
+    this.busy = true;
+    while (this.wanted) {
+      const question = this.wanted;
+      this.wanted = null;
+      try {
+        const answer = await ask('/api/predict', question);
+        this.question = question;
+        this.show(answer, question);
+      } catch (error) { this.told.error(error.message); }
+    }
+    this.busy = false;
+    if (!this.question?.moving) this.sweepAgain();
+  },
+
+  async sweepAgain() {
+    const number_ = ++this.sweepNumber;
+    try {
+      const found = await ask('/api/sweep', {...this.question, moving: false, over: this.over});
+      if (number_ !== this.sweepNumber || this.busy) return;
+      if (found.superseded) { this.sweepAgain(); return; } // by another tab
+      this.sweep = found;
+      this.paint();
+    } catch (error) { this.told.error(error.message); }
+  },
+
+  show(answer, question) {
+    this.answer = answer;
+    this.told.command(answer.command);
+    this.table.replaceChildren(...answer.rows.filter((row) => row.main || Math.max(Math.abs(row.before), Math.abs(row.after)) > 5e-4)
+      .map((row) => h('tr', {class: row.main ? 'main' : ''}, h('td', {}, `${row.body}, ${row.axis}`), h('td', {}, fixed(row.before)),
+        h('td', {}, fixed(row.after)), h('td', {}, row.low === null ? '–' : `${fixed(row.low)} … ${fixed(row.high)}`))));
+    const [x, y, z] = answer.impulse.map((value) => fixed(value));
+    const told = answer.moving ? '; interval from few draws while a slider moves' : answer.interval ? `; interval ${answer.interval.method.replace('_', ' ')}, ${answer.interval.draws} draws` : '';
+    this.facts.textContent = `m/s. Impulse of the pads on the object [${x}, ${y}, ${z}] N s${told}. ${answer.note}`;
+    if (!answer.moving) this.budget.replaceChildren(...answer.budget.slice(0, 7).map((one) => h('li', {}, h('span', {}, one.source),
+      h('i', {style: `width: ${(100 * one.share).toFixed(1)}%`}), h('span', {}, `${Math.round(100 * one.share)} %`))));
+    this.place(question.moving);
+    requestAnimationFrame(() => { this.plot.dataset.shown = JSON.stringify(question.values); });
+  },
+
+  // Where we stand on the map: shapes, which a figure moves without working out its lines and axes again.
+  marks() {
+    const slider = this.slider(), x = this.values[slider.key] ?? slider.value;
+    const row = this.answer.rows.find((one) => one.main), thing = this.answer.rows.find((one) => one.main && one.body === 'object');
+    const dot = (y, size, colour) => ({type: 'circle', xsizemode: 'pixel', ysizemode: 'pixel', xanchor: x, yanchor: y, x0: -size, x1: size,
+      y0: -size, y1: size, fillcolor: seen(colour), line: {width: 0}});
+    const bar = row.low === null ? [] : [{type: 'line', x0: x, x1: x, y0: row.low, y1: row.high, line: {width: 4, color: seen('#000000')}}];
+    return [...bar, dot(row.after, 6, '#000000'), dot(thing.after, 4, '#E69F00')];
+  },
+
+  slider() { return this.found.sliders[this.object.value].find((one) => one.key === this.over); },
+
+  place(moving) {
+    const drawn = this.sweep?.slider.key === this.over && this.plot.dataset.over === this.over;
+    if (moving && drawn) Plotly.relayout(this.plot, {shapes: this.marks()}); else this.paint();
+  },
+
+  // The map over one slider, and where we stand on it.
+  paint() {
+    const slider = this.slider(), key = slider.key, row = this.answer.rows.find((one) => one.main);
+    const lines = this.sweep?.slider.key === key ? this.sweep : null;
+    this.plot.dataset.over = lines ? key : '';
+    const data = [];
+    if (lines) {
+      data.push({x: [...lines.x, ...[...lines.x].reverse()], y: [...lines.high, ...[...lines.low].reverse()], fill: 'toself',
+        fillcolor: 'rgba(86,180,233,0.28)', line: {width: 0}, name: '95 % interval', hoverinfo: 'skip', mode: 'lines'});
+      for (const line of lines.lines) {
+        data.push({x: lines.x, y: line.y, name: line.label, mode: 'lines', line: {color: line.colour, width: line.chosen ? 3 : 1.5,
+          dash: line.chosen ? 'solid' : 'dash'}, hovertemplate: '%{y:.3f} m/s'});
+      }
+      data.push({x: lines.x, y: lines.object, name: 'object', mode: 'lines', line: {color: '#E69F00', width: 2, dash: 'dot'},
+        hovertemplate: '%{y:.3f} m/s'});
+    }
+    for (const [name, colour] of [[`${row.body}, here`, '#000000'], ['object, here', '#E69F00']]) { // for the legend
+      data.push({x: [null], y: [null], mode: 'markers', name, marker: {color: colour, size: 11}});
+    }
+    draw(this.plot, {data, layout: {height: 360, margin: {l: 60, r: 12, t: 10, b: 110}, hovermode: 'closest', shapes: this.marks(),
+      xaxis: {title: {text: `${slider.label} [${slider.unit}]`, standoff: 8}, range: [slider.low, slider.high], zeroline: false},
+      yaxis: {title: {text: `v<sub>${this.answer.axis}</sub> after the impact [m/s]`}, zeroline: true, automargin: true},
+      legend: {orientation: 'h', yref: 'container', y: 0, yanchor: 'bottom', x: 0, xanchor: 'left', font: {size: 11}}}});
+  },
+
+  measure() {
+    measure.start(this.scenario.value, this.object.value, this.case.value);
+    go('measure');
+  },
+};
+
+// ---- measure ------------------------------------------------------------------------------------------------------------
+
+const measure = {
+  build() {
+    this.parts = {campaign: this.campaign(), trial: this.trial(), blind: this.blind()};
+    const names = {campaign: 'Campaign', trial: 'Single trial', blind: 'Practise: a hidden effect', laboratory: 'Laboratory folder'};
+    this.parts.laboratory = laboratory.build();
+    this.tabs = Object.entries(names).map(([name, text]) => h('button', {type: 'button', role: 'tab', id: `tab-${name}`,
+      'aria-controls': `part-${name}`, onclick: () => this.show(name)}, text));
+    const panels = Object.entries(this.parts).map(([name, part]) => h('div', {role: 'tabpanel', id: `part-${name}`,
+      'aria-labelledby': `tab-${name}`, 'data-part': name}, part));
+    this.node = h('section', {}, h('h2', {}, 'Measure'), h('div', {class: 'tabs', role: 'tablist'}, ...this.tabs), ...panels);
+    this.show('campaign');
+    return this.node;
+  },
+
+  show(name) {
+    for (const panel of this.node.querySelectorAll('[data-part]')) panel.hidden = panel.dataset.part !== name;
+    for (const tab of this.tabs) tab.setAttribute('aria-selected', String(tab.id === `tab-${name}`));
+    showAbout(ABOUT[name === 'laboratory' ? name : 'measure']);
+  },
+
+  campaign() {
+    const scenario = h('select', {id: 'campaign-scenario', onchange: () => this.choose()});
+    const checks = (legend) => h('fieldset', {class: 'checks wide'}, h('legend', {}, legend));
+    const objects = checks('objects'), cases = checks('cases'), scales = checks('post-impact reference over prediction');
+    const trials = h('input', {type: 'number', min: 1, max: 100, value: 2});
+    const seed = h('input', {type: 'number', min: 0, value: 0});
+    const output = h('input', {id: 'campaign-output', value: 'campaigns/push', oninput: () => { this.typed = output.value !== ''; }});
+    const via = h('select', {}, new Option('in one program, in parallel', 'inprocess'), new Option('through the ROS 2 nodes', 'nodes'),
+      new Option('on a dask cluster', 'scheduler'));
+    const address = h('input', {placeholder: 'tcp://10.0.0.1:8786'});
+    const addressField = labelled('address of the scheduler', address, {hidden: true});
+    via.addEventListener('change', () => { addressField.hidden = via.value !== 'scheduler'; });
+    const ticked = (box) => [...box.querySelectorAll('input:checked')].map((input) => input.value);
+    const made = orderForm([labelled('scenario', scenario), labelled('repeats of each', trials), labelled('seed', seed),
+      labelled('folder of the campaign', output), labelled('how', via), addressField, objects, cases, scales],
+    () => this.scenarioFound && {step: 'campaign', scenario: scenario.value, output: output.value, objects: ticked(objects),
+      cases: ticked(cases), scales: ticked(scales).map(Number), trials: Number(trials.value), seed: Number(seed.value),
+      via: via.value === 'nodes' ? 'nodes' : 'inprocess', scheduler: via.value === 'scheduler' ? address.value : null},
+    'Start the campaign');
+    Object.assign(this, {scenario, objects, cases, scales, output, tellCampaign: made.tell});
+    return made.node;
+  },
+
+  trial() {
+    this.trialScenario = h('select', {onchange: () => this.chooseTrial()});
+    this.trialObject = h('select');
+    this.trialCase = h('select');
+    const scale = h('input', {type: 'number', step: 0.05, min: 0.1, max: 3, value: 1});
+    const seed = h('input', {type: 'number', min: 0, value: 0});
+    const output = h('input', {value: 'trials'});
+    const made = orderForm([labelled('scenario', this.trialScenario), labelled('object', this.trialObject),
+      labelled('case', this.trialCase), labelled('reference over prediction', scale), labelled('seed', seed), labelled('folder', output)],
+    () => this.trialObject.value && {step: 'trial', scenario: this.trialScenario.value, object: this.trialObject.value,
+      case: this.trialCase.value, scale: Number(scale.value), seed: Number(seed.value), output: output.value}, 'Run the trial');
+    this.tellTrial = made.tell;
+    return made.node;
+  },
+
+  blind() {
+    const seed = h('input', {type: 'number', min: 0, value: 7, id: 'blind-seed'});
+    const output = h('input', {value: 'blind_7', id: 'blind-output'});
+    seed.addEventListener('input', () => { output.value = `blind_${seed.value}`; });
+    const made = orderForm([labelled('seed: draws effect and size', seed), labelled('folder', output)],
+      () => ({step: 'blind', seed: Number(seed.value), output: output.value}), 'Make the campaign');
+    this.tellBlind = made.tell;
+    return h('div', {}, h('p', {class: 'note'}, 'The plant hides one effect that you do not know; find it in Compare and Diagnose. ' +
+      'The truth is written beside the trials.'), made.node);
+  },
+
+  async update() {
+    const options = plain(state.workspace.scenarios);
+    fill(this.scenario, options, this.scenario.value || 'push');
+    fill(this.trialScenario, options, this.trialScenario.value || 'push');
+    if (!this.scenarioFound) { await this.choose(); await this.chooseTrial(); this.tellBlind(); }
+    laboratory.update();
+  },
+
+  async choose(only = {}) {
+    const found = await ask(`/api/scenario?${query({name: this.scenario.value})}`);
+    this.scenarioFound = found;
+    const boxes = (box, options) => {
+      const legend = box.querySelector('legend');
+      box.replaceChildren(legend, ...options.map(({value, text, on}) => h('label', {}, h('input', {type: 'checkbox', value, checked: on}),
+        text)));
+    };
+    const chosen = (all, one, few) => all.map(([value, text], index) => ({value, text, on: one ? value === one : index < few}));
+    boxes(this.objects, chosen(Object.entries(found.objects).map(([key, thing]) => [key, thing.label]), only.object, 2));
+    boxes(this.cases, chosen(Object.entries(found.cases), only.case, 2));
+    boxes(this.scales, found.scales.map((scale) => ({value: scale, text: `${scale}`, on: only.object ? true : scale === 1})));
+    if (!this.typed) this.output.value = `campaigns/${stem(this.scenario.value)}${only.object ? `_${only.object}` : ''}`;
+    this.tellCampaign();
+  },
+
+  async chooseTrial() {
+    const found = await ask(`/api/scenario?${query({name: this.trialScenario.value})}`);
+    fill(this.trialObject, Object.entries(found.objects).map(([value, one]) => ({value, text: one.label})));
+    fill(this.trialCase, Object.entries(found.cases).map(([value, text]) => ({value, text})));
+    this.tellTrial();
+  },
+
+  async start(scenario, object, case_) {
+    this.scenario.value = scenario;
+    this.show('campaign');
+    await this.choose({object, case: case_});
+  },
+};
+
+// ---- compare ------------------------------------------------------------------------------------------------------------
+
+// RUNS of a form: campaigns, folders of several, and laboratories that have said what they are.
+function runsChoices() {
+  const labs = state.workspace.laboratories.filter((lab) => lab.experiment && !lab.error);
+  return [...state.workspace.runs.map((value) => ({value, text: value})),
+    ...labs.map((lab) => ({value: lab.path, text: `${lab.path} (laboratory)`}))];
+}
+
+const experimentOf = (runs) => state.workspace.laboratories.find((lab) => lab.path === runs)?.experiment ?? '';
+const modelChoices = () => state.workspace.models.filter((model) => !model.error)
+  .map((model) => ({value: model.path, text: model.name}));
+
+// RUNS, model and folder of a step, whose name follows both until somebody types another one.
+function runsForm(step, label, {extraFields = [], extra = () => ({}), only = () => true} = {}) {
+  const runs = h('select', {id: `${step}-runs`}), model = h('select', {id: `${step}-model`}), output = h('input', {id: `${step}-output`});
+  let typed = false;
+  output.addEventListener('input', () => { typed = output.value !== ''; });
+  const named = () => { if (!typed) output.value = `reports/${step}_${slug(runs.value)}_${slug(stem(model.value || 'nominal'))}`; };
+  runs.addEventListener('change', named);
+  model.addEventListener('change', named);
+  const made = orderForm([labelled('measurements', runs), labelled('model', model), labelled('folder of the report', output), ...extraFields],
+    () => runs.value && model.value ? {step, runs: runs.value, model: model.value, experiment: experimentOf(runs.value), output: output.value,
+      ...extra()} : null, label);
+  return {...made, runs, model, output, update() {
+    fill(runs, runsChoices());
+    fill(model, modelChoices().filter((one) => only(one.value)));
+    named();
+    made.tell();
+  }};
+}
+
+const emptyNote = (text) => h('p', {class: 'note'}, text);
+
+const compare = {
+  build() {
+    this.form = runsForm('compare', 'Compare');
+    this.report = h('select', {id: 'compare-report', onchange: () => this.open()});
+    this.result = h('div', {id: 'compare-result'});
+    this.none = emptyNote('Nothing to compare yet: measure something first, or practise on a campaign with a hidden effect.');
+    return h('section', {}, h('h2', {}, 'Compare model and measurement'), this.none, this.form.node,
+      labelled('report', this.report), this.result);
+  },
+
+  update() {
+    this.none.hidden = runsChoices().length > 0;
+    this.form.update();
+    const found = state.workspace.reports.filter((path) => path.endsWith('compare.html') || path.endsWith('report.html'));
+    fill(this.report, plain(found), this.wanted && found.includes(this.wanted) ? this.wanted : undefined);
+    this.report.parentElement.hidden = !found.length;
+    const told = state.workspace.stamps[this.report.value];
+    if (this.report.value && (this.report.value !== this.opened || told !== this.stamp)) this.open();
+    if (this.wanted === this.report.value) this.wanted = null;
+  },
+
+  async open() {
+    const path = this.opened = this.report.value;
+    this.stamp = state.workspace.stamps[path];
+    if (path.endsWith('report.html')) { this.result.replaceChildren(...wholeReport(path, true)); return; }
+    try {
+      const folder = path.replace(/\/?compare\.html$/, '') || '.';
+      const found = await ask(`/api/comparison?${query({path: folder})}`);
+      this.show(found, path);
+    } catch (error) { this.result.replaceChildren(h('p', {class: 'error', role: 'alert'}, error.message)); }
+  },
+
+  show(found, path) {
+    this.signal = h('div', {id: 'signal'});
+    this.frame = wholeReport(path, false);
+    const choose = h('select', {'aria-label': 'place', id: 'cell', onchange: () => this.openSignal(found.cells[choose.value], path)},
+      ...found.cells.slice(0, 60).map((cell, index) => new Option(`${cell.row}, ${cell.column} ${cell.map ? `(${cell.map})` : ''}: ${cell.error}, ` +
+        `${cell.times} ×`, index)));
+    const maps = found.figures.map(({title, figure}) => {
+      const node = h('div', {class: 'plot clickable', role: 'img', 'aria-label': `Where the model fails: ${title}`});
+      return {title, figure, node};
+    });
+    this.result.replaceChildren(h('p', {class: 'answer'}, h('b', {}, `Score ${number(found.score)}`), found.headline),
+      maps.length ? h('p', {class: 'note'}, 'Measured minus model, in multiples of repetition. Click on a cell to see its signal over time.') : '',
+      ...maps.flatMap(({title, node}) => [h('h3', {}, title), node]),
+      found.cells.length ? labelled('or choose a place, the worst first', choose) : '', this.signal, ...this.frame,
+      ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
+    for (const {title, figure, node} of maps) {
+      draw(node, figure);
+      node.on('plotly_click', ({points: [point]}) => {
+        const index = found.cells.findIndex((cell) => cell.row === point.y && cell.column === point.x && (!cell.map || cell.map === title));
+        if (index < 0) return;
+        choose.value = index;
+        node.after(this.signal);
+        this.openSignal(found.cells[index], path);
+      });
+    }
+  },
+
+  // The signal that shows a cell best, measured and predicted, from the data of the report's own page.
+  async openSignal(cell, path) {
+    if (this.tracksOf !== `${path} ${this.stamp}`) {
+      const page = new DOMParser().parseFromString(await (await fetch(`/files/${path}`)).text(), 'text/html');
+      const plot = page.getElementById('tracks'), data = page.getElementById('tracks-data');
+      this.tracks = plot && data ? {sets: JSON.parse(data.textContent),
+        figure: JSON.parse(page.getElementById(plot.dataset.tracks).textContent)} : null;
+      this.tracksOf = `${path} ${this.stamp}`;
+    }
+    if (!this.tracks) { this.signal.replaceChildren(emptyNote('This report holds no signals over time.')); return; }
+    const {sets, figure} = this.tracks;
+    const set = sets.find((one) => one.label.startsWith(cell.set)) ?? sets[0];
+    const signal = set.signals.find((one) => one.name === cell.signal) ?? set.signals[0];
+    const rest = signal.measured.map((value, i) => value === null || signal.predicted[i] === null ? null : value - signal.predicted[i]);
+    const data = [signal.measured, signal.predicted, rest].map((y, index) => ({...figure.data[index], x: set.time, y}));
+    const shown = unit(signal.unit) ? ` [${signal.unit}]` : '';
+    const layout = {...figure.layout, height: 420, shapes: figure.layout.shapes.map((shape) => ({...shape, visible: set.impact !== null,
+      x0: set.impact, x1: set.impact})), yaxis: {...figure.layout.yaxis, title: {text: `signal${shown}`}},
+    yaxis2: {...figure.layout.yaxis2, title: {text: `residual${shown}`}}};
+    const plot = h('div', {class: 'plot'});
+    this.signal.replaceChildren(h('h3', {}, `${signal.name}, ${set.label}`),
+      h('p', {class: 'note'}, `${cell.row} is off by ${cell.error}, ${cell.times} × repetition; this signal shows it best. Dotted: begin of the impact.`),
+      plot);
+    draw(plot, {data, layout});
+    // The report beside it goes to the same place and moment, its replay included.
+    this.frame.find((node) => node.tagName === 'DETAILS')?.querySelector('iframe')?.contentWindow
+      .postMessage({set: set.label, signal: signal.name, time: set.impact}, '*');
+    this.signal.scrollIntoView({block: 'nearest'});
+  },
+};
+
+// A report as it lies in the folder; it comes as if from another site, so that nothing in it can act here.
+function wholeReport(path, open) {
+  const stamp = state.workspace.stamps[path] ?? '';
+  const frame = () => h('iframe', {src: `/files/${path}?${stamp}`, title: `report ${path}`, sandbox: 'allow-scripts allow-popups'});
+  const details = h('details', {open}, h('summary', {}, 'The whole report, with its replay'));
+  if (open) details.append(frame());
+  details.addEventListener('toggle', () => { if (details.open && !details.querySelector('iframe')) details.append(frame()); });
+  return [h('p', {}, h('a', {href: `/files/${path}`, target: '_blank', rel: 'noopener'}, `Open ${path} by itself`)), details];
+}
+
+// ---- diagnose -----------------------------------------------------------------------------------------------------------
+
+const diagnose = {
+  build() {
+    const formulas = h('select', {id: 'diagnose-formulas'});
+    const effects = h('input', {id: 'diagnose-effects', placeholder: 'all'});
+    this.formulas = formulas;
+    this.form = runsForm('diagnose', 'Diagnose', {extraFields: [labelled('effects of my own', formulas), labelled('only these effects', effects)],
+      extra: () => ({formulas: formulas.value, effects: effects.value.split(/[\s,]+/).filter(Boolean)})});
+    this.file = h('select', {id: 'diagnose-file', onchange: () => this.open()});
+    this.progress = h('div', {});
+    this.result = h('div', {id: 'diagnose-result'});
+    return h('section', {}, h('h2', {}, 'Find out what the model lacks'), this.form.node, this.progress,
+      labelled('diagnosis', this.file), this.result);
+  },
+
+  update() {
+    fill(this.formulas, [{value: '', text: 'none'}, ...plain(state.workspace.formulas)]);
+    this.form.update();
+    const files = state.workspace.diagnoses.map(({path, verdict, model}) => ({value: path, text: `${path}: ${model}, ${verdict}`}));
+    fill(this.file, files, this.wanted && files.some((one) => one.value === this.wanted) ? this.wanted : undefined);
+    this.file.parentElement.hidden = !files.length;
+    const stamp = state.workspace.stamps[this.file.value];
+    if (this.file.value && (this.file.value !== this.opened || stamp !== this.stamp)) this.open();
+    if (this.wanted === this.file.value) this.wanted = null;
+  },
+
+  jobs() {
+    const job = state.jobs.find((one) => one.step === 'diagnose' && one.ended === null);
+    const ranking = job?.progress?.ranking ?? [];
+    this.progress.replaceChildren(...(job ? [h('p', {role: 'status'}, progressText(job)),
+      h('progress', {max: job.progress?.total || 1, ...(job.progress?.total ? {value: job.progress.done} : {})}),
+      ranking.length ? h('p', {class: 'note'}, 'So far: error on left-out conditions with each effect, the smaller the better.') : '',
+      ranking.length ? h('ol', {class: 'bars'}, ...ranking.map(([name, error]) => h('li', {},
+        h('span', {}, name), h('i', {style: `width: ${Math.min(100, 100 * error / ranking[ranking.length - 1][1]).toFixed(1)}%`}),
+        h('span', {}, number(error))))) : ''] : []));
+  },
+
+  async open() {
+    this.opened = this.file.value;
+    this.stamp = state.workspace.stamps[this.opened];
+    try { this.show(await ask(`/api/diagnosis?${query({path: this.opened})}`)); } catch (error) {
+      this.result.replaceChildren(h('p', {class: 'error', role: 'alert'}, error.message));
+    }
+  },
+
+  show(found) {
+    const plot = h('div', {class: 'plot', role: 'img', 'aria-label': 'Error on unseen data by effect'});
+    const rows = found.effects.slice(0, 12).map((effect) => h('tr', {class: effect.tag === 'good' ? 'main' : ''},
+      h('td', {title: effect.sentence}, effect.name), h('td', {class: 'text'}, effect.verdict),
+      h('td', {}, `${number(effect.before)} → ${number(effect.after)}`), h('td', {}, effect.p),
+      h('td', {}, effect.tag === 'no' ? '' : h('button', {type: 'button', onclick: () => add.start(this.opened, effect.name)}, 'Add'))));
+    const named = found.effects.filter((effect) => found.named.includes(effect.name));
+    this.result.replaceChildren(h('p', {class: 'answer', id: 'verdict'}, h('b', {}, found.verdict), found.summary),
+      ...named.map((effect) => h('div', {class: 'scroll'}, h('h3', {}, effect.name), h('table', {}, h('thead', {}, h('tr', {},
+        ...['parameter', 'estimate', '95 % interval', 'unit'].map((text) => h('th', {scope: 'col'}, text)))), h('tbody', {},
+        ...effect.parameters.map((one) => h('tr', {}, h('td', {}, one.name), h('td', {}, number(one.estimate)),
+          h('td', {}, one.ci95 ? `${number(one.ci95[0])} … ${number(one.ci95[1])}` : '–'), h('td', {}, unit(one.unit)))))))),
+      h('h3', {}, 'Ranking'), h('p', {class: 'note'}, `Error on data that the fit has not seen, without the effect and with it, ${found.unit}.`), plot, h('div', {class: 'scroll'}, h('table', {id: 'ranking'}, h('thead', {}, h('tr', {},
+        ...['effect', 'verdict', 'error', 'p', 'into the model'].map((text) => h('th', {scope: 'col'}, text)))), h('tbody', {}, ...rows))),
+      found.left.length ? h('div', {}, h('h3', {}, 'What is left'), h('ul', {}, ...found.left.map((one) => h('li', {},
+        `${one.what} (${one.phase}): ${one.value}, ${one.times} × repetition; nobody cares below ${one.floor}`)))) : '',
+      found.next ? this.next(found.next) : '',
+      ...wholeReport(this.opened.replace(/[^/]*$/, 'diagnosis.html'), false),
+      ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
+    if (found.figure) draw(plot, found.figure); else plot.remove();
+  },
+
+  next(experiment) {
+    const run = experiment.scenario ? [h('button', {type: 'button', class: 'primary', onclick: async () => {
+      try {
+        keepJob(await ask('/api/jobs', {step: 'campaign', scenario: experiment.scenario,
+          output: `${nextFolder(this.form.runs.value)}/next_${slug(experiment.scenario)}_${slug(experiment.object ?? '')}`,
+          objects: experiment.object ? [experiment.object] : [], cases: experiment.case ? [experiment.case] : [], scales: [1], trials: 3}));
+      } catch (error) { showAbout({title: 'Next experiment', text: error.message}); }
+    }}, 'Run it')] : [];
+    return h('div', {class: 'answer'}, h('b', {}, 'Next experiment'), h('p', {}, experiment.advice), h('div', {class: 'actions'}, ...run));
+  },
+};
+
+// Where further trials go: beside those that were measured, so that the same RUNS has them.
+const nextFolder = (runs) => state.workspace.campaigns.some((one) => one.path === runs && one.scenario) ?
+  runs.split('/').slice(0, -1).join('/') || 'campaigns' : runs || 'campaigns';
+
+// ---- add ----------------------------------------------------------------------------------------------------------------
+
+const EXAMPLE = `effects:
+- name: cable_drag
+  sentence: A cable drags behind the end effector.
+  end_effector_force: {y: "-drag * vy"}
+  parameters:
+    drag: {unit: N s/m, nominal: 0, lower: 0, upper: 50, scale: 1}
+`;
+
+const add = {
+  build() {
+    this.file = h('select', {id: 'add-file', onchange: () => this.choose()});
+    this.effect = h('select', {id: 'add-effect', onchange: () => this.named()});
+    this.output = h('input', {id: 'add-output'});
+    this.force = h('input', {type: 'checkbox'});
+    this.form = orderForm([labelled('diagnosis', this.file), labelled('effect', this.effect), labelled('new model', this.output),
+      h('fieldset', {class: 'checks'}, h('legend', {}, 'although it improves nothing'), h('label', {}, this.force, 'all the same'))],
+    () => this.file.value && this.effect.value && this.parent ? {step: 'add', effect: this.effect.value, source: this.file.value,
+      model: this.parent, output: this.output.value, force: this.force.checked} : null, 'Add the effect');
+    this.note = h('p', {class: 'note'});
+    this.text = h('textarea', {id: 'formula', spellcheck: 'false', 'aria-label': 'effect as a formula, in YAML', oninput: later(150, () => this.check())});
+    this.text.value = EXAMPLE;
+    this.checked = h('div', {id: 'formula-check', 'aria-live': 'polite'});
+    this.name = h('input', {value: 'formulas/mine.yaml', id: 'formula-file'});
+    return h('section', {}, h('h2', {}, 'A better model'), h('h3', {}, 'Add what was diagnosed'), this.note, this.form.node,
+      h('h3', {}, 'An effect of my own'), h('p', {class: 'note'}, 'A formula; it is checked while you write. Saved, it can be chosen in Diagnose.'),
+      this.text, this.checked, h('div', {class: 'fields'}, labelled('file', this.name)),
+      h('div', {class: 'actions'}, this.save = h('button', {type: 'button', onclick: () => this.keep()}, 'Save the formulas')));
+  },
+
+  update() {
+    const files = state.workspace.diagnoses;
+    fill(this.file, files.map(({path, verdict, model}) => ({value: path, text: `${path}: ${model}, ${verdict}`})), this.wanted?.file);
+    this.note.textContent = files.length ? '' : 'Nothing is diagnosed yet.';
+    if (this.file.value !== this.opened || this.wanted) this.choose(); else this.named();
+    if (!this.wasChecked) { this.wasChecked = true; this.check(); }
+  },
+
+  async choose() {
+    this.opened = this.file.value;
+    if (!this.opened) return;
+    try {
+      const found = await ask(`/api/diagnosis?${query({path: this.opened})}`);
+      this.parent = state.workspace.models.find((model) => model.digest === found.digest)?.path ?? null;
+      this.note.textContent = this.parent ? `Diagnosis of ${found.model}: ${found.summary}` : `The diagnosed model ${found.model} is not in this folder.`;
+      const order = [...found.effects].sort((a, b) => found.named.includes(b.name) - found.named.includes(a.name));
+      fill(this.effect, order.map((one) => ({value: one.name, text: `${one.name}: ${one.verdict}`})), this.wanted?.effect ?? order[0]?.name);
+      this.wanted = null;
+      this.named();
+    } catch (error) { this.note.textContent = error.message; }
+  },
+
+  named() {
+    const used = new Set(state.workspace.models.map((model) => model.path));
+    if (!this.output.value || used.has(this.output.value)) {
+      let count = 2;
+      while (used.has(`models/model_${count}.yaml`)) count += 1;
+      this.output.value = `models/model_${count}.yaml`;
+    }
+    this.form.tell();
+  },
+
+  start(file, effect) { this.wanted = {file, effect}; go('add'); },
+
+  async check() {
+    try {
+      const {effects} = await ask('/api/formulas/check', {text: this.text.value});
+      this.checked.replaceChildren(...effects.map((effect) => h('div', {}, h('p', {class: 'good'}, `✓ ${effect.name}: ${effect.sentence}`),
+        h('ul', {}, ...effect.lines.map((line) => h('li', {}, line))))));
+      this.save.disabled = false;
+    } catch (error) {
+      this.checked.replaceChildren(h('p', {class: 'error', role: 'alert'}, error.message));
+      this.save.disabled = true;
+    }
+  },
+
+  async keep() {
+    try {
+      const {command} = await ask('/api/formulas', {path: this.name.value, text: this.text.value});
+      this.checked.replaceChildren(h('p', {class: 'good'}, `Saved as ${this.name.value}.`), commandLine(command));
+    } catch (error) { this.checked.replaceChildren(h('p', {class: 'error', role: 'alert'}, error.message)); }
+  },
+};
+
+// ---- history --------------------------------------------------------------------------------------------------------------
+
+const history_ = {
+  build() {
+    this.form = runsForm('history', 'Show the history');
+    this.result = h('div', {id: 'history-result'});
+    return h('section', {}, h('h2', {}, 'How the error fell'), this.form.node, this.result);
+  },
+
+  update() {
+    this.form.update();
+    const found = state.workspace.reports.filter((path) => path.endsWith('history.html'));
+    const newest = found.sort((a, b) => state.workspace.stamps[b] - state.workspace.stamps[a])[0];
+    const key = newest && `${newest} ${state.workspace.stamps[newest]}`;
+    if (newest && this.opened !== key) {
+      this.opened = key;
+      this.result.replaceChildren(...wholeReport(newest, true));
+    }
+  },
+};
+
+// ---- laboratory -----------------------------------------------------------------------------------------------------------
+
+const SIGNALS = [
+  {name: 'position', text: 'joint position', units: ['rad', 'mrad', 'deg'], needed: true},
+  {name: 'velocity', text: 'joint velocity', units: ['rad/s', 'mrad/s', 'deg/s'], needed: true},
+  {name: 'torque', text: 'joint torque', units: ['N m', 'mN m'], needed: true},
+  {name: 'command', text: 'commanded torque', units: ['N m', 'mN m']},
+  {name: 'object_pose', text: 'pose of the object', units: ['m', 'mm']},
+];
+
+const laboratory = {
+  build() {
+    this.folder = h('select', {id: 'lab-folder', onchange: () => this.look()});
+    this.none = emptyNote('No recordings of others in this folder yet: copy them into it (a folder with a bag, CSV, Parquet, NPZ or HDF5 file per run), ' +
+      'and it shows up here.');
+    this.told = teller();
+    this.body = h('div', {id: 'lab'});
+    return h('div', {}, this.none, labelled('folder of recordings', this.folder), this.told.node, this.body);
+  },
+
+  update() {
+    const found = state.workspace.laboratories;
+    this.none.hidden = found.length > 0;
+    this.folder.parentElement.hidden = !found.length;
+    const first = found.find((lab) => !lab.experiment)?.path;
+    fill(this.folder, found.map((lab) => ({value: lab.path, text: `${lab.path}${lab.experiment ? ' (described)' : ''}`})), this.folder.value || first);
+    if (this.folder.value && this.folder.value !== this.looked) this.look();
+  },
+
+  async look() {
+    const folder = this.looked = this.folder.value;
+    this.lab = state.workspace.laboratories.find((lab) => lab.path === folder);
+    this.told.node.replaceChildren();
+    if (this.lab.error) this.told.error(this.lab.error);
+    try {
+      const [scenarios, found] = [state.workspace.scenarios, await ask(`/api/laboratory?${query({path: folder})}`)];
+      this.found = found;
+      this.scenario = h('select', {id: 'lab-scenario', onchange: () => this.table()}, ...scenarios.map((name) => new Option(name, name)));
+      this.scenario.value = 'push';
+      this.rows = h('tbody', {});
+      this.gravity = h('input', {type: 'checkbox', checked: true});
+      this.signals = null;
+      this.signals = SIGNALS.map((signal) => this.signal(signal));
+      this.body.replaceChildren(h('div', {class: 'fields'}, labelled('scenario with robot, boxes and support', this.scenario)),
+        h('h3', {}, `Signals, as ${found.recording} has them`), h('p', {class: 'note'}, 'Choose where each signal is and look at it: are its size and unit right?'),
+        ...this.signals.map((one) => one.node),
+        h('label', {}, this.gravity, ' the commanded torque holds the weight of the arm'),
+        h('h3', {}, 'Runs'), h('div', {class: 'scroll'}, h('table', {}, h('thead', {}, h('tr', {}, ...['recording', 'object', 'kind', 'condition']
+          .map((text) => h('th', {scope: 'col'}, text)))), this.rows)),
+        h('div', {class: 'actions'}, h('button', {type: 'button', class: 'primary', id: 'lab-save', onclick: () => this.keep()},
+          'Write experiment.yaml and mapping')));
+      await this.table();
+    } catch (error) { this.told.error(error.message); this.body.replaceChildren(); }
+  },
+
+  signal(signal) {
+    const options = this.found.streams.filter((stream) => signal.name === 'object_pose' ? stream.pose : !stream.pose);
+    const source = h('select', {'data-signal': signal.name}, ...(signal.needed ? [] : [new Option('not recorded', '')]),
+      ...options.map((stream) => new Option(stream.label, this.found.streams.indexOf(stream))));
+    const guess = options.find((stream) => stream.guess === signal.name);
+    source.value = guess ? this.found.streams.indexOf(guess) : signal.needed && options.length ? this.found.streams.indexOf(options[0]) : '';
+    const units = h('select', {'aria-label': `unit of ${signal.text}`}, ...signal.units.map((one) => new Option(one, one)));
+    const plot = h('div', {class: 'plot', role: 'img', 'aria-label': `preview of ${signal.text}`});
+    const line = h('p', {class: 'note', 'aria-live': 'polite'});
+    const show = async () => {
+      if (source.value === '') { plot.replaceChildren(); Plotly.purge(plot); line.textContent = ''; return; }
+      try {
+        const seen_ = await ask('/api/laboratory/preview', {path: this.found.path, signal: signal.name,
+          source: {...this.found.streams[source.value].source, unit: units.value}, position: this.position(), joints: this.found.joints});
+        line.className = 'note';
+        line.textContent = `${seen_.place}; ${seen_.samples} samples at ${number(seen_.rate)} Hz; from ${number(seen_.low)} to ${number(seen_.high)} ${seen_.unit}`;
+        await draw(plot, {data: seen_.columns.map((column) => ({x: seen_.time, y: column.values, name: column.name, mode: 'lines', line: {width: 1.2}})),
+          layout: {height: 170, margin: {l: 50, r: 10, t: 6, b: 34}, showlegend: false, xaxis: {title: {text: 'time [s]'}},
+            yaxis: {title: {text: seen_.unit}}}});
+      } catch (error) { line.className = 'error'; line.textContent = error.message; plot.replaceChildren(); Plotly.purge(plot); }
+    };
+    source.addEventListener('change', show);
+    units.addEventListener('change', show);
+    const node = h('div', {'data-lab-signal': signal.name}, h('div', {class: 'fields'}, labelled(signal.text, source), labelled('unit in the file', units)), line, plot);
+    show();
+    return {node, name: signal.name, value: () => source.value === '' ? null : {...this.found.streams[source.value].source, unit: units.value}};
+  },
+
+  // The clock of all signals is that of the joint positions.
+  position() {
+    const chosen = this.signals?.find((one) => one.name === 'position')?.value();
+    const first = this.found.streams.find((stream) => stream.guess === 'position') ?? this.found.streams.find((stream) => !stream.pose);
+    return chosen ?? {...(first ?? this.found.streams[0]).source, unit: 'rad'};
+  },
+
+  async table() {
+    const {objects} = await ask(`/api/scenario?${query({name: this.scenario.value})}`);
+    this.rows.replaceChildren(...this.lab.recordings.map((recording) => {
+      const object = h('select', {'aria-label': `object of ${recording}`}, ...Object.entries(objects).map(([value, one]) => new Option(one.label, value)));
+      const kind = h('select', {'aria-label': `kind of ${recording}`}, new Option('hit', 'hit'), new Option('free motion', 'free motion'), new Option('leave out', ''));
+      const condition = h('input', {'aria-label': `condition of ${recording}`, value: 'case_1'});
+      kind.addEventListener('change', () => { object.disabled = kind.value !== 'hit'; });
+      return h('tr', {'data-recording': recording}, h('td', {}, recording), h('td', {}, object), h('td', {}, kind), h('td', {}, condition));
+    }));
+  },
+
+  async keep() {
+    const runs = [...this.rows.children].map((row) => {
+      const [object, kind] = row.querySelectorAll('select');
+      return {bag: row.dataset.recording, object: kind.value === 'hit' ? object.value : 'none', kind: kind.value, condition: row.querySelector('input').value};
+    }).filter((run) => run.kind);
+    try {
+      const done = await ask('/api/laboratory', {path: this.folder.value, scenario: this.scenario.value, joints: this.found.joints,
+        command_includes_gravity: this.gravity.checked, runs,
+        signals: Object.fromEntries(this.signals.map((one) => [one.name, one.value()]).filter(([, value]) => value))});
+      this.told.node.replaceChildren(h('p', {class: 'good', id: 'lab-written'}, `Written: ${done.written.join(', ')}. Next:`), commandLine(done.command));
+    } catch (error) { this.told.error(error.message); this.told.node.scrollIntoView({block: 'nearest'}); }
+  },
+};
+
+// ---- the folder, on the left ----------------------------------------------------------------------------------------------
+
+function entry(key, text, small, chosen) {
+  return h('li', {}, h('button', {type: 'button', 'data-entry': key, 'aria-pressed': String(state.chosen === key),
+    onclick: () => { state.chosen = key; showFolder(); chosen(); }}, text, ...small.map((line) => h('small', {}, line))));
+}
+
+function scoreText(score) {
+  const held = score.held_out === null || score.held_out === undefined ? '' : `, held out ${number(score.held_out)}`;
+  return `error ${number(score.fit)}${unit(score.unit === 'times repetition' ? '' : score.unit)}${held}` +
+    (score.floor ? ` (noise ${number(score.floor)})` : '');
+}
+
+function showFolder() {
+  const {campaigns, laboratories, models, diagnoses} = state.workspace;
+  const or = (items, text) => items.length ? items : [h('li', {class: 'quiet'}, text)];
+  $('root').textContent = state.workspace.root;
+  const focused = document.activeElement?.dataset?.entry;
+  $('campaigns').replaceChildren(...or(campaigns.map((one) => entry(`campaign ${one.path}`, one.path,
+    [one.error || `${one.scenario ? `${one.scenario}, ` : ''}${one.present} of ${one.trials} trials`], () => chooseCampaign(one))), 'none yet'));
+  $('laboratories').replaceChildren(...or(laboratories.map((one) => entry(`lab ${one.path}`, one.path === '.' ? 'this folder' : one.path,
+    [one.error || (one.experiment ? 'described' : `${one.recordings.length} recordings, not described`)], () => chooseLaboratory(one))), 'none yet'));
+  const branch = (parent) => models.filter((one) => one.parent === parent && one.path !== parent).map((one) => {
+    const children = branch(one.path);
+    const item = entry(`model ${one.path}`, one.name, [one.error || one.effects.join(' + ') || 'nothing added',
+      ...one.scores.slice(0, 1).map(scoreText)], () => chooseModel(one));
+    if (children.length) item.append(h('ul', {class: 'tree'}, ...children));
+    return item;
+  });
+  $('models').replaceChildren(...branch(null));
+  $('diagnoses').replaceChildren(...or(diagnoses.map((one) => entry(`diagnosis ${one.path}`, one.path, [`${one.model}: ${one.verdict}`],
+    () => { diagnose.wanted = one.path; go('diagnose'); })), 'none yet'));
+  if (focused) document.querySelector(`[data-entry="${CSS.escape(focused)}"]`)?.focus();
+}
+
+function chooseCampaign(one) {
+  const use = (step, form) => h('button', {type: 'button', onclick: () => { go(step); form.runs.value = one.path; form.runs.dispatchEvent(
+    new Event('change', {bubbles: true})); }}, step === 'compare' ? 'Compare' : 'Diagnose');
+  showAbout({...ABOUT.measure, title: one.path, facts: [one.error || `${one.present} of ${one.trials} trials are there.`,
+    one.present < one.trials ? 'The same command goes on where it stopped.' : ''].filter(Boolean),
+  actions: [use('compare', compare.form), use('diagnose', diagnose.form),
+    h('button', {type: 'button', onclick: async () => {
+      try { keepJob(await ask('/api/jobs', {step: 'analyze', runs: one.path})); } catch (error) { showAbout({title: one.path, text: error.message}); }
+    }}, 'Analyze')]});
+}
+
+function chooseLaboratory(one) {
+  go('measure');
+  measure.show('laboratory');
+  laboratory.folder.value = one.path;
+  laboratory.look();
+}
+
+function chooseModel(one) {
+  for (const part of [compare, diagnose, history_]) if ([...part.form.model.options].some((option) => option.value === one.path)) {
+    part.form.model.value = one.path;
+    part.form.model.dispatchEvent(new Event('change', {bubbles: true}));
+  }
+  showAbout({title: one.name, text: one.note || 'What is believed of the physics beside the scenario.', page: 'missing_effects.md',
+    facts: [one.error, one.effects.length ? `Effects: ${one.effects.join(', ')}.` : 'No effects: the nominal values alone.',
+      ...one.scores.map((score) => `${score.report}: ${scoreText(score)}`)].filter(Boolean)});
+}
+
+// ---- jobs -----------------------------------------------------------------------------------------------------------------
+
+function progressText(job) {
+  const {what = job.step, done = 0, total = null, left = null} = job.progress ?? {};
+  return [job.stopping ? 'stopping' : what, total ? `${done} of ${total}` : '', seconds(left)].filter(Boolean).join(', ');
+}
+
+function stateText(job) {
+  if (job.ended === null) return progressText(job);
+  if (job.exit_code === 0) return `✓ done in ${Math.max(1, Math.round(job.ended - job.started))} s`;
+  return `${job.exit_code === 130 ? '■ stopped' : '✗ failed'}: ${job.line}`;
+}
+
+const opened = new Set();
+
+function jobRow(job) {
+  const act = (what) => async () => { try { await ask(`/api/jobs/${job.number}/${what}`, {}); } catch (error) {
+    showAbout({title: `Job ${job.number}`, text: error.message});
+  } };
+  const bar = job.ended === null ? h('progress', {max: job.progress?.total || 1, 'aria-label': `progress of job ${job.number}`,
+    ...(job.progress?.total ? {value: job.progress.done} : {})}) : '';
+  const log = h('pre', {hidden: !opened.has(job.number), tabindex: 0});
+  const fillLog = async () => { log.textContent = (await ask(`/api/jobs/${job.number}/log`)).log || 'nothing printed yet'; };
+  if (opened.has(job.number)) fillLog();
+  return h('li', {'data-job': job.number, 'data-state': job.ended === null ? 'running' : job.exit_code},
+    h('div', {}, h('code', {}, job.command)), h('div', {class: `state ${job.ended !== null && job.exit_code ? 'error' : ''}`}, stateText(job), bar),
+    h('div', {class: 'buttons'}, job.ended === null ? h('button', {type: 'button', disabled: job.stopping, onclick: act('stop')}, 'Stop') :
+      h('button', {type: 'button', onclick: act('again')}, job.exit_code ? 'Go on' : 'Again'),
+    h('button', {type: 'button', onclick: async () => {
+      if (!opened.delete(job.number)) { opened.add(job.number); await fillLog(); }
+      log.hidden = !opened.has(job.number);
+    }}, 'Output'), h('button', {type: 'button', onclick: () => navigator.clipboard.writeText(job.command)}, 'Copy')), log);
+}
+
+const MOST_JOBS = 8;
+
+function showJobs(jobs) {
+  const before = new Map(state.jobs.map((job) => [job.number, JSON.stringify(job)]));
+  state.jobs = jobs;
+  const list = $('job-list'), shown = jobs.slice(0, MOST_JOBS);
+  if (!jobs.length) { list.replaceChildren(h('li', {class: 'quiet'}, 'None yet. What you start shows here, and goes on when this page is closed.')); return; }
+  for (const item of [...list.children]) if (!shown.some((job) => String(job.number) === item.dataset.job)) item.remove();
+  shown.forEach((job, index) => {
+    const item = list.querySelector(`[data-job="${job.number}"]`);
+    if (item && before.get(job.number) === JSON.stringify(job) && list.children[index] === item) return;
+    const focused = item?.contains(document.activeElement) ? document.activeElement.textContent : null;
+    const row = jobRow(job);
+    item?.remove();
+    list.insertBefore(row, list.children[index] ?? null);
+    if (focused) [...row.querySelectorAll('button')].find((button) => button.textContent === focused)?.focus();
+    if (job.ended !== null && item) finished(job);
+  });
+  if (state.workspace) diagnose.jobs();
+}
+
+// What a job has made is opened where it is looked at.
+function finished(job) {
+  const made = job.writes.map((path) => path.replace(`${state.workspace.root}/`, ''));
+  if (job.exit_code !== 0) return;
+  if (job.step === 'compare' && job.arguments[0] === 'compare') compare.wanted = `${made[0]}/compare.html`;
+  if (job.step === 'compare' && job.arguments[0] === 'analyze') compare.wanted = `${made[0]}/report.html`;
+  if (job.step === 'diagnose') diagnose.wanted = `${made[0]}/diagnosis.json`;
+}
+
+// ---- the page ---------------------------------------------------------------------------------------------------------------
+
+const STEPS = {predict: ['Predict', predict], measure: ['Measure', measure], compare: ['Compare', compare],
+  diagnose: ['Diagnose', diagnose], add: ['Add', add], history: ['History', history_]};
+const panels = {};
+
+function go(step) {
+  state.step = step;
+  location.hash = step;
+  for (const [name, panel] of Object.entries(panels)) panel.hidden = name !== step;
+  for (const button of $('steps').querySelectorAll('button')) {
+    if (button.dataset.step === step) button.setAttribute('aria-current', 'step'); else button.removeAttribute('aria-current');
+  }
+  showAbout(ABOUT[step]);
+  if (state.workspace) STEPS[step][1].update();
+  dispatchEvent(new Event('resize')); // figures that were hidden have had no width
+}
+
+function listen() {
+  const events = new EventSource('/api/events');
+  events.addEventListener('jobs', ({data}) => showJobs(JSON.parse(data)));
+  events.addEventListener('workspace', ({data}) => {
+    state.workspace = JSON.parse(data);
+    showFolder();
+    STEPS[state.step][1].update();
+  });
+  events.addEventListener('open', () => { $('lost').hidden = true; });
+  events.addEventListener('error', () => { $('lost').hidden = false; });
+}
+
+for (const [name, [text, part]] of Object.entries(STEPS)) {
+  $('steps').append(h('li', {}, h('button', {type: 'button', 'data-step': name, onclick: () => go(name)}, text)));
+  panels[name] = part.build();
+  $('middle').append(panels[name]);
+}
+const asked = location.hash.slice(1);
+go(STEPS[asked] ? asked : 'predict');
+addEventListener('hashchange', () => { const step = location.hash.slice(1); if (STEPS[step] && step !== state.step) go(step); });
+darkScheme.addEventListener('change', () => { if (predict.answer) predict.paint(); });
+listen();

@@ -1,0 +1,409 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What lies in the folder of a workbench: campaigns, runs of laboratories, models, diagnoses and reports.
+
+Everything is read from the files each time it is asked for, so nothing is lost with the page, and what the command
+line does beside it is seen.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
+from impact_rs_sim.errors import InputError, did_you_mean, shortened
+from impact_rs_sim.model import Model, load_model
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.schema import load_mapping, validate
+from impact_rs_trials.campaign import MANIFEST, Manifest
+from impact_rs_trials.recordings.experiment import Experiment
+from impact_rs_trials.recordings.sources import FILE_SUFFIXES
+from impact_rs_trials.store import is_bag
+
+HIDDEN = ".workbench"
+DEEPEST = 5  # folders below the workbench's own that are looked into
+LARGEST_DOCUMENT = 20_000_000  # bytes of a report's numbers
+REPORTS = ("report.html", "compare.html", "diagnosis.html", "history.html")
+NOMINAL = "nominal"
+RUN_TABLE = "runs.csv"
+
+
+Read = TypeVar("Read")
+
+
+def once(read: Callable[[Path], Read]) -> Callable[[Path], Read]:
+    """What is read of a file, kept until the file changes: the folder is looked at every other second."""
+
+    @functools.lru_cache(maxsize=2000)
+    def kept(path: Path, modified: int, size: int) -> Read:
+        del modified, size
+        return read(path)
+
+    @functools.wraps(read)
+    def reader(path: Path) -> Read:
+        try:
+            state = path.stat()
+        except OSError:  # it has just gone, or leads nowhere
+            return read(path)
+        return kept(path, state.st_mtime_ns, state.st_size)
+
+    return reader
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A campaign.
+
+    Attributes:
+        path: Its folder, seen from the workspace.
+        scenario: Scenario; empty: the folder has trials and no manifest.
+        present: Trials that are there.
+        trials: Trials that it is to have.
+        error: What is wrong with its manifest; empty: nothing.
+    """
+
+    path: str
+    scenario: str
+    present: int
+    trials: int
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class LabFolder:
+    """Recordings that were not made here.
+
+    Attributes:
+        path: Their folder, seen from the workspace.
+        experiment: The experiment file, seen from the workspace; empty: nobody has said yet what they are.
+        recordings: Names of recordings in it.
+        error: What is wrong with the experiment file; empty: nothing.
+    """
+
+    path: str
+    experiment: str
+    recordings: tuple[str, ...]
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class ModelNode:
+    """One model of the family tree.
+
+    Attributes:
+        path: Its file, seen from the workspace, or ``nominal``.
+        name: Its name.
+        digest: Of what it says about the physics.
+        parent: The parent's path, as ``path``; None: it has none here.
+        effects: Names of its effects.
+        note: Why it was made.
+        scores: Errors of the model, and what repetition alone would give, from the newest comparisons and histories.
+        error: What is wrong with the file; empty: nothing.
+    """
+
+    path: str
+    name: str
+    digest: str
+    parent: str | None
+    effects: tuple[str, ...]
+    note: str
+    scores: tuple[dict[str, Any], ...] = ()
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class DiagnosisFile:
+    """A diagnosis.
+
+    Attributes:
+        path: Its file, seen from the workspace.
+        verdict: Its verdict.
+        model: Name of the diagnosed model.
+        digest: Digest of it.
+        named: Effects that it named.
+    """
+
+    path: str
+    verdict: str
+    model: str
+    digest: str
+    named: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Contents:
+    """All that lies in a workspace.
+
+    Attributes:
+        campaigns: Folders of trials.
+        runs: What commands take for RUNS: campaigns, and folders that hold several of them.
+        laboratories: Folders of recordings that were not made here.
+        models: Models, the nominal one first.
+        diagnoses: Diagnoses.
+        reports: Pages of reports.
+        scenarios: Scenarios, those that come with impact_rs first.
+        formulas: Files of effects as formulas.
+        stamps: When diagnoses and reports were written [s of the wall clock].
+    """
+
+    campaigns: tuple[Campaign, ...]
+    runs: tuple[str, ...]
+    laboratories: tuple[LabFolder, ...]
+    models: tuple[ModelNode, ...]
+    diagnoses: tuple[DiagnosisFile, ...]
+    reports: tuple[str, ...]
+    scenarios: tuple[str, ...]
+    formulas: tuple[str, ...]
+    stamps: dict[str, float]
+
+
+class Workspace:
+    """The folder of a workbench.
+
+    Args:
+        root: The folder.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root.resolve()
+
+    def inside(self, name: str) -> Path:
+        """A path in the folder, whether anything is there or not.
+
+        Raises:
+            InputError: It leads out of the folder, or into what the workbench keeps for itself.
+        """
+        try:
+            path = (self.root / name).resolve()
+        except (OSError, ValueError):
+            raise InputError(f"{shortened(name)!r} is no path") from None
+        if not name or not path.is_relative_to(self.root) or "\0" in name:
+            raise InputError(f"{shortened(name)!r} is not in the folder of this workbench, {self.root}")
+        if path.relative_to(self.root).parts[:1] == (HIDDEN,):
+            raise InputError(f"{shortened(name)!r} is what the workbench keeps for itself")
+        return path
+
+    def existing(self, name: str) -> Path:
+        """A path in the folder that leads to something.
+
+        Raises:
+            InputError: As :meth:`inside`, or there is nothing.
+        """
+        path = self.inside(name)
+        if not path.exists():
+            known = [item.name for item in path.parent.iterdir()] if path.parent.is_dir() else []
+            raise InputError(f"there is nothing at {shortened(name)!r}{did_you_mean(path.name, known)}")
+        return path
+
+    def name(self, path: Path) -> str:
+        """A path as it is seen from the folder."""
+        return path.relative_to(self.root).as_posix()
+
+    def scenario_path(self, name: str) -> str:
+        """What SCENARIO is given: the name of one that comes with impact_rs, or a file of the folder.
+
+        Raises:
+            InputError: As :meth:`existing`.
+        """
+        return str(self.existing(name)) if name.endswith((".yaml", ".yml")) else name
+
+    def contents(self) -> Contents:
+        """What is there now; files that are none of ours are left out."""
+        campaigns, laboratories, models, diagnoses, reports, scenarios, formulas = [], [], [], [], [], [], []
+        scores: list[dict[str, Any]] = []
+        for folder, files, bags in self._folders():
+            ours = [name for name in bags if _is_ours(folder / name)]
+            if MANIFEST in files:
+                campaigns.append(self._campaign(folder))
+            elif ours:
+                campaigns.append(Campaign(self.name(folder), "", len(ours), len(ours)))
+            elif (found := self._laboratory(folder, files, bags)) is not None:
+                laboratories.append(found)
+            for file in files:
+                path = folder / file
+                if file.endswith((".yaml", ".yml")):
+                    kind = _kind_of_yaml(path)
+                    if kind == "model":
+                        models.append(self._model(path))
+                    elif kind == "scenario":
+                        scenarios.append(self.name(path))
+                    elif kind == "formulas":
+                        formulas.append(self.name(path))
+                elif file in ("compare.json", "history.json"):
+                    scores += _scores(path)
+                elif file.endswith(".json") and (diagnosis := self._diagnosis(path)) is not None:
+                    diagnoses.append(diagnosis)
+                elif file in REPORTS:
+                    reports.append(self.name(path))
+        shipped = config_directory() / "scenarios"
+        return Contents(
+            campaigns=tuple(campaigns),
+            runs=tuple(sorted(_with_common_folders([item.path for item in campaigns]))),
+            laboratories=tuple(laboratories),
+            models=tuple(_with_scores([_nominal(), *models], scores)),
+            diagnoses=tuple(diagnoses),
+            reports=tuple(reports),
+            scenarios=(*sorted(file.stem for file in shipped.glob("*.yaml")), *scenarios),
+            formulas=tuple(formulas),
+            stamps={name: (self.root / name).stat().st_mtime for name in [*reports, *(one.path for one in diagnoses)]},
+        )
+
+    def _folders(self) -> Iterator[tuple[Path, list[str], list[str]]]:
+        """Folders with their files and bags, in order; hidden ones are left out, and bags not looked into."""
+        for place, folders, files in os.walk(self.root):
+            here = Path(place)
+            deep = len(here.relative_to(self.root).parts)
+            shown = sorted(name for name in folders if not name.startswith("."))
+            bags = [name for name in shown if is_bag(here / name)]
+            folders[:] = [] if deep >= DEEPEST else [name for name in shown if name not in bags]
+            yield here, sorted(files), bags
+
+    def _campaign(self, folder: Path) -> Campaign:
+        try:
+            manifest = _manifest(folder / MANIFEST)
+        except InputError as error:
+            return Campaign(self.name(folder), "", 0, 0, str(error))
+        keys = {key.name for key in manifest.keys}
+        scenario = Path(manifest.scenario).stem
+        return Campaign(self.name(folder), scenario, len(keys & set(os.listdir(folder))), len(keys))
+
+    def _laboratory(self, folder: Path, files: list[str], bags: list[str]) -> LabFolder | None:
+        experiment = next((name for name in ("experiment.yaml", "experiment.yml") if name in files), None)
+        names = [*bags, *(name for name in files if Path(name).suffix in FILE_SUFFIXES and name != RUN_TABLE)]
+        if not names and experiment is None:
+            return None
+        error = ""
+        if experiment is not None:
+            try:
+                validate(Experiment, load_mapping(folder / experiment), folder / experiment)
+            except InputError as mistake:
+                error = str(mistake)
+        file = "" if experiment is None else self.name(folder / experiment)
+        return LabFolder(self.name(folder), file, tuple(names), error)
+
+    def _model(self, path: Path) -> ModelNode:
+        try:
+            model = load_model(path)
+        except InputError as error:
+            return ModelNode(self.name(path), path.stem, "", None, (), "", error=str(error))
+        return _node(self.name(path), model, self._parent(path, model))
+
+    def _parent(self, path: Path, model: Model) -> str | None:
+        if model.parent is None:
+            return None
+        beside = (path.parent / model.parent).resolve()
+        if beside.is_file() and beside.is_relative_to(self.root):
+            return self.name(beside)
+        return NOMINAL if Path(model.parent).stem == NOMINAL else None
+
+    def _diagnosis(self, path: Path) -> DiagnosisFile | None:
+        document = _document(path)
+        if document is None:
+            return None
+        return DiagnosisFile(
+            self.name(path), document.verdict, document.model.name, document.model.digest, document.named
+        )
+
+
+@once
+def _manifest(path: Path) -> Manifest:
+    return validate(Manifest, load_mapping(path), path)
+
+
+@once
+def _document(path: Path) -> DiagnosisDocument | None:
+    """A diagnosis; None: some other JSON."""
+    try:
+        return read_document(path)
+    except InputError:
+        return None
+
+
+def _nominal() -> ModelNode:
+    return _node(NOMINAL, load_model(NOMINAL), None)
+
+
+def _node(path: str, model: Model, parent: str | None) -> ModelNode:
+    return ModelNode(path, model.name, model.digest, parent, tuple(item.name for item in model.effects), model.note)
+
+
+@once
+def _is_ours(bag: Path) -> bool:
+    """Whether a bag is one of our trials: its metadata names the topic that says so."""
+    try:
+        return "/trial_info" in (bag / "metadata.yaml").read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+@once
+def _kind_of_yaml(path: Path) -> str | None:
+    """``model``, ``scenario`` or ``formulas`` by the keys that nothing else has; None: something else."""
+    try:
+        keys = load_mapping(path).keys()
+    except InputError:
+        return None
+    if {"robots", "objects", "cases"} <= keys:
+        return "scenario"
+    if keys == {"effects"}:
+        return "formulas"
+    if "name" in keys and keys & {"effects", "parent"} and keys <= set(Model.model_fields):
+        return "model"
+    return None
+
+
+def _with_common_folders(paths: list[str]) -> set[str]:
+    """Paths of campaigns, and the folders in which several of them come together."""
+    inside: dict[str, set[str]] = defaultdict(set)
+    for path in paths:
+        for parent in Path(path).parents:
+            inside[parent.as_posix()].add(path)
+    deepest = {frozenset(held): folder for folder, held in sorted(inside.items()) if len(held) > 1 and folder != "."}
+    return {*paths, *deepest.values()}
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """A JSON document of ours; None: it is none."""
+    try:
+        if path.stat().st_size > LARGEST_DOCUMENT:
+            return None
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+@once
+def _scores(path: Path) -> list[dict[str, Any]]:
+    """Errors of models that a comparison or a history has found, newest files last."""
+    document = read_json(path)
+    if document is None:
+        return []
+    found = []
+    when = path.stat().st_mtime
+    try:
+        if path.name == "compare.json":
+            entry = {"digest": document["model"]["digest"], "fit": document["score"], "held_out": None}
+            found.append(entry | {"floor": document["noise_floor"], "unit": document["score_unit"]})
+        else:
+            for item in document["history"]:
+                entry = {"name": item["model"], "fit": item["error_fit"], "held_out": item["error_held_out"]}
+                found.append(entry | {"floor": item["noise_floor"], "unit": ""})
+    except (KeyError, TypeError):
+        return []
+    return [item | {"report": path.parent.name, "when": when} for item in found]
+
+
+def _with_scores(models: list[ModelNode], scores: list[dict[str, Any]]) -> Iterator[ModelNode]:
+    """Models with what was found of them; the newest first."""
+    for model in models:
+        own = [item for item in scores if item.get("digest") == model.digest or item.get("name") == model.name]
+        newest = sorted(own, key=lambda item: -item["when"])
+        shown = ({key: item[key] for key in ("report", "fit", "held_out", "floor", "unit")} for item in newest[:3])
+        yield ModelNode(**(vars(model) | {"scores": tuple(shown)}))

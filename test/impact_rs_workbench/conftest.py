@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A workbench in a folder of its own, as the tests of the server and of the page use it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from starlette.testclient import TestClient
+
+from impact_rs_workbench.guard import Guard
+from impact_rs_workbench.server import Workbench, application
+
+PORT, TOKEN = 8123, "the-key-of-the-tests"
+HOST = f"127.0.0.1:{PORT}"
+
+
+@pytest.fixture
+def workbench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Workbench]:
+    """A workbench of ``tmp_path``, whose jobs end with the test."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path.parent / "cache"))
+    made = Workbench(tmp_path, "impact-rs")
+    yield made
+    made.jobs.close()
+
+
+@pytest.fixture
+def client(workbench: Workbench) -> TestClient:
+    """Somebody who knows the key and asks from the page."""
+    app = application(workbench, TOKEN, PORT)
+    assert isinstance(app, Guard)
+    return TestClient(
+        app,
+        base_url=f"http://{HOST}",
+        headers={"origin": f"http://{HOST}"},
+        cookies={app.cookie: TOKEN},
+        follow_redirects=False,
+    )
+
+
+@pytest.fixture(scope="session")
+def served() -> Iterator[Callable[[Path], str]]:
+    """Starts ``impact-rs workbench`` for a folder, and gives its address; all of them end with the tests."""
+    with contextlib.ExitStack() as held:
+
+        def start(folder: Path) -> str:
+            environment = os.environ | {"XDG_CACHE_HOME": str(folder.parent / "cache"), "PYTHONUNBUFFERED": "1"}
+            process = held.enter_context(
+                subprocess.Popen(
+                    [sys.executable, "-m", "impact_rs_cli.main", "workbench", str(folder), "--no-browser"],
+                    stdout=subprocess.PIPE,
+                    text=True,
+                    cwd=folder.parent,
+                    env=environment,
+                )
+            )
+            held.callback(process.send_signal, signal.SIGINT)
+            assert process.stdout is not None
+            address = re.search(r"http://\S+", process.stdout.readline())
+            assert address is not None
+            return address[0]
+
+        yield start

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Jobs: a command runs, tells how far it is, can be stopped and goes on; its record outlives page and server."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from impact_rs_sim.errors import InputError
+from impact_rs_workbench.jobs import LOST, Jobs, Order
+from impact_rs_workbench.server import Workbench
+
+LONG = 120.0  # s, after which a condition that was waited for counts as missed
+CAMPAIGN = {"step": "campaign", "scenario": "push", "objects": ["cat_food"], "cases": ["case_2"], "scales": [1.0]}
+
+
+def until(condition: Callable[[], Any]) -> Any:
+    """What a condition gives, once it gives something."""
+    end = time.monotonic() + LONG
+    while time.monotonic() < end:
+        if found := condition():
+            return found
+    raise AssertionError("this was waited for in vain")
+
+
+@pytest.fixture
+def jobs(tmp_path: Path) -> Jobs:
+    return Jobs(tmp_path / "jobs", "impact-rs")
+
+
+def order(*words: str, writes: tuple[Path, ...] = ()) -> Order:
+    return Order("measure", words, writes)
+
+
+def test_a_job_is_the_command_it_tells_and_keeps_its_output(jobs: Jobs) -> None:
+    job = jobs.wait(jobs.start(order("effects", "object_mass")).number)
+    assert (job.command, job.exit_code, job.line) == ("impact-rs effects object_mass", 0, "")
+    assert "object_mass: " in jobs.log(job.number)
+
+
+def test_a_job_that_fails_tells_its_one_line(jobs: Jobs) -> None:
+    job = jobs.wait(jobs.start(order("effects", "object_mas")).number)
+    assert job.exit_code == 2
+    assert job.line.startswith("no effect 'object_mas'; did you mean 'object_mass'?")
+    job = jobs.wait(jobs.start(order("effects", "--nonsense")).number)
+    assert (job.exit_code, job.line) == (2, "unrecognized arguments: --nonsense (see impact-rs --help)")
+
+
+def test_a_campaign_tells_how_far_it_is_stops_as_ctrl_c_does_and_goes_on(
+    client: TestClient, workbench: Workbench, tmp_path: Path
+) -> None:
+    started = client.post("/api/jobs", json=CAMPAIGN | {"output": "campaigns/push", "trials": 6})
+    assert started.status_code == 200
+    number = started.json()["number"]
+
+    def first() -> dict[str, Any]:
+        return client.get("/api/jobs").json()[0]  # type: ignore[no-any-return]
+
+    until(lambda: (first()["progress"] or {}).get("done"))
+    assert first()["progress"]["what"] == "trials"
+    assert first()["progress"]["total"] == 6
+    assert first()["progress"]["left"] > 0.0
+    client.post(f"/api/jobs/{number}/stop")
+    stopped = workbench.jobs.wait(number)
+    assert stopped.exit_code == 130
+    assert stopped.line == "interrupted; the same command goes on where it stopped"
+    bags = {path.name for path in (tmp_path / "campaigns" / "push").iterdir() if path.name.startswith("cat_food")}
+    assert 1 <= len(bags) < 6
+    stamps = {name: (tmp_path / "campaigns" / "push" / name / "metadata.yaml").stat().st_mtime_ns for name in bags}
+    again = client.post(f"/api/jobs/{number}/again").json()
+    assert workbench.jobs.wait(again["number"]).exit_code == 0
+    (campaign,) = client.get("/api/workspace").json()["campaigns"]
+    assert (campaign["present"], campaign["trials"]) == (6, 6)
+    kept = {name: (tmp_path / "campaigns" / "push" / name / "metadata.yaml").stat().st_mtime_ns for name in bags}
+    assert kept == stamps
+
+
+def test_two_tabs_see_the_same_jobs_and_one_folder_has_one_job_at_a_time(
+    client: TestClient, workbench: Workbench
+) -> None:
+    first = client.post("/api/jobs", json=CAMPAIGN | {"output": "campaigns/push", "trials": 30}).json()
+    for output in ("campaigns/push", "campaigns", "campaigns/push/inner"):
+        second = client.post("/api/jobs", json=CAMPAIGN | {"output": output})
+        assert second.status_code == 400
+        assert "job 1 (measure) is writing to" in second.json()["error"]
+    assert [job["number"] for job in client.get("/api/jobs").json()] == [1]
+    client.post(f"/api/jobs/{first['number']}/stop")
+    client.post(f"/api/jobs/{first['number']}/stop")  # the other tab
+    assert workbench.jobs.wait(1).exit_code in (130, 1)
+    assert client.post("/api/jobs/1/stop").json()["exit_code"] in (130, 1)
+
+
+def test_jobs_that_are_not_there_are_told_in_one_line(client: TestClient) -> None:
+    for path in ("stop", "again"):
+        assert client.post(f"/api/jobs/7/{path}").json() == {"error": "no job 7; there are 0"}
+    assert client.get("/api/jobs/7/log").json() == {"error": "no job 7; there are 0"}
+
+
+def test_records_outlive_the_workbench_and_what_ran_when_it_died_is_told_as_ended(jobs: Jobs) -> None:
+    done = jobs.wait(jobs.start(order("effects", "object_mass")).number)
+    record = jobs.folder / "0001" / "job.json"
+    lost = json.loads(record.read_text()) | {"number": 2, "ended": None, "exit_code": None}
+    (jobs.folder / "0002").mkdir()
+    (jobs.folder / "0002" / "job.json").write_text(json.dumps(lost))
+    (jobs.folder / "0003").mkdir()
+    (jobs.folder / "0003" / "job.json").write_text("{")
+    later = Jobs(jobs.folder, "impact-rs")
+    assert later.get(1) == done
+    assert (later.get(2).exit_code, later.get(2).line) == (130, LOST)
+    assert [job["number"] for job in later.all()] == [2, 1]
+    assert later.wait(later.again(2).number).exit_code == 0
+
+
+def test_a_job_that_runs_is_not_started_again(jobs: Jobs, tmp_path: Path) -> None:
+    number = jobs.start(order("blind", "make", "1", "-o", str(tmp_path / "blind"), writes=(tmp_path / "blind",))).number
+    with pytest.raises(InputError, match="job 1 is still running"):
+        jobs.again(number)
+    jobs.close()
+    assert not jobs.get(number).runs
+
+
+def test_the_end_of_the_workbench_stops_its_jobs(workbench: Workbench, client: TestClient) -> None:
+    client.post("/api/jobs", json=CAMPAIGN | {"output": "campaigns/push", "trials": 30})
+    workbench.jobs.close()
+    assert workbench.jobs.get(1).exit_code not in (None, 0)

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page as a person uses it: the loop by mouse and keyboard in a headless browser, files as the only memory.
+
+Waits are for what shall be there, never for time.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on this machine")
+SLOW = 300_000.0  # ms, for a job on a machine with other work
+expect.set_options(timeout=60_000.0)
+IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        made = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        yield made
+        made.close()
+
+
+@pytest.fixture(scope="module")
+def address(
+    served: Callable[[Path], str], hidden_campaign: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[str, Path]:
+    """A workbench with a small campaign that hides an effect, and its folder."""
+    folder = tmp_path_factory.mktemp("loop") / "workbench"
+    shutil.copytree(hidden_campaign, folder / "blind" / "runs")
+    return served(folder), folder
+
+
+@pytest.fixture
+def page(browser: Browser, address: tuple[str, Path]) -> Iterator[Page]:
+    """A page that asks nobody else for anything and throws no error."""
+    context = browser.new_context(viewport={"width": 1280, "height": 800})
+    made = context.new_page()
+    made.set_default_timeout(60_000.0)
+    elsewhere: list[str] = []
+    errors: list[str] = []
+    home = re.match(r"http://[^/]+", address[0])
+    assert home is not None
+    made.on(
+        "request", lambda sent: None if sent.url.startswith((home[0], "data:", "blob:")) else elsewhere.append(sent.url)
+    )
+    made.on("pageerror", lambda error: errors.append(str(error)))
+    made.goto(address[0])
+    expect(made.locator("#predict-plot")).to_have_attribute("data-shown", re.compile("."))
+    yield made
+    context.close()
+    assert not elsewhere
+    assert not errors
+
+
+def job(page: Page, state: str | int = 0) -> None:
+    """Wait until the newest job has ended so."""
+    expect(page.locator("#job-list > li").first).to_have_attribute("data-state", str(state), timeout=SLOW)
+
+
+def start(page: Page, label: str) -> None:
+    """Start a job with the button of the step, and wait until it shows."""
+    count = page.locator("#job-list > li[data-job]").count()
+    page.locator("main form:visible").get_by_role("button", name=label, exact=True).click()
+    expect(page.locator("#job-list > li[data-job]")).to_have_count(count + 1)
+
+
+def picture(page: Page, name: str, folder: Path) -> None:
+    """What the manual shows: into its folder where IMPACT_RS_PICTURES is set, else beside the workbench."""
+    target = IMAGES if os.environ.get("IMPACT_RS_PICTURES") else folder.parent
+    page.evaluate("scrollTo(0, 0)")
+    page.screenshot(path=target / f"{name}.png", animations="disabled")
+
+
+def test_a_slider_moved_with_the_keyboard_moves_the_prediction_and_its_command(
+    page: Page, address: tuple[str, Path]
+) -> None:
+    before = page.locator("#predict-table tr.main td").nth(2).inner_text()
+    page.locator("[data-key='contact.restitution']").focus()
+    for _ in range(40):
+        page.keyboard.press("ArrowRight")
+    expect(page.locator("#predict-plot")).to_have_attribute("data-shown", '{"contact.restitution":0.2}')
+    expect(page.locator(".command code").first).to_contain_text("--set contact.restitution=0.2")
+    assert page.locator("#predict-table tr.main td").nth(2).inner_text() != before
+    expect(page.locator("#right h2")).to_have_text("restitution e")  # what the selected thing is
+    expect(page.locator("#predict-plot .scatterlayer .trace")).to_have_count(
+        7
+    )  # band, three lines, object, two in the legend
+    picture(page, "workbench", address[1])
+
+
+@pytest.mark.timeout(900)
+def test_the_whole_loop_by_mouse_names_the_hidden_effect_and_the_error_falls(
+    page: Page, address: tuple[str, Path]
+) -> None:
+    page.locator("[data-step=compare]").click()
+    page.select_option("#compare-runs", "blind/runs")
+    page.locator("#compare-output").fill("reports/first")
+    start(page, "Compare")
+    job(page)
+    expect(page.locator("#compare-result .answer")).to_contain_text("Model 'nominal' differs from 6 trials by")
+    heat_map = page.locator("#compare-result .plot .nsewdrag").last
+    heat_map.click()
+    expect(page.locator("#signal .scatterlayer .trace")).to_have_count(3)  # measured, model, residual
+    picture(page, "workbench_compare", address[1])
+
+    page.locator("[data-step=diagnose]").click()
+    page.select_option("#diagnose-runs", "blind/runs")
+    page.locator("#diagnose-effects").fill("support_friction")
+    page.locator("#diagnose-output").fill("reports/diagnosis")
+    start(page, "Diagnose")
+    job(page)
+    expect(page.locator("#verdict")).to_contain_text("Model 'nominal' lacks support_friction.")
+    expect(page.locator("#ranking tr.main")).to_contain_text("CONFIRMED")
+
+    page.locator("#ranking tr.main button").click()
+    expect(page.locator("#add-effect")).to_have_value("support_friction")
+    start(page, "Add the effect")
+    job(page)
+    expect(page.locator("#models .tree")).to_contain_text("support_friction")
+
+    page.locator("[data-step=history]").click()
+    page.select_option("#history-model", "models/model_2.yaml")
+    page.locator("#history-output").fill("reports/history")
+    start(page, "Show the history")
+    job(page)
+    expect(page.frame_locator("#history-result iframe").locator("td", has_text="model_2")).to_be_visible()
+    history = json.loads((address[1] / "reports" / "history" / "history.json").read_text())["history"]
+    assert history[1]["error_fit"] < 0.5 * history[0]["error_fit"]
+    expect(page.locator("#models .tree small").last).to_contain_text("held out")
+
+
+def test_a_job_that_fails_shows_its_one_line(page: Page, address: tuple[str, Path]) -> None:
+    (address[1] / "models").mkdir(exist_ok=True)
+    (address[1] / "campaigns").mkdir(exist_ok=True)
+    (address[1] / "campaigns" / "taken").write_text("a file where the campaign wants its folder")
+    page.locator("[data-step=measure]").click()
+    page.locator("#campaign-output").fill("campaigns/taken")
+    expect(page.locator("#part-campaign .command code")).to_contain_text("campaigns/taken")
+    start(page, "Start the campaign")
+    job(page, 2)
+    expect(page.locator("#job-list .state").first).to_contain_text("✗ failed:")
+
+
+@pytest.mark.timeout(600)
+def test_a_page_that_is_loaded_again_and_a_second_tab_see_the_job_that_runs(page: Page) -> None:
+    page.locator("[data-step=measure]").click()
+    page.locator("#campaign-output").fill("campaigns/long")
+    page.get_by_label("repeats of each").fill("40")
+    expect(page.locator("#part-campaign .command code")).to_contain_text("--trials 40")
+    start(page, "Start the campaign")
+    expect(page.locator("#job-list progress").first).to_have_attribute("value", re.compile("[1-9]"), timeout=SLOW)
+    page.reload()
+    expect(page.locator("#job-list > li").first).to_have_attribute("data-state", "running")
+    other = page.context.new_page()
+    other.goto(page.url)
+    expect(other.locator("#job-list > li").first).to_have_attribute("data-state", "running")
+    other.locator("#job-list > li").first.get_by_role("button", name="Stop").click()
+    job(page, 130)
+    expect(page.locator("#job-list .state").first).to_contain_text("■ stopped: interrupted; the same command goes on")
+    expect(page.locator("#campaigns")).to_contain_text("campaigns/long")
+    other.close()
+
+
+def test_a_formula_is_checked_while_it_is_written(page: Page, address: tuple[str, Path]) -> None:
+    page.locator("[data-step=add]").click()
+    expect(page.locator("#formula-check")).to_contain_text("end_effector_force.y: gives N")
+    page.locator("#formula").fill(page.locator("#formula").input_value().replace("N s/m", "N m"))
+    expect(page.locator("#formula-check .error")).to_contain_text("expected N")
+    page.locator("#formula").fill(page.locator("#formula").input_value().replace("N m", "N s/m"))
+    expect(page.locator("#formula-check .good")).to_contain_text("cable_drag")
+    page.get_by_role("button", name="Save the formulas").click()
+    expect(page.locator("#formula-check")).to_contain_text("Saved as formulas/mine.yaml.")
+    page.locator("[data-step=diagnose]").click()
+    expect(page.locator("#diagnose-formulas option")).to_have_count(2)
+    assert (address[1] / "formulas" / "mine.yaml").exists()
+
+
+@pytest.mark.parametrize("width", [360, 820, 1280])
+def test_nothing_is_wider_than_the_screen_of_a_phone_a_tablet_or_a_laptop(page: Page, width: int) -> None:
+    page.set_viewport_size({"width": width, "height": 800})
+    for step in ("predict", "measure", "compare", "diagnose", "add", "history"):
+        page.locator(f"[data-step={step}]").click()
+        expect(page.locator("main > section:visible h2").first).to_be_visible()
+        expect(page.locator("html")).to_have_js_property("scrollWidth", width)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_that_keeps_anybody_out(page: Page, scheme: Literal["light", "dark"]) -> None:
+    """Names, roles, order of headings, contrast: the rules of axe-core, step by step."""
+    page.emulate_media(color_scheme=scheme)
+    for step in ("predict", "measure", "compare", "diagnose", "add", "history"):
+        page.locator(f"[data-step={step}]").click()
+        expect(page.locator("main > section:visible h2").first).to_be_visible()
+        found = Axe().run(page).response["violations"]
+        assert [(one["id"], one["nodes"][0]["html"]) for one in found] == [], step
+
+
+def test_every_control_has_a_name_and_the_manual_opens_by_keyboard(page: Page) -> None:
+    nameless = page.evaluate(
+        """() => [...document.querySelectorAll('input, select, textarea, button')]
+            .filter((node) => !(node.labels?.length || node.ariaLabel || node.textContent.trim()))
+            .map((node) => node.outerHTML)"""
+    )
+    assert nameless == []
+    page.get_by_role("link", name="In the manual").focus()
+    page.keyboard.press("Enter")
+    expect(page.locator("#manual h1")).to_have_text("Physics")
+    page.keyboard.press("Escape")
+    expect(page.locator("#manual")).to_be_hidden()

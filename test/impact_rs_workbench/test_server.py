@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The server: who may ask, what is answered to mistakes, and that nothing outside its folder is told."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+from starlette.testclient import TestClient
+
+from impact_rs_cli.main import main
+from impact_rs_trials.store import Folder, owned
+from impact_rs_workbench.server import Workbench, application
+
+PORT, TOKEN = 8123, "the-key-of-the-tests"
+HOST = f"127.0.0.1:{PORT}"
+QUESTION = {"scenario": "push", "object": "cat_food", "case": "case_2"}
+
+
+@pytest.fixture
+def stranger(workbench: Workbench) -> TestClient:
+    """Somebody on this machine who was not given the address."""
+    return TestClient(application(workbench, TOKEN, PORT), base_url=f"http://{HOST}", follow_redirects=False)
+
+
+def test_the_address_with_its_key_leads_to_the_page_and_leaves_a_strict_cookie(stranger: TestClient) -> None:
+    answer = stranger.get("/", params={"token": TOKEN})
+    assert (answer.status_code, answer.headers["location"]) == (303, "/")
+    assert "samesite=strict" in answer.headers["set-cookie"].lower()
+    assert "httponly" in answer.headers["set-cookie"].lower()
+    assert "<h1>impact_rs</h1>" in stranger.get("/").text
+
+
+@pytest.mark.parametrize("path", ["/", "/api/workspace", "/static/workbench.js", "/files/a.html", "/?token=guessed"])
+def test_nobody_without_the_key_is_told_anything(stranger: TestClient, path: str) -> None:
+    answer = stranger.get(path)
+    assert answer.status_code == 403
+    assert answer.text == "Open the address that impact-rs workbench has printed: it holds the key."
+
+
+def test_another_name_for_this_machine_is_refused_with_the_key(client: TestClient) -> None:
+    answer = client.get("/api/workspace", headers={"host": f"attacker.example:{PORT}"})
+    assert (answer.status_code, answer.text) == (403, "This workbench answers on its own machine only.")
+
+
+@pytest.mark.parametrize("origin", ["http://attacker.example", "null", f"http://127.0.0.1:{PORT + 1}", ""])
+def test_what_changes_something_has_to_come_from_our_own_page(
+    client: TestClient, workbench: Workbench, origin: str
+) -> None:
+    answer = client.post("/api/jobs", json={"step": "blind", "seed": 1, "output": "x"}, headers={"origin": origin})
+    assert answer.status_code == 403
+    assert not workbench.jobs.all()
+
+
+def test_the_page_may_load_nothing_from_elsewhere(client: TestClient) -> None:
+    page = client.get("/")
+    assert "default-src 'none'" in page.headers["content-security-policy"]
+    texts = [page.text, client.get("/static/workbench.css").text, client.get("/static/workbench.js").text]
+    assert not [text for text in texts if "http://" in text or "https://" in text]
+
+
+OUTSIDE = [
+    "../secret.html",
+    "/etc/passwd",
+    "a/../../secret.html",
+    "..%2Fsecret.html",
+    ".workbench/x.json",
+    "link.html",
+]
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_no_file_outside_the_folder_is_shown(client: TestClient, tmp_path: Path, name: str) -> None:
+    secret = tmp_path.parent / "secret.html"
+    secret.write_text("secret")
+    (tmp_path / "link.html").symlink_to(secret)
+    answer = client.get(f"/files/{name}")
+    assert answer.status_code in (404, 403)
+    assert "secret" not in answer.text.replace("secret.html", "")
+
+
+@pytest.mark.parametrize("name", ["../elsewhere", "/tmp/elsewhere", ".workbench/x", ""])
+def test_no_command_writes_outside_the_folder(client: TestClient, workbench: Workbench, name: str) -> None:
+    answer = client.post("/api/jobs", json={"step": "campaign", "scenario": "push", "output": name})
+    assert answer.status_code == 400
+    assert "\n" not in answer.json()["error"]
+    assert not workbench.jobs.all()
+
+
+def test_a_report_is_shown_as_if_from_another_site(client: TestClient, tmp_path: Path) -> None:
+    (tmp_path / "compare.html").write_text("<p>a report</p>")
+    answer = client.get("/files/compare.html")
+    assert answer.text == "<p>a report</p>"
+    assert answer.headers["content-security-policy"].startswith("sandbox allow-scripts")
+    assert "allow-same-origin" not in answer.headers["content-security-policy"]
+
+
+MISTAKES = {
+    "an unknown scenario": ("predict", QUESTION | {"scenario": "pusch"}, "did you mean 'push'?"),
+    "an unknown object": ("predict", QUESTION | {"object": "cat_fod"}, "did you mean 'cat_food'?"),
+    "an unknown case": ("predict", QUESTION | {"case": "7"}, "has no case '7'"),
+    "an unknown slider": ("predict", QUESTION | {"values": {"contact.colour": 1}}, "no slider 'contact.colour'"),
+    "a value that cannot be": ("predict", QUESTION | {"values": {"contact.restitution": 2}}, "contact.restitution = 2"),
+    "a missing key": ("predict", {"scenario": "push"}, "object: Field required"),
+    "an unknown step": ("command", {"step": "destroy"}, "does not match any of the expected tags"),
+    "an option in the place of a name": (
+        "command",
+        {"step": "campaign", "scenario": "push", "output": "x", "objects": ["--help"]},
+        "objects.0 = '--help': String should match pattern",
+    ),
+    "a model that is not there": (
+        "command",
+        {"step": "compare", "runs": ".", "model": "model_9.yaml", "output": "x"},
+        "there is nothing at 'model_9.yaml'",
+    ),
+    "a formula that does not parse": ("formulas/check", {"text": "effects: ["}, "formulas: not valid YAML at line 1"),
+    "no JSON object": ("predict", [1], "request: "),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_answered_in_one_line_that_names_it(client: TestClient, name: str) -> None:
+    path, content, expected = MISTAKES[name]
+    answer = client.post(f"/api/{path}", json=content)
+    assert answer.status_code == 400
+    assert expected in answer.json()["error"]
+    assert "\n" not in answer.json()["error"]
+
+
+def test_what_is_no_json_or_too_large_is_refused(client: TestClient) -> None:
+    assert client.post("/api/predict", content=b"{").json() == {"error": "the request is no JSON"}
+    assert "larger than" in client.post("/api/predict", content=b" " * 1_000_001).json()["error"]
+
+
+def test_the_manual_is_there_with_its_tables_and_no_markup_of_others(client: TestClient) -> None:
+    page = client.get("/manual/laboratory.md").json()["html"]
+    assert '<h1 id="runs-of-your-own-laboratory">' in page
+    assert "<table>" in page
+    answer = client.get("/manual/..%2FREADME.md")
+    assert answer.status_code in (400, 404)
+
+
+def test_one_folder_has_one_workbench(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+    with owned(Folder(tmp_path / ".workbench")):
+        assert main(["workbench", str(tmp_path), "--no-browser"]) == 2
+    assert "works on this workbench; wait for it, or stop it" in capfd.readouterr().err
+
+
+def test_a_file_in_the_place_of_the_folder_and_an_impossible_port_are_mistakes(
+    tmp_path: Path, capfd: pytest.CaptureFixture
+) -> None:
+    (tmp_path / "file").write_text("")
+    assert main(["workbench", str(tmp_path / "file"), "--no-browser"]) == 2
+    assert "a file where the folder of the workbench is expected" in capfd.readouterr().err
+    assert main(["workbench", str(tmp_path), "--port", "70000"]) == 2
+    assert "port 70000: expected 0 (a free one) to 65535" in capfd.readouterr().err
+
+
+def test_a_prediction_is_that_of_the_command_it_tells(client: TestClient, capfd: pytest.CaptureFixture) -> None:
+    values = {"speed": 0.8, "contact.restitution": 0.2, "objects.cat_food.mass": 1.5}
+    answer = client.post("/api/predict", json=QUESTION | {"values": values, "motor_inertia": "rotor"}).json()
+    assert answer["command"].startswith("impact-rs map push cat_food case_2 --uncertainty --motor-inertia rotor --set ")
+    words = shlex.split(answer["command"])[1:]
+    assert main([*words, "--json"]) == 0
+    told = json.loads(capfd.readouterr().out)
+    row = next(row for row in answer["rows"] if row["main"] and row["body"] == "arm")
+    assert row["after"] == pytest.approx(told["post"]["end_effector_twist"]["arm"][1], rel=1e-9)
+    interval = told["uncertainty"]["interval"]["arm.velocity.y"]
+    assert [row["low"], row["high"]] == pytest.approx([interval["low"], interval["high"]])

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What lies in a folder: seen as it is, whoever made it; broken files are told and hide nothing."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from impact_rs_cli.main import main
+from impact_rs_sim.errors import InputError
+from impact_rs_workbench.workspace import Workspace
+
+
+@pytest.fixture
+def workspace(tmp_path: Path) -> Workspace:
+    return Workspace(tmp_path)
+
+
+def test_an_empty_folder_has_the_nominal_model_and_the_scenarios_that_come_along(workspace: Workspace) -> None:
+    found = workspace.contents()
+    assert [model.path for model in found.models] == ["nominal"]
+    assert {"push", "grab", "excite"} <= set(found.scenarios)
+    assert not (found.campaigns or found.runs or found.laboratories or found.diagnoses or found.reports)
+
+
+def test_a_campaign_counts_its_trials(workspace: Workspace, push_campaign: Path) -> None:
+    shutil.copytree(push_campaign, workspace.root / "campaigns" / "push")
+    (campaign,) = workspace.contents().campaigns
+    assert (campaign.path, campaign.scenario, campaign.present, campaign.trials) == ("campaigns/push", "push", 3, 3)
+    shutil.rmtree(workspace.root / "campaigns" / "push" / "cat_food__case_2__0.8__0", ignore_errors=True)
+    bag = next(path for path in (workspace.root / "campaigns" / "push").iterdir() if path.is_dir())
+    shutil.rmtree(bag)
+    assert workspace.contents().campaigns[0].present < 3
+
+
+def test_folders_of_trials_without_manifest_are_seen_with_the_folder_they_share(
+    workspace: Workspace, hidden_campaign: Path
+) -> None:
+    shutil.copytree(hidden_campaign, workspace.root / "blind" / "runs")
+    found = workspace.contents()
+    assert [(one.path, one.present) for one in found.campaigns] == [("blind/runs/excite", 2), ("blind/runs/push", 4)]
+    assert found.runs == ("blind/runs", "blind/runs/excite", "blind/runs/push")
+
+
+def test_models_are_a_family_with_their_errors(workspace: Workspace, diagnosed: Path) -> None:
+    shutil.copy(diagnosed, workspace.root / "diagnosis.json")
+    (diagnosis,) = workspace.contents().diagnoses
+    target = workspace.root / "models" / "model_2.yaml"
+    assert main(["add", *diagnosis.named, "--from", str(diagnosed), "-o", str(target)]) == 0
+    digest = workspace.contents().models[1].digest
+    (workspace.root / "report").mkdir()
+    document = {"model": {"name": "model_2", "digest": digest}, "score": 1.2, "noise_floor": 1.0, "score_unit": "x"}
+    (workspace.root / "report" / "compare.json").write_text(json.dumps(document))
+    child = workspace.contents().models[1]
+    assert (child.path, child.parent, child.effects) == ("models/model_2.yaml", "nominal", diagnosis.named)
+    assert child.scores[0] == {"report": "report", "fit": 1.2, "held_out": None, "floor": 1.0, "unit": "x"}
+
+
+def test_broken_files_are_told_with_their_line_and_hide_no_others(workspace: Workspace, push_campaign: Path) -> None:
+    shutil.copytree(push_campaign, workspace.root / "good")
+    (workspace.root / "bad").mkdir()
+    (workspace.root / "bad" / "manifest.yaml").write_text("scenario: push\n")
+    (workspace.root / "model.yaml").write_text("name: mine\neffects:\n- name: nonsense\n  parameters: {}\n")
+    (workspace.root / "diagnosis.json").write_text("[]")
+    found = workspace.contents()
+    assert [(one.path, bool(one.error)) for one in found.campaigns] == [("bad", True), ("good", False)]
+    assert "unknown effect" in found.models[1].error
+    assert not found.diagnoses
+
+
+def test_a_file_that_changes_is_read_again(workspace: Workspace) -> None:
+    path = workspace.root / "mine.yaml"
+    path.write_text("name: mine\neffects: []\n")
+    assert [model.name for model in workspace.contents().models] == ["nominal", "mine"]
+    path.write_text("name: mine_too\neffects: []\n")
+    assert [model.name for model in workspace.contents().models] == ["nominal", "mine_too"]
+
+
+def test_recordings_of_others_wait_to_be_described(workspace: Workspace) -> None:
+    (workspace.root / "lab").mkdir()
+    (workspace.root / "lab" / "run_1.csv").write_text("time,q1\n0,1\n")
+    (lab,) = workspace.contents().laboratories
+    assert (lab.path, lab.experiment, lab.recordings) == ("lab", "", ("run_1.csv",))
+    (workspace.root / "lab" / "experiment.yaml").write_text("scenario: push\nrubs: x\n")
+    (lab,) = workspace.contents().laboratories
+    assert lab.experiment == "lab/experiment.yaml"
+    assert "rubs" in lab.error
+
+
+@pytest.mark.parametrize("name", ["..", "../x", "/etc", "a/../../x", ".workbench", ".workbench/jobs", "", "a\0b"])
+def test_no_path_leads_out_of_the_folder(workspace: Workspace, name: str) -> None:
+    with pytest.raises(InputError):
+        workspace.inside(name)
+
+
+def test_what_is_not_there_is_told_with_what_is_near(workspace: Workspace) -> None:
+    (workspace.root / "campaigns").mkdir()
+    with pytest.raises(InputError, match="there is nothing at 'campaign'; did you mean 'campaigns'"):
+        workspace.existing("campaign")
