@@ -112,7 +112,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         gc.freeze()  # the collection before a trial looks at what is new, and no more
 
     def rehearse(self, spec: TrialSpec) -> None:
-        self.streams(StreamMaker(spec.plan), list(spec.plan.arms))
+        self.streams(StreamMaker(spec.plan))
 
     def offer(self) -> None:
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
