@@ -97,6 +97,59 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         NodeParameter("contact", "first", "-", "Contact where a request names none", choices=tuple(CONTACTS)),
     ),
     "controller": COMMON,
+    "cell": (
+        *COMMON,
+        NodeParameter(
+            "joints",
+            "{arm}_joint{number}",
+            "-",
+            "What the robot calls its joints: {arm} is the name of the arm in the scenario, {number} counts from 1",
+        ),
+        NodeParameter(
+            "robot_adds_gravity",
+            True,
+            "-",
+            "The robot compensates gravity itself (franka_ros2) and is sent torques without it",
+        ),
+        NodeParameter(
+            "mocap", False, "-", "Pass poses of the object on from motion capture; without them no trial is armed then"
+        ),
+        NodeParameter(
+            "state_timeout",
+            0.01,
+            "s",
+            "A state of the robot that is older, or does not come for so long, ends the trial",
+            (0.001, 10.0),
+        ),
+        NodeParameter(
+            "answer_timeout",
+            0.01,
+            "s",
+            "A torque of the controller that takes longer ends the trial",
+            (0.001, 10.0),
+        ),
+        NodeParameter(
+            "arm_jitter_limit",
+            0.002,
+            "s",
+            "No trial is armed where the time between two states of the robot differs more from that of their stamps",
+            (1e-6, 10.0),
+        ),
+        NodeParameter(
+            "start_tolerance",
+            0.01,
+            "rad or m",
+            "No trial is armed, and none begins, with a joint farther from where it starts",
+            (1e-4, 0.2),
+        ),
+        NodeParameter(
+            "torque_rate_limit",
+            1000.0,
+            "N m/s or N/s",
+            "What the robot is sent changes no faster; a torque that would is told to it over several periods",
+            (1.0, 1e6),
+        ),
+    ),
     "recorder": (
         *COMMON,
         DATA_ROOT,
@@ -173,6 +226,8 @@ def complaint_about(kind: str, name: str, wanted: Any) -> str:
     known = next((parameter for parameter in PARAMETERS[kind] if parameter.name == name), None)
     if known is None:
         return ""
+    if name == "joints" and "{number}" not in wanted:
+        return f"joints {wanted!r}: expected {{number}} in it"
     if known.choices and wanted not in known.choices:
         return f"{name} {wanted!r}: expected {' or '.join(known.choices)}"
     if name in ("config_root", "data_root") and not Path(wanted or ".").is_dir():
@@ -202,8 +257,8 @@ def markdown() -> str:
         "# Node parameters",
         "",
         "Made from `impact_rs_ros/parameters.py` by `python -m impact_rs_ros.parameters > docs/parameters.md`.",
-        "`config/nodes.yaml` is an example of all of them; a running node describes its own with",
-        "`ros2 param describe /plant realtime`.",
+        "`config/nodes.yaml` is an example of all of them, `config/cell.yaml` of the cell, whose node is called `plant`;",
+        "a running node describes its own with `ros2 param describe /plant realtime`.",
     ]
     for kind, parameters in PARAMETERS.items():
         lines += ["", f"## {kind}", "", "| Name | Type | Default | Range | Unit | Meaning |", "|---" * 6 + "|"]

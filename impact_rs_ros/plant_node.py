@@ -11,10 +11,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.task import Future
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
 from impact_rs_control.closed_loop import make_plant, ran_away
 from impact_rs_control.plan import TrialPlan
@@ -22,7 +19,7 @@ from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.joint_signals import JointReader
 from impact_rs_ros.names import frame_prefix
 from impact_rs_ros.process import run
-from impact_rs_ros.trial_node import LockstepTrial, TrialNode
+from impact_rs_ros.trial_node import CONNECTING, LeadingNode, LeadingTrial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import parse_model
 from impact_rs_sim.plant import Plant
@@ -31,9 +28,6 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.record import FrameSource, occasional_messages
 from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
-
-MATCHING = 0.002  # s, between two looks whether everybody listens
-CONNECTING = 8.0  # s, that a controller which was just started may take to hear the first state
 
 
 @dataclass(frozen=True)
@@ -51,7 +45,7 @@ class Pace:
     answer_timeout: float
 
 
-class PlantTrial(LockstepTrial):
+class PlantTrial(LeadingTrial):
     """One trial of a :class:`~impact_rs_sim.plant.Plant`.
 
     Args:
@@ -61,10 +55,6 @@ class PlantTrial(LockstepTrial):
         inbox: Where torques come in.
         outbox: Where the state goes out.
         frames: Where ``/tf`` comes from.
-
-    Attributes:
-        begun: Whether the first state was published.
-        over: Whether there is nothing left to do; ``failure`` says whether that was so at the end.
     """
 
     def __init__(
@@ -72,8 +62,6 @@ class PlantTrial(LockstepTrial):
     ) -> None:
         super().__init__(plan)
         self._plan = plan
-        self.begun = False
-        self.over = False
         self._plant = plant
         self._pace = pace
         self._inbox = inbox
@@ -94,7 +82,6 @@ class PlantTrial(LockstepTrial):
         self._missed = 0
 
     def begin(self) -> None:
-        """Publish the first state."""
         self.begun = True
         self._ask()
         self._started = time.monotonic()
@@ -116,11 +103,6 @@ class PlantTrial(LockstepTrial):
             self._measured = self._plant.measure()
             self._ask()
             self._tick_times.append(time.monotonic() - now)
-
-    def stop(self, failure: str) -> None:
-        """End before the end."""
-        self.over = True
-        self.failure = failure
 
     def end(self) -> str:
         self._plant.close()
@@ -199,19 +181,10 @@ class PlantTrial(LockstepTrial):
         return False
 
 
-class PlantNode(TrialNode[PlantTrial]):
+class PlantNode(LeadingNode[PlantTrial]):
     """Steps a :class:`~impact_rs_sim.plant.Plant`."""
 
     kind = "plant"
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._over: Future | None = None  # present from the start of the ticks to their end
-
-    def offer(self) -> None:
-        super().offer()
-        # The answer comes when the trial is over; meanwhile the other services stay open.
-        self.node.create_service(Trigger, "~/run_trial", self._on_run, callback_group=MutuallyExclusiveCallbackGroup())
 
     def received(self, arms: list[str]) -> dict[str, str]:
         return {topics.joint_command(arm): topics.JOINT_STATE for arm in arms}
@@ -236,43 +209,6 @@ class PlantNode(TrialNode[PlantTrial]):
         pace = Pace(self.parameter("realtime"), self.parameter("repeat_after"), self.parameter("answer_timeout"))
         frames = FrameSource(plan.scene, frame_prefix(self.node.get_namespace()))
         return PlantTrial(plan, make_plant(plan, info.seed, physics), pace, self.inbox, self.outbox, frames)
-
-    def work(self, trial: PlantTrial, until: float) -> None:
-        if self._over is None:
-            self.executor.spin_once(timeout_sec=MATCHING)
-            return
-        if not trial.begun:
-            if self.outbox.unmatched():
-                time.sleep(MATCHING)
-                return
-            self.log.debug("the trial begins")
-            trial.begin()
-        trial.work(until)
-        if trial.over:
-            self._answer(self._over, trial)
-
-    async def _on_run(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        del request
-        if not self.running or self._over is not None:
-            response.message = f"plant: {'the trial runs already' if self.running else 'configure a trial first'}"
-            return response
-        self._over = Future(executor=self.executor)
-        failure = await self._over
-        response.success = not failure
-        response.message = failure
-        return response
-
-    def _answer(self, over: Future, trial: PlantTrial) -> None:
-        """Tell whoever waits for the end of the trial."""
-        self._over = None
-        over.set_result(trial.failure)
-
-    def _leave(self) -> str:
-        trial, over = self.trial, self._over
-        if trial is not None and over is not None:
-            trial.stop("the trial was aborted")
-            self._answer(over, trial)
-        return super()._leave()
 
 
 def main() -> None:

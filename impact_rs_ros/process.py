@@ -38,11 +38,13 @@ class NodeProgram:
     """A node and its main loop."""
 
     kind: ClassVar[str]
+    name: ClassVar[str] = ""
+    """Name of the node unless it is remapped; empty: its kind."""
     background: ClassVar[bool] = True
     """Whether the process lets others go first: a recorder that wakes up shall not interrupt plant or controller."""
 
     def __init__(self) -> None:
-        self.node = Node(self.kind)
+        self.node = Node(self.name or self.kind)
         self.log = self.node.get_logger()
         parameters.declare(self.node, self.kind)
         self.executor = self.make_executor()

@@ -41,6 +41,15 @@ WATCH = QoSProfile(
 """Subscribers that only want to know how things stand. Best effort: a reliable one that lost a sample shows none of the
 later ones until the publisher's next heartbeat, up to 3 s later, and looks like a dead publisher meanwhile."""
 
+COMMAND = QoSProfile(
+    reliability=QoSReliabilityPolicy.RELIABLE,
+    durability=QoSDurabilityPolicy.VOLATILE,
+    history=QoSHistoryPolicy.KEEP_LAST,
+    depth=1,
+)
+"""Publishers of torques for ros2_control, whose controllers subscribe reliably. Only the newest torque is worth
+sending."""
+
 EVENT = QoSProfile(
     reliability=QoSReliabilityPolicy.RELIABLE,
     durability=QoSDurabilityPolicy.VOLATILE,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What plant and controller have in common: a trial is configured, runs, and is finished."""
+"""What plant, cell and controller have in common: a trial is configured, runs, and is finished."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from abc import ABC, abstractmethod
 from typing import Generic, TypeVar
 
 from impact_rs.srv import ConfigureTrial, FinishTrial
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.task import Future
+from std_srvs.srv import Trigger
 
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox, Outbox
@@ -22,6 +25,8 @@ from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.spec import TrialSpec
 
 SLICE = 0.02  # s, how long a running trial may keep a node from its services
+MATCHING = 0.002  # s, between two looks whether everybody listens
+CONNECTING = 8.0  # s, that a controller which was just started may take to hear the first state
 
 
 class LockstepTrial(ABC):
@@ -206,3 +211,84 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         if self.running:
             self._leave()
         self.inbox.close()
+
+
+class LeadingTrial(LockstepTrial):
+    """One trial of the node that measures: it says when the trial begins, and when it is over.
+
+    Attributes:
+        begun: Whether the first state was published.
+        over: Whether there is nothing left to do; ``failure`` says whether that was so at the end.
+    """
+
+    def __init__(self, plan: TrialPlan) -> None:
+        super().__init__(plan)
+        self.begun = False
+        self.over = False
+
+    @abstractmethod
+    def begin(self) -> None:
+        """Begin: everybody listens."""
+
+    def stop(self, failure: str) -> None:
+        """End before the end."""
+        self.over = True
+        self.failure = failure
+
+
+AnyLeadingTrial = TypeVar("AnyLeadingTrial", bound=LeadingTrial)
+
+
+class LeadingNode(TrialNode[AnyLeadingTrial]):
+    """Who serves ``~/run_trial``, which is answered when the trial is over."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._over: Future | None = None  # present from the start of the ticks to their end
+
+    def offer(self) -> None:
+        super().offer()
+        # The answer comes when the trial is over; meanwhile the other services stay open.
+        self.node.create_service(Trigger, "~/run_trial", self._on_run, callback_group=MutuallyExclusiveCallbackGroup())
+
+    def wait(self) -> None:
+        """Let some milliseconds pass before or after the ticks of a trial."""
+        self.executor.spin_once(timeout_sec=MATCHING)
+
+    def work(self, trial: AnyLeadingTrial, until: float) -> None:
+        if self._over is None:
+            self.wait()
+            return
+        if not trial.begun:
+            if self.outbox.unmatched():
+                self.wait()
+                return
+            self.log.debug("the trial begins")
+            trial.begin()
+        trial.work(until)
+        if trial.over:
+            self._answer(self._over, trial)
+
+    async def _on_run(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        del request
+        if not self.running or self._over is not None:
+            wrong = "the trial runs already" if self.running else "configure a trial first"
+            response.message = f"{self.kind}: {wrong}"
+            return response
+        self._over = Future(executor=self.executor)
+        failure = await self._over
+        response.success = not failure
+        response.message = failure
+        return response
+
+    def _answer(self, over: Future, trial: AnyLeadingTrial) -> None:
+        """Tell whoever waits for the end of the trial."""
+        self._over = None
+        over.set_result(trial.failure)
+
+    def _leave(self) -> str:
+        trial, over = self.trial, self._over
+        if trial is not None and over is not None:
+            trial.stop("the trial was aborted")
+            self._answer(over, trial)
+        return super()._leave()

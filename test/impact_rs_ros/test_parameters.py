@@ -29,10 +29,11 @@ def example() -> dict[str, dict[str, object]]:
     assert set(own) <= set(NODES)
     writes = {"recorder", "experiment"}  # who has the one parameter that not all have in common
     shared = {name: {key: common[key] for key in common if key != "data_root" or name in writes} for name in NODES}
-    return {name: shared[name] | own.get(name, {}) for name in NODES}
+    cell = yaml.safe_load((ROOT / "config" / "cell.yaml").read_text())["/**/plant"]["ros__parameters"]
+    return {name: shared[name] | own.get(name, {}) for name in NODES} | {"cell": shared["plant"] | cell}
 
 
-def test_the_example_file_holds_every_parameter_at_its_default() -> None:
+def test_the_example_files_hold_every_parameter_at_its_default() -> None:
     assert example() == {kind: {p.name: p.default for p in known} for kind, known in parameters.PARAMETERS.items()}
 
 
@@ -91,6 +92,7 @@ def test_a_value_that_cannot_be_worked_with_is_refused_with_a_reason(
         ("controller", "scenario:=nonsense"),
         ("plant", "use_sim_time:=true"),
         ("plant", "answer_timeout:=.nan"),
+        ("cell", "joints:=fr3_joint"),
         ("recorder", "data_root:=/nowhere/at/all"),
     ],
 )

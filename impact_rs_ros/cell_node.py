@@ -1,0 +1,464 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A real robot in the plant's place: ros2_control on one side, controller, recorder and experiment on the other.
+
+Every message of the robot's joint states is one tick: it is checked, goes to the controller with the stamp of its tick,
+and the torque that comes back goes to the robot. Anything late, beyond a limit, or not a number ends the trial with its
+reason, and the arms are braked and held. They are held from when a trial is configured until the node ends, whenever
+the controller does not lead them.
+"""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections.abc import Callable
+from dataclasses import dataclass
+from statistics import median
+
+import numpy as np
+from rclpy.publisher import Publisher
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import Float64MultiArray
+
+from impact_rs_control.guard import state_complaint, torque_complaint
+from impact_rs_control.plan import TrialPlan
+from impact_rs_ros.effort_arms import REST, ArmStates, EffortArms, joint_names
+from impact_rs_ros.exchange import Inbox, Outbox
+from impact_rs_ros.joint_signals import JointReader
+from impact_rs_ros.message_types import message_type
+from impact_rs_ros.names import on_network
+from impact_rs_ros.process import run
+from impact_rs_ros.qos import COMMAND
+from impact_rs_ros.trial_node import CONNECTING, MATCHING, SLICE, LeadingNode, LeadingTrial
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.streams import Stream, StreamMaker
+from impact_rs_trials.bags.trial_info import TrialInfo
+
+STATES = "/joint_states"  # of joint_state_broadcaster
+MOCAP = "/mocap/object_pose"
+REPEAT = 0.25  # s, until the first state is told the controller again
+ARMING, ARMING_STATES, ARMING_PATIENCE = 0.5, 50, 3.0  # s, states, s: how long jitter is measured, at least and at most
+PERIOD_TOLERANCE = 0.02  # of the period, that the states of the robot may come faster or slower
+BRAKING = 0.6  # s, that the arms may take to rest before a trial is left; six times the time constant of the brake
+
+
+def commands_topic(arm: str) -> str:
+    """What the arm's JointGroupEffortController listens to."""
+    return f"/{arm}/effort_controller/commands"
+
+
+@dataclass(frozen=True)
+class Patience:
+    """What is late; the node's parameters of these names.
+
+    Attributes:
+        state_timeout: A state that is older, or did not come for so long [s].
+        answer_timeout: A torque that takes longer [s].
+    """
+
+    state_timeout: float
+    answer_timeout: float
+
+
+class CellTrial(LeadingTrial):
+    """One trial of real arms.
+
+    Args:
+        plan: The trial.
+        arms: The robot.
+        patience: What is late.
+        start_tolerance: How far a joint may be from where the trial starts [rad].
+        inbox: Where the robot's states, the object's poses and the controller's torques come in.
+        outbox: Where they go out to controller and recorder.
+        robot_clock: The clock of the robot's stamps [ns].
+        clock: A clock that never goes back [s].
+    """
+
+    def __init__(
+        self,
+        plan: TrialPlan,
+        arms: EffortArms,
+        patience: Patience,
+        start_tolerance: float,
+        inbox: Inbox,
+        outbox: Outbox,
+        robot_clock: Callable[[], int],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(plan)
+        self.arms = arms
+        self._plan = plan
+        self._patience = patience
+        self._start_tolerance = start_tolerance
+        self._inbox = inbox
+        self._outbox = outbox
+        self._robot_clock = robot_clock
+        self._clock = clock
+        self._period_ns = round(plan.scene.scenario.timing.control_period * 1e9)
+        self._joints = self._maker.joints
+        self._arm_of = {topics.joint_command(arm): arm for arm in plan.arms}
+        self._readers = {arm: JointReader(names, ("effort",)) for arm, names in self._joints.items()}
+        self._origin: int | None = None  # the robot's time at tick 0 [ns]; None: the controller has not answered it yet
+        self._tick = 0
+        self._first: dict[str, bytes] = {}  # what was told of tick 0, by topic
+        self._told = 0.0  # when
+        self._heard = clock()  # when the last state came that could be used
+        self._asked: dict[int, float] = {}  # when the controller was asked, by tick that has no answer
+        self._answered = dict.fromkeys(plan.arms, -1)
+        self._lost = 0
+        self._oldest = self._slowest = 0.0  # s
+
+    def begin(self) -> None:
+        self.begun = True
+        self._heard = self._told = self._clock()
+        self._asked = {0: self._heard}
+
+    def rest(self, until: float) -> None:
+        """Brake and hold, where the controller does not lead, until ``until`` on the clock."""
+        while (left := until - self._clock()) > 0.0:
+            self._inbox.wait(min(left, 1e-9 * self._period_ns))
+            for topic, data in self._inbox.take():
+                if topic == STATES and (states := self.arms.read(data)) is not None and not states.complaint:
+                    self._heard = self._clock()
+                    self.arms.hold()
+            if self._silent > self._patience.state_timeout:
+                self.arms.let_go()
+
+    def work(self, until: float) -> None:
+        while not self.over and (left := until - self._clock()) > 0.0:
+            self._inbox.wait(min(left, self._patience.state_timeout, self._patience.answer_timeout))
+            for topic, data in self._inbox.take():
+                if topic == STATES:
+                    self._measured(self.arms.read(data))
+                elif topic == MOCAP:
+                    self._seen(data)
+                else:
+                    self._commanded(self._arm_of[topic], data)
+                if self.over:
+                    return
+            self._look_at_the_clock()
+            if self._outbox.due:
+                self._outbox.flush()
+
+    def stop(self, failure: str) -> None:
+        """End before the end, and brake."""
+        super().stop(failure)
+        if self._silent > self._patience.state_timeout:
+            self.arms.let_go()
+        else:
+            self.arms.hold()
+
+    def end(self) -> str:
+        return "OK"
+
+    def status(self) -> tuple[str, dict[str, object]]:
+        line = self.failure or (f"{self._lost} states without a torque" if self._lost else "ok")
+        return line, {
+            **self.tick_statistics(),
+            "oldest_state [s]": f"{self._oldest:.6f}",
+            "slowest_answer [s]": f"{self._slowest:.6f}",
+            "missed_ticks": self._lost,
+            "rate_limited_torques": self.arms.limited,
+        }
+
+    @property
+    def _silent(self) -> float:
+        """Time since the last state that could be used [s]."""
+        return self._clock() - self._heard
+
+    @property
+    def _time(self) -> str:
+        return f"at t = {1e-9 * self.now:.3f} s"
+
+    def _measured(self, states: ArmStates | None) -> None:
+        """Take a state of the robot, check it, and ask the controller."""
+        if states is None:
+            return
+        now = self._clock()
+        if not states.complaint:
+            self._heard = now
+        if complaint := states.complaint or self._late(states) or self._beyond_a_limit(states):
+            self.stop(f"{self._time}: {complaint}")
+            return
+        if self._origin is None:
+            self._ask_first(states, now)
+            return
+        tick = round((states.stamp - self._origin) / self._period_ns)
+        if tick <= self._tick:
+            return
+        if (tick - self._tick) * self._period_ns > 1e9 * self._patience.state_timeout + self._period_ns:
+            self.stop(f"{self._time}: {tick - self._tick - 1} states of the robot are missing")
+            return
+        if tick > self._last:
+            if self._tick < self._last:
+                self.stop(f"{self._time}: the last state of the trial is missing")
+            return
+        self._tick, self.now = tick, tick * self._period_ns
+        self._asked[tick] = now
+        for arm, measured in states.arms.items():
+            self._outbox.now(topics.joint_states(arm), tick, measured)
+        self._tick_times.append(self._clock() - now)
+
+    def _ask_first(self, states: ArmStates, now: float) -> None:
+        """Tell the state of tick 0 until it is answered; the arms rest meanwhile, and time does not pass."""
+        self.arms.hold()
+        if not self._first:
+            if complaint := start_complaint(self._plan, states, self._start_tolerance):
+                self.stop(complaint)
+                return
+            self._first = {
+                topics.joint_states(arm): self._outbox.now(topics.joint_states(arm), 0, measured)
+                for arm, measured in states.arms.items()
+            }
+        elif now - self._told > REPEAT:
+            self._told = now
+            for topic, data in self._first.items():
+                self._outbox.repeat(topic, data)
+
+    def _late(self, states: ArmStates) -> str:
+        age = 1e-9 * (self._robot_clock() - states.stamp)
+        self._oldest = max(self._oldest, age)
+        limit = self._patience.state_timeout
+        return "" if abs(age) <= limit else f"the robot's state is {age:.4f} s old, state_timeout is {limit:g} s"
+
+    def _beyond_a_limit(self, states: ArmStates) -> str:
+        for name, arm in states.arms.items():
+            model = self._plan.scene.models[name]
+            if complaint := state_complaint(model, self._joints[name], arm.position, arm.velocity):
+                return complaint
+        return ""
+
+    def _commanded(self, arm: str, data: bytes) -> None:
+        """Take a torque of the controller, check it, and send it to the robot."""
+        signals = self._readers[arm].read(data)
+        tick = round(signals.stamp / self._period_ns)
+        if not self._answered[arm] < tick <= self._tick or not self._first:
+            return  # of the trial before, or told twice
+        complaint = signals.complaint
+        complaint = complaint or torque_complaint(self._plan.scene.models[arm], self._joints[arm], signals.values[2])
+        if complaint:
+            self.stop(f"{topics.joint_command(arm)} {self._time}: {complaint}")
+            return
+        self._answered[arm] = tick
+        if self._origin is not None:
+            self.arms.command(arm, signals.values[2])
+        done = [asked for asked in self._asked if asked <= min(self._answered.values())]
+        for asked in done:
+            took = self._clock() - self._asked.pop(asked)
+            if self._origin is not None and asked == tick:
+                self._slowest = max(self._slowest, took)
+                if took > self._patience.answer_timeout:
+                    self._too_slow(took)
+                    return
+        self._lost += max(0, len(done) - 1)
+        if done and self._origin is None and self.arms.states is not None:
+            self._origin = self.arms.states.stamp
+        self.over = self._last not in self._asked and self._tick == self._last
+
+    def _too_slow(self, took: float) -> None:
+        limit = self._patience.answer_timeout
+        self.stop(f"{self._time}: no torque of the controller for {took:.4f} s, answer_timeout is {limit:g} s")
+
+    def _look_at_the_clock(self) -> None:
+        """Notice what does not come."""
+        silent, limit = self._silent, self._patience.state_timeout
+        if silent > limit:
+            self.stop(f"{self._time}: no state of the robot for {silent:.4f} s, state_timeout is {limit:g} s")
+        elif self._asked:
+            waited = self._clock() - next(iter(self._asked.values()))
+            if self._origin is not None and waited > self._patience.answer_timeout:
+                self._too_slow(waited)
+            elif self._origin is None and waited > CONNECTING:
+                self.stop(f"the controller does not answer the first state within {CONNECTING:g} s")
+
+    def _seen(self, data: bytes) -> None:
+        """Pass on where the object is, in trial time."""
+        pose = deserialize_message(data, message_type(topics.POSE))
+        if self._origin is None:
+            return
+        stamp = pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec - self._origin
+        if 0 <= stamp <= self._last * self._period_ns:
+            pose.header.stamp.sec, pose.header.stamp.nanosec = divmod(stamp, 10**9)
+            self._outbox.later(topics.OBJECT_POSE, pose)
+
+
+def start_complaint(plan: TrialPlan, states: ArmStates, tolerance: float) -> str:
+    """Why the arms are not where a trial starts, at rest; empty: they are.
+
+    Args:
+        plan: The trial.
+        states: Of the arms.
+        tolerance: How far a joint may be away [rad].
+    """
+    for name, own in plan.arms.items():
+        arm = states.arms[name]
+        away = arm.position - own.initial
+        index = int(np.argmax(np.abs(away)))
+        if abs(away[index]) > tolerance:
+            start = ", ".join(f"{value:.4f}" for value in own.initial)
+            return (
+                f"joint {index + 1} of {name} is {away[index]:+.4f} rad from where the trial starts, start_tolerance "
+                f"is {tolerance:g} rad; move the arm to [{start}]"
+            )
+        if not np.all(np.abs(arm.velocity) <= REST):
+            fastest = np.abs(arm.velocity).max()
+            return f"{name} moves at {fastest:.3g} rad/s; a trial starts at rest, below {REST:g} rad/s"
+    return ""
+
+
+class CellNode(LeadingNode[CellTrial]):
+    """Runs trials on a robot that ros2_control drives."""
+
+    kind = "cell"
+    name = "plant"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._commands: dict[str, Publisher] = {}
+
+    def received(self, arms: list[str]) -> dict[str, str]:
+        seen = {MOCAP: topics.POSE} if self.parameter("mocap") else {}
+        return {STATES: topics.JOINT_STATE} | {topics.joint_command(arm): topics.JOINT_STATE for arm in arms} | seen
+
+    def published(self, arms: list[str]) -> dict[str, str]:
+        seen = {topics.OBJECT_POSE: topics.POSE} if self.parameter("mocap") else {}
+        return {topics.joint_states(arm): topics.JOINT_STATE for arm in arms} | seen
+
+    def streams(self, maker: StreamMaker) -> dict[str, Stream]:
+        return {topics.joint_states(arm): maker.joint_states(arm) for arm in self.arms}
+
+    def connect(self, arms: list[str]) -> None:
+        super().connect(arms)
+        for arm in arms:
+            if arm not in self._commands:
+                name = on_network(commands_topic(arm))
+                self._commands[arm] = self.node.create_publisher(Float64MultiArray, name, COMMAND)
+
+    def turn(self) -> None:
+        if self.running or self.trial is None:
+            super().turn()
+            return
+        self.trial.rest(time.monotonic() + SLICE)
+        self.executor.spin_once(timeout_sec=0.0)
+        self.diagnose()
+
+    def wait(self) -> None:
+        if self.trial is not None:
+            self.trial.rest(time.monotonic() + MATCHING)
+
+    def prepare(self, plan: TrialPlan, info: TrialInfo) -> CellTrial:
+        del info
+        models = {arm: plan.scene.models[arm] for arm in plan.arms}
+        pattern = self.parameter("joints")
+        joints = {arm: joint_names(pattern, arm, model.joint_count) for arm, model in models.items()}
+        if len(models) > 1 and "{arm}" not in pattern:
+            raise InputError(f"expected {{arm}} in it, for the arms {', '.join(models)}", key="joints", value=pattern)
+        arms = EffortArms(
+            models,
+            joints,
+            self.parameter("robot_adds_gravity"),
+            self.parameter("torque_rate_limit") * plan.scene.scenario.timing.control_period,
+            self._send,
+        )
+        patience = Patience(self.parameter("state_timeout"), self.parameter("answer_timeout"))
+        tolerance = self.parameter("start_tolerance")
+        self._arm(plan, arms, patience, tolerance)
+        return CellTrial(plan, arms, patience, tolerance, self.inbox, self.outbox, self._robot_clock)
+
+    def close(self) -> None:
+        self._brake()
+        super().close()
+
+    def _robot_clock(self) -> int:
+        return int(self.node.get_clock().now().nanoseconds)
+
+    def _send(self, arm: str, torque: Array) -> None:
+        self._commands[arm].publish(Float64MultiArray(data=array("d", torque.tobytes())))
+
+    def _leave(self) -> str:
+        """Leave the trial with arms that rest: while the next one is loaded, the robot keeps its last torque."""
+        outcome = super()._leave()
+        self._brake()
+        return outcome
+
+    def _brake(self) -> None:
+        if self.trial is not None:
+            until = time.monotonic() + BRAKING
+            while time.monotonic() < until and not self.trial.arms.at_rest:
+                self.trial.rest(time.monotonic() + MATCHING)
+
+    def _arm(self, plan: TrialPlan, arms: EffortArms, patience: Patience, tolerance: float) -> None:
+        """Look at the robot for a moment before it is led.
+
+        Raises:
+            InputError: It is not where the trial starts, its states do not come as the trial needs them, or this
+                process does not get them in time.
+        """
+        limit = self.parameter("arm_jitter_limit")
+        period = plan.scene.scenario.timing.control_period
+        topic = self.node.resolve_topic_name(on_network(STATES))
+        arrivals: list[float] = []
+        stamps: list[int] = []
+        poses = 0
+        age = 0.0
+        began = time.monotonic()
+        self.inbox.clear()
+        while (now := time.monotonic()) < began + ARMING_PATIENCE:
+            if now > began + ARMING and len(stamps) >= ARMING_STATES:
+                break
+            self.inbox.wait(MATCHING)
+            for name, data in self.inbox.take():
+                if name == MOCAP:
+                    self._check_frame(data)
+                    poses += 1
+                if name != STATES or (states := arms.read(data)) is None:
+                    continue
+                if states.complaint:
+                    raise InputError(f"{topic}: {states.complaint}")
+                if self.trial is not None:  # it is held, and what holds it must not grow old
+                    self.trial.arms.read(data)
+                    self.trial.arms.hold()
+                arrivals.append(time.monotonic())
+                stamps.append(states.stamp)
+                age = max(age, abs(1e-9 * (self._robot_clock() - states.stamp)))
+        if arms.states is None:
+            raise InputError(f"nobody tells the joints {self.parameter('joints')!r} on {topic}: is the robot running?")
+        if len(stamps) < ARMING_STATES:
+            raise InputError(f"{topic}: {len(stamps)} states in {ARMING_PATIENCE:g} s, expected {ARMING_STATES}")
+        steps = 1e-9 * np.diff(np.array(stamps))
+        if abs(median(steps.tolist()) - period) > PERIOD_TOLERANCE * period:
+            raise InputError(
+                f"{topic}: a state every {1e3 * median(steps.tolist()):.3f} ms; timing.control_period of the scenario "
+                f"is {1e3 * period:g} ms"
+            )
+        if age > patience.state_timeout:
+            raise InputError(
+                f"{topic}: a state is {age:.4f} s off this node's clock, state_timeout is {patience.state_timeout:g} "
+                "s: are the clocks of both machines the same?"
+            )
+        jitter = float(np.abs(np.diff(np.array(arrivals)) - steps).max())
+        if jitter > limit:
+            raise InputError(
+                f"not armed: states come with a jitter of {1e3 * jitter:.3f} ms, arm_jitter_limit is {1e3 * limit:g} ms"
+            )
+        if self.parameter("mocap") and not poses:
+            raise InputError(f"no pose of the object on {self.node.resolve_topic_name(on_network(MOCAP))}")
+        if complaint := start_complaint(plan, arms.states, tolerance):
+            raise InputError(complaint)
+        self.log.info(f"armed: jitter {1e3 * jitter:.3f} ms, oldest state {1e3 * age:.3f} ms, {len(stamps)} states")
+
+    def _check_frame(self, data: bytes) -> None:
+        frame = deserialize_message(data, message_type(topics.POSE)).header.frame_id
+        if frame != "world":
+            raise InputError("expected world", key=f"frame_id of {MOCAP}", value=frame)
+
+
+def main() -> None:
+    """Run the node."""
+    run(CellNode)
+
+
+if __name__ == "__main__":
+    main()
