@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
+from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray
@@ -27,8 +28,9 @@ from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.joint_signals import JointReader
 from impact_rs_ros.message_types import message_type
 from impact_rs_ros.names import on_network
+from impact_rs_ros.parameters import value
 from impact_rs_ros.process import run
-from impact_rs_ros.qos import COMMAND
+from impact_rs_ros.qos import COMMAND, WATCH
 from impact_rs_ros.trial_node import CONNECTING, MATCHING, SLICE, LeadingNode, LeadingTrial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
@@ -60,6 +62,36 @@ class Patience:
 
     state_timeout: float
     answer_timeout: float
+
+
+class RobotClock:
+    """The clock of the robot's stamps: this machine's, or with ``use_sim_time`` that of a simulator.
+
+    Args:
+        node: Who wants to know the time.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._inbox: Inbox | None = None
+        self._simulated = 0
+        if value(node, "use_sim_time"):  # past the executor of the node, which does not run while a trial does
+            self._inbox = Inbox(node, "clock", WATCH)
+            self._inbox.connect({topics.CLOCK: topics.CLOCK_TYPE})
+
+    def now(self) -> int:
+        """Time [ns]."""
+        if self._inbox is None:
+            return int(self._node.get_clock().now().nanoseconds)
+        self._inbox.gather()
+        for _, message in self._inbox.take():
+            self._simulated = message.clock.sec * 10**9 + message.clock.nanosec
+        return self._simulated
+
+    def close(self) -> None:
+        """Listen no more."""
+        if self._inbox is not None:
+            self._inbox.close()
 
 
 class CellTrial(LeadingTrial):
@@ -317,6 +349,7 @@ class CellNode(LeadingNode[CellTrial]):
     def __init__(self) -> None:
         super().__init__()
         self._commands: dict[str, Publisher] = {}
+        self._robot_clock = RobotClock(self.node)
 
     def received(self, arms: list[str]) -> dict[str, str]:
         seen = {MOCAP: topics.POSE} if self.parameter("mocap") else {}
@@ -365,14 +398,12 @@ class CellNode(LeadingNode[CellTrial]):
         patience = Patience(self.parameter("state_timeout"), self.parameter("answer_timeout"))
         tolerance = self.parameter("start_tolerance")
         self._arm(plan, arms, patience, tolerance)
-        return CellTrial(plan, arms, patience, tolerance, self.inbox, self.outbox, self._robot_clock)
+        return CellTrial(plan, arms, patience, tolerance, self.inbox, self.outbox, self._robot_clock.now)
 
     def close(self) -> None:
         self._brake()
+        self._robot_clock.close()
         super().close()
-
-    def _robot_clock(self) -> int:
-        return int(self.node.get_clock().now().nanoseconds)
 
     def _send(self, arm: str, torque: Array) -> None:
         self._commands[arm].publish(Float64MultiArray(data=array("d", torque.tobytes())))
@@ -422,7 +453,7 @@ class CellNode(LeadingNode[CellTrial]):
                     self.trial.arms.hold()
                 arrivals.append(time.monotonic())
                 stamps.append(states.stamp)
-                age = max(age, abs(1e-9 * (self._robot_clock() - states.stamp)))
+                age = max(age, abs(1e-9 * (self._robot_clock.now() - states.stamp)))
         if arms.states is None:
             raise InputError(f"nobody tells the joints {self.parameter('joints')!r} on {topic}: is the robot running?")
         if len(stamps) < ARMING_STATES:

@@ -257,7 +257,7 @@ def markdown() -> str:
         "# Node parameters",
         "",
         "Made from `impact_rs_ros/parameters.py` by `python -m impact_rs_ros.parameters > docs/parameters.md`.",
-        "`config/nodes.yaml` is an example of all of them, `config/cell.yaml` of the cell, whose node is called `plant`;",
+        "`config/nodes.yaml` is an example of all of them, `config/cell.yaml` of the cell (a node called `plant`);",
         "a running node describes its own with `ros2 param describe /plant realtime`.",
     ]
     for kind, parameters in PARAMETERS.items():
