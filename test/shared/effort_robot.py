@@ -3,8 +3,8 @@
 
 It publishes ``/joint_states``, with a gripper among the joints and in an order of its own, ``/mocap/object_pose`` and
 ``/clock``; it takes ``/arm/effort_controller/commands`` and compensates gravity as franka_ros2 does. Its world is that
-of ``examples/foreign_plant.py``. Once it is sent torques it waits for the one of each state, so that a slow machine makes
-it slow and no trial worse; it is the clock of who uses its time.
+of ``examples/foreign_plant.py``. Once it is sent torques it waits for the one of each state, so that a slow machine
+makes it slow and no trial worse; it is the clock of who uses its time.
 
     python effort_robot.py SCENARIO OBJECT CASE [--no-gravity] [--offset RAD] [--silent-after N] [--nan-after N]
 """
