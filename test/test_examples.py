@@ -59,6 +59,10 @@ def test_examples_run_and_say_what_is_so(
     assert before == pytest.approx(-0.7, abs=0.01)
     assert abs(after) < abs(before)
 
+    figure = tmp_path / "figure.png"
+    assert abs(load("paper_figure").main(tmp_path, figure)) == pytest.approx(measured.estimate, abs=1e-12)
+    assert figure.read_bytes().startswith(b"\x89PNG")
+
     picture = tmp_path / "robot.png"
     assert load("draw_robot").main(tmp_path / measured.trials[0].name, picture) > 15  # shapes of arm, pad, box, support
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -80,6 +84,11 @@ def test_examples_run_and_say_what_is_so(
     for line in ("motor inertia reduced: -0.5", "95 % interval", "impact at 0.", "model 'nominal' against 3 trials"):
         assert line in printed
     assert f"{document.verdict}: {document.summary}" in printed
+
+
+def test_the_cable_of_ones_own_holds_the_box_back() -> None:
+    free, dragged = load("own_effect").main()
+    assert free - dragged > 0.001  # m
 
 
 def test_the_bags_of_a_laboratory_are_read_with_the_experiment_file_beside_them(tmp_path: Path) -> None:
