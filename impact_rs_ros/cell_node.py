@@ -415,10 +415,15 @@ class CellNode(LeadingNode[CellTrial]):
         return outcome
 
     def _brake(self) -> None:
-        if self.trial is not None:
-            until = time.monotonic() + BRAKING
-            while time.monotonic() < until and not self.trial.arms.at_rest:
-                self.trial.rest(time.monotonic() + MATCHING)
+        """Go on until what the robot was sent last may stay."""
+        if self.trial is None:
+            return
+        until = time.monotonic() + BRAKING
+        while not self.trial.arms.held:
+            if time.monotonic() > until:
+                self.log.error(f"the arms do not come to rest within {BRAKING:g} s: press the emergency stop")
+                return
+            self.trial.rest(time.monotonic() + MATCHING)
 
     def _arm(self, plan: TrialPlan, arms: EffortArms, patience: Patience, tolerance: float) -> None:
         """Look at the robot for a moment before it is led.

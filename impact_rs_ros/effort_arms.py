@@ -101,6 +101,7 @@ class EffortArms:
     Attributes:
         states: What was measured last and can be used; None: nothing yet.
         limited: How many torques were changed because they jumped too far.
+        held: Whether the last thing that was sent may stay: the arms rest, and get no more than what holds them.
     """
 
     def __init__(
@@ -113,6 +114,7 @@ class EffortArms:
     ) -> None:
         self.states: ArmStates | None = None
         self.limited = 0
+        self.held = False
         self._models = models
         self._reader = StateReader(joints)
         self._adds_gravity = adds_gravity
@@ -127,12 +129,6 @@ class EffortArms:
             self.states = states
         return states
 
-    @property
-    def at_rest(self) -> bool:
-        """Whether no joint moves, as far as is known."""
-        known = {} if self.states is None else self.states.arms
-        return all(bool(np.all(np.abs(arm.velocity) <= REST)) for arm in known.values())
-
     def command(self, arm: str, torque: Array) -> None:
         """Send a torque, ``(n,)`` [N m], with gravity; there must be a state."""
         assert self.states is not None
@@ -141,15 +137,19 @@ class EffortArms:
         before = self._sent.get(arm, gravity - carried)
         wanted = torque - carried
         sent = rate_limited(wanted, before, self._largest_change)
-        self.limited += bool(np.any(sent != wanted))
+        self.limited += not np.allclose(sent, wanted)
+        self.held = False
         self._sent[arm] = sent
         self._send(arm, sent)
 
     def hold(self) -> None:
         """Brake, and hold; without any state nothing is sent."""
         if self.states is not None:
+            before, still = self.limited, True
             for name, arm in self.states.arms.items():
                 self.command(name, holding_torque(self._models[name], arm.position, arm.velocity))
+                still = still and bool(np.all(np.abs(arm.velocity) <= REST))
+            self.held = still and self.limited == before
 
     def let_go(self) -> None:
         """Carry the arms' weight and no more.
@@ -157,5 +157,7 @@ class EffortArms:
         Where no state comes nobody knows how they move, and a brake that stays on turns them round.
         """
         if self.states is not None:
+            before = self.limited
             for name, arm in self.states.arms.items():
                 self.command(name, self._models[name].gravity_torque(arm.position))
+            self.held = self.limited == before

@@ -255,6 +255,24 @@ def test_the_brake_is_that_of_the_fallback_within_the_rate_that_the_robot_allows
     assert np.all(np.abs(np.diff(bench.sent, axis=0)) <= 1.0 + 1e-12)
 
 
+def test_an_arm_at_rest_is_held_only_when_the_torque_that_led_it_has_left_it() -> None:
+    bench = Bench().under_way()
+    for _ in range(5):
+        bench.state()
+        bench.answer(WEIGHT + 5.0)
+    bench.trial.stop("the trial was aborted")
+    assert np.all(bench.sent[-1] > 3.0)
+    assert not bench.arms.held  # though it rests
+    for _ in range(5):
+        bench.state()
+        bench.trial.rest(bench.time + 1e-9)
+    np.testing.assert_allclose(bench.sent[-1], 0.0, atol=1e-12)
+    assert bench.arms.held
+    bench.state(velocity=np.full(7, 0.1))
+    bench.trial.rest(bench.time + 1e-9)
+    assert not bench.arms.held
+
+
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
