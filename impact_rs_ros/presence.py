@@ -6,7 +6,7 @@ thread of its own, so that long work in Python raises no alarm, and tells whoeve
 for a lease. What lives and hangs in our own code is noticed by those who wait for it.
 
 The one message that is published there is latched: who receives it has been met by that node, and so have all
-subscriptions that its process had made before (:class:`Meeting`).
+subscriptions that its process had made before (:class:`Acquaintance`).
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class Presence:
         return sorted({f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in found if one.node_name[0] != "_"})
 
 
-class Meeting:
+class Acquaintance:
     """Whether other nodes know the subscriptions of this process.
 
     That a subscription has found its publisher does not say that the publisher has found the subscription, and until
@@ -114,7 +114,7 @@ class Meeting:
     def __init__(self, node: Node, names: Iterable[str]) -> None:
         self._node = node
         self._topics = [f"{name}/alive" for name in names]
-        self._inbox = Inbox(node, "meeting", ALIVE)
+        self._inbox = Inbox(node, "acquaintance", ALIVE)
         self._met: set[str] = set()
 
     def begin(self) -> None:

@@ -23,7 +23,7 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.derived import DERIVED, DerivedMessages
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.names import on_network
-from impact_rs_ros.presence import Meeting, Presence
+from impact_rs_ros.presence import Acquaintance, Presence
 from impact_rs_ros.process import HARDWARE, NodeProgram, run
 from impact_rs_ros.qos import RECORD
 from impact_rs_sim.errors import InputError, full_traceback
@@ -150,7 +150,7 @@ class RecorderNode(NodeProgram):
         self._messages = 0
         self._saved = 0.0  # when the bag was put on the disk, on the monotonic clock [s]
         self._presence = Presence(self.node, ["experiment"])
-        self._meeting = Meeting(self.node, ["plant", "controller"])
+        self._acquaintance = Acquaintance(self.node, ["plant", "controller"])
 
     def rehearse(self, spec: TrialSpec) -> None:
         DerivedMessages(spec.plan, tracked=True)
@@ -184,8 +184,8 @@ class RecorderNode(NodeProgram):
         """
         deadline = time.monotonic() + MATCHING
         needed = topics.needed(self._arms)
-        self._meeting.begin()
-        while (unmatched := self._unmatched(needed)) or self._meeting.awaited():
+        self._acquaintance.begin()
+        while (unmatched := self._unmatched(needed)) or self._acquaintance.awaited():
             if time.monotonic() > deadline:
                 break
             time.sleep(0.005)
@@ -342,7 +342,7 @@ class RecorderNode(NodeProgram):
 
     def close(self) -> None:
         self._abort()
-        self._meeting.close()
+        self._acquaintance.close()
         self._inbox.close()
 
 

@@ -488,6 +488,11 @@ const modelChoices = () => state.workspace.models.filter((model) => !model.error
   .map((model) => ({value: model.path, text: model.name}));
 
 // RUNS, model and folder of a step, whose name follows both until somebody types another one.
+// Numbers of a report, as its own script reads them.
+function floats(text) {
+  return new Float32Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
+}
+
 function runsForm(step, label, {extraFields = [], extra = () => ({}), only = () => true} = {}) {
   const runs = h('select', {id: `${step}-runs`}), model = h('select', {id: `${step}-model`}), output = h('input', {id: `${step}-output`});
   let typed = false;
@@ -580,8 +585,9 @@ const compare = {
     const {sets, figure} = this.tracks;
     const set = sets.find((one) => one.label.startsWith(cell.set)) ?? sets[0];
     const signal = set.signals.find((one) => one.name === cell.signal) ?? set.signals[0];
-    const rest = signal.measured.map((value, i) => value === null || signal.predicted[i] === null ? null : value - signal.predicted[i]);
-    const data = [signal.measured, signal.predicted, rest].map((y, index) => ({...figure.data[index], x: set.time, y}));
+    const time = floats(set.time), measured = floats(signal.measured), predicted = floats(signal.predicted);
+    const rest = measured.map((value, i) => value - predicted[i]);
+    const data = [measured, predicted, rest].map((y, index) => ({...figure.data[index], x: time, y}));
     const shown = unit(signal.unit) ? ` [${signal.unit}]` : '';
     const layout = {...figure.layout, height: 420, shapes: figure.layout.shapes.map((shape) => ({...shape, visible: set.impact !== null,
       x0: set.impact, x1: set.impact})), yaxis: {...figure.layout.yaxis, title: {text: `signal${shown}`}},

@@ -15,7 +15,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
-from impact_rs_ros.presence import Meeting, Presence
+from impact_rs_ros.presence import Acquaintance, Presence
 
 PATIENCE = 60.0  # s, of the tests; never reached on a machine that works
 PROGRAM = """
@@ -98,18 +98,18 @@ def test_two_of_one_name_are_there_twice_until_one_of_them_leaves(watch: Watch) 
 
 
 def test_who_asks_is_met_by_those_that_run_and_waits_for_those_that_do_not(watch: Watch) -> None:
-    meeting = Meeting(watch.node, ["one", "other"])
+    acquaintance = Acquaintance(watch.node, ["one", "other"])
     try:
-        meeting.begin()
-        assert meeting.awaited() == []  # nobody is there
+        acquaintance.begin()
+        assert acquaintance.awaited() == []  # nobody is there
         one = watch.start("one")
         watch.until(lambda: watch.presence.alive("one"), "not there")
-        watch.until(lambda: not meeting.awaited(), "it was not met")
+        watch.until(lambda: not acquaintance.awaited(), "it was not met")
         one.send_signal(signal.SIGSTOP)
         watch.until(lambda: not watch.presence.alive("one"), "nobody noticed that it froze")
-        meeting.begin()
-        watch.until(lambda: meeting.awaited() == ["one/alive"], "a frozen process cannot have met anybody")
+        acquaintance.begin()
+        watch.until(lambda: acquaintance.awaited() == ["one/alive"], "a frozen process cannot have met anybody")
         one.send_signal(signal.SIGCONT)
-        watch.until(lambda: not meeting.awaited(), "it was not met when it went on")
+        watch.until(lambda: not acquaintance.awaited(), "it was not met when it went on")
     finally:
-        meeting.close()
+        acquaintance.close()

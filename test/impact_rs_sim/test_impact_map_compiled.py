@@ -72,7 +72,9 @@ def test_one_call_and_step_by_step_give_the_same_answer() -> None:
         assert judged.largest <= 1e-10
         linear = linearise(terms, impulses, yielding_velocity(terms, delassus(terms), impulses))
         told = [STATES[state] for state in found.state]
-        at_a_kink = linear.margin < 1e-9  # where rounding chooses
+        # What an answer is told as is where Newton's method ended, before the compliance was taken out.
+        yielded = COMPLIANCE * terms.mobility * np.abs(impulses).max(initial=0.0)
+        at_a_kink = linear.margin < 1e-9 + 2.0 * yielded
         assert all(one == other or kink for one, other, kink in zip(told, linear.state, at_a_kink, strict=True))
 
 

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import fsspec
 import pytest
-from rosbags.rosbag2 import Writer
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.reader import TrialBag
-from impact_rs_trials.bags.writer import partial_path
+from impact_rs_trials.bags.writer import BagWriter, partial_path
 from impact_rs_trials.campaign import (
     FAILURES,
     Manifest,
@@ -162,21 +161,21 @@ def test_a_trial_whose_worker_dies_is_run_again(tmp_path: Path, manifest: Manife
 def test_a_full_disk_ends_its_trial_alone_and_leaves_no_half_bag(
     tmp_path: Path, manifest: Manifest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write, written = Writer.write, []
+    write, written = BagWriter.write_rows, []
 
-    def full(writer: Writer, *arguments: object) -> None:
-        if "s1.000" in writer.path.name and len(written) == 1000:
+    def full(bag: BagWriter, *arguments: object) -> None:
+        if "s1.000" in bag.path.name and len(written) == 3:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        written.append(writer.path.name)
-        write(writer, *arguments)  # type: ignore[arg-type]
+        written.append(bag.path.name)
+        write(bag, *arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(Writer, "write", full)
+    monkeypatch.setattr(BagWriter, "write_rows", full)
     first = manifest.model_copy(update={"velocity_scales": (1.0, 0.8)})
     reports = list(run_campaign(tmp_path, first))
     assert [report.outcome for report in reports] == ["ABORTED", "OK"]
     assert f"No space left on device: '{tmp_path / reports[0].key.name}'" in reports[0].message
     assert sorted(path.name for path in tmp_path.iterdir()) == [FAILURES, reports[1].key.name, "manifest.yaml"]
-    monkeypatch.setattr(Writer, "write", write)
+    monkeypatch.setattr(BagWriter, "write_rows", write)
     assert [report.outcome for report in run_campaign(tmp_path, first)] == ["OK"]
 
 

@@ -22,6 +22,14 @@ PORT, TOKEN = 8123, "the-key-of-the-tests"
 HOST = f"127.0.0.1:{PORT}"
 
 
+@pytest.fixture(autouse=True, scope="session")
+def interruptible() -> Iterator[None]:
+    """Ctrl-C reaches what the tests start, also where they run in the background of a shell, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.fixture
 def workbench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Workbench]:
     """A workbench of ``tmp_path``, whose jobs end with the test."""
