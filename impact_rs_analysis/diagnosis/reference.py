@@ -280,17 +280,13 @@ class RotationReference(Reference):
         """
         if self.shortage is not None:
             return None
-        rng = np.random.default_rng(2)
-        groups = list(dict.fromkeys(feature.group[:2] for item in self.clusters for feature in item.features))
+        groups = self._groups
         observed, noise = np.zeros((2, len(groups) + 1))
-        null, noise_null, absolute = np.zeros((3, DRAWS, len(groups) + 1))
-        for number, layout in enumerate(self._layouts):
+        null, noise_null = np.zeros((2, DRAWS, len(groups) + 1))
+        for number, (layout, members, scales) in enumerate(self._scaled):
             means = np.array([np.sqrt(self.clusters[c].count) * rest[c] for c in layout.numbers])
             rows = np.vstack((means, layout.rows[layout.means :]))
             frames = _frames(len(rows), layout.means, number)
-            members = _members(self.clusters[layout.numbers[0]], groups)
-            both = self._noise_and_discrepancy(layout)
-            scales = [_even(both[np.ix_(own, own)]) for own in members]
             for place, (own, scale) in enumerate(zip(members, scales, strict=True)):
                 if not scale.size:
                     continue
@@ -301,10 +297,29 @@ class RotationReference(Reference):
                 noise[place] += float(np.trace(gram[layout.means :, layout.means :]))
                 null[:, place] += inside
                 noise_null[:, place] += np.trace(gram) - inside
-            if self.discrepant:
-                absolute += self._rest_by_chance(rng, layout, members, scales)
         p = smallest(observed / np.maximum(noise, 1e-300), null / np.maximum(noise_null, 1e-300))
-        return max(p, smallest(observed, absolute)) if self.discrepant else p
+        return max(p, smallest(observed, self._by_chance)) if self.discrepant else p
+
+    @cached_property
+    def _groups(self) -> list[tuple[str, str]]:
+        """Signals by phase, of all features."""
+        return list(dict.fromkeys(feature.group[:2] for item in self.clusters for feature in item.features))
+
+    @cached_property
+    def _scaled(self) -> list[tuple[_Rows, NDArray[np.bool_], list[Array]]]:
+        """Per layout: which features belong to which group, and the scaling of each group."""
+        result = []
+        for layout in self._layouts:
+            members = _members(self.clusters[layout.numbers[0]], self._groups)
+            both = self._noise_and_discrepancy(layout)
+            result.append((layout, members, [_even(both[np.ix_(own, own)]) for own in members]))
+        return result
+
+    @cached_property
+    def _by_chance(self) -> Array:
+        """Squares of scaled mean rows from noise and discrepancy together by group, whatever is left, ``(B, G)``."""
+        rng = np.random.default_rng(2)
+        return np.asarray(sum(self._rest_by_chance(rng, *scaled) for scaled in self._scaled))
 
     def _rest_by_chance(
         self, rng: np.random.Generator, layout: _Rows, members: NDArray[np.bool_], scales: Sequence[Array]

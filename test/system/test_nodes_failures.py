@@ -160,7 +160,7 @@ def test_without_recorder_or_experiment_a_trial_fails_and_the_next_one_runs(
     killed = []
 
     def kill(message: RunTrial.Impl.FeedbackMessage) -> None:
-        if message.feedback.time > 0.2 and not killed:
+        if message.feedback.time > 1.0 and not killed:
             graph.processes[victim].kill()
             killed.append(time.monotonic())
 
