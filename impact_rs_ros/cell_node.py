@@ -268,9 +268,8 @@ class CellTrial(LeadingTrial):
         tick = round(signals.stamp / self._period_ns)
         if not self._answered[arm] < tick <= self._tick or not self._first:
             return  # of the trial before, or told twice
-        complaint = signals.complaint
-        complaint = complaint or torque_complaint(self._plan.scene.models[arm], self._joints[arm], signals.values[2])
-        if complaint:
+        model, joints = self._plan.scene.models[arm], self._joints[arm]
+        if complaint := signals.complaint or torque_complaint(model, joints, signals.values[2]):
             self.stop(f"{topics.joint_command(arm)} {self._time}: {complaint}")
             return
         self._answered[arm] = tick

@@ -69,23 +69,21 @@ LATCHED = QoSProfile(
 
 LEASE = 1.5  # s
 
-ALIVE = QoSProfile(
-    reliability=QoSReliabilityPolicy.RELIABLE,
-    durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
-    history=QoSHistoryPolicy.KEEP_LAST,
-    depth=1,
-    liveliness=QoSLivelinessPolicy.AUTOMATIC,
-    liveliness_lease_duration=Duration(seconds=LEASE),
-)
+
+def _alive(durability: QoSDurabilityPolicy) -> QoSProfile:
+    return QoSProfile(
+        reliability=QoSReliabilityPolicy.RELIABLE,
+        durability=durability,
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=1,
+        liveliness=QoSLivelinessPolicy.AUTOMATIC,
+        liveliness_lease_duration=Duration(seconds=LEASE),
+    )
+
+
+ALIVE = _alive(QoSDurabilityPolicy.TRANSIENT_LOCAL)
 """Publishers of ``~/alive``, and who wants to be met by them. Asserted by the middleware every two thirds of the lease;
 asserted by our own loops it would call a node dead that loads a scene."""
 
-PRESENT = QoSProfile(
-    reliability=QoSReliabilityPolicy.RELIABLE,
-    durability=QoSDurabilityPolicy.VOLATILE,
-    history=QoSHistoryPolicy.KEEP_LAST,
-    depth=1,
-    liveliness=QoSLivelinessPolicy.AUTOMATIC,
-    liveliness_lease_duration=Duration(seconds=LEASE),
-)
+PRESENT = _alive(QoSDurabilityPolicy.VOLATILE)
 """Subscribers of ``~/alive`` that only want to know who is there."""

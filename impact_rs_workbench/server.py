@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import uvicorn
-from plotly.offline import get_plotlyjs
 from pydantic import TypeAdapter, ValidationError
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
@@ -26,6 +25,7 @@ from starlette.responses import FileResponse, HTMLResponse, JSONResponse, PlainT
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
+from impact_rs_analysis.report.page import PLOTLY
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError
 from impact_rs_sim.scenario import load_scenario
@@ -36,7 +36,7 @@ from impact_rs_workbench.guard import FILE_POLICY, Guard
 from impact_rs_workbench.jobs import Jobs
 from impact_rs_workbench.laboratory import Description, PreviewRequest
 from impact_rs_workbench.prediction import Question
-from impact_rs_workbench.steps import order_of, seen
+from impact_rs_workbench.steps import order_of, scenario_argument, seen
 from impact_rs_workbench.workspace import HIDDEN, Workspace
 
 STATIC = {"workbench.css": "text/css", "workbench.js": "text/javascript"}
@@ -77,12 +77,10 @@ class Workbench:
         """One prediction, with the command that gives it."""
         scenario = load_scenario(self.workspace.scenario_path(question.scenario))
         settings = prediction.settings_of(scenario, question)
-        name = question.scenario
-        if name.endswith((".yaml", ".yml")):
-            name = seen(self.workspace.existing(name))
         self._asked += 1
         with self._map:
             found = prediction.answer(scenario, question)
+        name = scenario_argument(self.workspace, question.scenario)
         words = prediction.map_arguments(name, question, settings)
         return found | {"command": self.command(words)}
 
@@ -253,11 +251,7 @@ async def _page(request: Request) -> Response:
 async def _static(request: Request) -> Response:
     name = request.path_params["name"]
     if name == "plotly.js":
-        return Response(
-            await run_in_threadpool(get_plotlyjs),
-            media_type="text/javascript",
-            headers={"cache-control": "max-age=86400"},
-        )
+        return FileResponse(PLOTLY, media_type="text/javascript", headers={"cache-control": "max-age=86400"})
     if name not in STATIC:
         return PlainTextResponse("There is no such file.", 404)
     text = (files(__package__) / "static" / name).read_text(encoding="utf-8")

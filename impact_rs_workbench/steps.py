@@ -54,7 +54,7 @@ class CampaignStep(Step):
     def order(self, workspace: Workspace) -> Order:
         """See :meth:`Step.order`."""
         target = workspace.inside(self.output)
-        words = ["campaign", _scenario(workspace, self.scenario), "-o", seen(target)]
+        words = ["campaign", scenario_argument(workspace, self.scenario), "-o", seen(target)]
         words += _several("--objects", self.objects) + _several("--cases", self.cases)
         words += _several("--scales", [f"{scale:g}" for scale in self.scales])
         words += [] if self.trials is None else ["--trials", str(self.trials)]
@@ -78,7 +78,7 @@ class TrialStep(Step):
     def order(self, workspace: Workspace) -> Order:
         """See :meth:`Step.order`."""
         target = workspace.inside(self.output)
-        words = ["trial", _scenario(workspace, self.scenario), self.object, self.case, "-o", seen(target)]
+        words = ["trial", scenario_argument(workspace, self.scenario), self.object, self.case, "-o", seen(target)]
         words += [] if self.scale == 1.0 else ["--scale", f"{self.scale:g}"]
         words += [] if self.seed == 0 else ["--seed", str(self.seed)]
         return Order("measure", tuple(words), (target,))
@@ -216,7 +216,12 @@ def seen(path: Path) -> str:
     return f"./{name}" if name.startswith("-") else name  # no option
 
 
-def _scenario(workspace: Workspace, name: str) -> str:
+def scenario_argument(workspace: Workspace, name: str) -> str:
+    """SCENARIO as the terminal sees it: the name of one that comes with impact_rs, or a file.
+
+    Raises:
+        InputError: The file is none of the folder, or the name would be taken for an option.
+    """
     if name.endswith((".yaml", ".yml")):
         return seen(workspace.existing(name))
     if name.startswith("-"):

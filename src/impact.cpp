@@ -6,6 +6,7 @@ namespace impact_rs {
 
 namespace {
 
+constexpr int MANY = 3;  // times as many impulses as velocities, from which a step of the solver is found by the root
 constexpr double ORTHONORMAL = 1e-6;  // of a rotation, as check_problem() of problem.py
 
 Matrix matrix(const double* values) {
@@ -194,7 +195,9 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ThingState& thing
 // Y, from the columns of the object and of the arm at every point.
 void Impact::take_root(int arms) {
   const int m = terms_.count, size = 3 * m, stride = m == 0 ? 0 : static_cast<int>(arm_columns_.size()) / m;
-  terms_.rank = static_cast<int>(before_.size());
+  const int velocities = static_cast<int>(before_.size());
+  terms_.rank = size > MANY * velocities ? velocities : 0;
+  if (terms_.rank == 0) return;
   terms_.root.assign(terms_.rank * size, 0.0);
   const auto put = [this, size](const double* columns, const Block& block, int point) {
     for (int r = 0; r < block.size; ++r)

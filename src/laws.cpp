@@ -15,7 +15,6 @@ constexpr double SLOWEST = 0.98;  // a step as small is none
 constexpr double BOLD = 0.05;    // a larger step, of which Newton's method gets less time
 constexpr int HASTE = 8;         // steps of Newton's method then
 constexpr int EASY = 5;          // steps of Newton's method after which the next one is larger
-constexpr int MANY = 3;          // times as many impulses as velocities, from which a step is found by the root
 constexpr int REFINEMENTS = 2;   // of a step that was found by the root: each takes seven digits of its rounding away
 
 // Solve a x = b in place of both, by elimination with partial pivoting; false where a is singular.
@@ -144,7 +143,6 @@ bool Solver::step_by_root(const Terms& terms, double yield) {
   const auto gathered = [root, size](int r, int point) { return vector(root + r * size + 3 * point); };
   inverses_.resize(terms.count);
   matrix_.assign(rank * rank, 0.0);
-  moved_.resize(3 * rank);
   for (int i = 0; i < terms.count; ++i) {
     Matrix block = laws_[i].by_impulse;
     for (int k = 0; k < 9; ++k) block[k] += yield * laws_[i].by_velocity[k];
@@ -189,7 +187,7 @@ bool Solver::step_by_root(const Terms& terms, double yield) {
 
 bool Solver::newton_step(const Terms& terms, double yield) {
   const int size = 3 * terms.count;
-  if (terms.rank > 0 && size > MANY * terms.rank && step_by_root(terms, yield)) return true;
+  if (terms.rank > 0 && step_by_root(terms, yield)) return true;
   step_.assign(size, 0.0);
   coupled_.clear();
   for (int i = 0; i < terms.count; ++i) {

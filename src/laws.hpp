@@ -26,7 +26,7 @@ struct Terms {
   std::vector<double> least;         // bound a of the normal impulses, (m) [N s]
   std::vector<double> inverse_mass;  // g, (m) [1/kg]
   double mobility = 0.0;             // 1 / m of the object [1/kg]
-  int rank = 0;                      // rows of the root; 0: it is not known
+  int rank = 0;                      // rows of the root; 0: no step is found by it
   std::vector<double> root;          // Y = L^-1 J_c^T with H = L L^T, so that G = Y^T Y, (rank, 3 m)
 
   void resize(int points);

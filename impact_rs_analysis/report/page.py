@@ -29,6 +29,7 @@ from impact_rs_sim.robot import Array
 
 TEMPLATES = Path(__file__).with_name("templates")
 BUNDLE = Path(__file__).with_name("bundle")
+PLOTLY = BUNDLE / "plotly-cartesian.min.js"
 MOST_POINTS = 500  # of a curve over time; more are not seen on a screen
 MOST_NUMBERS = 90_000  # of all tracks of a page, half a megabyte
 PREFIXED = ("m", "rad")  # units whose small values are told with a prefix
@@ -63,7 +64,7 @@ def render(template: str, content: Any, replay: bool = False) -> str:
         content: What the template knows as ``page``; has a ``title``.
         replay: Whether it shows runs in 3D.
     """
-    scripts = [BUNDLE / "plotly-cartesian.min.js"]
+    scripts = [PLOTLY]
     if replay:
         scripts += [BUNDLE / "three.min.js", TEMPLATES / "replay.js"]
     return _environment().get_template(template).render(page=content, libraries=[script_of(path) for path in scripts])

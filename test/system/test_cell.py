@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from impact_rs.action import RunTrial
+from processes import running
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter as RclParameter
 
@@ -33,18 +33,6 @@ PATIENT: dict[
     "answer_timeout": 5.0,
     "arm_jitter_limit": 5.0,
 }
-
-
-@contextmanager
-def running(command: list[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """A process, which is told to end with the context."""
-    with subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    ) as process:
-        try:
-            yield process
-        finally:
-            process.terminate()
 
 
 class Cell:

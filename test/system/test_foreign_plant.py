@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -17,6 +16,7 @@ import pytest
 import rclpy
 from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
+from processes import running
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -78,18 +78,6 @@ def silent_plant(domain_id: int, best_effort: bool = False) -> Iterator[list[Con
         executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown(context=context)
-
-
-@contextmanager
-def running(command: list[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """A process, which is told to end with the context."""
-    with subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    ) as process:
-        try:
-            yield process
-        finally:
-            process.terminate()
 
 
 def environment(domain_id: int) -> dict[str, str]:
