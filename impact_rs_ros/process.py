@@ -173,7 +173,6 @@ def run(program: type[NodeProgram]) -> None:
         signal.signal(number, stop)
     if program.background and hasattr(os, "sched_setscheduler"):
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))  # before the middleware starts its threads
-        os.nice(5)
     supervisor = os.environ.get(SUPERVISOR)
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     try:
