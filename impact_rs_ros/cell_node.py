@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from statistics import median
 
@@ -42,6 +42,7 @@ STATES = "/joint_states"  # of joint_state_broadcaster
 MOCAP = "/mocap/object_pose"
 REPEAT = 0.25  # s, until the first state is told the controller again
 ARMING, ARMING_STATES, ARMING_PATIENCE = 0.5, 50, 3.0  # s, states, s: how long jitter is measured, at least and at most
+HOLDING = 0.2  # s of the robot's time, that it must stay where it is held before it is led
 PERIOD_TOLERANCE = 0.02  # of the period, that the states of the robot may come faster or slower
 BRAKING = 0.6  # s, that the arms may take to rest before a trial is left; six times the time constant of the brake
 
@@ -349,6 +350,7 @@ class CellNode(LeadingNode[CellTrial]):
         super().__init__()
         self._commands: dict[str, Publisher] = {}
         self._robot_clock = RobotClock(self.node)
+        self._poses = 0  # of the object, seen while the robot is armed
 
     def received(self, arms: list[str]) -> dict[str, str]:
         seen = {MOCAP: topics.POSE} if self.parameter("mocap") else {}
@@ -425,39 +427,29 @@ class CellNode(LeadingNode[CellTrial]):
             self.trial.rest(time.monotonic() + MATCHING)
 
     def _arm(self, plan: TrialPlan, arms: EffortArms, patience: Patience, tolerance: float) -> None:
-        """Look at the robot for a moment before it is led.
+        """Look at the robot for a moment before it is led, then hold it for another.
 
         Raises:
-            InputError: It is not where the trial starts, its states do not come as the trial needs them, or this
-                process does not get them in time.
+            InputError: It is not where the trial starts, its states do not come as the trial needs them, this process
+                does not get them in time, or it does not stay where it is held.
         """
         limit = self.parameter("arm_jitter_limit")
         period = plan.scene.scenario.timing.control_period
         topic = self.node.resolve_topic_name(on_network(STATES))
         arrivals: list[float] = []
         stamps: list[int] = []
-        poses = 0
         age = 0.0
         began = time.monotonic()
         self.inbox.clear()
-        while (now := time.monotonic()) < began + ARMING_PATIENCE:
-            if now > began + ARMING and len(stamps) >= ARMING_STATES:
+        self._poses = 0
+        for states in self._heed(arms, None if self.trial is None else self.trial.arms):
+            arrivals.append(time.monotonic())
+            stamps.append(states.stamp)
+            age = max(age, abs(1e-9 * (self._robot_clock.now() - states.stamp)))
+            if complaint := start_complaint(plan, states, tolerance):
+                raise InputError(f"not armed: {complaint}")
+            if arrivals[-1] > began + ARMING and len(stamps) >= ARMING_STATES:
                 break
-            self.inbox.wait(MATCHING)
-            for name, data in self.inbox.take():
-                if name == MOCAP:
-                    self._check_frame(data)
-                    poses += 1
-                if name != STATES or (states := arms.read(data)) is None:
-                    continue
-                if states.complaint:
-                    raise InputError(f"{topic}: {states.complaint}")
-                if self.trial is not None:  # it is held, and what holds it must not grow old
-                    self.trial.arms.read(data)
-                    self.trial.arms.hold()
-                arrivals.append(time.monotonic())
-                stamps.append(states.stamp)
-                age = max(age, abs(1e-9 * (self._robot_clock.now() - states.stamp)))
         if arms.states is None:
             raise InputError(f"nobody tells the joints {self.parameter('joints')!r} on {topic}: is the robot running?")
         if len(stamps) < ARMING_STATES:
@@ -478,11 +470,56 @@ class CellNode(LeadingNode[CellTrial]):
             raise InputError(
                 f"not armed: states come with a jitter of {1e3 * jitter:.3f} ms, arm_jitter_limit is {1e3 * limit:g} ms"
             )
-        if self.parameter("mocap") and not poses:
+        if self.parameter("mocap") and not self._poses:
             raise InputError(f"no pose of the object on {self.node.resolve_topic_name(on_network(MOCAP))}")
-        if complaint := start_complaint(plan, arms.states, tolerance):
-            raise InputError(complaint)
+        self._take_over(plan, arms, tolerance)
         self.log.info(f"armed: jitter {1e3 * jitter:.3f} ms, oldest state {1e3 * age:.3f} ms, {len(stamps)} states")
+
+    def _take_over(self, plan: TrialPlan, arms: EffortArms, tolerance: float) -> None:
+        """Hold the arms for a moment.
+
+        Raises:
+            InputError: They do not stay: above all where robot and node differ on who carries their weight.
+        """
+        assert arms.states is not None
+        until = arms.states.stamp + round(1e9 * HOLDING)
+        for states in self._heed(arms, arms):
+            if complaint := start_complaint(plan, states, tolerance):
+                arms.let_go()
+                adds = "adds" if self.parameter("robot_adds_gravity") else "does not add"
+                raise InputError(
+                    f"not armed: {complaint}, while it was held; this node believes that the robot {adds} gravity "
+                    f"(robot_adds_gravity)"
+                )
+            if states.stamp >= until:
+                return
+        raise InputError(f"not armed: the robot told less than {HOLDING:g} s in {ARMING_PATIENCE:g} s")
+
+    def _heed(self, arms: EffortArms, holder: EffortArms | None) -> Iterator[ArmStates]:
+        """The robot's states for a while, each when it comes; the frame of the object's poses is looked at on the way.
+
+        Args:
+            arms: Who reads the states.
+            holder: Who holds the arms meanwhile, for what holds them must not grow old; None: nobody yet.
+
+        Raises:
+            InputError: A state or pose cannot be used.
+        """
+        until = time.monotonic() + ARMING_PATIENCE
+        while time.monotonic() < until:
+            self.inbox.wait(MATCHING)
+            for name, data in self.inbox.take():
+                if name == MOCAP:
+                    self._check_frame(data)
+                    self._poses += 1
+                if name != STATES or (states := arms.read(data)) is None:
+                    continue
+                if states.complaint:
+                    raise InputError(f"{self.node.resolve_topic_name(on_network(STATES))}: {states.complaint}")
+                if holder is not None:
+                    holder.read(data)
+                    holder.hold()
+                yield states
 
     def _check_frame(self, data: bytes) -> None:
         frame = deserialize_message(data, message_type(topics.POSE)).header.frame_id

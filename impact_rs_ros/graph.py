@@ -25,8 +25,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from impact_rs_ros.middleware import set_middleware
 from impact_rs_ros.names import full_namespace, within
-from impact_rs_ros.node_processes import NODES, STOP_TIMEOUT, NodeProcesses, ours, set_middleware
+from impact_rs_ros.node_processes import NODES, STOP_TIMEOUT, NodeProcesses, ours
 from impact_rs_ros.presence import Presence
 from impact_rs_sim.model import Model, model_text
 from impact_rs_sim.scenario import load_scenario

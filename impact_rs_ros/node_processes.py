@@ -8,18 +8,17 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Self
 
+from impact_rs_ros.middleware import set_middleware
 from impact_rs_ros.names import full_namespace
 from impact_rs_ros.process import SUPERVISOR
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenario import scenario_path
 
-TRANSPORT = "FASTDDS_BUILTIN_TRANSPORTS"
-PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
 STOP_TIMEOUT = 4.0  # s, for all nodes to leave in order
 CLOSING = 2.5  # s of it, for the experiment node to end its trial
@@ -36,17 +35,6 @@ def ours(without: Sequence[str]) -> list[str]:
             known = f"expected one or more of {', '.join(NODES)}"
             raise InputError(f"no node {name!r}{did_you_mean(name, NODES)}; {known}", key="without")
     return [name for name in NODES if name not in without]
-
-
-def set_middleware(environment: MutableMapping[str, str]) -> None:
-    """How the nodes and who calls them talk, where the environment does not say it.
-
-    Over the loopback: in the shared memory of Fast DDS a process that is killed leaves its segments behind, and one
-    that is frozen can hold a lock. It costs a trial nothing that can be measured.
-    """
-    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    if not any(name in environment for name in PROFILES):  # who has a profile has chosen
-        environment.setdefault(TRANSPORT, "UDPv4")
 
 
 class NodeProcesses:

@@ -7,7 +7,7 @@ One that dies is started again.
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
-from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
@@ -18,10 +18,7 @@ def generate_launch_description() -> LaunchDescription:
     """Return the five nodes, or those that are wanted of them, all with the same parameter file and scenario."""
     return LaunchDescription(
         [
-            # In the shared memory of Fast DDS a node that is killed leaves its segments behind.
-            SetEnvironmentVariable(
-                "FASTDDS_BUILTIN_TRANSPORTS", EnvironmentVariable("FASTDDS_BUILTIN_TRANSPORTS", default_value="UDPv4")
-            ),
+            OpaqueFunction(function=over_the_loopback),
             DeclareLaunchArgument("scenario", default_value="push", description="Name or path of the scenario."),
             DeclareLaunchArgument("namespace", default_value="", description="Namespace of the nodes."),
             DeclareLaunchArgument(
@@ -35,6 +32,20 @@ def generate_launch_description() -> LaunchDescription:
             OpaqueFunction(function=wanted_nodes),
         ]
     )
+
+
+def over_the_loopback(context: LaunchContext) -> list[SetEnvironmentVariable]:
+    """Return how the nodes talk, as ``impact_rs_ros.middleware`` says; ``ros2 launch`` may not be able to import it."""
+    chosen = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
+    within = context.environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST") == "LOCALHOST"
+    fast = context.environment.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp").startswith("rmw_fastrtps")
+    if not within or not fast or any(name in context.environment for name in chosen):
+        return []
+    profile = PathJoinSubstitution([FindPackageShare("impact_rs"), "config", "loopback.xml"])
+    return [
+        SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", "SYSTEM_DEFAULT"),
+        SetEnvironmentVariable("FASTRTPS_DEFAULT_PROFILES_FILE", profile),
+    ]
 
 
 def wanted_nodes(context: LaunchContext) -> list[Node]:

@@ -68,6 +68,9 @@ def _rewrite_bag() -> Callable[[Path, Path, Callable[[str], bool]], None]:
 @pytest.fixture(scope="session")
 def domain_ids() -> Iterator[Callable[[], int]]:
     """Hands out ROS domain ids that no other test run on this machine uses; a lock file holds each."""
+    from impact_rs_ros.middleware import set_middleware
+
+    set_middleware(os.environ)
     with ExitStack() as held:
 
         def take() -> int:
@@ -89,7 +92,6 @@ def graph(domain_ids: Callable[[], int], tmp_path_factory: pytest.TempPathFactor
     """The five nodes as processes, shared by the tests that leave them running."""
     from impact_rs_ros.graph import Graph
 
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     with Graph.running("push", domain_ids(), root=tmp_path_factory.getbasetemp()) as running:
         yield running
 

@@ -17,6 +17,7 @@ from xml.etree import ElementTree
 import pytest
 from catkin_pkg.package import parse_package
 
+from impact_rs_ros.middleware import set_middleware
 from impact_rs_ros.node_processes import NODES
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -139,13 +140,11 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
     stand_ins = {
         "launch": {"LaunchContext": dict, "LaunchDescription": list},
-        "launch.actions": dict.fromkeys(
-            ("DeclareLaunchArgument", "OpaqueFunction", "SetEnvironmentVariable"), SimpleNamespace
-        ),
+        "launch.actions": dict.fromkeys(("DeclareLaunchArgument", "OpaqueFunction"), SimpleNamespace)
+        | {"SetEnvironmentVariable": lambda name, value: (name, value)},
         "launch.substitutions": {
-            "EnvironmentVariable": SimpleNamespace,
             "LaunchConfiguration": lambda name: Configuration(name=name),
-            "PathJoinSubstitution": list,
+            "PathJoinSubstitution": "/".join,
         },
         "launch_ros": {},
         "launch_ros.actions": {"Node": SimpleNamespace},
@@ -166,6 +165,29 @@ def test_the_launch_file_leaves_out_what_others_provide_and_knows_no_other_names
     assert started("plant recorder") == ["impact_map", "controller", "experiment"]
     with pytest.raises(RuntimeError, match="no node 'wall'; expected one or more of plant, impact_map"):
         started("plant wall")
+
+
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        {},
+        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"},
+        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},
+        {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"},
+        {"FASTDDS_BUILTIN_TRANSPORTS": "SHM"},
+        {"FASTRTPS_DEFAULT_PROFILES_FILE": "own.xml"},
+    ],
+)
+def test_the_launch_file_sets_the_middleware_as_the_runner_does(
+    launch_file: dict[str, Any], chosen: dict[str, str]
+) -> None:
+    environment = dict(chosen)
+    set_middleware(environment)
+    launched = dict(launch_file["over_the_loopback"](SimpleNamespace(environment=chosen)))
+    if launched:
+        assert launched.pop("FASTRTPS_DEFAULT_PROFILES_FILE") == "impact_rs/config/loopback.xml"
+        assert Path(environment.pop("FASTRTPS_DEFAULT_PROFILES_FILE")).samefile(ROOT / "config" / "loopback.xml")
+    assert {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"} | chosen | launched == environment
 
 
 def test_launch_files_compile() -> None:

@@ -51,10 +51,7 @@ def node_with(inbox_name: str, domain: int, remap: str) -> Iterator[tuple[Node, 
         rclpy.try_shutdown(context=context)
 
 
-def test_an_inbox_holds_everything_in_order_until_it_is_taken(
-    domain_ids: Callable[[], int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+def test_an_inbox_holds_everything_in_order_until_it_is_taken(domain_ids: Callable[[], int]) -> None:
     with node_with("inbox", domain_ids(), "signal:=renamed") as (node, inbox):
         inbox.connect({"signal": topics.JOINT_STATE})
         publisher = node.create_publisher(JointState, "/renamed", STREAM)

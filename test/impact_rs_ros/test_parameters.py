@@ -98,7 +98,7 @@ def test_a_value_that_cannot_be_worked_with_is_refused_with_a_reason(
 )
 def test_a_node_does_not_start_with_such_a_value(node: str, argument: str, domain_ids: Callable[[], int]) -> None:
     command = [sys.executable, "-m", f"impact_rs_ros.{node}_node", "--ros-args", "-p", argument]
-    environment = os.environ | {"ROS_DOMAIN_ID": str(domain_ids()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain_ids())}
     ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
     assert ended.returncode == 2
     assert "parameter refused: " in ended.stderr

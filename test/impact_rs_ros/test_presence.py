@@ -39,7 +39,7 @@ class Watch:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.processes: list[subprocess.Popen[bytes]] = []
-        self.environment = dict(os.environ, ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+        self.environment = dict(os.environ, ROS_DOMAIN_ID=str(domain))
 
     def start(self, name: str) -> subprocess.Popen[bytes]:
         process = subprocess.Popen([sys.executable, "-c", PROGRAM, name], env=self.environment)
@@ -62,8 +62,7 @@ class Watch:
 
 
 @pytest.fixture
-def watch(domain_ids: Callable[[], int], monkeypatch: pytest.MonkeyPatch) -> Iterator[Watch]:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+def watch(domain_ids: Callable[[], int]) -> Iterator[Watch]:
     watch = Watch(domain_ids())
     yield watch
     watch.close()

@@ -7,6 +7,8 @@ of ``examples/foreign_plant.py``. Once it is sent torques it waits for the one o
 makes it slow and no trial worse; it is the clock of who uses its time.
 
     python effort_robot.py SCENARIO OBJECT CASE [--no-gravity] [--offset RAD] [--silent-after N] [--nan-after N]
+
+N counts states from when the arm has left its place.
 """
 
 from __future__ import annotations
@@ -36,7 +38,8 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.spec import TrialSpec
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "foreign_plant.py"
-WAITING = 1.0  # s, for a torque, once some came
+WAITING = 5.0  # s, for a torque, once some came
+AWAY = 0.02  # rad; who is further from where it started takes part in a trial, and is not held
 GRIPPER = "fr3_finger_joint1"
 
 
@@ -81,8 +84,8 @@ def main() -> None:
     poses = node.create_publisher(PoseStamped, "mocap/object_pose", 10)
     clock = node.create_publisher(Clock, "/clock", 10)
     joints = [f"fr3_joint{number}" for number in range(7, 0, -1)]
-    weight = model.gravity_torque(world.arms[arm].q)
-    sent, led, commanded = weight if options.no_gravity else np.zeros(7), False, 0
+    sent: np.ndarray | None = None
+    start, moved, led = world.arms[arm].q.copy(), 0, False
     began, step = time.time_ns(), 0
     print("ready", flush=True)
     while True:
@@ -91,15 +94,16 @@ def main() -> None:
         stamp.sec, stamp.nanosec = divmod(began + round(1e9 * step * period), 10**9)
         clock.publish(Clock(clock=stamp))
         moving = world.arms[arm]
+        moved += moved > 0 or bool(np.abs(moving.q - start).max() > AWAY)
         message = JointState(name=[GRIPPER, *joints])
         message.header.stamp = stamp
         measured = moving.q.copy()
-        if commanded >= options.nan_after:
+        if moved >= options.nan_after:
             measured[0] = np.nan
         message.position = [0.04, *measured[::-1]]
         message.velocity = [0.0, *moving.dq[::-1]]
         message.effort = [np.nan, *moving.torque[::-1]]
-        if commanded < options.silent_after:
+        if moved < options.silent_after:
             states.publish(message)
         if step % 4 == 0:
             seen = PoseStamped(pose=pose_to_message(world.object_pose))
@@ -110,10 +114,11 @@ def main() -> None:
             executor.spin_once(timeout_sec=left)
         led = bool(received)
         if led:
-            sent, commanded = received[-1], commanded + 1
+            sent = received[-1]
             received.clear()
-        carried = np.zeros(7) if options.no_gravity else model.gravity_torque(moving.q)
-        world.step({arm: sent + carried})
+        if sent is not None:  # its brakes are on until then
+            carried = np.zeros(7) if options.no_gravity else model.gravity_torque(moving.q)
+            world.step({arm: sent + carried})
         step += 1
         if (left := due - time.monotonic()) > 0.0:
             time.sleep(left)

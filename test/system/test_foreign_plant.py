@@ -81,7 +81,7 @@ def silent_plant(domain_id: int, best_effort: bool = False) -> Iterator[list[Con
 
 
 def environment(domain_id: int) -> dict[str, str]:
-    return os.environ | {"ROS_DOMAIN_ID": str(domain_id), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    return os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
 
 
 def test_a_campaign_runs_with_the_example_in_the_place_of_our_plant(
@@ -126,7 +126,6 @@ def test_a_graph_waits_for_a_node_that_others_provide_and_tells_what_is_wrong_wi
     domain_ids: Callable[[], int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     domain_id = domain_ids()
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     goal = RunTrial.Goal(
         scenario="push", object_name="cat_food", case_name="2", velocity_scale=1.0, output_directory=str(tmp_path)
     )
