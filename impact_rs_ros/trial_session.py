@@ -168,8 +168,16 @@ class TrialSession:
             self._check_alone(wait=True)
             self._check_publishers()
         except (TrialError, InputError) as error:
-            reason = str(error)
+            reason = self._cause(str(error))
         return self._finish_all(progress, reason, path)
+
+    def _cause(self, reason: str) -> str:
+        """What lies behind a failure: a second node of one name may be met only while both disturb the trial."""
+        try:
+            self._check_alone(wait=True)
+        except TrialError as twice:
+            return str(twice)
+        return reason
 
     def _describe(self, urdfs: dict[str, str]) -> None:
         """Publish what there is, and take back what there was of other arms."""
