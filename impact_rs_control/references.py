@@ -9,9 +9,10 @@ contact state is there even if the impact comes early or late.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-import scipy
+from numpy.polynomial import polynomial
 
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Timing
@@ -54,13 +55,40 @@ def sample_path(points: list[ViaPoint], times: Array) -> SampledPath:
         times: Where to sample, ``(k,)`` [s].
     """
     knots = np.array([point.time for point in points])
-    derivatives = [[point.position, point.velocity, point.acceleration] for point in points]
-    path = scipy.interpolate.BPoly.from_derivatives(knots, derivatives)
     inside = np.clip(times, knots[0], knots[-1])
+    piece = np.minimum(np.searchsorted(knots, inside, side="right"), len(points) - 1)
+    position, velocity, acceleration = (np.empty((len(times), points[0].position.size)) for _ in range(3))
+    for index, (before, after) in enumerate(pairwise(points), start=1):
+        rows = piece == index
+        duration = after.time - before.time
+        since = (inside[rows] - before.time) / duration
+        coefficients = _quintic(before, after)
+        for order, sampled in enumerate((position, velocity, acceleration)):
+            derived = polynomial.polyder(coefficients, order)
+            sampled[rows] = polynomial.polyval(since, derived).T / duration**order
     outside = (times - inside)[:, None]
-    velocity = path.derivative(1)(inside)
-    acceleration = np.where(outside == 0.0, path.derivative(2)(inside), 0.0)
-    return SampledPath(path(inside) + velocity * outside, velocity, acceleration)
+    return SampledPath(position + velocity * outside, velocity, np.where(outside == 0.0, acceleration, 0.0))
+
+
+def _quintic(before: ViaPoint, after: ViaPoint) -> Array:
+    """Coefficients of the quintic from one via point to the next, constant term first, ``(6, d)``.
+
+    In the share of the duration that is over. It has position, velocity and acceleration of both ends.
+    """
+    duration = after.time - before.time
+    way = after.position - before.position
+    start, end = before.velocity * duration, after.velocity * duration
+    bend, last = before.acceleration * duration**2, after.acceleration * duration**2
+    return np.stack(
+        [
+            before.position,
+            start,
+            bend / 2.0,
+            10.0 * way - 6.0 * start - 4.0 * end - 1.5 * bend + 0.5 * last,
+            -15.0 * way + 8.0 * start + 7.0 * end + 1.5 * bend - last,
+            6.0 * way - 3.0 * start - 3.0 * end - 0.5 * bend + 0.5 * last,
+        ]
+    )
 
 
 def ante_impact_path(timing: Timing, position: Array, velocity: Array, times: Array) -> SampledPath:
