@@ -90,7 +90,7 @@ def fit_zero_crossing(velocity: Array, net: Array, confidence: float = 0.95) -> 
         raise FitError("the net feedback does not depend on the post-impact velocity: there is no zero crossing")
     estimate = -intercept / slope
     scatter = math.sqrt(squares / (count - 2))
-    quantile = float(scipy.stats.t.ppf(0.5 + confidence / 2.0, count - 2))
+    quantile = float(scipy.special.stdtrit(count - 2, 0.5 + confidence / 2.0))
     return LineFit(
         intercept=intercept,
         slope=slope,

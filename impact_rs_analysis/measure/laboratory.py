@@ -144,7 +144,7 @@ def _jump_of(condition: str, group: Sequence[MeasuredRun], contact: str) -> Meas
     }
     interval = None
     if len(group) > 1:
-        half = float(scipy.stats.t.ppf(0.975, len(group) - 1) * after.std(ddof=1) / math.sqrt(len(group)))
+        half = float(scipy.special.stdtrit(len(group) - 1, 0.975) * after.std(ddof=1) / math.sqrt(len(group)))
         interval = (float(after.mean()) - half, float(after.mean()) + half)
     return MeasuredJump(
         condition=condition,
