@@ -180,7 +180,8 @@ class RecorderNode(NodeProgram):
         Of nodes that were just started both take a while.
 
         Raises:
-            InputError: Nobody publishes what a trial cannot do without, or not so that the recorder receives it.
+            InputError: Nobody publishes what a trial cannot do without, not so that the recorder receives it, or somebody
+                does not know of the recorder yet.
         """
         deadline = time.monotonic() + MATCHING
         needed = topics.needed(self._arms)
@@ -189,12 +190,15 @@ class RecorderNode(NodeProgram):
             if time.monotonic() > deadline:
                 break
             time.sleep(0.005)
+        strangers = [topic.removesuffix("/alive") for topic in self._acquaintance.awaited()]
         absent = [topic for topic in unmatched if not self._publishers(topic)]
         unheard = [topic for topic in unmatched if topic not in absent]
         told = [f"nobody publishes {', '.join(absent)}; are plant and controller running?"] if absent else []
         if unheard:
             told.append(f"{', '.join(unheard)}: published by somebody whom the recorder does not receive; reliable?")
-        if told and not set(needed).isdisjoint(unmatched):
+        if strangers:  # the beginning of the trial would be lost
+            told.append(f"{' and '.join(strangers)} did not meet the recorder within {MATCHING:g} s")
+        if strangers or not set(needed).isdisjoint(unmatched):
             raise InputError(f"recorder: {'; '.join(told)}")
         for line in told:
             self.log.warning(line)
