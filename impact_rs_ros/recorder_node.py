@@ -180,8 +180,8 @@ class RecorderNode(NodeProgram):
         Of nodes that were just started both take a while.
 
         Raises:
-            InputError: Nobody publishes what a trial cannot do without, or not so that the recorder receives it. Or plant
-                or controller does not know of it yet.
+            InputError: Nobody publishes what a trial cannot do without, or not so that the recorder receives it. Or
+                plant or controller does not know of it yet.
         """
         deadline = time.monotonic() + MATCHING
         needed = topics.needed(self._arms)
