@@ -29,7 +29,12 @@ Units: s, m, m/s, N, joints in rad and rad/s (those that slide: m and m/s)."""
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
     declare(parser, run, TEXT)
-    parser.add_argument("bag", type=Path, metavar="BAG", help="folder of a trial")
+    parser.add_argument(
+        "path", type=Path, metavar="BAG", nargs="?", help="folder of a trial; with --experiment, of recordings"
+    )
+    parser.add_argument("--live", action="store_true", help="show the graph that runs now, until Ctrl-C")
+    parser.add_argument("--namespace", metavar="NAME", help="with --live: ROS namespace of the nodes; default: none")
+    parser.add_argument("--port", type=int, metavar="N", help="with --live: port of the page; default: a free one")
     parser.add_argument(
         "-o",
         dest="output",
@@ -37,19 +42,23 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.html",
         help="the page; default: NAME_OF_THE_BAG.html beside the bag",
     )
-    parser.add_argument("--no-browser", action="store_true", help="write the page, and do not open it")
+    parser.add_argument("--no-browser", action="store_true", help="write the page, or serve it, and do not open it")
     add_json(parser)
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    path = args.output or args.bag.absolute().parent / f"{args.bag.absolute().name}.html"
+    if args.live:
+        from impact_rs_cli.live import show_live  # ROS 2 and a web server, which a page in a file does without
+
+        return show_live(args.namespace or "", args.port or 0, not args.no_browser, terminal)
+    path = args.output or args.path.absolute().parent / f"{args.path.absolute().name}.html"
     if path.is_dir():
         raise InputError("this is a folder, expected a file for the page", file=path)
     try:
-        page = write_trial(TrialBag.open(args.bag), path).resolve()
+        page = write_trial(TrialBag.open(args.path), path).resolve()
     except BagError as error:
-        raise InputError(error.reason, file=args.bag) from None
+        raise InputError(error.reason, file=args.path) from None
     terminal.result({"page": str(page)})
     terminal.say(f"page: {page}")
     if not args.no_browser and not webbrowser.open(page.as_uri()):
