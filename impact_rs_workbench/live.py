@@ -152,9 +152,9 @@ def status_text(snapshot: Snapshot, scene: DrawnScene, program: str) -> str:
     return {
         "absent": f"no graph runs in {snapshot.place}; start one with `{program} up push`. Waiting",
         "idle": f"nodes are there in {snapshot.place}; nothing has moved yet. Waiting for a trial",
-        "running": f"{title}: live",
-        "over": f"{title}: at rest; this is its last state, until the next trial",
-        "gone": f"{title}: its nodes have ended; this is its last state. Waiting",
+        "running": f"now: {title}",
+        "over": f"at rest until the next trial; this is the last state of {title}",
+        "gone": f"the nodes have ended; this is the last state of {title}. Waiting",
     }[snapshot.situation]
 
 

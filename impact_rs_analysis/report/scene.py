@@ -140,7 +140,9 @@ def _shape(visual: Xml.Element) -> dict[str, Any] | None:
 def _ball(radius: float) -> dict[str, Any]:
     """A sphere as a mesh."""
     rows, columns = ROUND
-    polar, around = np.meshgrid(np.linspace(0.0, np.pi, rows), 2.0 * np.pi * np.arange(columns) / columns, indexing="ij")
+    polar, around = np.meshgrid(
+        np.linspace(0.0, np.pi, rows), 2.0 * np.pi * np.arange(columns) / columns, indexing="ij"
+    )
     points = radius * np.stack((np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)), axis=-1)
     a = np.arange((rows - 1) * columns).reshape(rows - 1, columns)
     b = np.roll(a, -1, axis=1)

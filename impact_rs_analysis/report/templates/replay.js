@@ -19,7 +19,8 @@ const {ImpactReplay, ImpactLive} = (function () {
   const SLOW_MOTION = 100;
   const MARGIN = 0.9;
   const STEP = 0.001, BIG_STEP = 0.01;
-  const FULL = [20, 50, 100, 200, 500, 1000, 2000, 5000];  // N that the longest arrow may stand for while nobody knows the most
+  const FULL = [20, 50, 100, 200, 500, 1000, 2000, 5000];  // N, what the longest arrow can stand for in a live picture
+  const EMPTY = [[-0.5, -0.5, 0], [0.5, 0.5, 0.5]];  // m, what is looked at where nothing stands
   const ROOM = 0.1;  // m about what has moved so far
   const ABOVE = {before: 0.09, after: 0.06, model: 0.03};  // arrows of one direction would hide each other
 
@@ -517,6 +518,7 @@ const {ImpactReplay, ImpactLive} = (function () {
   class Live extends Stage {
     constructor(parent) {
       super(parent);
+      this.show(null);
       parent.append(this.canvas, this.readout, this.legend);
       this.open();
     }
@@ -533,10 +535,12 @@ const {ImpactReplay, ImpactLive} = (function () {
       this.clear(...(scene ? [this.measured.root] : []), ...this.forces.map((arrow) => arrow.root));
       if (scene) this.measured.root.visible = false;  // until somebody tells where its joints are
       this.forces.forEach((arrow) => arrow.set(new THREE.Vector3(), new THREE.Vector3()));
-      this.canvas.setAttribute('aria-label', scene ? `${this.arms.join(' and ') || 'a robot'} in 3D, live` : 'an empty scene');
+      const what = this.arms.join(' and ') || 'a robot';
+      this.canvas.setAttribute('aria-label', scene ? `${what} in 3D, live` : 'an empty scene');
       this.explain([]);
       this.readout.textContent = '';
-      this.draw();
+      if (scene) this.draw();
+      else this.fit();
     }
 
     // The newest state: joints of all arms side by side [rad], pose of the object or null, forces by arm [N] or null.
@@ -573,9 +577,10 @@ const {ImpactReplay, ImpactLive} = (function () {
     }
 
     fit() {
-      if (!this.renderer || !this.state) return;
-      this.shown = this.seen.clone().expandByScalar(ROOM);
-      this.frame(this.shown, this.measured, this.arms, new THREE.Vector3(0, 1, 0));
+      if (!this.renderer) return;
+      const empty = new THREE.Box3(...EMPTY.map((corner) => new THREE.Vector3(...corner)));
+      if (this.state) this.shown = this.seen.clone().expandByScalar(ROOM);
+      this.frame(this.shown || empty, this.measured, this.state ? this.arms : [], new THREE.Vector3(0, 1, 0));
       this.draw();
     }
   }
