@@ -48,10 +48,10 @@ def animation_data(animations: Sequence[Animation]) -> dict[str, Any]:
     """What ``new ImpactReplay(element, data)`` takes.
 
     Returns:
-        ``scenes`` (:func:`~impact_rs_analysis.report.scene.scene_data`), and by run its label, number of its scene, begin of the impact and of the slow
-        part [s], times [s] with the rows in which stretches begin, and its sides ``measured`` and ``model``: joint
-        positions of all arms side by side [rad], forces of the arms on what they touch [N], pose of the object [m, -],
-        and velocities before and after the impact [m/s].
+        ``scenes`` (:mod:`impact_rs_analysis.report.scene`), and by run its label, number of its scene, begin of the
+        impact and of the slow part [s], times [s] with the rows in which stretches begin, and its sides ``measured``
+        and ``model``: joint positions of all arms side by side [rad], forces of the arms on what they touch [N], pose
+        of the object [m, -], and velocities before and after the impact [m/s].
     """
     coarser = max(1.0, len(animations) / MOST_RUNS)
     scenes: list[dict[str, Any]] = []

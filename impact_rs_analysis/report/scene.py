@@ -32,9 +32,9 @@ def scene_data(physics: Physics) -> dict[str, Any]:
 
     Returns:
         ``arms`` in the order of the data; ``joints`` with ``parent``, ``child``, ``type``, ``position`` [m] and
-        ``quaternion`` (x y z w) in the parent, ``axis`` where it is not z, and ``column`` of those that move; ``links``:
-        by name the shapes with pose in the link and colour; ``root``: the link that stands still; ``object``: extent
-        along its axes [m].
+        ``quaternion`` (x y z w) in the parent, ``axis`` where it is not z, and ``column`` of those that move;
+        ``links``: by name the shapes with pose in the link and colour; ``root``: the link that stands still;
+        ``object``: extent along its axes [m].
     """
     robot, plain = (Xml.fromstring(physics.description(meshes)) for meshes in (True, False))
     links = {
@@ -62,7 +62,7 @@ def described_scene(urdf: str) -> tuple[dict[str, Any], list[str]]:
         robot = Xml.fromstring(urdf)
         moving = [joint.get("name", "") for joint in robot.findall("joint") if _moves(joint)]
         links = {
-            link.get("name", ""): _shapes(link) or _shapes(link, "collision") or _sticks(robot, link.get("name", ""))
+            link.get("name", ""): _shapes(link) or _shapes(link, "collision") or _sticks(robot, link)
             for link in robot.findall("link")
         }
         scene = _scene(robot, moving, [], links, None)
@@ -77,7 +77,7 @@ def _scene(
     joints = []
     for joint in robot.findall("joint"):
         name, axis = joint.get("name", ""), joint.find("axis")
-        direction = _numbers("1 0 0" if axis is None else axis.get("xyz", "1 0 0"))
+        direction = _vector("1 0 0" if axis is None else axis.get("xyz", "1 0 0"))
         moved = {"column": moving.index(name)} if name in moving else {}
         if moved and direction != [0.0, 0.0, 1.0]:
             moved["axis"] = (np.array(direction) / (np.linalg.norm(direction) or 1.0)).tolist()
@@ -110,8 +110,8 @@ def _link(joint: Xml.Element, end: str) -> str:
 def _origin(element: Xml.Element) -> dict[str, list[float]]:
     origin = element.find("origin")
     found = {"xyz": "0 0 0", "rpy": "0 0 0"} | ({} if origin is None else origin.attrib)
-    turned = pin.Quaternion(pin.rpy.rpyToMatrix(*_numbers(found["rpy"])))
-    return {"position": _numbers(found["xyz"]), "quaternion": turned.coeffs().tolist()}
+    turned = pin.Quaternion(pin.rpy.rpyToMatrix(*_vector(found["rpy"])))
+    return {"position": _vector(found["xyz"]), "quaternion": turned.coeffs().tolist()}
 
 
 def _shapes(link: Xml.Element, kind: str = "visual") -> list[dict[str, Any]]:
@@ -150,17 +150,26 @@ def _ball(radius: float) -> dict[str, Any]:
     return {"vertices": packed(points.reshape(-1, 3)), "faces": packed(faces.reshape(-1, 3).astype(float))}
 
 
-def _sticks(robot: Xml.Element, link: str) -> list[dict[str, Any]]:
-    """From the origin of a link to the joints that it carries."""
+def _sticks(robot: Xml.Element, link: Xml.Element) -> list[dict[str, Any]]:
+    """From the origin of a link, that has shapes which cannot be read, to the joints that it carries."""
     found = []
+    if link.find("visual") is None:
+        return []
     for joint in robot.findall("joint"):
         end = np.array(_origin(joint)["position"])
         length = float(np.linalg.norm(end))
-        if _link(joint, "parent") == link and length > STICK:
+        if _link(joint, "parent") == link.get("name") and length > STICK:
             turned = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end / length)
             pose = {"position": (0.5 * end).tolist(), "quaternion": turned.coeffs().tolist()}
             size = {"radius": [STICK], "length": [length]}
             found.append({"kind": "cylinder", **pose, "colour": _numbers(LIGHT)[:3], **size})
+    return found
+
+
+def _vector(text: str) -> list[float]:
+    found = _numbers(text)
+    if len(found) != 3:
+        raise ValueError(f"{text!r} where three numbers are expected")
     return found
 
 
