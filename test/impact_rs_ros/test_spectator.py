@@ -70,10 +70,12 @@ def test_the_newest_of_a_trial_is_known_by_joint_names_and_forces_act_on_the_obj
         graph.object(POSE)
         graph.force_on_pad("arm", (1.0, -20.0, 3.0))
 
-    found = until(spectator, lambda seen: seen.forces and seen.object is not None and seen.positions, tell)
-    assert found.situation == "running"
+    def everything(seen: Snapshot) -> bool:
+        return bool(seen.forces and seen.positions and seen.object is not None and seen.situation == "running")
+
+    found = until(spectator, everything, tell)
     assert found.positions == {f"arm_joint{number + 1}": number / 10.0 for number in range(7)}
-    newest = until(spectator, lambda seen: seen.time == pytest.approx(1e-3 * count))
+    newest = until(spectator, lambda seen: seen.time == pytest.approx(1e-3 * count), tell)
     assert newest.number == found.number
     np.testing.assert_array_equal(newest.object, POSE)
     np.testing.assert_array_equal(newest.forces["arm"], [-1.0, 20.0, -3.0])
