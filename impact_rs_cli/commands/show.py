@@ -81,6 +81,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     if args.live:
         _none_of(args, OF_PAGES, "--live shows the graph that runs now")
+        if args.json:
+            raise InputError("--live serves a page until Ctrl-C, which has no document; leave --json out")
         from impact_rs_cli.live import show_live  # ROS 2 and a web server, which a page in a file does without
 
         return show_live(args.namespace or "", args.port or 0, not args.no_browser, terminal)

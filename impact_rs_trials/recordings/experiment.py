@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import csv
 import functools
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -202,12 +203,11 @@ def run_named(table: Sequence[RunRow], directory: Path, name: str) -> RunRow:
     Raises:
         InputError: There is none of this name, or there are several.
     """
-    paths = {run.path: run.path.relative_to(directory) for run in table}
-    found = [
-        run
-        for run in table
-        if name in (run.name, run.path.name, str(paths[run.path]), str(paths[run.path].with_suffix("")))
-    ]
+    paths = {run.path: Path(os.path.relpath(run.path, directory)) for run in table}
+    known = {
+        run.path: {run.name, run.path.name, str(paths[run.path]), str(paths[run.path].with_suffix(""))} for run in table
+    }
+    found = [run for run in table if name in known[run.path]]
     if len(found) == 1:
         return found[0]
     if found:
