@@ -81,6 +81,8 @@ class LiveView:
 
     async def follow(self) -> None:
         """Look at the graph, again and again."""
+        clock = asyncio.get_running_loop().time
+        due = clock()
         while not self.ended():
             snapshot = self._source.look()
             if snapshot.number != self._number:
@@ -97,7 +99,8 @@ class LiveView:
                 self.news = news
                 async with self._changed:
                     self._changed.notify_all()
-            await asyncio.sleep(PERIOD)
+            due = max(due + PERIOD, clock())
+            await asyncio.sleep(due - clock())
 
     async def stream(self, request: Request) -> AsyncIterator[str]:
         """Server-sent events: ``scene``, ``status`` and ``state``, each as a whole and only when it has changed."""
@@ -150,7 +153,7 @@ def status_text(snapshot: Snapshot, scene: DrawnScene, program: str) -> str:
     if scene.complaint:
         return f"{title} cannot be drawn: {scene.complaint}"
     return {
-        "absent": f"no graph runs in {snapshot.place}; start one with `{program} up push`. Waiting",
+        "absent": f"no graph runs in {snapshot.place}; {program} up push starts one. Waiting",
         "idle": f"nodes are there in {snapshot.place}; nothing has moved yet. Waiting for a trial",
         "running": f"now: {title}",
         "over": f"at rest until the next trial; this is the last state of {title}",

@@ -71,7 +71,7 @@ def test_what_is_going_on_is_one_line_that_says_what_to_do() -> None:
         for situation in ("absent", "idle", "running", "over", "gone")
     }
     assert texts["absent"] == (
-        "no graph runs in ROS domain 3, namespace /; start one with `impact-rs up push`. Waiting"
+        "no graph runs in ROS domain 3, namespace /; impact-rs up push starts one. Waiting"
     )
     assert texts["running"] == "now: grab, box"
     assert "until the next trial" in texts["over"]

@@ -57,7 +57,8 @@ def test_without_a_graph_it_says_how_to_start_one_and_ctrl_c_is_no_failure(
     process, _ = shown
     assert process.stdout is not None
     line = process.stdout.readline()
-    assert f"no graph runs in ROS domain {domain}, namespace /cell_a; start one with `" in line
+    assert line.startswith(f"no graph runs in ROS domain {domain}, namespace /cell_a; ")
+    assert line.endswith(" up push starts one. Waiting\n")
     process.send_signal(signal.SIGINT)
     assert process.wait(60.0) == 0
 
