@@ -27,5 +27,5 @@
   });
   told.addEventListener('open', () => { lost.hidden = true; });
   told.addEventListener('error', () => { lost.hidden = false; });
-  window.impact_rs = {live};  // to be looked at from the browser's console
+  window.impact_rs = {live, told};  // to be looked at from the browser's console
 })();

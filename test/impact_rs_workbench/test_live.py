@@ -70,9 +70,7 @@ def test_what_is_going_on_is_one_line_that_says_what_to_do() -> None:
         situation: status_text(replace(SEEN, situation=situation), drawn_scene(SEEN), "impact-rs")
         for situation in ("absent", "idle", "running", "over", "gone")
     }
-    assert texts["absent"] == (
-        "no graph runs in ROS domain 3, namespace /; impact-rs up push starts one. Waiting"
-    )
+    assert texts["absent"] == ("no graph runs in ROS domain 3, namespace /; impact-rs up push starts one. Waiting")
     assert texts["running"] == "now: grab, box"
     assert "until the next trial" in texts["over"]
     assert "have ended" in texts["gone"]
