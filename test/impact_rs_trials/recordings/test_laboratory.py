@@ -562,10 +562,7 @@ def test_a_mapping_for_another_robot_is_refused(laboratory: LaboratoryFolder) ->
         laboratory.read()
 
 
-@pytest.mark.parametrize("estimate", [False, True])
-def test_one_run_is_read_as_among_all(laboratory: LaboratoryFolder, estimate: bool) -> None:
-    """Also where all hits together say where the motion capture is."""
-    laboratory.experiment["motion_capture"] = {"estimate": estimate}
+def test_one_run_is_read_as_among_all(laboratory: LaboratoryFolder) -> None:
     laboratory.bag("run_1")
     laboratory.bag("run_2")
     _, second = laboratory.read("run_1,parcel,hit,fast,a", "run_2,parcel,hit,fast,a")
