@@ -126,7 +126,7 @@ def drawn_scene(snapshot: Snapshot) -> DrawnScene:
         try:
             found, joints = described_scene(snapshot.description)
         except InputError as error:
-            return DrawnScene(complaint=f"/robot_description: {error}")
+            return DrawnScene(complaint=str(error))
         return DrawnScene(json.dumps(found), tuple(joints))
     return DrawnScene(complaint=snapshot.complaint)
 
@@ -149,7 +149,7 @@ def state_of(snapshot: Snapshot, scene: DrawnScene) -> dict[str, Any] | None:
 
 def status_text(snapshot: Snapshot, scene: DrawnScene, program: str) -> str:
     """What is going on, in one line."""
-    title = snapshot.title or "the robot"
+    title = snapshot.title or "the robot of /robot_description"
     if scene.complaint:
         return f"{title} cannot be drawn: {scene.complaint}"
     return {

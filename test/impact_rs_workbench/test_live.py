@@ -79,7 +79,7 @@ def test_what_is_going_on_is_one_line_that_says_what_to_do() -> None:
 
 def test_a_scene_that_cannot_be_drawn_is_told_with_the_reason() -> None:
     odd = Snapshot("running", "here", 1, description="<robot/>")
-    assert "cannot be drawn: /robot_description: no URDF" in status_text(odd, drawn_scene(odd), "impact-rs")
+    assert "the robot of /robot_description cannot be drawn: no URDF" in status_text(odd, drawn_scene(odd), "impact-rs")
     refused = Snapshot("idle", "here", 1, title="push", complaint="/trial_info: no such key")
     assert status_text(refused, drawn_scene(refused), "") == "push cannot be drawn: /trial_info: no such key"
 

@@ -328,6 +328,41 @@ def analysed(push_campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     return folder / "report.html"
 
 
+@pytest.fixture(scope="module")
+def laboratory_page(bag: TrialBag, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of the same push, as a run of a laboratory."""
+    folder = tmp_path_factory.mktemp("laboratory")
+    shutil.copytree(bag.path, folder / "run_1")
+    (folder / "runs.csv").write_text("bag,object,kind\nrun_1,cat_food,hit\n")
+    (folder / "experiment.yaml").write_text("scenario: push\nmapping: impact_rs\n")
+    page = folder / "page.html"
+    command = ["show", str(folder), "--experiment", str(folder / "experiment.yaml"), "--run", "run_1"]
+    assert main([*command, "--no-browser", "-o", str(page), "--jobs", "1"]) == 0
+    return page
+
+
+@needs_browser
+def test_a_run_of_a_laboratory_begins_at_its_impact_and_moves_as_it_was_measured(
+    opened: Callable[[Path], Page], laboratory_page: Path, bag: TrialBag
+) -> None:
+    page = opened(laboratory_page)
+    until(page, "document.querySelectorAll('.cursor').length === 3")
+    begin = page.evaluate("window.impact_rs.replay.time")
+    assert begin == pytest.approx(bag.impact_time("arm"), abs=0.003)
+    assert page.evaluate("window.impact_rs.replay.run.slow") == pytest.approx([begin - 0.02, begin + 0.06])
+    measured, seen = bag.joints("/arm/joint_states"), bag.poses("/object/pose")
+    model = bag.info.spec.scene.physics.robot_model("arm")
+    for moment in (0.3, 0.94, 1.8):
+        row, tracked = int(np.argmin(np.abs(measured.time - moment))), int(np.argmin(np.abs(seen.time - moment)))
+        hand, thing = page.evaluate(
+            """(time) => { const {replay} = window.impact_rs; replay.seek(time);
+                 return [replay.measured.positions().arm_end_effector, replay.measured.object.position.toArray()]; }""",
+            moment,
+        )
+        assert hand == pytest.approx(model.placement(measured.position[row]).translation, abs=1e-6)
+        assert thing == pytest.approx(seen.position[tracked], abs=1e-6)
+
+
 @needs_browser
 def test_the_run_that_is_chosen_is_seen_beside_its_model(opened: Callable[[Path], Page], compared: Path) -> None:
     page = opened(compared)
