@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may talk to the workbench: the browser that was given its address, and no page of another site.
+"""Who may talk to a page that we serve: the browser that was given its address, and no page of another site.
 
 The address holds a token once; from there on a cookie does, which a browser sends with nothing that another site asked
 for (``SameSite=Strict``). A name that somebody points at this machine (DNS rebinding) is no ``Host`` of ours, and what
@@ -32,12 +32,13 @@ class Guard:
         app: What is guarded.
         token: What the address holds.
         port: Port that is listened on, as ``Host`` names it.
+        command: Which command of ``impact-rs`` serves it.
     """
 
-    def __init__(self, app: ASGIApp, token: str, port: int) -> None:
-        self._app, self._token = app, token
+    def __init__(self, app: ASGIApp, token: str, port: int, command: str) -> None:
+        self._app, self._token, self._command = app, token, f"impact-rs {command}"
         self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
-        self.cookie = f"impact_rs_workbench_{port}"  # cookies know no ports; two workbenches must not share one
+        self.cookie = f"impact_rs_{command}_{port}"  # cookies know no ports; two of a kind must not share one
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer, or pass on."""
@@ -63,16 +64,16 @@ class Guard:
         """What a request is answered that goes no further; None: it may pass."""
         host = headers.get("host", "")
         if host not in self._hosts:
-            return PlainTextResponse("This workbench answers on its own machine only.", 403)
+            return PlainTextResponse(f"{self._command} answers on its own machine only.", 403)
         if scope["method"] not in SAFE_METHODS and headers.get("origin") != f"http://{host}":
-            return PlainTextResponse("Only the page of this workbench may change something.", 403)
+            return PlainTextResponse(f"Only the page of {self._command} may change something.", 403)
         given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[-1]
         if scope["path"] == "/" and self._is_token(given):
             answer = RedirectResponse("/", 303)
             answer.set_cookie(self.cookie, self._token, httponly=True, samesite="strict")
             return answer
         if not self._is_token(_cookie(headers.get("cookie", ""), self.cookie)):
-            return PlainTextResponse("Open the address that impact-rs workbench has printed: it holds the key.", 403)
+            return PlainTextResponse(f"Open the address that {self._command} has printed: it holds the key.", 403)
         return None
 
     def _is_token(self, text: str) -> bool:

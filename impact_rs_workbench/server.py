@@ -5,18 +5,14 @@ from __future__ import annotations
 
 import asyncio
 import json
-import secrets
-import socket
 import threading
-import webbrowser
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import uvicorn
 from pydantic import TypeAdapter, ValidationError
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
@@ -35,6 +31,7 @@ from impact_rs_workbench.formulas import FormulaText
 from impact_rs_workbench.guard import FILE_POLICY, Guard
 from impact_rs_workbench.jobs import Jobs
 from impact_rs_workbench.laboratory import Description, PreviewRequest
+from impact_rs_workbench.local import Ended, listening, serve_locally
 from impact_rs_workbench.prediction import Question
 from impact_rs_workbench.steps import order_of, scenario_argument, seen
 from impact_rs_workbench.workspace import HIDDEN, Workspace
@@ -61,7 +58,7 @@ class Workbench:
         self.workspace = Workspace(root)
         self.program = program
         self.jobs = Jobs(self.workspace.root / HIDDEN / "jobs", program)
-        self.ended: Callable[[], bool] = lambda: False  # whether streams are to end
+        self.ended: Ended = lambda: False  # whether streams are to end
         self._asked = 0  # predictions so far
         self._map = threading.Lock()  # the impact map keeps engines warm and answers one question at a time
 
@@ -117,7 +114,7 @@ def application(workbench: Workbench, token: str, port: int) -> ASGIApp:
         yield
         await run_in_threadpool(workbench.jobs.close)
 
-    return Guard(Starlette(routes=_routes(workbench), lifespan=lifespan), token, port)
+    return Guard(Starlette(routes=_routes(workbench), lifespan=lifespan), token, port, "workbench")
 
 
 def _routes(workbench: Workbench) -> list[Route]:
@@ -327,25 +324,11 @@ def serve(root: Path, program: str, port: int, browser: bool, tell: Callable[[st
         InputError: Another workbench has this folder, or the folder or the port cannot be had.
     """
     root.mkdir(parents=True, exist_ok=True)
-    try:
-        listener = socket.create_server(("127.0.0.1", port))
-    except OSError as error:
-        raise InputError(f"port {port} cannot be had: {error.strerror}; choose another one, or none") from None
-    with listener, owned(Folder(root / HIDDEN), "workbench"):
-        number = listener.getsockname()[1]
-        token = secrets.token_urlsafe(24)
-        address = f"http://127.0.0.1:{number}/?token={token}"
+    with listening(port) as listener, owned(Folder(root / HIDDEN), "workbench"):
         workbench = Workbench(root, program)
-        settings = uvicorn.Config(
-            application(workbench, token, number),
-            log_level="warning",
-            access_log=False,
-            timeout_graceful_shutdown=1,
-        )
-        server = uvicorn.Server(settings)
-        workbench.ended = lambda: server.should_exit
-        tell(address)
-        if browser:
-            webbrowser.open(address)
-        with suppress(KeyboardInterrupt):  # which uvicorn passes on when it has ended
-            server.run(sockets=[listener])
+
+        def make(token: str, number: int, ended: Ended) -> ASGIApp:
+            workbench.ended = ended
+            return application(workbench, token, number)
+
+        serve_locally(listener, make, browser, tell)

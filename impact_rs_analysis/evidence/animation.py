@@ -15,13 +15,17 @@ import pinocchio as pin
 
 from impact_rs_analysis.evidence.aligned import AlignedRun, Track
 from impact_rs_analysis.evidence.features import JUMP_BEFORE, JUMP_WINDOWS, OBJECT_WINDOWS, SETTLED
-from impact_rs_analysis.evidence.impacts import observe
+from impact_rs_analysis.evidence.impacts import impacts_of, observe
+from impact_rs_analysis.evidence.laboratory import run_of as laboratory_run
 from impact_rs_analysis.evidence.torque_balance import Motion
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import Scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import BagError, JointColumns, TrialBag
+from impact_rs_trials.recordings.laboratory import LaboratoryRun
 
 OBJECT = "object"  # what the object is called beside the arms
 AFTER = JUMP_WINDOWS[SETTLED]  # s from the begin of the impact, over which the velocity after it is averaged
@@ -132,6 +136,44 @@ def animation_of_motion(label: str, physics: Physics, arm: str, motion: Motion) 
     return Animation(label, physics, time, (0,), None, moved)
 
 
+def animation_of_laboratory(item: LaboratoryRun, scenario: Scenario) -> Animation:
+    """A run of a laboratory as it was measured, stretch by stretch between its gaps.
+
+    Args:
+        item: The run.
+        scenario: What stands in its scene; one arm.
+    """
+    run = laboratory_run(item, scenario)
+    ((name, own),) = run.signals.arms.items()
+    model = run.physics.robot_model(name)
+    kept = np.ones(item.time.size, dtype=bool)
+    for gap in item.gaps:
+        kept &= (item.time <= gap.start) | (item.time >= gap.end)
+    time = item.time[kept]
+    starts = (0, *(int(np.searchsorted(time, gap.end)) for gap in item.gaps))
+    parts = [
+        observe(time[rows], own.position[kept][rows], own.velocity[kept][rows], own.torque[kept][rows], model)
+        for rows in _slices((*starts, time.size))
+    ]
+    forces = {name: -np.concatenate([part.force for part in parts])}
+    velocities = {name: np.concatenate([part.velocity for part in parts])}
+    joints, rates = {name: own.position[kept]}, {name: own.velocity[kept]}
+    thing = _poses_at(time, item.object_time, item.object_position, item.object_quaternion)
+    try:
+        impacts = {arm: begin for arm, (begin, _) in impacts_of(run).items()} if item.hit else {}
+    except InputError:  # nothing was hit, which is to be seen
+        impacts = {}
+    jumps = _jumps(time, joints, velocities, thing, impacts, {name: model})
+    return Animation(
+        label=item.name,
+        physics=run.physics,
+        time=time,
+        starts=starts,
+        impact=min(impacts.values(), default=None),
+        measured=Movement(joints, rates, velocities, forces, thing, jumps),
+    )
+
+
 def animation_of_bag(bag: TrialBag) -> Animation:
     """A recorded trial, from what a robot would tell: nothing below ``/truth`` is touched.
 
@@ -175,16 +217,30 @@ def _joint_states(bag: TrialBag, arm: str) -> JointColumns:
 
 
 def _object_poses(bag: TrialBag, time: Array) -> Array:
-    """Pose of the object at some times, ``(k, 7)``; NaN before and after it was tracked."""
+    """Pose of the object at some times, ``(k, 7)``; NaN before and after it was tracked, and where there is none."""
     seen = bag.poses(topics.OBJECT_POSE)
-    if seen.time.size < 2 or bag.info.spec.scenario.excursion is not None:
+    if bag.info.spec.scenario.excursion is not None:
         return np.full((time.size, 7), np.nan)
     flips = np.cumprod(np.where(np.sum(seen.quaternion[1:] * seen.quaternion[:-1], axis=1) < 0.0, -1.0, 1.0))
-    turned = seen.quaternion * np.concatenate(([1.0], flips))[:, None]  # q and -q are the same orientation
-    poses = _at(time, seen.time, np.column_stack((seen.position, turned)))
+    turned = seen.quaternion * np.concatenate(([1.0], flips))[: seen.time.size, None]  # q and -q: one orientation
+    return _poses_at(time, seen.time, seen.position, turned)
+
+
+def _poses_at(time: Array, seen: Array, position: Array, quaternion: Array) -> Array:
+    """Poses at some times, ``(k, 7)``, of what was tracked at others; NaN before and after that.
+
+    Args:
+        time: Wanted times, ``(k,)`` [s].
+        seen: Times of the poses, ``(p,)`` [s].
+        position: ``(p, 3)`` [m].
+        quaternion: x y z w, without changes of sign between samples, ``(p, 4)``.
+    """
+    if seen.size < 2:
+        return np.full((time.size, 7), np.nan)
+    poses = _at(time, seen, np.column_stack((position, quaternion)))
     poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1)[:, None]
-    period = float(np.median(np.diff(seen.time)))
-    poses[(time < seen.time[0] - period) | (time > seen.time[-1] + period)] = np.nan
+    period = float(np.median(np.diff(seen)))
+    poses[(time < seen[0] - period) | (time > seen[-1] + period)] = np.nan
     return poses
 
 

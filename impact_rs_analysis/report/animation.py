@@ -1,31 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs in 3D as ``replay.js`` reads them: what stands in the scene, and what moves, as base64 float32.
-
-The page gets joint positions and does the forward kinematics itself: a joint frame in its parent, then the joint's turn
-about, or way along, its own z axis. Shapes are those of the URDF (:func:`impact_rs_sim.urdf.write_description`).
-"""
+"""Runs in 3D as ``replay.js`` reads them: what stands in the scene, and what moves, as base64 float32."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
-from xml.etree import ElementTree as Xml
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from impact_rs_analysis.evidence.animation import OBJECT, Animation, Movement
 from impact_rs_analysis.report.page import packed
-from impact_rs_analysis.report.surface import surface_of
-from impact_rs_sim.physics import Physics
+from impact_rs_analysis.report.scene import scene_data
 from impact_rs_sim.robot import Array
-from impact_rs_sim.urdf import joint_names
 
 SLOW_BEFORE, SLOW_AFTER = 0.02, 0.06  # s about the impact, in which time is stretched
 STRIDES = (0.001, 0.01)  # s between samples of a page at least, about the impact and elsewhere; the page interpolates
-LIGHT = "0.88 0.88 0.9 1"  # of a mesh that says no colour, as text of a URDF
 MOST_ROWS = 1500  # of a run away from the impact; a recording may last for minutes
 MOST_RUNS = 8  # of a page with that many samples; of twice as many runs it has half of them
 
@@ -57,10 +48,10 @@ def animation_data(animations: Sequence[Animation]) -> dict[str, Any]:
     """What ``new ImpactReplay(element, data)`` takes.
 
     Returns:
-        ``scenes`` (:func:`scene_data`), and by run its label, number of its scene, begin of the impact and of the slow
-        part [s], times [s] with the rows in which stretches begin, and its sides ``measured`` and ``model``: joint
-        positions of all arms side by side [rad], forces of the arms on what they touch [N], pose of the object [m, -],
-        and velocities before and after the impact [m/s].
+        ``scenes`` (:mod:`impact_rs_analysis.report.scene`), and by run its label, number of its scene, begin of the
+        impact and of the slow part [s], times [s] with the rows in which stretches begin, and its sides ``measured``
+        and ``model``: joint positions of all arms side by side [rad], forces of the arms on what they touch [N], pose
+        of the object [m, -], and velocities before and after the impact [m/s].
     """
     coarser = max(1.0, len(animations) / MOST_RUNS)
     scenes: list[dict[str, Any]] = []
@@ -71,73 +62,6 @@ def animation_data(animations: Sequence[Animation]) -> dict[str, Any]:
             scenes.append(scene)
         runs.append(_run_data(animation, scenes.index(scene), (coarser * STRIDES[0], coarser * STRIDES[1])))
     return {"scenes": scenes, "runs": runs}
-
-
-def scene_data(physics: Physics) -> dict[str, Any]:
-    """Joints and links with their shapes, and the object's box.
-
-    Returns:
-        ``arms`` in the order of the data; ``joints`` with ``parent``, ``child``, ``type``, ``position`` [m] and
-        ``quaternion`` (x y z w) in the parent, and ``column`` of those that move; ``links``: by name the shapes with
-        pose in the link and colour; ``object``: extent along its axes [m].
-    """
-    robot, plain = (Xml.fromstring(physics.description(meshes)) for meshes in (True, False))
-    moving = [f"{arm}_{joint}" for arm, own in physics.arms.items() for joint in joint_names(own.facts)]
-    joints = []
-    for joint in robot.iter("joint"):
-        name = joint.get("name", "")
-        joints.append(
-            {
-                "parent": _link(joint, "parent"),
-                "child": _link(joint, "child"),
-                "type": joint.get("type"),
-                **_origin(joint),
-                **({"column": moving.index(name)} if name in moving else {}),
-            }
-        )
-    links = {
-        link.get("name", ""): _shapes(link) or _shapes(simple)
-        for link, simple in zip(robot.iter("link"), plain.iter("link"), strict=True)
-    }
-    return {"arms": list(physics.arms), "joints": joints, "links": links, "object": physics.object.size.tolist()}
-
-
-def _link(joint: Xml.Element, end: str) -> str:
-    element = joint.find(end)
-    assert element is not None  # we wrote it
-    return element.get("link", "")
-
-
-def _origin(element: Xml.Element) -> dict[str, list[float]]:
-    origin = element.find("origin")
-    found = {"xyz": "0 0 0", "rpy": "0 0 0"} | ({} if origin is None else origin.attrib)
-    turned = pin.Quaternion(pin.rpy.rpyToMatrix(*_numbers(found["rpy"])))
-    return {"position": _numbers(found["xyz"]), "quaternion": turned.coeffs().tolist()}
-
-
-def _shapes(link: Xml.Element) -> list[dict[str, Any]]:
-    """What is seen of a link; nothing where one of its meshes cannot be read."""
-    shapes = [_shape(visual) for visual in link.iter("visual")]
-    return [shape for shape in shapes if shape is not None] if None not in shapes else []
-
-
-def _shape(visual: Xml.Element) -> dict[str, Any] | None:
-    geometry, colour = visual.find("geometry"), visual.find("material/color")
-    assert geometry is not None
-    (form,) = geometry
-    rgba = LIGHT if colour is None else colour.get("rgba", LIGHT)
-    look = {"kind": form.tag, **_origin(visual), "colour": _numbers(rgba)[:3]}
-    if form.tag != "mesh":
-        return look | {name: _numbers(text) for name, text in form.attrib.items()}
-    surface = surface_of(form.get("filename", ""))
-    if surface is None:
-        return None
-    scaled = surface.vertices * _numbers(form.get("scale", "1 1 1"))
-    return look | {"vertices": packed(scaled), "faces": packed(surface.faces.astype(float))}
-
-
-def _numbers(text: str) -> list[float]:
-    return [float(word) for word in text.split()]
 
 
 def _run_data(animation: Animation, scene: int, strides: tuple[float, float]) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from impact_rs_sim.robot import Array
 TEMPLATES = Path(__file__).with_name("templates")
 BUNDLE = Path(__file__).with_name("bundle")
 PLOTLY = BUNDLE / "plotly-cartesian.min.js"
+STYLE = TEMPLATES / "page.css"
 MOST_POINTS = 500  # of a curve over time; more are not seen on a screen
 MOST_NUMBERS = 90_000  # of all tracks of a page, half a megabyte
 PREFIXED = ("m", "rad")  # units whose small values are told with a prefix

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Page of one trial: the run in 3D, and its joints and end effectors over time."""
+"""Page of one run, our own or a laboratory's: the run in 3D, and its joints and end effectors over time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,14 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from impact_rs_analysis.evidence.animation import OBJECT, Animation, animation_of_bag
+from impact_rs_analysis.evidence.aligned import AlignedRun
+from impact_rs_analysis.evidence.animation import (
+    OBJECT,
+    Animation,
+    animation_of_bag,
+    animation_of_laboratory,
+    animation_of_run,
+)
 from impact_rs_analysis.report.animation import ReplayPart, shown_rows
 from impact_rs_analysis.report.figures import (
     BLACK,
@@ -26,12 +33,13 @@ from impact_rs_analysis.report.figures import (
     Note,
     Panel,
 )
-from impact_rs_analysis.report.page import Plot, render
+from impact_rs_analysis.report.page import Plot, number_text, render
 from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.robot import Array, told_units
+from impact_rs_sim.scenario import Scenario
 from impact_rs_trials.bags.reader import TrialBag
-from impact_rs_trials.bags.trial_info import TrialInfo
+from impact_rs_trials.recordings.laboratory import LaboratoryRun
 
 STRIDES = (0.001, 0.004)  # s between samples of a figure at least, about the impact and elsewhere
 COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
@@ -59,20 +67,16 @@ class TrialPage:
 
     Attributes:
         title: Heading.
-        info: Identity of the trial.
-        outcome: How it ended.
-        reason: What that means.
-        impact: Begin of the impact as the controller detected it [s]; None: none was.
+        facts: What it is, as pairs of a term and a text.
+        notes: What a reader should know of how it was read.
         jumps: Velocities before and after it.
         replay: The run in 3D.
         plots: Figures over time.
     """
 
     title: str
-    info: TrialInfo
-    outcome: str
-    reason: str
-    impact: float | None
+    facts: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...]
     jumps: tuple[JumpRow, ...]
     replay: ReplayPart
     plots: tuple[Plot, ...]
@@ -89,15 +93,62 @@ def write_trial(bag: TrialBag, path: Path) -> Path:
         BagError: An arm's joint states are missing or damaged.
         InputError: The scenario in the bag cannot be read, or the page cannot be written.
     """
-    animation = animation_of_bag(bag)
+    animation, info = animation_of_bag(bag), bag.info
+    facts = (
+        (
+            "Scenario",
+            f"{info.scenario}, {info.object}, {info.case_name}; post-impact reference "
+            f"{number_text(info.velocity_scale)} times the prediction",
+        ),
+        ("Outcome", f"{bag.outcome}: {bag.reason}"),
+        ("Impact", "none was detected" if animation.impact is None else f"detected at {animation.impact:.3f} s"),
+    )
+    return _write(f"Trial {bag.path.name}", facts, (), animation, path)
+
+
+def write_laboratory_run(
+    item: LaboratoryRun, scenario: Scenario, path: Path, aligned: AlignedRun | None = None, model: str = ""
+) -> Path:
+    """Write the page of a run of a laboratory.
+
+    Args:
+        item: The run.
+        scenario: What stands in its scene.
+        path: The page; an earlier one is replaced.
+        aligned: The run beside its replay; None: the run alone, whole.
+        model: Name of the model of that replay.
+
+    Raises:
+        InputError: The page cannot be written.
+    """
+    animation = animation_of_laboratory(item, scenario) if aligned is None else animation_of_run(aligned, item.name)
+    what = f"{item.object} is hit" if item.hit else "free motion"
+    rate = 1.0 / float(np.median(np.diff(item.time)))
+    recorded = [f"joints at {rate:.0f} Hz for {number_text(float(item.time[-1]))} s"]
+    if item.hit:
+        seen = item.object_time.size
+        tracked = 1.0 / float(np.median(np.diff(item.object_time))) if seen > 1 else 0.0
+        recorded.append(f"object tracked at {tracked:.0f} Hz" if seen > 1 else "the object was not tracked")
+    facts = [("Run", f"{what}{f', {item.condition}' if item.condition else ''}; scenario {scenario.name}")]
+    facts.append(("Recorded", ", ".join(recorded)))
+    if item.hit:
+        begin = animation.impact
+        found = "none was found" if begin is None else f"found at {begin:.3f} s after the first sample"
+        facts.append(("Impact", found))
+    if aligned is not None:
+        facts.append(("Model", f"{model}, from the measured state at the begin of every window; the rest is left out"))
+    return _write(f"Run {item.name}", tuple(facts), item.remarks, animation, path)
+
+
+def _write(
+    title: str, facts: tuple[tuple[str, str], ...], notes: tuple[str, ...], animation: Animation, path: Path
+) -> Path:
     replay = ReplayPart.of([animation])
     assert replay is not None
     page = TrialPage(
-        title=f"Trial {bag.path.name}",
-        info=bag.info,
-        outcome=bag.outcome,
-        reason=bag.reason,
-        impact=animation.impact,
+        title=title,
+        facts=facts,
+        notes=notes,
         jumps=tuple(
             JumpRow(
                 "object" if jump.body == OBJECT else f"end effector of {jump.body}",
@@ -136,9 +187,11 @@ def trial_plots(animation: Animation) -> list[Plot]:
 def _over_time(
     animation: Animation, shown: NDArray[np.int64], values: Array, labels: list[str], unit: str
 ) -> go.Figure:
+    breaks = np.searchsorted(shown, animation.starts[1:])  # a line breaks where a stretch ends
+    time = np.insert(animation.time[shown], breaks, np.nan)
+    drawn = np.insert(values[shown].astype(float), breaks, np.nan, axis=0)
     curves = tuple(
-        Curve(label, animation.time[shown], values[shown, column], COLOURS[column % len(COLOURS)])
-        for column, label in enumerate(labels)
+        Curve(label, time, drawn[:, column], COLOURS[column % len(COLOURS)]) for column, label in enumerate(labels)
     )
     notes = () if animation.impact is None else (Note(animation.impact, "impact"),)
     figure = Figure("", "", "", TIME, (Panel(f"[{unit}]", curves),), notes)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``impact-rs show``: one trial in 3D."""
+"""``impact-rs show``: one run in 3D, or a graph while it runs."""
 
 from __future__ import annotations
 
@@ -7,13 +7,20 @@ import argparse
 import webbrowser
 from pathlib import Path
 
-from impact_rs_analysis.report.trial import write_trial
+from impact_rs_analysis.evidence.aligned import AlignedRun, align
+from impact_rs_analysis.report.trial import write_laboratory_run, write_trial
+from impact_rs_cli.arguments import add_jobs, started
+from impact_rs_cli.measurements import read_experiment
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import load_model
 from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.recordings.experiment import load_experiment
+from impact_rs_trials.recordings.laboratory import LaboratoryRun, read_one
+from impact_rs_trials.workers import Map
 
 TEXT = f"""\
-Show one trial in 3D: arms, object and support as measured, contact forces, velocities before and after the impact.
+Show one run in 3D: arms, object and support as measured, contact forces, velocities before and after the impact.
 
 Writes one HTML page that opens offline and on a phone, and opens it in the browser. A time slider moves the bodies and
 the plots of joint positions, joint velocities and end-effector velocity together; the impact is played a hundred times
@@ -23,35 +30,126 @@ example:
   {PROGRAM} show campaigns/push/cat_food__case_2__s1.000__r0
   {PROGRAM} show campaigns/push/cat_food__case_2__s1.000__r0 -o impact.html --no-browser
 
+A run of a laboratory, as compare reads it; with --model beside what the model does instead, window by window:
+  {PROGRAM} show lab --experiment lab/experiment.yaml --run run_03
+  {PROGRAM} show lab --experiment lab/experiment.yaml --run run_03 --model model_2.yaml
+
+The graph that runs now (up, a cell, nodes of your own), until Ctrl-C; serves this machine alone:
+  {PROGRAM} show --live
+  {PROGRAM} show --live --namespace cell_a --no-browser
+
 Units: s, m, m/s, N, joints in rad and rad/s (those that slide: m and m/s)."""
+
+LIVE_ALONE = ("namespace", "port")  # options that only --live has
+LABORATORY_ALONE = ("run_name", "model", "jobs", "scheduler")  # and those of --experiment
+OF_PAGES = ("path", "output", "experiment", *LABORATORY_ALONE)  # and what --live has nothing for
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
     declare(parser, run, TEXT)
-    parser.add_argument("bag", type=Path, metavar="BAG", help="folder of a trial")
     parser.add_argument(
-        "-o",
-        dest="output",
-        type=Path,
-        metavar="FILE.html",
-        help="the page; default: NAME_OF_THE_BAG.html beside the bag",
+        "path", type=Path, metavar="BAG", nargs="?",
+        help="folder of a trial; with --experiment the folder of the recordings; none with --live",
+    )  # fmt: skip
+    parser.add_argument(
+        "--experiment", type=Path, metavar="FILE.yaml",
+        help="BAG is a folder of a laboratory's runs: experiment file that says what they are (docs/laboratory.md)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--run", dest="run_name", metavar="NAME", help="with --experiment: which run, as its table calls it"
     )
-    parser.add_argument("--no-browser", action="store_true", help="write the page, and do not open it")
+    parser.add_argument(
+        "--model",
+        type=Path,
+        metavar="FILE",
+        help="with --experiment: model file, or nominal, to be seen beside the run",
+    )
+    parser.add_argument("--live", action="store_true", help="show the graph that runs now, until Ctrl-C")
+    parser.add_argument("--namespace", metavar="NAME", help="with --live: ROS namespace of the nodes; default: none")
+    parser.add_argument("--port", type=int, metavar="N", help="with --live: port to listen on; default: a free one")
+    parser.add_argument(
+        "-o", dest="output", type=Path, metavar="FILE.html",
+        help="the page; default: NAME_OF_THE_BAG.html beside the bag, DIR_RUN.html beside a folder of runs",
+    )  # fmt: skip
+    parser.add_argument("--no-browser", action="store_true", help="do not open the page, only write or serve it")
+    add_jobs(parser)
     add_json(parser)
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    path = args.output or args.bag.absolute().parent / f"{args.bag.absolute().name}.html"
-    if path.is_dir():
-        raise InputError("this is a folder, expected a file for the page", file=path)
-    try:
-        page = write_trial(TrialBag.open(args.bag), path).resolve()
-    except BagError as error:
-        raise InputError(error.reason, file=args.bag) from None
+    if args.live:
+        _none_of(args, OF_PAGES, "--live shows the graph that runs now")
+        if args.json:
+            raise InputError("--live serves a page until Ctrl-C, which has no document; leave --json out")
+        from impact_rs_cli.live import show_live  # ROS 2 and a web server, which a page in a file does without
+
+        return show_live(args.namespace or "", args.port or 0, not args.no_browser, terminal)
+    _none_of(args, LIVE_ALONE, "without --live a page is written into a file")
+    if args.path is None:
+        raise InputError("nothing to show; expected BAG, the folder of a trial, or --live")
+    if args.experiment is None:
+        _none_of(args, LABORATORY_ALONE, "BAG without --experiment is a trial of our own")
+        page = _trial_page(args)
+    else:
+        page = _laboratory_page(args, terminal)
     terminal.result({"page": str(page)})
     terminal.say(f"page: {page}")
     if not args.no_browser and not webbrowser.open(page.as_uri()):
         terminal.warn("no browser was found; open the page by hand")
     return 0
+
+
+def _none_of(args: argparse.Namespace, names: tuple[str, ...], why: str) -> None:
+    """Check that options are not given that mean nothing here.
+
+    Raises:
+        InputError: One is.
+    """
+    spelled = {"path": "BAG", "output": "-o", "run_name": "--run"}
+    given = [spelled.get(name, f"--{name}") for name in names if getattr(args, name) is not None]
+    if given:
+        raise InputError(f"{why}; leave {', '.join(given)} out")
+
+
+def _output(args: argparse.Namespace, name: str) -> Path:
+    path: Path = args.output or args.path.absolute().parent / name
+    if path.is_dir():
+        raise InputError("this is a folder, expected a file for the page", file=path)
+    return path
+
+
+def _trial_page(args: argparse.Namespace) -> Path:
+    path = _output(args, f"{args.path.absolute().name}.html")
+    try:
+        return write_trial(TrialBag.open(args.path), path).resolve()
+    except BagError as error:
+        raise InputError(error.reason, file=args.path) from None
+
+
+def _laboratory_page(args: argparse.Namespace, terminal: Terminal) -> Path:
+    if args.run_name is None:
+        raise InputError("--experiment names a folder of runs, of which one is shown; name it with --run")
+    directory = args.path.absolute()
+    experiment = load_experiment(args.experiment)
+    with started(args) as map_tasks:
+        item = read_one(directory, experiment, args.run_name, map_tasks)
+        path = _output(args, f"{directory.name}_{item.name}.html")
+        aligned = None if args.model is None else _beside_model(args, item, map_tasks, terminal)
+    if item.hit and item.object_time.size < 2:
+        terminal.warn(f"{item.name}: the pose of {item.object} was not recorded, so it is not shown")
+    model = "" if args.model is None else str(args.model)
+    page = write_laboratory_run(item, experiment.load_scenario(), path, aligned, model).resolve()
+    return page
+
+
+def _beside_model(args: argparse.Namespace, item: LaboratoryRun, map_tasks: Map, terminal: Terminal) -> AlignedRun:
+    """The run beside its replay; all runs are read, for their clocks are found together, as compare does it."""
+    model = load_model(args.model)
+    runs = read_experiment(args.path, args.experiment, map_tasks, terminal)
+    found = next((own for own in runs.runs if own.path == item.path), None)
+    if found is None:
+        reason = dict(runs.skipped).get(str(item.path), "it was left out")
+        raise InputError(f"cannot be held against a model: {reason}", file=item.path)
+    return align(found, model)

@@ -38,8 +38,6 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     if args.directory.exists() and not args.directory.is_dir():
         raise InputError("a file where the folder of the workbench is expected", file=args.directory)
-    if not 0 <= args.port <= 65535:
-        raise InputError(f"port {args.port}: expected 0 (a free one) to 65535")
 
     def tell(address: str) -> None:
         terminal.say(f"workbench of {args.directory}: {address}", "Ctrl-C ends it; jobs that run are stopped with it")

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import csv
 import functools
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -33,6 +34,7 @@ KINDS = (HIT, FREE_MOTION)
 NO_OBJECT = "none"
 COLUMNS = ("bag", "object", "kind")
 YAML = (".yaml", ".yml")
+MOST_TOLD = 20  # names of runs in an error
 
 Result = TypeVar("Result")
 
@@ -188,6 +190,33 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario) -> li
         condition = "/".join(cells[name] for name in further)
         runs.append(RunRow(recording, name if hit else None, hit, condition))
     return runs
+
+
+def run_named(table: Sequence[RunRow], directory: Path, name: str) -> RunRow:
+    """The run of a name: that of its recording, or its path in the folder where several are called alike.
+
+    Args:
+        table: All runs.
+        directory: Folder of the recordings.
+        name: What is looked for; the ending of a file may be left out.
+
+    Raises:
+        InputError: There is none of this name, or there are several.
+    """
+    paths = {run.path: Path(os.path.relpath(run.path, directory)) for run in table}
+    known = {
+        run.path: {run.name, run.path.name, str(paths[run.path]), str(paths[run.path].with_suffix(""))} for run in table
+    }
+    found = [run for run in table if name in known[run.path]]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        several = ", ".join(str(paths[run.path]) for run in found)
+        raise InputError(f"several runs are called that: {several}; name one by its path", key="run", value=name)
+    names = [run.name for run in table]
+    near = did_you_mean(name, names)
+    told = f"{', '.join(names[:MOST_TOLD])}{' ...' if len(names) > MOST_TOLD else ''}"
+    raise InputError(f"the table of runs names no such run{near or f'; expected one of {told}'}", key="run", value=name)
 
 
 def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:

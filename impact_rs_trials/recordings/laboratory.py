@@ -35,7 +35,7 @@ from impact_rs_trials.recordings.clock import (
     tell_gaps,
 )
 from impact_rs_trials.recordings.contact_frame import ContactFrame, PadOnFace, contact_frame
-from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, RunRow, read_runs
+from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, RunRow, read_runs, run_named
 from impact_rs_trials.recordings.mapping import REQUIRED, Mapping, SignalName
 from impact_rs_trials.recordings.plausibility import (
     REST,
@@ -216,9 +216,7 @@ def read_laboratory(
     table = read_runs(directory, experiment, laboratory.scenario)
     read: list[LaboratoryRun] = []
     skipped: list[tuple[str, str]] = []
-    if laboratory.motion_capture.estimate:
-        hits = [(laboratory, run) for run in table if run.hit]
-        laboratory = laboratory.placed_by([touch for touch in map_tasks(touch_of, hits) if touch is not None])
+    laboratory = _placed(laboratory, table, map_tasks)
     tasks = [(laboratory, run) for run in table]
     for run, result in zip(table, map_tasks(_try_to_read, tasks), strict=True):
         if isinstance(result, LaboratoryRun):
@@ -230,6 +228,32 @@ def read_laboratory(
     if not read:
         raise InputError(f"no run can be used; {Path(skipped[0][0]).name}: {skipped[0][1]}", file=directory)
     return read, skipped
+
+
+def read_one(directory: Path, experiment: Experiment, name: str, map_tasks: Map) -> LaboratoryRun:
+    """One run of an experiment; of the others nothing is read but what places the motion capture.
+
+    Args:
+        directory: Folder of the recordings.
+        experiment: Says what they are.
+        name: Name of the run (:func:`~impact_rs_trials.recordings.experiment.run_named`).
+        map_tasks: Who reads them.
+
+    Raises:
+        InputError: There is no such run, or something is wrong with the experiment, its table, or the recording.
+    """
+    laboratory = Laboratory.of(experiment)
+    table = read_runs(directory, experiment, laboratory.scenario)
+    row = run_named(table, directory, name)
+    return read_run(_placed(laboratory, table, map_tasks), row)
+
+
+def _placed(laboratory: Laboratory, table: Sequence[RunRow], map_tasks: Map) -> Laboratory:
+    """With the world of the motion capture where hits say it is, where nobody has measured it."""
+    if not laboratory.motion_capture.estimate:
+        return laboratory
+    hits = [(laboratory, run) for run in table if run.hit]
+    return laboratory.placed_by([touch for touch in map_tasks(touch_of, hits) if touch is not None])
 
 
 def _try_to_read(task: tuple[Laboratory, RunRow]) -> LaboratoryRun | InputError:

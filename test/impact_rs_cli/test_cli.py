@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 import impact_rs_cli.commands
 from impact_rs_cli.main import COMMANDS, PACKAGES, main, parser
@@ -113,6 +114,15 @@ def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Pat
         (["campaign", "push", "-o", "{}/file/out"], "cannot be written"),
         (["analyze", "{}"], "holds no trials"),
         (["show", "{}", "--no-browser"], "no metadata.yaml"),
+        (["show"], "expected BAG, the folder of a trial, or --live"),
+        (["show", "{}", "--live"], "leave BAG out"),
+        (["show", "--live", "-o", "{}/new/page.html"], "leave -o out"),
+        (["show", "--live", "--json"], "leave --json out"),
+        (["show", "--live", "--namespace", "cell a"], "namespace = 'cell a'"),
+        (["show", "--live", "--port", "70000"], "port 70000: expected 0 (a free one) to 65535"),
+        (["show", "{}", "--namespace", "cell_a"], "leave --namespace out"),
+        (["show", "{}", "--run", "run_1"], "leave --run out"),
+        (["show", "{}", "--experiment", "{}/file"], "name it with --run"),
         (["show", "{}/nothing", "-o", "{}/new/page.html", "--no-browser"], "a bare file; a trial is a folder"),
     ],
 )
@@ -262,6 +272,59 @@ def test_show_opens_the_page_that_it_wrote_beside_the_bag(
     assert json.loads(capfd.readouterr().out) == {"page": str(tmp_path / "other.html")}
     assert len(seen) == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([bag.name, page.name, "other.html"])
+
+
+@pytest.fixture
+def laboratory(push_campaign: Path, tmp_path: Path) -> Path:
+    """Two runs of a laboratory, as our own bags."""
+    folder = tmp_path / "lab"
+    folder.mkdir()
+    for number, scale in enumerate(("0.800", "1.000"), start=1):
+        shutil.copytree(push_campaign / f"cat_food__case_2__s{scale}__r0", folder / f"run_{number}")
+    (folder / "runs.csv").write_text("bag,object,kind\nrun_1,cat_food,hit\nrun_2,cat_food,hit\n")
+    (folder / "experiment.yaml").write_text("scenario: push\nmapping: impact_rs\n")
+    return folder
+
+
+def show_run(laboratory: Path, *further: str) -> int:
+    command = ["show", str(laboratory), "--experiment", str(laboratory / "experiment.yaml"), "--no-browser", *further]
+    return main([*command, "--jobs", "1"])
+
+
+def test_show_writes_a_run_of_a_laboratory_beside_its_folder(laboratory: Path, capfd: pytest.CaptureFixture) -> None:
+    assert show_run(laboratory, "--run", "run_1") == 0
+    out, err = capfd.readouterr()
+    page = laboratory.parent / "lab_run_1.html"
+    assert (out, err) == (f"page: {page}\n", "")
+    text = page.read_text()
+    assert "cat_food is hit; scenario push" in text
+    assert "object tracked at " in text
+    assert "found at 0.90" in text
+    assert '"model":null' in text.replace(" ", "")
+
+
+def test_show_writes_a_run_of_a_laboratory_beside_what_a_model_does(laboratory: Path) -> None:
+    assert show_run(laboratory, "--run", "run_2", "--model", "nominal") == 0
+    text = (laboratory.parent / "lab_run_2.html").read_text()
+    assert "nominal, from the measured state at the begin of every window" in text
+    assert '"model":null' not in text.replace(" ", "")
+
+
+def test_show_tells_that_nobody_tracked_the_object(laboratory: Path, capfd: pytest.CaptureFixture) -> None:
+    mapping = yaml.safe_load((config_directory() / "mappings" / "impact_rs.yaml").read_text())
+    del mapping["signals"]["object_pose"]
+    (laboratory / "mapping.yaml").write_text(yaml.safe_dump(mapping))
+    (laboratory / "experiment.yaml").write_text("scenario: push\nmapping: mapping.yaml\n")
+    assert show_run(laboratory, "--run", "run_1") == 0
+    assert capfd.readouterr().err == "run_1: the pose of cat_food was not recorded, so it is not shown\n"
+    assert "the object was not tracked" in (laboratory.parent / "lab_run_1.html").read_text()
+
+
+def test_show_of_a_run_that_there_is_not_says_what_was_meant(laboratory: Path, capfd: pytest.CaptureFixture) -> None:
+    assert show_run(laboratory, "--run", "rnu_1") == 2
+    err = capfd.readouterr().err
+    assert err == "impact-rs: run = 'rnu_1': the table of runs names no such run; did you mean 'run_1'?\n"
+    assert sorted(path.name for path in laboratory.parent.iterdir()) == ["lab"]
 
 
 def test_show_says_where_the_page_is_where_there_is_no_browser(

@@ -42,7 +42,7 @@ def test_nobody_without_the_key_is_told_anything(stranger: TestClient, path: str
 
 def test_another_name_for_this_machine_is_refused_with_the_key(client: TestClient) -> None:
     answer = client.get("/api/workspace", headers={"host": f"attacker.example:{PORT}"})
-    assert (answer.status_code, answer.text) == (403, "This workbench answers on its own machine only.")
+    assert (answer.status_code, answer.text) == (403, "impact-rs workbench answers on its own machine only.")
 
 
 @pytest.mark.parametrize("origin", ["http://attacker.example", "null", f"http://127.0.0.1:{PORT + 1}", ""])

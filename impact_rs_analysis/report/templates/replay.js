@@ -5,15 +5,23 @@
 //   replay.show(number);   replay.seek(time);   replay.play();   replay.pause();
 //
 // One call moves everything: seek(time) places joints and object between the two nearest samples, and tells onSeek.
+//
+//   const live = new ImpactLive(element);
+//   live.show(scene);   live.update({time, joints, object, forces});   // scene: report/scene.py
+//
+// shows the newest state of something that runs, and nothing before or after it.
 // Lengths are in m, times in s, z is up. Needs THREE, of three.min.js.
 'use strict';
 
-const ImpactReplay = (function () {
+const {ImpactReplay, ImpactLive} = (function () {
   const GHOST = '#0072B2', FORCE = '#D55E00', BEFORE = '#E69F00', AFTER = '#009E73', OBJECT = '#C2995F';
   const LONGEST_ARROW = 0.25, SHORTEST_ARROW = 0.01;
   const SLOW_MOTION = 100;
   const MARGIN = 0.9;
   const STEP = 0.001, BIG_STEP = 0.01;
+  const FULL = [20, 50, 100, 200, 500, 1000, 2000, 5000];  // N, what the longest arrow can stand for in a live picture
+  const EMPTY = [[-0.5, -0.5, 0], [0.5, 0.5, 0.5]];  // m, what is looked at where nothing stands
+  const ROOM = 0.1;  // m about what has moved so far
   const ABOVE = {before: 0.09, after: 0.06, model: 0.03};  // arrows of one direction would hide each other
 
   function floats(text) {
@@ -75,10 +83,13 @@ const ImpactReplay = (function () {
         const frame = placed(new THREE.Group(), joint);
         this.links[joint.parent].add(frame);
         frame.add(this.links[joint.child]);
-        if (joint.column !== undefined) this.joints[joint.column] = {type: joint.type, link: this.links[joint.child]};
+        if (joint.column === undefined) return;
+        const axis = new THREE.Vector3(...(joint.axis || [0, 0, 1]));
+        this.joints[joint.column] = {type: joint.type, axis, link: this.links[joint.child]};
       });
-      this.object = new THREE.Mesh(new THREE.BoxGeometry(...scene.object), this.material(new THREE.Color(OBJECT)));
-      this.root.add(this.links.world, this.object);
+      const size = scene.object || [0, 0, 0];  // nobody knows of an object
+      this.object = new THREE.Mesh(new THREE.BoxGeometry(...size), this.material(new THREE.Color(OBJECT)));
+      this.root.add(this.links[scene.root], this.object);
     }
 
     // A ghost is pushed back a little, so that it is seen only where it leaves the measured body.
@@ -91,8 +102,8 @@ const ImpactReplay = (function () {
 
     place(joints, pose) {
       this.joints.forEach((joint, column) => {
-        if (joint.type === 'prismatic') joint.link.position.z = joints[column];
-        else joint.link.quaternion.set(0, 0, Math.sin(joints[column] / 2), Math.cos(joints[column] / 2));
+        if (joint.type === 'prismatic') joint.link.position.copy(joint.axis).multiplyScalar(joints[column]);
+        else joint.link.quaternion.setFromAxisAngle(joint.axis, joints[column]);
       });
       this.object.visible = pose !== null && Number.isFinite(pose[0]);
       if (this.object.visible) {
@@ -134,6 +145,105 @@ const ImpactReplay = (function () {
     }
   }
 
+  // A picture of a scene that a reader can turn.
+  class Stage {
+    constructor(parent) {
+      this.parent = parent;
+      this.canvas = element('canvas', {tabindex: '0', role: 'img'});
+      this.legend = element('ul', {class: 'plain replay-legend'});
+      this.readout = element('p', {class: 'note replay-time'});
+    }
+
+    // Begin to draw on the canvas, which stands in the page.
+    open() {
+      try {
+        this.renderer = new THREE.WebGLRenderer({canvas: this.canvas, antialias: true});
+      } catch {
+        this.canvas.replaceWith(element('p', {class: 'note'},
+          'This browser draws nothing in 3D: it has no WebGL. Time and figures move all the same.'));
+        return;
+      }
+      this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
+      this.camera = new THREE.PerspectiveCamera(35, 1, 0.05, 50);
+      this.camera.up.set(0, 0, 1);
+      this.controls = new THREE.OrbitControls(this.camera, this.canvas);
+      this.controls.addEventListener('change', () => this.draw());
+      this.controls.addEventListener('start', () => { this.turned = true; });
+      // A page is scrolled across the picture, with a wheel or a finger, until the picture is asked for.
+      this.canvas.style.touchAction = 'pan-y';
+      this.controls.enableZoom = false;
+      this.canvas.addEventListener('pointerdown', () => this.canvas.focus({preventScroll: true}));
+      this.canvas.addEventListener('focus', () => { this.controls.enableZoom = true; });
+      this.canvas.addEventListener('blur', () => { this.controls.enableZoom = false; });
+      this.canvas.addEventListener('dblclick', () => this.fit());
+      new ResizeObserver(() => this.resize()).observe(this.canvas);
+    }
+
+    // An empty scene, with light and a grid on the floor; what stood there is given up.
+    clear(...roots) {
+      if (this.scene) {
+        this.scene.traverse((thing) => [thing.geometry, thing.material].forEach((part) => part && part.dispose()));
+      }
+      this.scene = new THREE.Scene();
+      this.scene.background = new THREE.Color('#F4F6F8');
+      const sun = new THREE.DirectionalLight('#FFFFFF', 1.8);
+      sun.position.set(1, -2, 4);
+      const grid = new THREE.GridHelper(3, 12, '#C9CFD6', '#DFE3E8').rotateX(Math.PI / 2);
+      this.scene.add(new THREE.HemisphereLight('#FFFFFF', '#8A929C', 1.8), sun, grid, ...roots);
+    }
+
+    explain(entries) {
+      this.legend.replaceChildren(...entries.map(([colour, text]) => {
+        const swatch = element('span', {class: 'swatch', 'aria-hidden': 'true'});
+        swatch.style.background = colour;
+        return element('li', {}, swatch, text);
+      }));
+    }
+
+    // Look at what lies within bounds, from the side of a motion along some direction, away from the bases of the arms.
+    frame(bounds, bodies, arms, along) {
+      const centre = bounds.getCenter(new THREE.Vector3()), base = new THREE.Vector3();
+      arms.forEach((arm) => base.add(bodies.links[`${arm}_base`].getWorldPosition(new THREE.Vector3())));
+      base.divideScalar(arms.length || 1);
+      along.setZ(0);
+      if (along.length() < 1e-6) along.set(0, 1, 0);
+      along.normalize();
+      const aside = new THREE.Vector3(along.y, -along.x, 0);
+      if (aside.dot(centre.clone().sub(base)) < 0) aside.negate();
+      const direction = aside.addScaledVector(along, 0.35).add(new THREE.Vector3(0, 0, 0.45)).normalize();
+      this.controls.target.copy(centre);
+      this.camera.position.copy(centre).addScaledVector(direction, this.distance(bounds, centre, direction));
+      this.controls.update();
+      this.turned = false;
+    }
+
+    // How far away, in a direction, everything within the bounds is in the picture.
+    distance(bounds, centre, direction) {
+      const right = new THREE.Vector3(0, 0, 1).cross(direction).normalize(), up = direction.clone().cross(right);
+      const upright = Math.tan(THREE.MathUtils.degToRad(this.camera.fov) / 2), across = upright * this.camera.aspect;
+      const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((bits) => new THREE.Vector3(
+        bits & 1 ? bounds.max.x : bounds.min.x, bits & 2 ? bounds.max.y : bounds.min.y,
+        bits & 4 ? bounds.max.z : bounds.min.z).sub(centre));
+      return MARGIN * Math.max(...corners.map((corner) => corner.dot(direction)
+        + Math.max(Math.abs(corner.dot(up)) / upright, Math.abs(corner.dot(right)) / across)));
+    }
+
+    resize() {
+      const {clientWidth: width, clientHeight: height} = this.canvas;
+      if (!width || !height) return;
+      const first = !this.sized;
+      this.sized = true;
+      this.renderer.setSize(width, height, false);
+      this.camera.aspect = width / height;
+      this.camera.updateProjectionMatrix();
+      if (first) this.fit(); else this.draw();
+    }
+
+    draw() {
+      if (this.renderer && this.scene) this.renderer.render(this.scene, this.camera);
+    }
+  }
+
   // Samples of one side, as numbers.
   function unpacked(side) {
     return side && {
@@ -144,17 +254,16 @@ const ImpactReplay = (function () {
     };
   }
 
-  class Replay {
+  class Replay extends Stage {
     constructor(parent, data, options = {}) {
+      super(parent);
       this.data = data;
       this.onSeek = options.onSeek || (() => {});
-      this.parent = parent;
       this.build();
       this.show(options.run || 0);
     }
 
     build() {
-      this.canvas = element('canvas', {tabindex: '0', role: 'img'});
       this.button = element('button', {type: 'button'}, 'Play');
       this.toImpact = element('button', {type: 'button', title: 'to the impact (I)'}, 'Impact');
       this.slider = element('input', {type: 'range', min: '0', max: '1', step: 'any', 'aria-label': 'time'});
@@ -162,8 +271,6 @@ const ImpactReplay = (function () {
                                     ['10', '1 : 10'], ['100', '1 : 100']]);
       this.larger = select('size of what the model does differently',
                            [['1', 'model true to size'], ['10', 'differences × 10'], ['100', 'differences × 100']]);
-      this.readout = element('p', {class: 'note replay-time'});
-      this.legend = element('ul', {class: 'plain replay-legend'});
       const controls = element('div', {class: 'replay-controls'}, this.button, this.toImpact, this.slider);
       const choices = element('div', {}, this.speed, this.larger);
       this.parent.append(this.canvas, controls, choices, this.readout, this.legend);
@@ -178,26 +285,7 @@ const ImpactReplay = (function () {
       this.speed.addEventListener('change', () => { this.cut(); this.seek(this.time); });
       this.larger.addEventListener('change', () => this.seek(this.time));
       this.parent.addEventListener('keydown', (event) => this.key(event));
-      try {
-        this.renderer = new THREE.WebGLRenderer({canvas: this.canvas, antialias: true});
-      } catch {
-        this.canvas.replaceWith(element('p', {class: 'note'},
-          'This browser draws nothing in 3D: it has no WebGL. Time and figures move all the same.'));
-        return;
-      }
-      this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
-      this.camera = new THREE.PerspectiveCamera(35, 1, 0.05, 50);
-      this.camera.up.set(0, 0, 1);
-      this.controls = new THREE.OrbitControls(this.camera, this.canvas);
-      this.controls.addEventListener('change', () => this.draw());
-      // A page is scrolled across the picture, with a wheel or a finger, until the picture is asked for.
-      this.canvas.style.touchAction = 'pan-y';
-      this.controls.enableZoom = false;
-      this.canvas.addEventListener('pointerdown', () => this.canvas.focus({preventScroll: true}));
-      this.canvas.addEventListener('focus', () => { this.controls.enableZoom = true; });
-      this.canvas.addEventListener('blur', () => { this.controls.enableZoom = false; });
-      this.canvas.addEventListener('dblclick', () => this.fit());
-      new ResizeObserver(() => this.resize()).observe(this.canvas);
+      this.open();
     }
 
     // Show a run, at its impact.
@@ -224,15 +312,7 @@ const ImpactReplay = (function () {
 
     // Everything that stands in the scene of a run.
     furnish() {
-      if (this.scene) {
-        this.scene.traverse((thing) => [thing.geometry, thing.material].forEach((part) => part && part.dispose()));
-      }
-      this.scene = new THREE.Scene();
-      this.scene.background = new THREE.Color('#F4F6F8');
-      const sun = new THREE.DirectionalLight('#FFFFFF', 1.8);
-      sun.position.set(1, -2, 4);
-      const grid = new THREE.GridHelper(3, 12, '#C9CFD6', '#DFE3E8').rotateX(Math.PI / 2);
-      this.scene.add(new THREE.HemisphereLight('#FFFFFF', '#8A929C', 1.8), sun, grid, this.measured.root);
+      this.clear(this.measured.root);
       if (this.model) this.scene.add(this.model.root);
       const sides = [this.run.measured, this.run.model].filter(Boolean);
       const lengths = (values) => Math.max(1e-9, ...values.map((value) => Math.hypot(...value)));
@@ -259,14 +339,14 @@ const ImpactReplay = (function () {
       });
       this.forces.flat().forEach((arrow) => this.scene.add(arrow.root));
       this.scene.add(this.velocities);
-      this.explain(forces.length > 0, speeds.length > 0);
+      this.explain(this.entries(forces.length > 0, speeds.length > 0));
     }
 
     triples(values) {
       return Array.from({length: values.length / 3}, (_, row) => values.subarray(3 * row, 3 * row + 3));
     }
 
-    explain(forces, velocities) {
+    entries(forces, velocities) {
       const entries = [['#8A929C', 'measured']];
       const long = (scale, unit) => ` (${(100 * LONGEST_ARROW).toFixed(0)} cm: ${(LONGEST_ARROW / scale).toPrecision(3)} ${unit})`;
       if (this.model) entries.push([GHOST, 'model']);
@@ -275,11 +355,7 @@ const ImpactReplay = (function () {
         entries.push([BEFORE, `velocity before the impact${long(this.metrePerSecond, 'm/s')}`]);
         entries.push([AFTER, 'velocity after it']);
       }
-      this.legend.replaceChildren(...entries.map(([colour, text]) => {
-        const swatch = element('span', {class: 'swatch', 'aria-hidden': 'true'});
-        swatch.style.background = colour;
-        return element('li', {}, swatch, text);
-      }));
+      return entries;
     }
 
     // Playing time over time of the run: stretches follow each other, and the impact is stretched.
@@ -420,7 +496,7 @@ const ImpactReplay = (function () {
     // Look at all that moves, from the side of its motion.
     fit() {
       if (!this.renderer) return;
-      const bounds = new THREE.Box3(), centre = new THREE.Vector3(), base = new THREE.Vector3();
+      const bounds = new THREE.Box3();
       const {time, measured} = this.run;
       for (let row = 0; row < time.length; row += Math.ceil(time.length / 24)) {
         const pose = measured.object && this.values(measured.object, 7, [row, 0]);
@@ -432,47 +508,82 @@ const ImpactReplay = (function () {
         });
         if (this.measured.object.visible) bounds.expandByObject(this.measured.object, true);
       }
-      bounds.getCenter(centre);
-      this.arms.forEach((arm) => base.add(this.measured.links[`${arm}_base`].getWorldPosition(new THREE.Vector3())));
-      base.divideScalar(this.arms.length);
-      const along = new THREE.Vector3(...(measured.jumps.length ? measured.jumps[0].before : [0, 1, 0])).setZ(0);
-      if (along.length() < 1e-6) along.set(0, 1, 0);
-      along.normalize();
-      const aside = new THREE.Vector3(along.y, -along.x, 0);
-      if (aside.dot(centre.clone().sub(base)) < 0) aside.negate();
-      const direction = aside.addScaledVector(along, 0.35).add(new THREE.Vector3(0, 0, 0.45)).normalize();
-      this.controls.target.copy(centre);
-      this.camera.position.copy(centre).addScaledVector(direction, this.distance(bounds, centre, direction));
-      this.controls.update();
+      const along = new THREE.Vector3(...(measured.jumps.length ? measured.jumps[0].before : [0, 1, 0]));
+      this.frame(bounds, this.measured, this.arms, along);
       if (this.time !== undefined) this.seek(this.time);
-    }
-
-    // How far away, in a direction, everything within the bounds is in the picture.
-    distance(bounds, centre, direction) {
-      const right = new THREE.Vector3(0, 0, 1).cross(direction).normalize(), up = direction.clone().cross(right);
-      const upright = Math.tan(THREE.MathUtils.degToRad(this.camera.fov) / 2), across = upright * this.camera.aspect;
-      const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((bits) => new THREE.Vector3(
-        bits & 1 ? bounds.max.x : bounds.min.x, bits & 2 ? bounds.max.y : bounds.min.y,
-        bits & 4 ? bounds.max.z : bounds.min.z).sub(centre));
-      return MARGIN * Math.max(...corners.map((corner) => corner.dot(direction)
-        + Math.max(Math.abs(corner.dot(up)) / upright, Math.abs(corner.dot(right)) / across)));
-    }
-
-    resize() {
-      const {clientWidth: width, clientHeight: height} = this.canvas;
-      if (!width || !height) return;
-      const first = !this.sized;
-      this.sized = true;
-      this.renderer.setSize(width, height, false);
-      this.camera.aspect = width / height;
-      this.camera.updateProjectionMatrix();
-      if (first) this.fit(); else this.draw();
-    }
-
-    draw() {
-      if (this.renderer && this.scene) this.renderer.render(this.scene, this.camera);
     }
   }
 
-  return Replay;
+  // A graph as it runs.
+  class Live extends Stage {
+    constructor(parent) {
+      super(parent);
+      this.show(null);
+      parent.append(this.canvas, this.readout, this.legend);
+      this.open();
+    }
+
+    // What stands there; null: nobody has said.
+    show(scene) {
+      this.arms = scene ? scene.arms : [];
+      this.measured = scene && new Bodies(scene, false);
+      this.forces = this.arms.map(() => new Arrow(FORCE, 0.007));
+      this.state = null;
+      this.most = FULL[0];
+      this.seen = new THREE.Box3();
+      this.shown = null;  // what the camera was placed for
+      this.clear(...(scene ? [this.measured.root] : []), ...this.forces.map((arrow) => arrow.root));
+      if (scene) this.measured.root.visible = false;  // until somebody tells where its joints are
+      this.forces.forEach((arrow) => arrow.set(new THREE.Vector3(), new THREE.Vector3()));
+      const what = this.arms.join(' and ') || 'a robot';
+      this.canvas.setAttribute('aria-label', scene ? `${what} in 3D, live` : 'an empty scene');
+      this.explain([]);
+      this.readout.textContent = '';
+      if (scene) this.draw();
+      else this.fit();
+    }
+
+    // The newest state: joints of all arms side by side [rad], pose of the object or null, forces by arm [N] or null.
+    update(state) {
+      this.state = state;
+      this.measured.root.visible = true;
+      this.measured.place(state.joints, state.object);
+      const hands = this.measured.positions(), known = state.forces !== null;
+      const newtons = known ? state.forces.map((force) => Math.hypot(...force)) : [];
+      this.most = FULL.find((most) => most >= Math.max(this.most, ...newtons)) || FULL[FULL.length - 1];
+      this.forces.forEach((arrow, place) => {
+        const force = new THREE.Vector3(...(known ? state.forces[place] : [0, 0, 0]));
+        arrow.set(new THREE.Vector3(...hands[`${this.arms[place]}_end_effector`]),
+                  force.multiplyScalar(LONGEST_ARROW / this.most));
+      });
+      const words = state.time === null ? [] : [`${state.time.toFixed(3)} s`];
+      newtons.forEach((value, place) =>
+        words.push(`force${this.arms.length > 1 ? ` of ${this.arms[place]}` : ''} ${value.toFixed(0)} N`));
+      this.readout.textContent = words.join(' · ');
+      const long = ` (${(100 * LONGEST_ARROW).toFixed(0)} cm: ${this.most} N)`;
+      this.explain([['#8A929C', 'as told now'], ...(known ? [[FORCE, `force on the object${long}`]] : [])]);
+      this.look(hands);
+      this.draw();
+    }
+
+    // Keep all that has moved in the picture, until a reader turns it.
+    look(hands) {
+      Object.entries(hands).forEach(([name, place]) => {
+        if (name !== 'support' && name !== 'world') this.seen.expandByPoint(new THREE.Vector3(...place));
+      });
+      if (this.measured.object.visible) this.seen.expandByObject(this.measured.object);
+      if (this.shown && (this.turned || this.shown.containsBox(this.seen))) return;
+      this.fit();
+    }
+
+    fit() {
+      if (!this.renderer) return;
+      const empty = new THREE.Box3(...EMPTY.map((corner) => new THREE.Vector3(...corner)));
+      if (this.state) this.shown = this.seen.clone().expandByScalar(ROOM);
+      this.frame(this.shown || empty, this.measured, this.state ? this.arms : [], new THREE.Vector3(0, 1, 0));
+      this.draw();
+    }
+  }
+
+  return {ImpactReplay: Replay, ImpactLive: Live};
 })();

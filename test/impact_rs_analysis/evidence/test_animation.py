@@ -4,13 +4,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from impact_rs_analysis.evidence.aligned import align
-from impact_rs_analysis.evidence.animation import OBJECT, Animation, animation_of_bag, animation_of_run
+from impact_rs_analysis.evidence.animation import (
+    OBJECT,
+    Animation,
+    animation_of_bag,
+    animation_of_laboratory,
+    animation_of_run,
+)
 from impact_rs_analysis.evidence.impacts import observe
 from impact_rs_analysis.evidence.measured import MeasuredRun
 from impact_rs_analysis.evidence.run import Run
@@ -18,6 +25,8 @@ from impact_rs_sim.model import load_model
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.types import typestore
+from impact_rs_trials.recordings.clock import Gap
+from impact_rs_trials.recordings.laboratory import LaboratoryRun
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +43,54 @@ def animation(bag: TrialBag) -> Animation:
 def replayed(hit: Run) -> Animation:
     """A push without noise beside the model that made it."""
     return animation_of_run(align(MeasuredRun.of(hit), load_model("nominal")), "a push")
+
+
+@pytest.fixture(scope="module")
+def laboratory_run(bag: TrialBag) -> LaboratoryRun:
+    """The same push, as a laboratory would have recorded it."""
+    joints, seen = bag.joints(topics.joint_states("arm")), bag.poses(topics.OBJECT_POSE)
+    none = np.zeros((0, 7))
+    return LaboratoryRun(
+        path=bag.path, name="run_1", object=bag.info.object, hit=True, condition="",
+        time=joints.time, position=joints.position, velocity=joints.velocity, torque=joints.effort,
+        motor_position=none, motor_velocity=none, command_time=np.zeros(0), command=none,
+        object_time=seen.time, object_position=seen.position, object_quaternion=seen.quaternion,
+        wrench_time=np.zeros(0), wrench=np.zeros((0, 6)), gaps=(), remarks=(),
+    )  # fmt: skip
+
+
+def test_a_run_of_a_laboratory_is_seen_as_our_own_trial_with_its_impact_from_joint_signals(
+    bag: TrialBag, animation: Animation, laboratory_run: LaboratoryRun
+) -> None:
+    seen = animation_of_laboratory(laboratory_run, bag.info.spec.scenario)
+    for name in ("joints", "rates", "forces", "velocities"):
+        np.testing.assert_allclose(getattr(seen.measured, name)["arm"], getattr(animation.measured, name)["arm"])
+    np.testing.assert_allclose(seen.measured.object, animation.measured.object)
+    assert (seen.label, seen.starts, seen.model) == ("run_1", (0,), None)
+    assert seen.impact == pytest.approx(animation.impact, abs=0.003)
+    assert [jump.body for jump in seen.measured.jumps] == ["arm", OBJECT]
+
+
+def test_nothing_is_seen_in_the_gaps_of_a_run(bag: TrialBag, laboratory_run: LaboratoryRun) -> None:
+    torn = replace(laboratory_run, gaps=(Gap(0.2, 0.1), Gap(1.5, 0.05)))
+    seen = animation_of_laboratory(torn, bag.info.spec.scenario)
+    assert not np.any((seen.time > 0.2005) & (seen.time < 0.2995))
+    assert seen.time[list(seen.starts)] == pytest.approx([0.0, 0.3, 1.55])
+    assert seen.measured.joints["arm"].shape[0] == seen.measured.forces["arm"].shape[0] == seen.time.size
+
+
+def test_a_run_that_hits_nothing_or_whose_object_nobody_tracked_is_seen_all_the_same(
+    bag: TrialBag, laboratory_run: LaboratoryRun
+) -> None:
+    still = replace(laboratory_run, velocity=0.0 * laboratory_run.velocity)
+    assert animation_of_laboratory(still, bag.info.spec.scenario).impact is None
+    empty = np.zeros(0)
+    lost = replace(
+        laboratory_run, object_time=empty, object_position=np.zeros((0, 3)), object_quaternion=np.zeros((0, 4))
+    )
+    seen = animation_of_laboratory(lost, bag.info.spec.scenario)
+    assert np.isnan(seen.measured.object).all()
+    assert [jump.body for jump in seen.measured.jumps] == ["arm"]
 
 
 def test_the_force_is_that_on_the_object_as_the_plant_knows_it(bag: TrialBag, animation: Animation) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs in 3D as data: shapes and joints of the scene, and samples where they are needed."""
+"""Runs in 3D as data: samples where they are needed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from mixed_grab import MIXED
 
 from impact_rs_analysis.evidence.animation import Animation, Movement
-from impact_rs_analysis.report.animation import MOST_ROWS, MOST_RUNS, ReplayPart, animation_data, scene_data, shown_rows
+from impact_rs_analysis.report.animation import MOST_ROWS, MOST_RUNS, ReplayPart, animation_data, shown_rows
 from impact_rs_sim.physics import Physics
 
 PHYSICS = Physics.nominal(MIXED, next(iter(MIXED.objects)))
@@ -21,25 +21,6 @@ def animation(time: np.ndarray, starts: tuple[int, ...] = (0,), impact: float | 
     joints = {name: np.tile(time, (own.facts.joint_count, 1)).T for name, own in PHYSICS.arms.items()}
     movement = Movement(joints, {}, {}, {}, np.full((time.size, 7), np.nan), ())
     return Animation("run", PHYSICS, time, starts, impact, movement)
-
-
-def test_every_moving_joint_has_its_column_arm_after_arm() -> None:
-    scene = scene_data(PHYSICS)
-    columns = {joint["child"]: joint["column"] for joint in scene["joints"] if "column" in joint}
-    assert columns == {f"left_link{n + 1}": n for n in range(7)} | {f"right_link{n + 1}": 7 + n for n in range(6)}
-    assert scene["arms"] == ["left", "right"]
-
-
-def test_every_link_hangs_on_the_world_and_the_pad_is_a_box_of_its_size() -> None:
-    scene = scene_data(PHYSICS)
-    parents = {joint["child"]: joint["parent"] for joint in scene["joints"]}
-    for link in scene["links"]:
-        way = [link]
-        while way[-1] != "world":
-            way.append(parents[way[-1]])
-    (pad,) = [shape for shape in scene["links"]["left_end_effector"] if shape["kind"] == "box"]
-    assert pad["size"] == pytest.approx(PHYSICS.arms["left"].end_effector.pad_size)
-    assert scene["object"] == pytest.approx(PHYSICS.object.size)
 
 
 def test_every_sample_about_the_impact_is_kept_and_few_elsewhere() -> None:

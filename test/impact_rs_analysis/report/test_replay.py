@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from mixed_grab import MIXED
 from playwright.sync_api import Browser, Page, Playwright, sync_playwright
@@ -19,6 +20,7 @@ from plotly.offline import get_plotlyjs_version
 from impact_rs_analysis.evidence.animation import Animation, Movement
 from impact_rs_analysis.report.animation import animation_data
 from impact_rs_analysis.report.page import BUNDLE, TEMPLATES
+from impact_rs_analysis.report.scene import described_scene
 from impact_rs_analysis.report.trial import write_trial
 from impact_rs_cli.main import main
 from impact_rs_sim.physics import Physics
@@ -146,6 +148,45 @@ def test_links_of_every_arm_are_where_pinocchio_says(opened: Callable[[Path], Pa
                 q = (1.0 - share) * rows[before] + share * rows[after]
                 for link, placement in model.link_placements(q).items():
                     assert positions[f"{name}_{link}"] == pytest.approx(placement.translation, abs=1e-6), (name, link)
+
+
+LIVE = """<!DOCTYPE html><meta charset="utf-8"><div id="here"></div>
+<script>{three}</script><script>{replay}</script><script>
+var live = new ImpactLive(document.getElementById('here'));
+live.show({scene});
+</script>"""
+ROBOT = """<robot name="r"><link name="foot"/><link name="a"/><link name="b"/><link name="c"/><link name="tip"/>
+<joint name="one" type="revolute"><parent link="foot"/><child link="a"/><origin xyz="0.1 0 0.3" rpy="0.3 -0.2 0.1"/>
+<axis xyz="1 2 -2"/><limit lower="-3" upper="3" velocity="1" effort="1"/></joint>
+<joint name="two" type="prismatic"><parent link="a"/><child link="b"/><origin xyz="0 0.2 0" rpy="0 0.5 0"/>
+<axis xyz="0 -1 0"/><limit lower="-3" upper="3" velocity="1" effort="1"/></joint>
+<joint name="three" type="revolute"><parent link="b"/><child link="c"/><origin xyz="0.2 0 0.1"/>
+<limit lower="-3" upper="3" velocity="1" effort="1"/></joint>
+<joint name="end" type="fixed"><parent link="c"/><child link="tip"/><origin xyz="0 0.1 0.4"/></joint></robot>"""
+
+
+@needs_browser
+def test_links_of_a_robot_that_somebody_else_describes_are_where_pinocchio_says(
+    opened: Callable[[Path], Page], tmp_path: Path
+) -> None:
+    """Joints turn about and slide along axes that are not z; there is no arm of ours and no object."""
+    scene, _ = described_scene(ROBOT)
+    three, replay = (
+        (folder / name).read_text() for folder, name in ((BUNDLE, "three.min.js"), (TEMPLATES, "replay.js"))
+    )
+    path = tmp_path / "live.html"
+    path.write_text(LIVE.format(three=three, replay=replay, scene=json.dumps(scene)))
+    page, model = opened(path), pin.buildModelFromXML(ROBOT)
+    data = model.createData()
+    for q in np.random.default_rng(1).uniform(-1.0, 1.0, (3, 3)):
+        found = page.evaluate(
+            "(joints) => { live.update({time: null, joints, object: null, forces: null});"
+            " return live.measured.positions(); }",
+            q.tolist(),
+        )
+        pin.framesForwardKinematics(model, data, q)
+        for link in ("a", "b", "c", "tip"):
+            assert found[link] == pytest.approx(data.oMf[model.getFrameId(link)].translation, abs=1e-6), link
 
 
 @needs_browser
@@ -285,6 +326,41 @@ def analysed(push_campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     folder = tmp_path_factory.mktemp("analysed")
     assert main(["analyze", str(push_campaign), "-o", str(folder)]) == 0
     return folder / "report.html"
+
+
+@pytest.fixture(scope="module")
+def laboratory_page(bag: TrialBag, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of the same push, as a run of a laboratory."""
+    folder = tmp_path_factory.mktemp("laboratory")
+    shutil.copytree(bag.path, folder / "run_1")
+    (folder / "runs.csv").write_text("bag,object,kind\nrun_1,cat_food,hit\n")
+    (folder / "experiment.yaml").write_text("scenario: push\nmapping: impact_rs\n")
+    page = folder / "page.html"
+    command = ["show", str(folder), "--experiment", str(folder / "experiment.yaml"), "--run", "run_1"]
+    assert main([*command, "--no-browser", "-o", str(page), "--jobs", "1"]) == 0
+    return page
+
+
+@needs_browser
+def test_a_run_of_a_laboratory_begins_at_its_impact_and_moves_as_it_was_measured(
+    opened: Callable[[Path], Page], laboratory_page: Path, bag: TrialBag
+) -> None:
+    page = opened(laboratory_page)
+    until(page, "document.querySelectorAll('.cursor').length === 3")
+    begin = page.evaluate("window.impact_rs.replay.time")
+    assert begin == pytest.approx(bag.impact_time("arm"), abs=0.003)
+    assert page.evaluate("window.impact_rs.replay.run.slow") == pytest.approx([begin - 0.02, begin + 0.06])
+    measured, seen = bag.joints("/arm/joint_states"), bag.poses("/object/pose")
+    model = bag.info.spec.scene.physics.robot_model("arm")
+    for moment in (0.3, 0.94, 1.8):
+        row, tracked = int(np.argmin(np.abs(measured.time - moment))), int(np.argmin(np.abs(seen.time - moment)))
+        hand, thing = page.evaluate(
+            """(time) => { const {replay} = window.impact_rs; replay.seek(time);
+                 return [replay.measured.positions().arm_end_effector, replay.measured.object.position.toArray()]; }""",
+            moment,
+        )
+        assert hand == pytest.approx(model.placement(measured.position[row]).translation, abs=1e-6)
+        assert thing == pytest.approx(seen.position[tracked], abs=1e-6)
 
 
 @needs_browser

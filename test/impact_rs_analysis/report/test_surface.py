@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mixed_grab import MIXED
 
-from impact_rs_analysis.report.animation import scene_data
+from impact_rs_analysis.report.scene import scene_data
 from impact_rs_analysis.report.surface import MOST_FACES, surface_of
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Mesh

@@ -11,6 +11,8 @@ import pytest
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.contact_frame import PadOnFace, contact_frame
+from impact_rs_trials.recordings.experiment import load_experiment
+from impact_rs_trials.recordings.laboratory import read_one
 
 from .conftest import ARM, LaboratoryFolder
 
@@ -124,3 +126,5 @@ def test_an_experiment_that_asks_for_it_finds_the_world_of_its_motion_capture(la
     np.testing.assert_allclose(run.object_position, centres[: len(run.object_position)], atol=0.01)
     told = next(remark for remark in run.remarks if remark.startswith("motion capture placed from contact in 1 hits"))
     assert "stays as given" in told
+    alone = read_one(laboratory.path, load_experiment(laboratory.path / "experiment.yaml"), "run_1", map)
+    np.testing.assert_array_equal(alone.object_position, run.object_position)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from impact_rs_sim.errors import InputError
-from impact_rs_trials.recordings.experiment import RunRow, load_experiment, read_runs
+from impact_rs_trials.recordings.experiment import RunRow, load_experiment, read_runs, run_named
 
 HEADER = "bag,object,kind"
 
@@ -145,3 +145,26 @@ def test_the_motion_capture_is_where_the_robot_is_unless_it_is_told(tmp_path: Pa
     text = "{scenario: push, motion_capture: {position: [1, 2, 3], rpy: [0, 0, 1.5707963]}}\n"
     placement = load_experiment(experiment_file(tmp_path, text)).motion_capture.placement
     np.testing.assert_allclose(placement.act(np.array([1.0, 0.0, 0.0])), [1.0, 3.0, 3.0], atol=1e-6)
+
+
+def test_a_run_is_found_by_its_name_with_and_without_the_ending_of_a_file(tmp_path: Path) -> None:
+    table = runs(tmp_path, "run_1,parcel,hit", "run_3,juice,hit")
+    for name, row in (("run_1", 0), ("run_3", 1), ("run_3.csv", 1)):
+        assert run_named(table, tmp_path, name) is table[row]
+
+
+def test_a_name_that_no_run_has_is_told_with_what_was_meant_or_what_there_is(tmp_path: Path) -> None:
+    table = runs(tmp_path, "run_1,parcel,hit", "run_3,juice,hit")
+    with pytest.raises(InputError, match="run = 'rum_3': the table of runs names no such run; did you mean 'run_3'"):
+        run_named(table, tmp_path, "rum_3")
+    with pytest.raises(InputError, match="no such run; expected one of run_1, run_3"):
+        run_named(table, tmp_path, "cat_food")
+
+
+def test_of_runs_that_are_called_alike_one_is_named_by_its_path(tmp_path: Path) -> None:
+    for folder in ("monday", "tuesday"):
+        (tmp_path / folder / "run_1").mkdir(parents=True)
+    table = runs(tmp_path, "monday/run_1,parcel,hit", "tuesday/run_1,parcel,hit")
+    with pytest.raises(InputError, match="several runs are called that: monday/run_1, tuesday/run_1"):
+        run_named(table, tmp_path, "run_1")
+    assert run_named(table, tmp_path, "tuesday/run_1") is table[1]

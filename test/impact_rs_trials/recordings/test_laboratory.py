@@ -18,7 +18,7 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 from impact_rs_trials.recordings.experiment import load_experiment
-from impact_rs_trials.recordings.laboratory import LaboratoryRun, read_laboratory
+from impact_rs_trials.recordings.laboratory import LaboratoryRun, read_laboratory, read_one
 from impact_rs_trials.spec import TrialSpec
 
 if TYPE_CHECKING:
@@ -560,3 +560,13 @@ def test_a_mapping_for_another_robot_is_refused(laboratory: LaboratoryFolder) ->
     laboratory.mapping({}, robot=str(laboratory.path / "other.yaml"))
     with pytest.raises(InputError, match=r"the mapping is for robot .*other.yaml', arm 'arm' .* is 'franka_fer'"):
         laboratory.read()
+
+
+def test_one_run_is_read_as_among_all(laboratory: LaboratoryFolder) -> None:
+    laboratory.bag("run_1")
+    laboratory.bag("run_2")
+    _, second = laboratory.read("run_1,parcel,hit,fast,a", "run_2,parcel,hit,fast,a")
+    one = read_one(laboratory.path, load_experiment(laboratory.path / "experiment.yaml"), "run_2", map)
+    assert (one.name, one.remarks) == ("run_2", second.remarks)
+    for name in ("time", "position", "torque", "command", "object_time", "object_position", "object_quaternion"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(second, name))

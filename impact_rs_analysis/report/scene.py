@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What stands in a scene as ``replay.js`` reads it: joints and links of a URDF with their shapes, and the object's box.
+
+The page gets joint positions and does the forward kinematics itself: a joint frame in its parent, then the joint's turn
+about, or way along, its axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_analysis.report.page import packed
+from impact_rs_analysis.report.surface import surface_of
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.urdf import joint_names
+
+LIGHT = "0.88 0.88 0.9 1"  # of a shape that says no colour, as text of a URDF
+MOVING = ("revolute", "continuous", "prismatic")  # types of joints that a joint state tells of
+STICK = 0.03  # m, radius of a link of which nothing else can be seen
+ROUND = (9, 16)  # points of a ball from pole to pole, and around
+
+
+def scene_data(physics: Physics) -> dict[str, Any]:
+    """Joints and links with their shapes, and the object's box.
+
+    Returns:
+        ``arms`` in the order of the data; ``joints`` with ``parent``, ``child``, ``type``, ``position`` [m] and
+        ``quaternion`` (x y z w) in the parent, ``axis`` where it is not z, and ``column`` of those that move;
+        ``links``: by name the shapes with pose in the link and colour; ``root``: the link that stands still;
+        ``object``: extent along its axes [m].
+    """
+    robot, plain = (Xml.fromstring(physics.description(meshes)) for meshes in (True, False))
+    links = {
+        link.get("name", ""): _shapes(link) or _shapes(simple)
+        for link, simple in zip(robot.iter("link"), plain.iter("link"), strict=True)
+    }
+    return _scene(robot, moving_joints(physics), list(physics.arms), links, physics.object.size)
+
+
+def moving_joints(physics: Physics) -> list[str]:
+    """Names of the joints in the URDF and in joint states, in the order of the data: arm after arm."""
+    return [f"{arm}_{joint}" for arm, own in physics.arms.items() for joint in joint_names(own.facts)]
+
+
+def described_scene(urdf: str) -> tuple[dict[str, Any], list[str]]:
+    """The scene of somebody's URDF, and the names of its joints that move, in the order of the data.
+
+    A link is seen by its visual shapes, by its collision shapes where a mesh of these cannot be read (only STL can), or
+    as a stick to the joints that it carries.
+
+    Raises:
+        InputError: It is no URDF of one robot.
+    """
+    try:
+        robot = Xml.fromstring(urdf)
+        moving = [joint.get("name", "") for joint in robot.findall("joint") if _moves(joint)]
+        links = {
+            link.get("name", ""): _shapes(link) or _shapes(link, "collision") or _sticks(robot, link)
+            for link in robot.findall("link")
+        }
+        scene = _scene(robot, moving, [], links, None)
+    except (Xml.ParseError, ValueError, TypeError) as error:
+        raise InputError(f"no URDF that can be drawn: {error}") from None
+    return scene, moving
+
+
+def _scene(
+    robot: Xml.Element, moving: Sequence[str], arms: list[str], links: dict[str, Any], size: Array | None
+) -> dict[str, Any]:
+    joints = []
+    for joint in robot.findall("joint"):
+        name, axis = joint.get("name", ""), joint.find("axis")
+        direction = _vector("1 0 0" if axis is None else axis.get("xyz", "1 0 0"))
+        moved = {"column": moving.index(name)} if name in moving else {}
+        if moved and direction != [0.0, 0.0, 1.0]:
+            moved["axis"] = (np.array(direction) / (np.linalg.norm(direction) or 1.0)).tolist()
+        ends = {end: _link(joint, end) for end in ("parent", "child")}
+        if unknown := set(ends.values()) - set(links):
+            raise ValueError(f"joint {name!r} has no link {unknown.pop()!r}")
+        joints.append({**ends, "type": joint.get("type"), **_origin(joint), **moved})
+    children = [joint["child"] for joint in joints]
+    roots = [name for name in links if name not in children]
+    if len(roots) != 1 or len(set(children)) != len(children):
+        raise ValueError("its links are no tree")
+    return {
+        "arms": arms,
+        "joints": joints,
+        "links": links,
+        "root": roots[0],
+        "object": None if size is None else size.tolist(),
+    }
+
+
+def _moves(joint: Xml.Element) -> bool:
+    return joint.get("type") in MOVING and joint.find("mimic") is None
+
+
+def _link(joint: Xml.Element, end: str) -> str:
+    element = joint.find(end)
+    return "" if element is None else element.get("link", "")
+
+
+def _origin(element: Xml.Element) -> dict[str, list[float]]:
+    origin = element.find("origin")
+    found = {"xyz": "0 0 0", "rpy": "0 0 0"} | ({} if origin is None else origin.attrib)
+    turned = pin.Quaternion(pin.rpy.rpyToMatrix(*_vector(found["rpy"])))
+    return {"position": _vector(found["xyz"]), "quaternion": turned.coeffs().tolist()}
+
+
+def _shapes(link: Xml.Element, kind: str = "visual") -> list[dict[str, Any]]:
+    """What is seen of a link; nothing where one of its meshes cannot be read."""
+    shapes = [_shape(visual) for visual in link.iter(kind)]
+    return [shape for shape in shapes if shape is not None] if None not in shapes else []
+
+
+def _shape(visual: Xml.Element) -> dict[str, Any] | None:
+    form, colour = visual.find("geometry/*"), visual.find("material/color")
+    if form is None:
+        return None
+    rgba = LIGHT if colour is None else colour.get("rgba", LIGHT)
+    look = {"kind": form.tag, **_origin(visual), "colour": _numbers(rgba)[:3]}
+    if form.tag == "sphere":
+        return look | {"kind": "mesh"} | _ball(*_numbers(form.get("radius", "")))
+    if form.tag != "mesh":
+        return look | {name: _numbers(text) for name, text in form.attrib.items()}
+    surface = surface_of(form.get("filename", ""))
+    if surface is None:
+        return None
+    scaled = surface.vertices * _numbers(form.get("scale", "1 1 1"))
+    return look | {"vertices": packed(scaled), "faces": packed(surface.faces.astype(float))}
+
+
+def _ball(radius: float) -> dict[str, Any]:
+    """A sphere as a mesh."""
+    rows, columns = ROUND
+    polar, around = np.meshgrid(
+        np.linspace(0.0, np.pi, rows), 2.0 * np.pi * np.arange(columns) / columns, indexing="ij"
+    )
+    points = radius * np.stack((np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)), axis=-1)
+    a = np.arange((rows - 1) * columns).reshape(rows - 1, columns)
+    b = np.roll(a, -1, axis=1)
+    faces = np.stack((a, a + columns, b, b, a + columns, b + columns), axis=-1)
+    return {"vertices": packed(points.reshape(-1, 3)), "faces": packed(faces.reshape(-1, 3).astype(float))}
+
+
+def _sticks(robot: Xml.Element, link: Xml.Element) -> list[dict[str, Any]]:
+    """From the origin of a link, that has shapes which cannot be read, to the joints that it carries."""
+    found = []
+    if link.find("visual") is None:
+        return []
+    for joint in robot.findall("joint"):
+        end = np.array(_origin(joint)["position"])
+        length = float(np.linalg.norm(end))
+        if _link(joint, "parent") == link.get("name") and length > STICK:
+            turned = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end / length)
+            pose = {"position": (0.5 * end).tolist(), "quaternion": turned.coeffs().tolist()}
+            size = {"radius": [STICK], "length": [length]}
+            found.append({"kind": "cylinder", **pose, "colour": _numbers(LIGHT)[:3], **size})
+    return found
+
+
+def _vector(text: str) -> list[float]:
+    found = _numbers(text)
+    if len(found) != 3:
+        raise ValueError(f"{text!r} where three numbers are expected")
+    return found
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(word) for word in text.split()]

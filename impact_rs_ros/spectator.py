@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Somebody who watches a running graph and takes no part in it.
+
+Of every signal only the newest sample is taken, best effort, when somebody looks: a stream of 1 kHz is not decoded a
+thousand times a second, and no publisher waits for a spectator.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any, Self
+
+import numpy as np
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+
+from impact_rs_ros.exchange import Inbox
+from impact_rs_ros.joint_signals import joint_signals, names_of
+from impact_rs_ros.message_types import message_type
+from impact_rs_ros.middleware import set_middleware
+from impact_rs_ros.names import full_namespace, on_network
+from impact_rs_ros.qos import LATCHED, WATCH
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.trial_info import TrialInfo
+from impact_rs_trials.snapshot import Situation, Snapshot
+
+STATES = "/joint_states"  # of a robot that nobody runs a trial with, beside its /robot_description
+SILENT = 1.0  # s without a joint state, after which nothing moves any more
+PRESENT_EVERY = 0.5  # s, between two looks at who is there
+SAID = {topics.TRIAL_INFO: topics.TRIAL_INFO_TYPE, topics.ROBOT_DESCRIPTION: topics.STRING}
+
+
+class Spectator:
+    """The newest of what a graph tells; :meth:`watching` makes one.
+
+    Args:
+        node: Node of this process, in the namespace of the graph.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._place = f"ROS domain {node.context.get_domain_id()}, namespace {node.get_namespace()}"
+        self._said = Inbox(node, "said", LATCHED)
+        self._said.connect(SAID)
+        self._told = Inbox(node, "told", WATCH, raw=True)
+        self._told.connect({STATES: topics.JOINT_STATE})
+        self._info: TrialInfo | None = None
+        self._known = Snapshot("absent", self._place)
+        self._arm_of: dict[str, str] = {}  # by topic of its contact wrench
+        self._heard = -float("inf")  # when the last joint state came, on the monotonic clock [s]
+        self._present = False
+        self._looked = -float("inf")  # when it was looked who is there [s]
+
+    @classmethod
+    @contextmanager
+    def watching(cls, namespace: str = "") -> Iterator[Self]:
+        """A context manager with a spectator, in the ROS domain of the environment.
+
+        Args:
+            namespace: ROS namespace of the graph; empty: the root.
+
+        Raises:
+            InputError: ROS has no such namespace.
+        """
+        full = full_namespace(namespace)
+        set_middleware(os.environ)
+        with ExitStack() as stack:
+            context = Context()
+            rclpy.init(context=context)
+            stack.callback(rclpy.try_shutdown, context=context)
+            node = rclpy.create_node(f"spectator_{os.getpid()}", context=context, namespace=full)
+            stack.callback(node.destroy_node)
+            spectator = cls(node)
+            stack.callback(spectator.close)
+            yield spectator
+
+    def look(self) -> Snapshot:
+        """How the graph stands now; returns at once."""
+        self._said.gather()
+        for topic, message in self._said.take():
+            if topic == topics.TRIAL_INFO:
+                self._hear_trial(message)
+            elif self._info is None:
+                self._stands(description=message.data)
+        self._told.gather()
+        for topic, data in self._told.take():
+            self._hear_state(topic, data)
+        return self._now()
+
+    def close(self) -> None:
+        """Watch no more."""
+        self._said.close()
+        self._told.close()
+
+    def _now(self) -> Snapshot:
+        """What is known, with what is going on."""
+        clock = time.monotonic()
+        if clock - self._looked > PRESENT_EVERY:
+            self._looked = clock
+            told = STATES if self._info is None else topics.TRIAL_INFO
+            self._present = any(self._publishers(topic) for topic in (topics.TRIAL_INFO, told))
+        situation: Situation
+        if clock - self._heard < SILENT:
+            situation = "running"
+        elif self._known.positions:
+            situation = "over" if self._present else "gone"
+        else:
+            situation = "idle" if self._present else "absent"
+        return self._with(situation=situation)
+
+    def _publishers(self, topic: str) -> int:
+        return self._node.count_publishers(self._node.resolve_topic_name(on_network(topic)))
+
+    def _with(self, **changes: Any) -> Snapshot:
+        """What is known, with changes; known from now on."""
+        changed = {name: value for name, value in changes.items() if getattr(self._known, name) is not value}
+        if changed:
+            self._known = Snapshot(**vars(self._known) | changed)
+        return self._known
+
+    def _stands(self, **scene: Any) -> None:
+        """Something else stands there, of which no state is known yet."""
+        number = self._known.number + 1
+        self._known = Snapshot(self._known.situation, self._place, number, **scene)
+
+    def _hear_trial(self, message: Any) -> None:
+        """A trial begins: another scene, or the same once more."""
+        info = TrialInfo.from_message(message)
+        before, self._info = self._info, info
+        title = f"{info.scenario}, {info.object}, {info.case_name}, scale {info.velocity_scale:g}, repeat {info.repeat}"
+        if before is not None and (before.scenario_json, before.object) == (info.scenario_json, info.object):
+            self._with(title=title, forces={})
+            return
+        try:
+            spec = info.spec
+            self._stands(title=title, physics=Physics.nominal(spec.scenario, spec.object))
+        except InputError as error:
+            self._stands(title=title, complaint=f"{topics.TRIAL_INFO}: {error}")
+            return
+        arms = list(info.robots)
+        self._arm_of = {topics.truth_contact_wrench(arm): arm for arm in arms}
+        names = [*(topics.joint_states(arm) for arm in arms), topics.OBJECT_POSE, *self._arm_of]
+        kinds = topics.recorded(arms)
+        self._told.connect({name: kinds[name] for name in names})
+
+    def _hear_state(self, topic: str, data: bytes) -> None:
+        if topic in self._arm_of:
+            wrench = deserialize_message(data, message_type(topics.WRENCH)).wrench.force
+            force = -np.array([wrench.x, wrench.y, wrench.z])  # told is what the object does to the pad
+            if np.isfinite(force).all():
+                self._with(forces=self._known.forces | {self._arm_of[topic]: force})
+        elif topic == topics.OBJECT_POSE:
+            self._with(object=_seen(deserialize_message(data, message_type(topics.POSE)).pose))
+        else:
+            signals = joint_signals(data)
+            position = signals.values[0]
+            names = names_of(signals)
+            if position.size != len(names) or not np.isfinite(position).all():
+                return
+            told = dict(zip(names, position.tolist(), strict=True))
+            stamp = None if topic == STATES else 1e-9 * signals.stamp
+            self._with(positions=self._known.positions | told, time=stamp)
+            self._heard = time.monotonic()
+
+
+def _seen(pose: Any) -> Array | None:
+    """Pose of the object, ``(7,)``; None where it was not seen."""
+    at, turned = pose.position, pose.orientation
+    found = np.array([at.x, at.y, at.z, turned.x, turned.y, turned.z, turned.w])
+    return found if np.isfinite(found).all() and np.any(found[3:]) else None

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who watches a graph knows the newest of what it tells, and what is going on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from fake_graph import FakeGraph, fake_graph
+from std_msgs.msg import String
+
+from impact_rs_ros.spectator import Spectator
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.bags import topics
+from impact_rs_trials.snapshot import Snapshot
+
+POSE = np.array([0.4, -0.1, 0.5, 0.0, 0.0, 0.6, 0.8])
+URDF = "<robot name='r'><link name='a'/></robot>"
+
+
+@pytest.fixture(scope="module")
+def domain(domain_ids: Callable[[], int]) -> int:
+    return domain_ids()
+
+
+@pytest.fixture
+def graph(domain: int) -> Iterator[FakeGraph]:
+    with fake_graph(domain, "/cell_a") as made:
+        yield made
+
+
+@pytest.fixture
+def spectator(domain: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Spectator]:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    with Spectator.watching("cell_a") as made:
+        yield made
+
+
+def until(
+    spectator: Spectator, shown: Callable[[Snapshot], object], tell: Callable[[], None] = lambda: None
+) -> Snapshot:
+    """What is seen as soon as something is; told again and again, for nobody waits for a spectator."""
+    deadline = time.monotonic() + 60.0
+    while not shown(found := spectator.look()):
+        assert time.monotonic() < deadline, found
+        tell()
+        time.sleep(0.01)
+    return found
+
+
+def test_the_newest_of_a_trial_is_known_by_joint_names_and_forces_act_on_the_object(
+    graph: FakeGraph, spectator: Spectator
+) -> None:
+    assert spectator.look().situation == "absent"
+    spec = graph.trial("push")
+    found = until(spectator, lambda seen: seen.physics)
+    assert found.title == "push, cat_food, case_2, scale 1, repeat 0"
+    assert found.physics is not None
+    np.testing.assert_array_equal(found.physics.object.size, spec.scene.physics.object.size)
+    assert until(spectator, lambda seen: seen.situation == "idle").positions == {}
+    position, count = np.arange(7) / 10.0, 0
+
+    def tell() -> None:
+        nonlocal count
+        for _ in range(100):  # of a stream that is faster than anybody looks
+            count += 1
+            graph.joints("arm", position, 1e-3 * count)
+        graph.object(POSE)
+        graph.force_on_pad("arm", (1.0, -20.0, 3.0))
+
+    def everything(seen: Snapshot) -> bool:
+        return bool(seen.forces and seen.positions and seen.object is not None and seen.situation == "running")
+
+    found = until(spectator, everything, tell)
+    assert found.positions == {f"arm_joint{number + 1}": number / 10.0 for number in range(7)}
+    newest = until(spectator, lambda seen: seen.time == pytest.approx(1e-3 * count), tell)
+    assert newest.number == found.number
+    np.testing.assert_array_equal(newest.object, POSE)
+    np.testing.assert_array_equal(newest.forces["arm"], [-1.0, 20.0, -3.0])
+    last = until(spectator, lambda seen: seen.situation == "over")
+    assert last.positions == newest.positions
+
+
+def test_another_scenario_is_another_scene_and_the_same_once_more_keeps_its_state(
+    graph: FakeGraph, spectator: Spectator
+) -> None:
+    graph.trial("push")
+    first = until(spectator, lambda seen: seen.physics)
+    until(spectator, lambda seen: seen.positions, lambda: graph.joints("arm", np.zeros(7), 0.1))
+    graph.trial("grab")
+    other = until(spectator, lambda seen: seen.number != first.number)
+    assert list(other.physics.arms) == ["left", "right"]
+    assert other.positions == {}
+
+    def tell() -> None:
+        for arm in ("left", "right"):
+            graph.joints(arm, np.ones(7), 0.2)
+
+    until(spectator, lambda seen: len(seen.positions) == 14, tell)
+    graph.trial("grab")
+    deadline = time.monotonic() + 1.0
+    while time.monotonic() < deadline:
+        assert spectator.look().number == other.number
+    assert len(spectator.look().positions) == 14
+
+
+def test_a_robot_without_a_trial_is_known_by_its_own_description(graph: FakeGraph, spectator: Spectator) -> None:
+    graph.say(topics.ROBOT_DESCRIPTION, topics.STRING, String(data=URDF), latched=True)
+    assert until(spectator, lambda seen: seen.description).description == URDF
+
+
+def test_where_the_nodes_have_ended_the_last_state_stays(domain: int, spectator: Spectator) -> None:
+    with fake_graph(domain, "/cell_a") as graph:
+        graph.trial("push")
+        until(spectator, lambda seen: seen.physics)
+        until(spectator, lambda seen: seen.positions, lambda: graph.joints("arm", np.zeros(7), 0.1))
+    assert len(until(spectator, lambda seen: seen.situation == "gone").positions) == 7
+
+
+def test_positions_that_are_no_numbers_and_objects_that_nobody_sees_are_left_out(
+    graph: FakeGraph, spectator: Spectator
+) -> None:
+    graph.trial("push")
+    until(spectator, lambda seen: seen.physics)
+    until(spectator, lambda seen: seen.object is not None, lambda: graph.object(POSE))
+    found = until(spectator, lambda seen: seen.object is None, lambda: graph.object(np.full(7, np.nan)))
+    assert found.positions == {}
+    until(spectator, lambda seen: seen.object is not None, lambda: graph.object(POSE))
+    graph.joints("arm", np.full(7, np.nan), 0.1)
+    until(spectator, lambda seen: seen.object is None, lambda: graph.object(np.zeros(7)))
+    assert spectator.look().positions == {}
+
+
+def test_a_namespace_that_ros_does_not_have_is_refused() -> None:
+    with pytest.raises(InputError, match="namespace = '7'"), Spectator.watching("7"):
+        pass

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``show --live`` as a person uses it: a graph that runs, its page in a headless browser, Ctrl-C at the end."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from fake_graph import FakeGraph, fake_graph
+from playwright.sync_api import Page, expect, sync_playwright
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+SOFTWARE = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no chromium or chrome on this machine")
+pytestmark = pytest.mark.timeout(300)
+expect.set_options(timeout=60_000.0)
+
+
+@pytest.fixture(scope="module")
+def domain(domain_ids: Callable[[], int]) -> int:
+    return domain_ids()
+
+
+@pytest.fixture
+def shown(domain: int) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """``impact-rs show --live`` and its address."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may let its jobs ignore it
+    with contextlib.ExitStack() as held:
+        held.callback(signal.signal, signal.SIGINT, before)
+        process = held.enter_context(
+            subprocess.Popen(
+                [sys.executable, "-m", "impact_rs_cli.main", "show", "--live", "--namespace", "cell_a", "--no-browser"],
+                stdout=subprocess.PIPE,
+                text=True,
+                env=os.environ | {"ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1"},
+            )
+        )
+        held.callback(process.kill)
+        assert process.stdout is not None
+        address = re.search(r"http://\S+", process.stdout.readline())
+        assert address is not None
+        yield process, address[0]
+
+
+def test_without_a_graph_it_says_how_to_start_one_and_ctrl_c_is_no_failure(
+    shown: tuple[subprocess.Popen[str], str], domain: int
+) -> None:
+    process, _ = shown
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    assert line.startswith(f"no graph runs in ROS domain {domain}, namespace /cell_a; ")
+    assert line.endswith(" up push starts one. Waiting\n")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60.0) == 0
+
+
+@pytest.fixture
+def page(shown: tuple[subprocess.Popen[str], str]) -> Iterator[Page]:
+    """The page, which asks nobody else for anything and throws no error."""
+    process, address = shown
+    wrong: list[str] = []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+        made = browser.new_page(viewport={"width": 1000, "height": 700})
+        home = address.partition("/?")[0]
+        made.on(
+            "request", lambda asked: None if asked.url.startswith((home, "data:", "blob:")) else wrong.append(asked.url)
+        )
+        made.on("pageerror", lambda error: wrong.append(str(error)))
+        made.goto(address)
+        yield made
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        expect(made.get_by_role("alert")).to_be_visible()
+        assert process.wait(60.0) == 0  # though the page still listens
+        browser.close()
+    assert wrong == []
+
+
+HAND = """(name) => { const {live} = window.impact_rs;
+  return live.state && live.measured.links[name] ? live.measured.positions()[name] : null; }"""
+
+
+def told_until(page: Page, tell: Callable[[], None], name: str, expected: np.ndarray) -> None:
+    """Tell again and again, for nobody waits for a spectator, until a link is seen where it should be."""
+    deadline = time.monotonic() + 60.0
+    while True:
+        tell()
+        found = page.evaluate(HAND, name)
+        if found is not None and np.allclose(found, expected, atol=1e-6):
+            return
+        assert time.monotonic() < deadline, (found, expected)
+        page.evaluate("new Promise(requestAnimationFrame)")
+
+
+@needs_browser
+def test_arms_object_and_force_are_seen_where_they_are_told_and_a_new_scenario_is_a_new_scene(
+    page: Page, domain: int
+) -> None:
+    expect(page.locator("#status")).to_contain_text("No graph runs")
+    with fake_graph(domain, "/cell_a") as graph:
+        _push(page, graph)
+        _grab(page, graph)
+    expect(page.locator("#status")).to_contain_text("the nodes have ended", ignore_case=True)
+    assert page.evaluate(HAND, "left_end_effector") is not None  # the last state stays
+
+
+def _push(page: Page, graph: FakeGraph) -> None:
+    scene = graph.trial("push").scene
+    expect(page.locator("#status")).to_contain_text("nothing has moved yet")
+    model, place = scene.physics.robot_model("arm"), np.array([0.5, -0.1, 0.6, 0.0, 0.0, 0.6, 0.8])
+    rng = np.random.default_rng(1)
+    for number in range(3):
+        q = rng.uniform(-0.5, 0.5, 7)
+
+        def tell(q: np.ndarray = q, number: int = number) -> None:
+            graph.object(place)
+            graph.force_on_pad("arm", (0.0, -30.0, -40.0))
+            graph.joints("arm", q, 0.25 * (number + 1))
+
+        told_until(page, tell, "arm_end_effector", model.placement(q).translation)
+    expect(page.locator("#status")).to_contain_text("push, cat_food, case_2")
+    expect(page.locator(".replay-time")).to_have_text("0.750 s · force 50 N")
+    seen = page.evaluate("window.impact_rs.live.measured.object.position.toArray()")
+    assert seen == pytest.approx(place[:3])
+    arrow = page.evaluate("window.impact_rs.live.forces[0].root.localToWorld(new THREE.Vector3(0, 1, 0)).toArray()")
+    assert np.subtract(arrow, model.placement(q).translation) == pytest.approx([0.0, 0.6, 0.8], abs=1e-6)
+    expect(page.locator("#status")).to_contain_text("at rest until the next trial", ignore_case=True)
+
+
+def _grab(page: Page, graph: FakeGraph) -> None:
+    physics = graph.trial("grab").scene.physics
+    places = {arm: np.full(7, 0.1 * number) for number, arm in enumerate(physics.arms, start=1)}
+
+    def tell() -> None:
+        for arm, q in places.items():
+            graph.joints(arm, q, 0.1)
+
+    for arm, q in places.items():
+        told_until(page, tell, f"{arm}_end_effector", physics.robot_model(arm).placement(q).translation)
+    expect(page.locator("#status")).to_contain_text("grab, cat_food, case_2")
+    assert page.evaluate("window.impact_rs.live.measured.object.visible") is False  # nobody has told where it is
