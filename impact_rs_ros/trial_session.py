@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from impact_rs.msg import RobotState
 from impact_rs.msg import TrialInfo as TrialInfoMessage
 from impact_rs.srv import ConfigureTrial, FinishTrial
@@ -33,6 +32,7 @@ from impact_rs_ros.presence import GRACE, Presence
 from impact_rs_ros.qos import EVENT, LATCHED, LEASE, WATCH
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
+from impact_rs_sim.rotations import quaternion_of
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import MessageMaker
 from impact_rs_trials.bags.record import descriptions
@@ -293,7 +293,7 @@ class TrialSession:
         ]
         placed = plan.scene.object
         requests["plant"].object_pose = pose_to_message(
-            np.concatenate((placed.position, pin.Quaternion(placed.rotation).coeffs()))
+            np.concatenate((placed.position, quaternion_of(placed.rotation)))
         )
         requests["recorder"].bag_path = str(path)
         timeout = parameters.value(self._node, "service_timeout")

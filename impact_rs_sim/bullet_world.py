@@ -30,6 +30,7 @@ from impact_rs_sim.errors import NotABody
 from impact_rs_sim.pad_shear import PadShear, Side, Touch
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts
+from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.urdf import joint_names, write_urdf
 
@@ -466,4 +467,4 @@ def check_body(name: str, end_effector: EndEffector) -> None:
 
 
 def _quaternion(rotation: Array) -> list[float]:
-    return pin.Quaternion(np.asarray(rotation)).coeffs().tolist()
+    return quaternion_of(rotation).tolist()

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.robot import Array
+from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scenario import Sensors
 
 
@@ -86,5 +87,5 @@ class ObjectTracker:
         return ObjectMeasurement(
             time=time,
             position=position + self._position_noise[sample],
-            quaternion=np.array(pin.Quaternion(noisy).coeffs()),
+            quaternion=quaternion_of(noisy),
         )

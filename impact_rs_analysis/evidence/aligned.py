@@ -22,6 +22,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.rotations import quaternion_of
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.types import typestore
 
@@ -129,7 +130,7 @@ def _track(windows: tuple[Signals, ...] | list[Signals], models: dict[str, Robot
             velocity=dq,
             torque=torque,
             placement=np.array([place.translation for place in places]),
-            quaternion=np.array([pin.Quaternion(place.rotation).coeffs() for place in places]),
+            quaternion=np.array([quaternion_of(place.rotation) for place in places]),
             twist=np.array([model.jacobian(row) @ velocity for row, velocity in zip(q, dq, strict=True)]),
         )
     poses = [_object(window) for window in windows]

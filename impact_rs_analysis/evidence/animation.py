@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from impact_rs_analysis.evidence.aligned import AlignedRun, Track
 from impact_rs_analysis.evidence.features import JUMP_BEFORE, JUMP_WINDOWS, OBJECT_WINDOWS, SETTLED
@@ -22,6 +21,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scenario import Scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import BagError, JointColumns, TrialBag
@@ -109,7 +109,7 @@ def _of_track(aligned: AlignedRun, track: Track, models: Mapping[str, RobotModel
     thing[:, 3:] = np.column_stack((0.0 * half, 0.0 * half, np.sin(half), np.cos(half)))
     for window, rows in zip(run.setup.windows, _slices(edges), strict=True):
         if run.hit and not window.contact:  # it stands where the impact will find it
-            thing[rows] = [*window.object.position, *pin.Quaternion(window.object.rotation).coeffs()]
+            thing[rows] = [*window.object.position, *quaternion_of(window.object.rotation)]
     forces, velocities = {}, {}
     for name, arm in track.arms.items():
         parts = [

@@ -19,6 +19,7 @@ from impact_rs_analysis.report.surface import surface_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
+from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.urdf import joint_names
 
 LIGHT = "0.88 0.88 0.9 1"  # of a shape that says no colour, as text of a URDF
@@ -110,8 +111,8 @@ def _link(joint: Xml.Element, end: str) -> str:
 def _origin(element: Xml.Element) -> dict[str, list[float]]:
     origin = element.find("origin")
     found = {"xyz": "0 0 0", "rpy": "0 0 0"} | ({} if origin is None else origin.attrib)
-    turned = pin.Quaternion(pin.rpy.rpyToMatrix(*_vector(found["rpy"])))
-    return {"position": _vector(found["xyz"]), "quaternion": turned.coeffs().tolist()}
+    turned = quaternion_of(pin.rpy.rpyToMatrix(*_vector(found["rpy"])))
+    return {"position": _vector(found["xyz"]), "quaternion": turned.tolist()}
 
 
 def _shapes(link: Xml.Element, kind: str = "visual") -> list[dict[str, Any]]:

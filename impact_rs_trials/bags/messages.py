@@ -18,6 +18,7 @@ from impact_rs_control.controller import ArmCommand, ImpactDetection
 from impact_rs_control.plan import ArmPlan, TrialPlan
 from impact_rs_sim.plant import ArmTruth
 from impact_rs_sim.robot import Array
+from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scene import BodyState
 from impact_rs_sim.sensors import ArmMeasurement, ObjectMeasurement
 from impact_rs_sim.urdf import WORLD, joint_names
@@ -182,7 +183,7 @@ class MessageMaker:
 
     def truth_object_pose(self, tick: int, state: BodyState) -> Any:
         """True pose of the object."""
-        return self._pose(tick, state.position, np.array(pin.Quaternion(state.rotation).coeffs()))
+        return self._pose(tick, state.position, quaternion_of(state.rotation))
 
     def truth_object_twist(self, tick: int, state: BodyState) -> Any:
         """True twist of the object."""
@@ -212,7 +213,7 @@ class MessageMaker:
         transform = self._types.type("geometry_msgs/msg/Transform")
         messages = []
         for frame in frames:
-            x, y, z, w = pin.Quaternion(frame.placement.rotation).coeffs().tolist()
+            x, y, z, w = quaternion_of(frame.placement.rotation).tolist()
             messages.append(
                 make(
                     header=self.header(tick, frame.parent),
