@@ -238,8 +238,8 @@ MUTANTS = [
     Mutant(
         name="tracker_turns_backwards",
         file=SENSORS,
-        original="np.array(pin.Quaternion(noisy).coeffs())",
-        mutated="np.array(pin.Quaternion(noisy.T).coeffs())",
+        original="quaternion_of(noisy)",
+        mutated="quaternion_of(noisy.T)",
         wrong="The tracker gives the inverse rotation.",
         tests=SENSOR_TESTS,
     ),
