@@ -505,7 +505,7 @@ class CellNode(LeadingNode[CellTrial]):
         Raises:
             InputError: A state or pose cannot be used.
         """
-        until = time.monotonic() + ARMING_PATIENCE
+        until, first = time.monotonic() + ARMING_PATIENCE, True
         while time.monotonic() < until:
             self.inbox.wait(MATCHING)
             for name, data in self.inbox.take():
@@ -514,6 +514,8 @@ class CellNode(LeadingNode[CellTrial]):
                     self._poses += 1
                 if name != STATES or (states := arms.read(data)) is None:
                     continue
+                if first:  # of a robot that was only just found
+                    until, first = time.monotonic() + ARMING_PATIENCE, False
                 if states.complaint:
                     raise InputError(f"{self.node.resolve_topic_name(on_network(STATES))}: {states.complaint}")
                 if holder is not None:
