@@ -108,8 +108,8 @@ def test_planted_effect_is_recovered_through_the_replay(name, runs, nominal_feat
     rng = np.random.default_rng(0)
     base = nominal_features[kind]
     measured = features(planted) + 0.3 * floor * rng.standard_normal(floor.size)
-    # It begins to slide, to bounce, or to carry the box: no slope to follow, but a minimum.
-    if name in ("pad_friction", "restitution", "pad_tilt"):
+    # It begins to slide, to bounce, to carry the box, or to hold it back altogether: no slope to follow, but a minimum.
+    if name in ("pad_friction", "restitution", "pad_tilt", "rolling_resistance"):
         found = minimize_scalar(
             lambda size: np.sum(np.square((features(size) - measured) / floor)),
             bounds=(0.0, 2.45),
