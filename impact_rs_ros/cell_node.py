@@ -27,7 +27,7 @@ from impact_rs_ros.effort_arms import REST, ArmStates, EffortArms, joint_names
 from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.joint_signals import JointReader
 from impact_rs_ros.message_types import message_type
-from impact_rs_ros.names import on_network
+from impact_rs_ros.names import on_network, resolved
 from impact_rs_ros.parameters import value
 from impact_rs_ros.process import run
 from impact_rs_ros.qos import COMMAND, WATCH
@@ -435,7 +435,7 @@ class CellNode(LeadingNode[CellTrial]):
         """
         limit = self.parameter("arm_jitter_limit")
         period = plan.scene.scenario.timing.control_period
-        topic = self.node.resolve_topic_name(on_network(STATES))
+        topic = resolved(self.node, STATES)
         arrivals: list[float] = []
         stamps: list[int] = []
         age = 0.0
@@ -471,7 +471,7 @@ class CellNode(LeadingNode[CellTrial]):
                 f"not armed: states come with a jitter of {1e3 * jitter:.3f} ms, arm_jitter_limit is {1e3 * limit:g} ms"
             )
         if self.parameter("mocap") and not self._poses:
-            raise InputError(f"no pose of the object on {self.node.resolve_topic_name(on_network(MOCAP))}")
+            raise InputError(f"no pose of the object on {resolved(self.node, MOCAP)}")
         self._take_over(plan, arms, tolerance)
         self.log.info(f"armed: jitter {1e3 * jitter:.3f} ms, oldest state {1e3 * age:.3f} ms, {len(stamps)} states")
 
@@ -517,7 +517,7 @@ class CellNode(LeadingNode[CellTrial]):
                 if first:  # of a robot that was only just found
                     until, first = time.monotonic() + ARMING_PATIENCE, False
                 if states.complaint:
-                    raise InputError(f"{self.node.resolve_topic_name(on_network(STATES))}: {states.complaint}")
+                    raise InputError(f"{resolved(self.node, STATES)}: {states.complaint}")
                 if holder is not None:
                     holder.read(data)
                     holder.hold()

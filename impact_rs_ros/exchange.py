@@ -23,7 +23,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from impact_rs_ros.message_types import available, message_type
-from impact_rs_ros.names import on_network
+from impact_rs_ros.names import on_network, resolved
 from impact_rs_trials.bags.streams import Stream
 
 BURST = 40  # samples that wait for each other, some ten ticks
@@ -68,7 +68,7 @@ class Inbox:
         self._subscriptions = {
             topic: self._node.create_subscription(
                 message_type(kind),
-                self._owner.resolve_topic_name(on_network(topic)),
+                resolved(self._owner, topic),
                 partial(self._receive, topic),
                 self._qos,
                 raw=self._raw,

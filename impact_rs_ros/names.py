@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import re
 
+from rclpy.node import Node
+
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags import topics
 
@@ -25,6 +27,16 @@ def on_network(topic: str) -> str:
         topic: Its name in the root namespace.
     """
     return topic if topic in SHARED else topic.removeprefix("/")
+
+
+def resolved(node: Node, topic: str) -> str:
+    """Full name of a topic of a node's graph, with namespace and remappings.
+
+    Args:
+        node: Whose graph it is.
+        topic: Its name in the root namespace.
+    """
+    return str(node.resolve_topic_name(on_network(topic)))
 
 
 def full_namespace(namespace: str) -> str:

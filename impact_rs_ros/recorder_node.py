@@ -22,7 +22,7 @@ from std_msgs.msg import String
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.derived import DERIVED, DerivedMessages
 from impact_rs_ros.exchange import Inbox
-from impact_rs_ros.names import on_network
+from impact_rs_ros.names import resolved
 from impact_rs_ros.presence import Acquaintance, Presence
 from impact_rs_ros.process import HARDWARE, NodeProgram, run
 from impact_rs_ros.qos import RECORD
@@ -213,7 +213,7 @@ class RecorderNode(NodeProgram):
 
     def _publishers(self, topic: str) -> int:
         """How many publishers there are of a topic of this graph."""
-        return self.node.count_publishers(self.node.resolve_topic_name(on_network(topic)))
+        return self.node.count_publishers(resolved(self.node, topic))
 
     def _drain(self) -> None:
         """Write what has been received; outside a trial, throw it away."""

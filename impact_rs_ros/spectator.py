@@ -23,7 +23,7 @@ from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.joint_signals import joint_signals, names_of
 from impact_rs_ros.message_types import message_type
 from impact_rs_ros.middleware import set_middleware
-from impact_rs_ros.names import full_namespace, on_network
+from impact_rs_ros.names import full_namespace, resolved
 from impact_rs_ros.qos import LATCHED, WATCH
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
@@ -117,7 +117,7 @@ class Spectator:
         return self._with(situation=situation)
 
     def _publishers(self, topic: str) -> int:
-        return self._node.count_publishers(self._node.resolve_topic_name(on_network(topic)))
+        return self._node.count_publishers(resolved(self._node, topic))
 
     def _with(self, **changes: Any) -> Snapshot:
         """What is known, with changes; known from now on."""

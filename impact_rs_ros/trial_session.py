@@ -27,9 +27,9 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_ros import parameters
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.message_types import RosidlTypes
-from impact_rs_ros.names import on_network
+from impact_rs_ros.names import on_network, resolved
 from impact_rs_ros.presence import GRACE, Presence
-from impact_rs_ros.qos import EVENT, LATCHED, LEASE, WATCH
+from impact_rs_ros.qos import EVENT, LATCHED, WATCH
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_sim.rotations import quaternion_of
@@ -261,10 +261,9 @@ class TrialSession:
         Raises:
             TrialError: One is.
         """
-        deadline = time.monotonic() + LEASE + GRACE
-        while wait and self._presence.twice(*ALL) and time.monotonic() < deadline:
+        while wait and self._presence.twice(*ALL) and not self._presence.twice(*ALL, settled=True):
             time.sleep(LOOK)
-        if twice := self._presence.twice(*ALL, settled=not wait):
+        if twice := self._presence.twice(*ALL, settled=True):
             raise TrialError(
                 f"node {self._presence.full_name(twice[0])} is there twice: stop one of them, or give one another "
                 "namespace or ROS_DOMAIN_ID"
@@ -280,7 +279,7 @@ class TrialSession:
             for topic in (topics.joint_states(arm), topics.joint_command(arm)):
                 publishers = self._presence.publishers(on_network(topic))
                 if len(publishers) > 1:
-                    full = self._node.resolve_topic_name(on_network(topic))
+                    full = resolved(self._node, topic)
                     raise TrialError(f"{full} is published by {' and '.join(publishers)}: stop all but one")
 
     def _configure_all(self, plan: TrialPlan, trial: Any, secret: Any, path: Path) -> None:

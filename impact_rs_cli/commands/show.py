@@ -140,8 +140,7 @@ def _laboratory_page(args: argparse.Namespace, terminal: Terminal) -> Path:
     if item.hit and item.object_time.size < 2:
         terminal.warn(f"{item.name}: the pose of {item.object} was not recorded, so it is not shown")
     model = "" if args.model is None else str(args.model)
-    page = write_laboratory_run(item, experiment.load_scenario(), path, aligned, model).resolve()
-    return page
+    return write_laboratory_run(item, experiment.load_scenario(), path, aligned, model).resolve()
 
 
 def _beside_model(args: argparse.Namespace, item: LaboratoryRun, map_tasks: Map, terminal: Terminal) -> AlignedRun:

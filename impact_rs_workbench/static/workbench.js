@@ -487,12 +487,12 @@ const experimentOf = (runs) => state.workspace.laboratories.find((lab) => lab.pa
 const modelChoices = () => state.workspace.models.filter((model) => !model.error)
   .map((model) => ({value: model.path, text: model.name}));
 
-// RUNS, model and folder of a step, whose name follows both until somebody types another one.
 // Numbers of a report, as its own script reads them.
 function floats(text) {
   return new Float32Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
 }
 
+// RUNS, model and folder of a step, whose name follows both until somebody types another one.
 function runsForm(step, label, {extraFields = [], extra = () => ({}), only = () => true} = {}) {
   const runs = h('select', {id: `${step}-runs`}), model = h('select', {id: `${step}-model`}), output = h('input', {id: `${step}-output`});
   let typed = false;

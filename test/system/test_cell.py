@@ -18,7 +18,6 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter as RclParameter
 
 from impact_rs_ros.graph import Graph
-from impact_rs_ros.middleware import set_middleware
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 
@@ -85,7 +84,6 @@ class Cell:
 def cell(domain_ids: Callable[[], int], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
     domain_id, root = domain_ids(), tmp_path_factory.mktemp("cell")
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
-    set_middleware(environment)
     values = [word for name, value in PATIENT.items() for word in ("-p", f"{name}:={value}")]
     command = [sys.executable, "-m", "impact_rs_ros.cell_node", "--ros-args", *values]
     with running(command, environment), Graph.running("push", domain_id, root=root, without=["plant"]) as graph:

@@ -189,14 +189,11 @@ def test_links_of_a_robot_that_somebody_else_describes_are_where_pinocchio_says(
             assert found[link] == pytest.approx(data.oMf[model.getFrameId(link)].translation, abs=1e-6), link
 
 
-@needs_browser
-def test_end_effector_and_object_of_a_trial_are_where_they_were_measured(
-    opened: Callable[[Path], Page], trial: Path, bag: TrialBag
-) -> None:
-    page = opened(trial)
+def check_where_it_was_measured(page: Page, bag: TrialBag, moments: tuple[float, ...]) -> None:
+    """End effector and object of the page are where the bag's sample nearest to each moment [s] has them."""
     measured, seen = bag.joints("/arm/joint_states"), bag.poses("/object/pose")
     model = bag.info.spec.scene.physics.robot_model("arm")
-    for moment in (0.0, 0.9, 0.904, 0.94, 1.8):
+    for moment in moments:
         row, tracked = int(np.argmin(np.abs(measured.time - moment))), int(np.argmin(np.abs(seen.time - moment)))
         hand, thing = page.evaluate(
             """(time) => { const {replay} = window.impact_rs; replay.seek(time);
@@ -205,6 +202,13 @@ def test_end_effector_and_object_of_a_trial_are_where_they_were_measured(
         )
         assert hand == pytest.approx(model.placement(measured.position[row]).translation, abs=1e-6)
         assert thing == pytest.approx(seen.position[tracked], abs=1e-6)
+
+
+@needs_browser
+def test_end_effector_and_object_of_a_trial_are_where_they_were_measured(
+    opened: Callable[[Path], Page], trial: Path, bag: TrialBag
+) -> None:
+    check_where_it_was_measured(opened(trial), bag, (0.0, 0.9, 0.904, 0.94, 1.8))
 
 
 CURSORS = """() => [...document.querySelectorAll('.plot[data-run]')].map((plot) => {
@@ -350,17 +354,7 @@ def test_a_run_of_a_laboratory_begins_at_its_impact_and_moves_as_it_was_measured
     begin = page.evaluate("window.impact_rs.replay.time")
     assert begin == pytest.approx(bag.impact_time("arm"), abs=0.003)
     assert page.evaluate("window.impact_rs.replay.run.slow") == pytest.approx([begin - 0.02, begin + 0.06])
-    measured, seen = bag.joints("/arm/joint_states"), bag.poses("/object/pose")
-    model = bag.info.spec.scene.physics.robot_model("arm")
-    for moment in (0.3, 0.94, 1.8):
-        row, tracked = int(np.argmin(np.abs(measured.time - moment))), int(np.argmin(np.abs(seen.time - moment)))
-        hand, thing = page.evaluate(
-            """(time) => { const {replay} = window.impact_rs; replay.seek(time);
-                 return [replay.measured.positions().arm_end_effector, replay.measured.object.position.toArray()]; }""",
-            moment,
-        )
-        assert hand == pytest.approx(model.placement(measured.position[row]).translation, abs=1e-6)
-        assert thing == pytest.approx(seen.position[tracked], abs=1e-6)
+    check_where_it_was_measured(page, bag, (0.3, 0.94, 1.8))
 
 
 @needs_browser
