@@ -209,6 +209,28 @@ class BulletWorld:
         position, velocity = self.joint_motion(name)
         return ArmState(np.array(position), np.array(velocity))
 
+    def object_pose(self) -> tuple[float, ...]:
+        """Centre of mass [m] and quaternion x y z w of the object in A, as Bullet tells them: seven numbers."""
+        position, quaternion = self._get_pose(self.object)
+        return position + quaternion
+
+    def tracked(self, poses: Array) -> tuple[Array, Array]:
+        """What a tracker sees of the object along its motion.
+
+        Args:
+            poses: Rows of :meth:`object_pose`, ``(k, 7)``.
+
+        Returns:
+            Its geometric centre, ``(k, 3)`` [m], and its angle about z of A, ``(k,)`` [rad], without jumps.
+        """
+        x, y, z, w = poses[:, 3:].T
+        yaw = np.unwrap(np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)))
+        if not self._com_is_offset:
+            return poses[:, :3], yaw
+        axis, offset = poses[:, 3:6], self.physics.object.com_offset
+        turned = np.cross(axis, offset)
+        return poses[:, :3] - (offset + 2.0 * (w[:, None] * turned + np.cross(axis, turned))), yaw
+
     def object_state(self) -> BodyState:
         """State of the object, at its geometric centre."""
         position, quaternion = self._get_pose(self.object)
@@ -345,7 +367,7 @@ def _load_urdf(client: BulletClient, facts: RobotFacts, end_effector: EndEffecto
             basePosition=base.translation.tolist(),
             baseOrientation=_quaternion(base.rotation),
             useFixedBase=1,
-            flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+            flags=pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_IGNORE_VISUAL_SHAPES,
         )
     return int(body)
 

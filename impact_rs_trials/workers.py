@@ -85,9 +85,11 @@ def client_of(workforce: Workforce) -> Iterator[Client]:
 @contextmanager
 def _local_client(jobs: int) -> Iterator[Client]:
     """A client of a quiet cluster of ``jobs`` worker processes on this machine."""
+    import dask.config
     from distributed import Client, LocalCluster
 
     with (
+        dask.config.set({"distributed.worker.profile.enabled": False}),  # it looks at every worker each 10 ms
         tempfile.TemporaryDirectory(prefix="impact_rs_") as scratch,
         LocalCluster(
             n_workers=jobs,

@@ -272,6 +272,15 @@ def _between(time: Array, values: Array, moment: float) -> Array:
     return np.asarray((1.0 - share) * values[row] + share * values[row + 1])
 
 
+@functools.lru_cache(maxsize=16)
+def _slopes(samples: int, length: int) -> Array:
+    """Slopes per sample of parabolas through ``length`` samples, as a matrix on the signal, ``(samples, samples)``.
+
+    Savitzky and Golay's filter is linear; its ends alone, fitted anew in every call, cost more than the product.
+    """
+    return np.asarray(scipy.signal.savgol_filter(np.eye(samples), length, 2, deriv=1, axis=0))
+
+
 class Balances:
     """Torque balances of the nominal model along a motion.
 
@@ -302,20 +311,19 @@ class Balances:
             rows = rows[ends | (rows % STRIDE == 0)]
         momentum, known = np.zeros((2, rows.size, arm.position.shape[1]))
         self.twists = np.zeros((rows.size, 6))
-        pinocchio, data = model.pinocchio, model.data
+        pinocchio, data, still = model.pinocchio, model.data, np.zeros(model.joint_count)
         for place, row in enumerate(rows):
             q, dq = arm.position[row], arm.velocity[row]
-            terms = model.terms(q, dq)
-            coriolis = pin.computeCoriolisMatrix(pinocchio, data, q, dq)
-            momentum[place] = terms.mass_matrix @ dq
-            known[place] = coriolis.T @ dq - (terms.bias - coriolis @ dq)
-            self.twists[place] = terms.twist
+            gravity = model.gravity_torque(q)
+            momentum[place] = pin.rnea(pinocchio, data, q, still, dq) - gravity
+            known[place] = dq @ pin.computeCoriolisMatrix(pinocchio, data, q, dq) - gravity
+            self.twists[place] = model.twist(q, dq)
         if motor:
             spring_rate = arm.motor_velocity - arm.velocity
         else:
             length = max(5, 2 * round(RATE_SPAN / float(time[1] - time[0]) / 2.0) + 1)
             length = min(length, time.size - 1 + time.size % 2)
-            rate = scipy.signal.savgol_filter(arm.torque, length, 2, deriv=1, delta=float(time[1] - time[0]), axis=0)
+            rate = _slopes(time.size, length) @ arm.torque / float(time[1] - time[0])
             spring_rate = rate / physics.stiffness
         self.motor_velocity = arm.velocity + spring_rate
         self._damped = _Integral(time, arm.torque + physics.damping * spring_rate)

@@ -298,7 +298,7 @@ def _replayed(window: Window, mechanics: Mechanics) -> Signals:
         name: {key: np.empty((ticks, mechanics.links[name].position.size)) for key in ("q", "dq", "tau", "m", "dm")}
         for name in names
     }
-    pose, yaw = np.empty((ticks, 3)), np.empty(ticks)
+    poses = np.empty((ticks, 7))
     substeps = window.substeps
     # One object for as long as a command is held: the torque loop works it out once.
     held = {name: list(window.torque[name]) for name in names}
@@ -308,9 +308,7 @@ def _replayed(window: Window, mechanics: Mechanics) -> Signals:
             link, drive, own = mechanics.links[name], mechanics.drives[name], columns[name]
             own["q"][tick], own["dq"][tick], own["tau"][tick] = link.position, link.velocity, drive.elastic_torque
             own["m"][tick], own["dm"][tick] = drive.position, drive.velocity
-        if window.contact:
-            state = mechanics.world.object_state()
-            pose[tick], yaw[tick] = state.position, math.atan2(state.rotation[1, 0], state.rotation[0, 0])
+        poses[tick] = mechanics.world.object_pose()
         if tick + 1 < ticks:
             rows = slice(tick * substeps, (tick + 1) * substeps)
             mechanics.step({name: desired[name][rows] for name in names}, float(window.time[tick]))
@@ -319,9 +317,9 @@ def _replayed(window: Window, mechanics: Mechanics) -> Signals:
         for name, own in columns.items()
     }
     # The object as it was tracked, for means over few samples depend on when they were taken.
-    seen, columns_of = window.seen, (*pose.T, np.unwrap(yaw))
-    poses = [np.interp(seen, window.time, column) for column in columns_of] if seen.size else [seen] * len(columns_of)
-    return Signals(window.time, arms, seen, np.column_stack(poses[:3]), poses[3])
+    centre, yaw = mechanics.world.tracked(poses)
+    seen = [np.interp(window.seen, window.time, column) for column in (*centre.T, yaw)]
+    return Signals(window.time, arms, window.seen, np.column_stack(seen[:3]), seen[3])
 
 
 def _resting(signals: Signals, nominal: BodyState, until: float) -> BodyState:

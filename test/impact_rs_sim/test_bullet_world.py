@@ -217,6 +217,24 @@ def test_the_state_of_an_object_off_its_centre_reads_back_as_it_was_set() -> Non
     np.testing.assert_allclose(found.twist, state.twist, atol=1e-9)
 
 
+@pytest.mark.parametrize("com", [(0.0, 0.0, 0.0), (0.02, -0.01, 0.03)])
+def test_a_tracker_sees_the_centre_of_a_tumbling_object_and_its_angle_without_jumps(com) -> None:
+    poses, positions, rotations = [], [], []
+    with world(offset(com), gravity=False) as made:
+        made.set_object(away(np.array([0.1, -0.2, 0.3, 0.2, -0.1, 30.0]), pin.rpy.rpyToMatrix(0.3, -0.4, 2.9)))
+        for _ in range(3000):
+            poses.append(made.object_pose())
+            positions.append(made.object_state().position)
+            rotations.append(made.object_state().rotation)
+            made.step()
+        centre, yaw = made.tracked(np.array(poses))
+    np.testing.assert_allclose(centre, positions, atol=1e-12)
+    np.testing.assert_allclose(np.cos(yaw), [r[0, 0] / np.hypot(r[0, 0], r[1, 0]) for r in rotations], atol=1e-12)
+    assert yaw[0] == pytest.approx(2.9)
+    assert yaw[-1] > 9.0  # one and a half turns, counted on
+    assert np.abs(np.diff(yaw)).max() < 0.01
+
+
 @pytest.mark.parametrize("height", [0.04, -0.04])
 def test_the_faces_of_an_object_are_where_they_were_wherever_its_weight_is(height: float) -> None:
     """It stands on its support, neither in it nor above it."""
