@@ -85,11 +85,9 @@ def client_of(workforce: Workforce) -> Iterator[Client]:
 @contextmanager
 def _local_client(jobs: int) -> Iterator[Client]:
     """A client of a quiet cluster of ``jobs`` worker processes on this machine."""
-    import dask.config
     from distributed import Client, LocalCluster
 
     with (
-        dask.config.set({"distributed.worker.profile.enabled": False}),  # it looks at every worker each 10 ms
         tempfile.TemporaryDirectory(prefix="impact_rs_") as scratch,
         LocalCluster(
             n_workers=jobs,
@@ -101,6 +99,7 @@ def _local_client(jobs: int) -> Iterator[Client]:
             memory_limit=MEMORY_LIMIT,
             local_directory=scratch,
             preload=["impact_rs_trials.worker"],
+            config={"distributed.worker.profile.enabled": False},  # it would look at every worker each 10 ms
             silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
