@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import hypothesis
 import pytest
@@ -23,6 +23,22 @@ sys.path.append(str(Path(__file__).parent / "shared"))  # what tests of several 
 # A shared machine is slow now and then, and the first message of a type loads its type support.
 hypothesis.settings.register_profile("impact_rs", deadline=None)
 hypothesis.settings.load_profile("impact_rs")
+
+
+@pytest.hookimpl(optionalhook=True)  # colcon tests without pytest-xdist, one package at a time
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Where several processes test (``-n``), a file stays together, for its fixtures are dear, and so do all nodes.
+
+    A graph of nodes takes more than one core, and what it waits for is wall time: there is one of them at a time.
+    """
+    from xdist.scheduler import LoadFileScheduling
+
+    class NodesTogether(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = super()._split_scope(nodeid)
+            return "nodes" if file.startswith(("test/system/", "test/impact_rs_ros/")) else file
+
+    return NodesTogether(config, log)
 
 
 @pytest.fixture(scope="session")
