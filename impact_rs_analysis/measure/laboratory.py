@@ -119,8 +119,13 @@ def jumps_of(runs: Runs, contact: str = "first") -> LaboratoryJumps:
             lasts is closed.
 
     Raises:
-        InputError: Nothing is hit in any run, or no impact map can be computed.
+        InputError: Nothing is hit in any run, no impact map can be computed, or there are several arms.
     """
+    if any(len(run.setup.physics.arms) > 1 for run in runs.runs):
+        raise InputError(
+            "the jump is analysed for one arm, which the object follows; compare and diagnose take runs of several",
+            file=runs.directory,
+        )
     found, remarks = [], list(runs.remarks)
     for condition, group in runs.conditions.items():
         if not group[0].hit:

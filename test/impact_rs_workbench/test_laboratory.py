@@ -136,7 +136,7 @@ def test_what_is_written_is_an_experiment_that_can_be_read(client: TestClient, l
     assert [(row.name, row.object, row.hit, row.condition) for row in rows] == [
         ("run_1", "parcel", True, "case_1"), ("run_2", None, False, "slow"),
     ]  # fmt: skip
-    mapping = experiment.load_mapping()
+    mapping = experiment.load_mappings(["arm"])["arm"]
     assert mapping.robot == "franka_fer"
     assert mapping.signals["object_pose"].topic == "/mocap/{object}/pose"
 
