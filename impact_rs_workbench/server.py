@@ -140,7 +140,10 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/scenario", _got(lambda given: workbench.scenario(given.get("name", "")))),
         Route("/api/comparison", _got(lambda given: results.comparison(workspace.existing(given.get("path", ""))))),
         Route("/api/diagnosis", _got(lambda given: results.diagnosis(workspace.existing(given.get("path", ""))))),
-        Route("/api/laboratory", _got(lambda given: laboratory.look(workspace, given.get("path", "")))),
+        Route(
+            "/api/laboratory",
+            _got(lambda given: laboratory.look(workspace, given.get("path", ""), given.get("scenario", ""))),
+        ),
         Route("/api/jobs", _got(lambda _: jobs.all())),
         Route("/api/jobs/{number:int}/log", _got(lambda given: {"log": jobs.log(given["number"])})),
         Route("/api/events", _events(workbench)),

@@ -15,10 +15,11 @@ from __future__ import annotations
 import functools
 import itertools
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -162,33 +163,55 @@ class Laboratory:
 
     @classmethod
     def of(cls, experiment: Experiment) -> Laboratory:
-        """Scenario and mapping of an experiment, which must fit each other.
+        """Scenario and mappings of an experiment, which must fit each other.
 
         Raises:
             InputError: They do not, or signals of two arms are the same.
         """
+
+        def place(arm: str | None) -> dict[str, Any]:
+            named = experiment.mapping
+            if isinstance(named, str):
+                return {"file": experiment.file, "key": "mapping", "value": named}
+            if arm is None:
+                return {"file": experiment.file, "key": "mapping"}
+            return {"file": experiment.file, "key": f"mapping.{arm}", "value": named[arm]}
+
         scenario = experiment.load_scenario()
-        mappings = experiment.load_mappings(scenario.robots)
+        return cls.checked(scenario, experiment.load_mappings(scenario.robots), experiment.motion_capture, place)
+
+    @classmethod
+    def checked(
+        cls,
+        scenario: Scenario,
+        mappings: Mapping[str, SignalMapping],
+        motion_capture: MotionCapture,
+        place: Callable[[str | None], Mapping[str, Any]],
+    ) -> Laboratory:
+        """Scenario and mappings, which must fit each other.
+
+        Args:
+            scenario: Robots, objects and support.
+            mappings: Where the signals of each arm are.
+            motion_capture: Where its world is.
+            place: File, key and value that an error names, for the mapping of an arm or of all of them.
+
+        Raises:
+            InputError: They do not, or signals of two arms are the same.
+        """
         for arm, mapping in mappings.items():
             robot = scenario.robots[arm]
-            several = isinstance(experiment.mapping, dict)
-            place = f"mapping.{arm}" if several else "mapping"
-            value = experiment.mapping[arm] if isinstance(experiment.mapping, dict) else experiment.mapping
             if robot.robot_facts != mapping.facts:
                 raise InputError(
                     f"the mapping is for robot {mapping.robot!r}, arm {arm!r} of scenario {scenario.name!r} is "
                     f"{robot.facts_name!r}; expected the same",
-                    file=experiment.file,
-                    key=place,
-                    value=value,
+                    **place(arm),
                 )
             if mapping.torque_measured_at != "link":
                 raise InputError(
                     "torque_measured_at is 'motor' in the mapping; runs with contact need the torque behind the gears "
                     "(link), the torque asked of the motors is signals.command",
-                    file=experiment.file,
-                    key=place,
-                    value=value,
+                    **place(arm),
                 )
         for one, other in itertools.combinations(mappings, 2):
             for name in REQUIRED:
@@ -197,10 +220,9 @@ class Laboratory:
                         f"{name} of arms {one!r} and {other!r} would be the same numbers; expected {{arm}} where the "
                         "name of an arm stands in a topic, a column or the joints, or a mapping of each arm, mapping: "
                         f"{{{one}: ..., {other}: ...}}",
-                        file=experiment.file,
-                        key="mapping",
+                        **place(None),
                     )
-        return cls(scenario, mappings, experiment.motion_capture)
+        return cls(scenario, mappings, motion_capture)
 
     @functools.cached_property
     def models(self) -> dict[str, RobotModel]:
@@ -289,7 +311,7 @@ def read_laboratory(
     table = read_runs(directory, experiment, laboratory.scenario)
     read: list[LaboratoryRun] = []
     skipped: list[tuple[str, str]] = []
-    laboratory = _placed(laboratory, table, map_tasks)
+    laboratory = placed(laboratory, table, map_tasks)
     tasks = [(laboratory, run) for run in table]
     for run, result in zip(table, map_tasks(_try_to_read, tasks), strict=True):
         if isinstance(result, LaboratoryRun):
@@ -318,11 +340,15 @@ def read_one(directory: Path, experiment: Experiment, name: str, map_tasks: Map)
     laboratory = Laboratory.of(experiment)
     table = read_runs(directory, experiment, laboratory.scenario)
     row = run_named(table, directory, name)
-    return read_run(_placed(laboratory, table, map_tasks), row)
+    return read_run(placed(laboratory, table, map_tasks), row)
 
 
-def _placed(laboratory: Laboratory, table: Sequence[RunRow], map_tasks: Map) -> Laboratory:
-    """With the world of the motion capture where hits say it is, where nobody has measured it."""
+def placed(laboratory: Laboratory, table: Sequence[RunRow], map_tasks: Map) -> Laboratory:
+    """With the world of the motion capture where hits say it is, where nobody has measured it.
+
+    Raises:
+        InputError: No hit says anything of it.
+    """
     if not laboratory.motion_capture.estimate:
         return laboratory
     hits = [(laboratory, run) for run in table if run.hit]
