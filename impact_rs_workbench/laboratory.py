@@ -205,11 +205,10 @@ def _robot(workspace: Workspace, scenario_name: str, scenario: Scenario, arm: st
     return str((path.parent / named).resolve())
 
 
-def _si(signal: SignalName, unit: str) -> str:
-    """The SI unit that numbers in a unit are brought to."""
-    quantity = QUANTITY[signal]
-    known = next(table for table in (TURNS, SLIDES, UNITS) if unit in table.get(quantity, {}))
-    return next(iter(known[quantity]))
+def _si(signal: SignalName, unit: str, like: SignalName | None = None) -> str:
+    """The SI unit of a signal, of a joint that moves as ``unit`` says (of the signal ``like``)."""
+    known = next((table for table in (TURNS, SLIDES) if unit in table.get(QUANTITY[like or signal], {})), UNITS)
+    return next(iter(known[QUANTITY[signal]]))
 
 
 def _short(values: Array) -> list[float | None]:
@@ -291,9 +290,10 @@ def _mapping(
     Raises:
         InputError: It breaks its schema.
     """
-    first = next(iter(signals.values()))
+    first_name, first = next(iter(signals.items()))
+    units = first.units if len(first.units) > 1 else first.units * len(joints)
     stand_ins = {
-        name: first.model_copy(update={"unit": next(iter(UNITS[QUANTITY[name]]))})
+        name: first.model_copy(update={"unit": tuple(_si(name, unit, first_name) for unit in units)})
         for name in REQUIRED
         if name not in signals
     }

@@ -27,7 +27,8 @@ from impact_rs_trials.recordings.laboratory import LaboratoryRun, read_laborator
 from impact_rs_trials.spec import TrialSpec
 
 if TYPE_CHECKING:
-    from conftest import LaboratoryFolder, Signals
+    from conftest import LaboratoryFolder
+    from known_recordings import Signals
 
 JOINT_COLUMNS = {"position": "position", "velocity": "velocity", "effort": "torque"}
 POSE_COLUMNS = [f"object_{name}" for name in ("x", "y", "z", "qx", "qy", "qz", "qw")]
