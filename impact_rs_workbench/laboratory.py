@@ -215,11 +215,12 @@ def _short(values: Array) -> list[float | None]:
     return [float(f"{value:.5g}") if math.isfinite(value) else None for value in values]
 
 
-def describe(workspace: Workspace, description: Description) -> list[str]:
+def describe(workspace: Workspace, description: Description) -> tuple[list[str], tuple[str, ...]]:
     """Write experiment file, mappings and table of runs beside the recordings, all of them or none.
 
     Returns:
-        The files as they are seen from the folder, the experiment file first.
+        The files as they are seen from the folder, the experiment file first; and what the user should know of how the
+        first run was read.
 
     Raises:
         InputError: A file is there already, something in the description cannot be, or the first run (of those that
@@ -249,8 +250,9 @@ def describe(workspace: Workspace, description: Description) -> list[str]:
         rows = read_runs(folder, Experiment(scenario=scenario_name, runs=str(table)), scenario)
         laboratory = Laboratory.checked(scenario, mappings, motion_capture, lambda arm: {"key": arm})
         first = next((row for row in rows if row.hit), rows[0])
-        read_run(placed(laboratory, rows, map), first)
-    return [workspace.name(folder / name) for name in (EXPERIMENT, *files.values(), RUN_TABLE)]
+        remarks = read_run(placed(laboratory, rows, map), first).remarks
+    written = [workspace.name(folder / name) for name in (EXPERIMENT, *files.values(), RUN_TABLE)]
+    return written, tuple(f"{first.name}: {remark}" for remark in remarks)
 
 
 def _mapping_files(scenario: Scenario) -> dict[str, str]:

@@ -166,10 +166,10 @@ def _command(workbench: Workbench, data: Any) -> dict[str, str]:
 
 def _described(workbench: Workbench, data: Any) -> dict[str, Any]:
     description: Description = checked(Description, data)
-    written = laboratory.describe(workbench.workspace, description)
+    written, remarks = laboratory.describe(workbench.workspace, description)
     name = description.path.strip("./") or "lab"
     step = {"step": "compare", "runs": description.path, "experiment": written[0], "output": f"reports/compare_{name}"}
-    return {"written": written} | _command(workbench, step)
+    return {"written": written, "remarks": remarks} | _command(workbench, step)
 
 
 def _kept(workbench: Workbench, data: Any) -> dict[str, str]:

@@ -447,8 +447,8 @@ const measure = {
     const options = plain(state.workspace.scenarios);
     fill(this.scenario, options, this.scenario.value || 'push');
     fill(this.trialScenario, options, this.trialScenario.value || 'push');
-    if (!this.scenarioFound) { await this.choose(); await this.chooseTrial(); this.tellBlind(); }
     laboratory.update();
+    if (!this.scenarioFound) { await this.choose(); await this.chooseTrial(); this.tellBlind(); }
   },
 
   async choose(only = {}) {
@@ -839,7 +839,9 @@ const laboratory = {
     this.none.hidden = found.length > 0;
     this.folder.closest('.fields').hidden = !found.length;
     const first = found.find((lab) => !lab.experiment)?.path;
-    fill(this.folder, found.map((lab) => ({value: lab.path, text: `${lab.path}${lab.experiment ? ' (described)' : ''}`})), this.folder.value || first);
+    fill(this.folder, found.map((lab) => ({value: lab.path, text: `${lab.path}${lab.experiment ? ' (described)' : ''}`})),
+      this.wanted ?? (this.folder.value || first));
+    this.wanted = null;
     fill(this.scenario, plain(state.workspace.scenarios), this.scenario.value || 'push');
     if (this.folder.value && this.folder.value !== this.looked) this.look();
   },
@@ -952,7 +954,8 @@ const laboratory = {
       const done = await ask('/api/laboratory', {path: folder, scenario: this.scenario.value, object_pose: this.pose.value(),
         world_from_hits: this.world.checked, runs, arms: Object.fromEntries(this.arms.map((arm) => [arm.name,
           {joints: arm.joints(), command_includes_gravity: arm.gravity.checked, signals: chosen(arm)}]))});
-      this.told.node.replaceChildren(h('p', {class: 'good', id: 'lab-written'}, `Written: ${done.written.join(', ')}. Next:`), commandLine(done.command),
+      this.told.node.replaceChildren(h('p', {class: 'good', id: 'lab-written'}, `Written: ${done.written.join(', ')}. Next:`),
+        ...done.remarks.map((remark) => h('p', {class: 'note'}, `Note: ${remark}`)), commandLine(done.command),
         h('div', {class: 'actions'}, h('button', {type: 'button', onclick: () => { compare.form.wanted = folder; go('compare'); }}, 'Compare')));
     } catch (error) { this.told.error(error.message); }
     this.told.node.scrollIntoView({block: 'nearest'});
@@ -1008,8 +1011,8 @@ function chooseCampaign(one) {
 function chooseLaboratory(one) {
   go('measure');
   measure.show('laboratory');
-  laboratory.folder.value = one.path;
-  laboratory.look();
+  laboratory.wanted = one.path;
+  laboratory.update();
 }
 
 function chooseModel(one) {

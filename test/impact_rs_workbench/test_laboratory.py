@@ -139,6 +139,7 @@ def test_what_is_written_is_an_experiment_that_can_be_read(client: TestClient, l
     assert answer.status_code == 200, answer.text
     assert answer.json()["written"] == ["lab/experiment.yaml", "lab/mapping.yaml", "lab/runs.csv"]
     assert "compare" in answer.json()["command"]
+    assert "run_1: /effort_controller/commands: log time" in answer.json()["remarks"][0]
     experiment = load_experiment(lab / "experiment.yaml")
     rows = read_runs(lab, experiment, experiment.load_scenario())
     assert [(row.name, row.object, row.hit, row.condition) for row in rows] == [
