@@ -954,8 +954,8 @@ const laboratory = {
       const done = await ask('/api/laboratory', {path: folder, scenario: this.scenario.value, object_pose: this.pose.value(),
         world_from_hits: this.world.checked, runs, arms: Object.fromEntries(this.arms.map((arm) => [arm.name,
           {joints: arm.joints(), command_includes_gravity: arm.gravity.checked, signals: chosen(arm)}]))});
-      this.told.node.replaceChildren(h('p', {class: 'good', id: 'lab-written'}, `Written: ${done.written.join(', ')}. Next:`),
-        ...done.remarks.map((remark) => h('p', {class: 'note'}, `Note: ${remark}`)), commandLine(done.command),
+      this.told.node.replaceChildren(h('p', {class: 'good', id: 'lab-written'}, `Written: ${done.written.join(', ')}.`),
+        ...done.remarks.map((remark) => h('p', {class: 'note'}, `Note: ${remark}`)), h('p', {}, 'Next:'), commandLine(done.command),
         h('div', {class: 'actions'}, h('button', {type: 'button', onclick: () => { compare.form.wanted = folder; go('compare'); }}, 'Compare')));
     } catch (error) { this.told.error(error.message); }
     this.told.node.scrollIntoView({block: 'nearest'});
@@ -983,7 +983,7 @@ function showFolder() {
   $('campaigns').replaceChildren(...or(campaigns.map((one) => entry(`campaign ${one.path}`, one.path,
     [one.error || `${one.scenario ? `${one.scenario}, ` : ''}${one.present} of ${one.trials} trials`], () => chooseCampaign(one))), 'none yet'));
   $('laboratories').replaceChildren(...or(laboratories.map((one) => entry(`lab ${one.path}`, one.path === '.' ? 'this folder' : one.path,
-    [one.error || (one.experiment ? 'described' : `${one.recordings.length} recordings, not described`)], () => chooseLaboratory(one))), 'none yet'));
+    [one.error || (one.experiment ? 'described' : `${one.recordings.length} recording${one.recordings.length === 1 ? '' : 's'}, not described`)], () => chooseLaboratory(one))), 'none yet'));
   const branch = (parent) => models.filter((one) => one.parent === parent && one.path !== parent).map((one) => {
     const children = branch(one.path);
     const item = entry(`model ${one.path}`, one.name, [one.error || one.effects.join(' + ') || 'nothing added',
