@@ -1087,6 +1087,7 @@ function finished(job) {
   if (job.step === 'compare' && job.arguments[0] === 'compare') compare.wanted = `${made[0]}/compare.html`;
   if (job.step === 'compare' && job.arguments[0] === 'analyze') compare.wanted = `${made[0]}/report.html`;
   if (job.step === 'diagnose') diagnose.wanted = `${made[0]}/diagnosis.json`;
+  if (state.workspace) STEPS[state.step][1].update(); // the files may have been told of before the job's end
 }
 
 // ---- the page ---------------------------------------------------------------------------------------------------------------
