@@ -171,9 +171,8 @@ def _speeds(run: MeasuredRun, ante: dict[str, Array]) -> tuple[float, float]:
         if f.phase == "impact"
     }
     for name, direction in _directions(ante).items():
-        label = f"{name}." if len(run.setup.physics.arms) > 1 else ""
         # The feature is the change against the mean over the last milliseconds before the impact.
-        change = np.array([values["end-effector velocity", f"{label}{axis}", SETTLED] for axis in AXES])
+        change = np.array([values["end-effector velocity", axis, SETTLED] for axis in AXES])
         baseline = _baseline(run, name)
         pairs.append((float(ante[name] @ direction), float((baseline + change) @ direction)))
     before, after = np.mean(pairs, axis=0)

@@ -915,11 +915,12 @@ const laboratory = {
         const told = seen_.ranges.map((one) => `from ${number(one.low)} to ${number(one.high)} ${one.unit}`).join(', ');
         line.className = seen_.wrong ? 'error' : 'note';
         line.textContent = seen_.wrong || `${seen_.place}; ${seen_.samples} samples at ${number(seen_.rate)} Hz; ${told}`;
-        const second = seen_.ranges[1]?.unit; // of joints that slide beside others that turn
+        const second = seen_.ranges.length > 1 ? sliding[0] : null; // the SI unit of joints that slide beside others that turn
         await draw(plot, {data: seen_.columns.map((column) => ({x: seen_.time, y: column.values, name: column.name, mode: 'lines', line: {width: 1.2},
           hovertemplate: `%{y:.4g} ${column.unit}`, ...(column.unit === second ? {yaxis: 'y2'} : {})})),
         layout: {height: 170, margin: {l: 50, r: second ? 50 : 10, t: 6, b: 34}, showlegend: false, xaxis: {title: {text: 'time [s]'}},
-          yaxis: {title: {text: seen_.ranges[0].unit}}, ...(second ? {yaxis2: {title: {text: second}, overlaying: 'y', side: 'right'}} : {})}});
+          yaxis: {title: {text: seen_.ranges.find((one) => one.unit !== second).unit}},
+          ...(second ? {yaxis2: {title: {text: second}, overlaying: 'y', side: 'right', tickmode: 'auto', showgrid: false}} : {})}});
       } catch (error) { if (mine === asked) clear(error.message, 'error'); }
     };
     // All signals of an arm have the clock of its joint positions.
