@@ -219,7 +219,7 @@ def load_facts(name: str) -> RobotFacts:
         InputError: There is no such robot, or its file breaks the schema.
     """
     directory = config_directory() / "robots"
-    path = Path(name) if name.endswith(".yaml") else directory / f"{name}.yaml"
+    path = Path(name) if name.endswith((".yaml", ".yml")) else directory / f"{name}.yaml"
     if not is_file(path):
         known = ", ".join(sorted(file.stem for file in directory.glob("*.yaml")))
         raise InputError(f"no robot {shortened(name)!r}; known robots: {known}")

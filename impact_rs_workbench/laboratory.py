@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings that were not made here: what is in them, how a signal looks, and the files that say what they are.
+"""Recordings that were not made here: how a signal looks, and the files that say what they are.
 
-A preview goes the way of an analysis, by a mapping and :func:`read_series`, so that what is seen is what will be used.
+A preview goes the way of an analysis, by a mapping and :func:`read_series`, so that what is seen is what will be used;
+and what is written has been read once as an analysis reads it.
 """
 
 from __future__ import annotations
@@ -10,79 +11,57 @@ import csv
 import io
 import math
 import os
-import re
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import yaml
 from pydantic import Field
-from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_typestore
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole_folder
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario, load_scenario
-from impact_rs_sim.schema import Name, Schema, validate
-from impact_rs_trials.recordings.array_file import ArrayFile
-from impact_rs_trials.recordings.bag_file import register
-from impact_rs_trials.recordings.experiment import Experiment, read_runs
-from impact_rs_trials.recordings.mapping import QUANTITY, REQUIRED, UNITS, Mapping, SignalName, SignalSource
-from impact_rs_trials.recordings.series import Names
-from impact_rs_trials.recordings.sources import ARRAY_SUFFIXES, BAG_SUFFIXES, TABLE_SUFFIXES, is_bag_folder, read_series
-from impact_rs_trials.recordings.table_file import TableFile
+from impact_rs_sim.schema import Name, Schema, load_mapping, validate
+from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, read_runs
+from impact_rs_trials.recordings.laboratory import IMPACT_SHARE, Laboratory, placed, read_run
+from impact_rs_trials.recordings.mapping import (
+    JOINT_SIGNALS,
+    QUANTITY,
+    REQUIRED,
+    SLIDES,
+    TURNS,
+    UNITS,
+    Mapping,
+    SignalName,
+    SignalSource,
+)
+from impact_rs_trials.recordings.plausibility import check_weight
+from impact_rs_trials.recordings.recording import check_limits, check_velocity
+from impact_rs_trials.recordings.series import Series
+from impact_rs_trials.recordings.sources import read_series
+from impact_rs_workbench.candidates import MOST_WIDE, OBJECT_POSE, candidates_of, propose
 from impact_rs_workbench.workspace import RUN_TABLE, Workspace
 
-MAPPING, EXPERIMENT = "mapping.yaml", "experiment.yaml"
-ROBOT = "franka_fer"  # only to look at a signal; what is written names that of the scenario
+EXPERIMENT = "experiment.yaml"
 MOST_POINTS = 300  # of a preview
-MOST_WIDE = 40  # numbers in a sample of what may be joints
-DEEPEST = 3  # fields of a message inside of each other
-POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
-SI = {"position": "rad", "velocity": "rad/s", "torque": "N m", "length": "m"}
 
-
-@dataclass(frozen=True)
-class SignalCandidate:
-    """Something in a recording that may be a signal.
-
-    Attributes:
-        label: How a list calls it.
-        source: Where it is, as a mapping says it; without unit.
-        pose: Whether it is the pose of something; else numbers of joints.
-        guess: The signal that its name hints at; empty: none.
-    """
-
-    label: str
-    source: dict[str, Any]
-    pose: bool
-    guess: str = ""
-
-
-@dataclass
-class Found:
-    """What is in a recording.
-
-    Attributes:
-        streams: What may be signals.
-        joints: Names of joints, in order of their numbers; empty: the recording names none.
-    """
-
-    streams: list[SignalCandidate] = field(default_factory=list)
-    joints: list[str] = field(default_factory=list)
+ArmSignal = Literal["position", "velocity", "torque", "command"]
 
 
 class PreviewRequest(Schema):
     """A signal to be looked at."""
 
     path: str = Field(description="recording")
+    scenario: str = Field(description="scenario with the robot that it is of")
+    arm: str = Field(description="arm that it is of; of the pose of the object the one whose clock it has")
     signal: SignalName = Field(description="what it is taken for")
     source: SignalSource = Field(description="where it is")
     position: SignalSource = Field(description="where the joint positions are, whose clock the others are brought to")
     joints: tuple[str, ...] = Field(min_length=1, max_length=MOST_WIDE, description="joints in order")
+    command_includes_gravity: bool = Field(True, description="whether the command holds the arm's own weight")
 
 
 class RunEntry(Schema):
@@ -94,192 +73,215 @@ class RunEntry(Schema):
     condition: Name = Field(description="what repeats have in common")
 
 
+class ArmDescription(Schema):
+    """What was recorded of one arm."""
+
+    joints: tuple[str, ...] = Field(min_length=1, max_length=MOST_WIDE, description="joints in order")
+    command_includes_gravity: bool = Field(True, description="whether the command holds the arm's own weight")
+    signals: dict[ArmSignal, SignalSource] = Field(description="where each signal is")
+
+
 class Description(Schema):
     """What a folder of recordings is."""
 
     path: str = Field(description="the folder")
-    scenario: str = Field(description="scenario with robot, objects and support")
-    joints: tuple[str, ...] = Field(min_length=1, max_length=MOST_WIDE, description="joints in order")
-    command_includes_gravity: bool = Field(True, description="whether the command holds the arm's own weight")
-    signals: dict[SignalName, SignalSource] = Field(description="where each signal is")
+    scenario: str = Field(description="scenario with robots, objects and support")
+    arms: dict[str, ArmDescription] = Field(description="what was recorded of each arm")
+    object_pose: SignalSource | None = Field(None, description="where the pose of the object is")
+    world_from_hits: bool = Field(False, description="whether the tracker's world is found from contact in the hits")
     runs: tuple[RunEntry, ...] = Field(min_length=1, description="the runs")
 
 
-def look(workspace: Workspace, folder: str) -> dict[str, Any]:
-    """What the first recording of a folder holds.
+def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any]:
+    """What the first recording of a folder holds, and what of it may be the signals of a scenario's arms.
 
     Raises:
-        InputError: There is none, or it cannot be read.
+        InputError: There is none, or it cannot be read; or there is no such scenario.
     """
     directory = workspace.existing(folder)
     lab = next((one for one in workspace.contents().laboratories if one.path == folder), None)
     if lab is None or not lab.recordings:
         raise InputError("no recording of others in this folder", file=directory)
     path = directory / lab.recordings[0]
-    found = _look(path)
-    if not found.streams:
+    found = candidates_of(path)
+    if not found:
         raise InputError("nothing in it looks like the signals of a robot", file=path)
+    scenario = load_scenario(workspace.scenario_path(scenario_name))
+    robots = scenario.robots
+    proposals = propose(found, {arm: robot.robot_facts.joint_count for arm, robot in robots.items()})
     return {
         "recording": lab.recordings[0],
         "path": workspace.name(path),
-        "joints": found.joints or [f"joint{number}" for number in range(1, 8)],
-        "streams": [asdict(stream) for stream in found.streams],
+        "streams": [asdict(stream) for stream in found],
+        "arms": {
+            arm: {
+                "robot": Path(_robot(workspace, scenario_name, scenario, arm)).stem,
+                "slides": [kind == "prismatic" for kind in robots[arm].robot_facts.joint_types],
+                **asdict(proposal),
+            }
+            for arm, proposal in proposals.items()
+        },
+        "object_pose": next((number for number, one in enumerate(found) if one.guess == OBJECT_POSE), None),
     }
 
 
-def _look(path: Path) -> Found:
-    if is_bag_folder(path) or path.suffix in BAG_SUFFIXES:
-        return _look_at_bag(path)
-    if path.suffix in TABLE_SUFFIXES:
-        return _look_at_table(path)
-    if path.suffix in ARRAY_SUFFIXES:
-        return _look_at_arrays(path)
-    raise InputError("no recording that can be looked at", file=path)
-
-
-def _look_at_bag(path: Path) -> Found:
-    """The first message of every topic."""
-    found = Found()
-    store = get_typestore(Stores.ROS2_JAZZY)
-    seen: set[str] = set()
-    try:
-        with Reader(path) as reader:
-            for connection in reader.connections:
-                register(store, connection)
-            for connection, _, data in reader.messages():
-                if connection.topic in seen:
-                    continue
-                seen.add(connection.topic)
-                message = store.deserialize_cdr(data, connection.msgtype)
-                _look_at_message(found, connection.topic, connection.msgtype, message)
-                if len(seen) == len(reader.topics):
-                    break
-    except Exception as error:  # a damaged file can fail anywhere inside the library
-        raise InputError(f"not a readable bag ({type(error).__name__}: {error})", file=path) from None
-    return found
-
-
-def _look_at_message(found: Found, topic: str, kind: str, message: Any) -> None:
-    if _holds_pose(message):
-        found.streams.append(SignalCandidate(topic, {"topic": topic, "type": kind}, True, "object_pose"))
-    names = _names(message)
-    for place, numbers in _numbers(message):
-        source = {"topic": topic, "type": kind, "field": place}
-        if names is not None and len(names) == numbers:
-            source["names"] = "name"
-            found.joints = found.joints or sorted(names, key=_natural)
-        guess = {"effort": "torque"}.get(place, place)
-        guess = "command" if "command" in topic else guess if "names" in source else ""
-        label = f"{topic}: {place} ({numbers})"
-        found.streams.append(SignalCandidate(label, source, False, guess))
-
-
-def _names(message: Any) -> list[str] | None:
-    names = getattr(message, "name", None)
-    return list(names) if isinstance(names, list) and all(isinstance(name, str) for name in names) else None
-
-
-def _natural(name: str) -> list[Any]:
-    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)]
-
-
-def _holds_pose(message: Any, depth: int = DEEPEST) -> bool:
-    if hasattr(message, "transforms"):
-        return True
-    pairs = (("position", "orientation"), ("translation", "rotation"))
-    if any(hasattr(message, a) and hasattr(message, b) for a, b in pairs):
-        return True
-    inner = (getattr(message, name, None) for name in ("pose", "transform"))
-    return depth > 0 and any(_holds_pose(part, depth - 1) for part in inner if part is not None)
-
-
-def _numbers(message: Any, before: str = "", depth: int = DEEPEST) -> Iterator[tuple[str, int]]:
-    """Fields that hold several numbers, by path, and how many."""
-    for name, value in vars(message).items():
-        if name.startswith("__"):
-            continue
-        place = f"{before}{name}"
-        if isinstance(value, np.ndarray):
-            if value.ndim == 1 and 1 < value.size <= MOST_WIDE and np.issubdtype(value.dtype, np.floating):
-                yield place, int(value.size)
-        elif depth > 0 and hasattr(value, "__msgtype__") and name != "header":
-            yield from _numbers(value, f"{place}.", depth - 1)
-
-
-def _look_at_table(path: Path) -> Found:
-    """Columns whose names differ in a number, and those of a pose."""
-    found = Found()
-    columns = TableFile.columns_of(path)
-    groups: dict[str, set[int]] = {}
-    for column in columns:
-        for number in re.finditer(r"\d+", column):
-            groups.setdefault(f"{column[: number.start()]}{{joint}}{column[number.end() :]}", set()).add(int(number[0]))
-    for pattern, numbers in groups.items():
-        if len(numbers) > 1 and numbers == set(range(1, len(numbers) + 1)):
-            found.joints = found.joints or [f"joint{number}" for number in sorted(numbers)]
-            label = f"{pattern.replace('{joint}', '1')} … {pattern.replace('{joint}', str(len(numbers)))}"
-            found.streams.append(SignalCandidate(label, {"column": pattern}, False, _guess(pattern)))
-    for column in columns:
-        before = column.removesuffix("qw")
-        names = [f"{before}{axis}" for axis in POSE_COLUMNS]
-        if before != column and set(names) <= set(columns):
-            found.streams.append(SignalCandidate(f"{names[0]} … {names[-1]}", {"columns": names}, True, "object_pose"))
-    return found
-
-
-def _look_at_arrays(path: Path) -> Found:
-    found = Found()
-    for name, shape in ArrayFile.shapes_of(path).items():
-        if len(shape) != 2 or not 1 < shape[1] <= MOST_WIDE:
-            continue
-        pose = shape[1] == len(POSE_COLUMNS) and ("pose" in name or "object" in name)
-        found.joints = found.joints or ([] if pose else [f"joint{number + 1}" for number in range(shape[1])])
-        guess = "object_pose" if pose else _guess(name)
-        found.streams.append(SignalCandidate(f"{name} ({shape[0]} × {shape[1]})", {"array": name}, pose, guess))
-    return found
-
-
-def _guess(name: str) -> str:
-    """What a name hints at."""
-    low = name.lower()
-    for part, signal in (("command", "command"), ("cmd", "command"), ("desired", "command"), ("vel", "velocity"),
-                         ("dq", "velocity"), ("pos", "position"), ("eff", "torque"), ("tau", "torque"),
-                         ("tor", "torque"), ("q", "position")):  # fmt: skip
-        if part in low:
-            return signal
-    return ""
-
-
 def preview(workspace: Workspace, request: PreviewRequest) -> dict[str, Any]:
-    """A signal over time, in SI units, thinned out.
+    """A signal over time, in SI units, thinned out, with one line where it cannot be what it is taken for.
 
     Raises:
         InputError: The signal cannot be read as what it is taken for.
     """
     path = workspace.existing(request.path)
+    scenario = load_scenario(workspace.scenario_path(request.scenario))
+    if request.arm not in scenario.robots:
+        raise InputError(f"scenario {scenario.name!r} has no arm {request.arm!r}", key="arm")
     signals: dict[SignalName, SignalSource] = {"position": request.position, request.signal: request.source}
-    mapping = _mapping(ROBOT, request.joints, signals, True, path)
+    robot = _robot(workspace, request.scenario, scenario, request.arm)
+    mapping = _mapping(robot, request.joints, signals, request.command_includes_gravity, path)
     wanted: list[SignalName] = ["position", request.signal]
-    series = read_series(path, mapping, wanted, [request.signal])[request.signal]
+    read = read_series(path, mapping, wanted, [request.signal])
+    series, pose = read[request.signal], request.signal == OBJECT_POSE
     kept = slice(None, None, max(1, math.ceil(series.time.size / MOST_POINTS)))
     time = series.time - series.time[0]
-    values = series.values[:, :3] if request.signal == "object_pose" else series.values
-    names = [f"{axis}" for axis in "xyz"] if request.signal == "object_pose" else list(request.joints)
+    values = series.values[:, :3] if pose else series.values
+    names = list("xyz") if pose else list(request.joints)
+    units = [_si(request.signal, mapping.unit(request.signal, number)) for number in range(len(names))]
     span = float(time[-1])
     return {
         "place": series.place,
         "samples": int(time.size),
         "rate": (time.size - 1) / span if span > 0.0 else 0.0,
-        "low": float(np.nanmin(values)),
-        "high": float(np.nanmax(values)),
-        "unit": SI[QUANTITY[request.signal]],
+        "ranges": [
+            {"unit": unit, "low": float(np.nanmin(own)), "high": float(np.nanmax(own))}
+            for unit in dict.fromkeys(units)
+            for own in [values[:, [one == unit for one in units]]]
+        ],
         "time": _short(time[kept]),
-        "columns": [{"name": name, "values": _short(values[kept, n])} for n, name in enumerate(names)],
+        "columns": [
+            {"name": name, "unit": unit, "values": _short(values[kept, number])}
+            for number, (name, unit) in enumerate(zip(names, units, strict=True))
+        ],
+        "wrong": _wrong(path, scenario, request, mapping, read),
     }
+
+
+def _wrong(
+    path: Path, scenario: Scenario, request: PreviewRequest, mapping: Mapping, read: dict[SignalName, Series]
+) -> str:
+    """Why a signal of joints cannot be what it is taken for, as an analysis will say it; empty: nothing tells so."""
+    name, series = request.signal, read[request.signal]
+    if name not in JOINT_SIGNALS:
+        return ""
+    try:
+        _ = mapping.facts  # whose joints have these units
+        position = read["position"].at(series.time)
+        if name in REQUIRED:
+            check_limits(path, name, series.time, series.values, mapping, IMPACT_SHARE)
+        if name == "velocity":
+            check_velocity(path, series.time, position, series.values, mapping)
+        if name == "torque" or (name == "command" and request.command_includes_gravity):
+            model = Physics.nominal(scenario, next(iter(scenario.objects))).robot_model(request.arm)
+            remedy = "wrong unit or sign, or without the arm's own weight?"
+            check_weight(path, name, model, position, series.values, remedy)
+    except InputError as error:
+        return error.message
+    return ""
+
+
+def _robot(workspace: Workspace, scenario_name: str, scenario: Scenario, arm: str) -> str:
+    """The robot of an arm: its name in config/robots, or the path of its file.
+
+    Raises:
+        InputError: It has no file.
+    """
+    facts = scenario.robots[arm].facts
+    if isinstance(facts, str):
+        return facts
+    path = Path(workspace.scenario_path(scenario_name))
+    named = load_mapping(path)["robots"][arm]["facts"]
+    if not isinstance(named, str):
+        what = "the robot is described in the scenario itself: put it into a file of its own, and name that here"
+        raise InputError(what, file=path, key=f"robots.{arm}.facts")
+    return str((path.parent / named).resolve())
+
+
+def _si(signal: SignalName, unit: str, like: SignalName | None = None) -> str:
+    """The SI unit of a signal, of a joint that moves as ``unit`` says (of the signal ``like``)."""
+    known = next((table for table in (TURNS, SLIDES) if unit in table.get(QUANTITY[like or signal], {})), UNITS)
+    return next(iter(known[QUANTITY[signal]]))
 
 
 def _short(values: Array) -> list[float | None]:
     return [float(f"{value:.5g}") if math.isfinite(value) else None for value in values]
+
+
+def describe(workspace: Workspace, description: Description) -> tuple[list[str], tuple[str, ...]]:
+    """Write experiment file, mappings and table of runs beside the recordings, all of them or none.
+
+    Returns:
+        The files as they are seen from the folder, the experiment file first; and what the user should know of how the
+        first run was read.
+
+    Raises:
+        InputError: A file is there already, something in the description cannot be, or the first run (of those that
+            hit something) cannot be read with it.
+    """
+    folder = workspace.existing(description.path)
+    scenario_name = workspace.scenario_path(description.scenario)
+    scenario = load_scenario(scenario_name)
+    files = _mapping_files(scenario)
+    for name in (*files.values(), RUN_TABLE, EXPERIMENT):
+        if (folder / name).exists():
+            raise InputError("this file exists already; take it away to describe the folder anew", file=folder / name)
+    mappings = {arm: _mapping_of(workspace, description, scenario, arm, folder / file) for arm, file in files.items()}
+    if scenario_name.endswith((".yaml", ".yml")):
+        scenario_name = os.path.relpath(scenario_name, folder)
+    experiment: dict[str, Any] = {"scenario": scenario_name, "runs": RUN_TABLE}
+    experiment["mapping"] = files if len(files) > 1 else next(iter(files.values()))
+    motion_capture = MotionCapture(estimate=description.world_from_hits)
+    if motion_capture.estimate:
+        experiment["motion_capture"] = {"estimate": True}
+    texts = {file: _yaml(_seen_from(folder, mappings[arm])) for arm, file in files.items()}
+    texts |= {EXPERIMENT: _yaml(experiment), RUN_TABLE: _table(description.runs)}
+    with whole_folder(folder) as aside:
+        for name, text in texts.items():
+            (aside / name).write_text(text, encoding="utf-8")
+        table = (aside / RUN_TABLE).relative_to(folder)
+        rows = read_runs(folder, Experiment(scenario=scenario_name, runs=str(table)), scenario)
+        laboratory = Laboratory.checked(scenario, mappings, motion_capture, lambda arm: {"key": arm})
+        first = next((row for row in rows if row.hit), rows[0])
+        remarks = read_run(placed(laboratory, rows, map), first).remarks
+    written = [workspace.name(folder / name) for name in (EXPERIMENT, *files.values(), RUN_TABLE)]
+    return written, tuple(f"{first.name}: {remark}" for remark in remarks)
+
+
+def _mapping_files(scenario: Scenario) -> dict[str, str]:
+    """Name of the mapping file of every arm."""
+    if len(scenario.robots) == 1:
+        return dict.fromkeys(scenario.robots, "mapping.yaml")
+    return {arm: f"mapping_{arm}.yaml" for arm in scenario.robots}
+
+
+def _mapping_of(workspace: Workspace, description: Description, scenario: Scenario, arm: str, file: Path) -> Mapping:
+    """The mapping of one arm; the object's pose is with the first.
+
+    Raises:
+        InputError: The arm is not described, a signal is missing, or something breaks the schema.
+    """
+    where = f"arms.{arm}."
+    if arm not in description.arms:
+        raise InputError(f"scenario {scenario.name!r} has this arm: say where its signals are", key=where[:-1])
+    own = description.arms[arm]
+    for needed in REQUIRED:
+        if needed not in own.signals:
+            raise InputError(
+                "this signal is needed", key=f"{where if len(scenario.robots) > 1 else ''}signals.{needed}"
+            )
+    signals: dict[SignalName, SignalSource] = dict(own.signals.items())
+    if description.object_pose is not None and arm == next(iter(scenario.robots)):
+        signals[OBJECT_POSE] = _for_all_objects(description.object_pose, scenario)
+    robot = _robot(workspace, description.scenario, scenario, arm)
+    return _mapping(robot, own.joints, signals, own.command_includes_gravity, file)
 
 
 def _mapping(
@@ -290,9 +292,10 @@ def _mapping(
     Raises:
         InputError: It breaks its schema.
     """
-    first = next(iter(signals.values()))
+    first_name, first = next(iter(signals.items()))
+    units = first.units if len(first.units) > 1 else first.units * len(joints)
     stand_ins = {
-        name: first.model_copy(update={"unit": next(iter(UNITS[QUANTITY[name]]))})
+        name: first.model_copy(update={"unit": tuple(_si(name, unit, first_name) for unit in units)})
         for name in REQUIRED
         if name not in signals
     }
@@ -308,46 +311,15 @@ def _mapping(
     return validate(Mapping, content, file)
 
 
-def describe(workspace: Workspace, description: Description) -> list[str]:
-    """Write ``mapping.yaml``, ``runs.csv`` and ``experiment.yaml`` beside the recordings, all of them or none.
+def _seen_from(folder: Path, mapping: Mapping) -> dict[str, Any]:
+    """What a mapping file in a folder says, which names the file of a robot as it is seen from there."""
+    content = mapping.model_dump(mode="json", exclude_defaults=True)
+    robot = mapping.robot
+    return content | {"robot": os.path.relpath(robot, folder) if robot.endswith((".yaml", ".yml")) else robot}
 
-    Returns:
-        The files as they are seen from the folder.
 
-    Raises:
-        InputError: A file is there already, something in the description cannot be, or the first run cannot be read
-            with it.
-    """
-    folder = workspace.existing(description.path)
-    for name in (MAPPING, RUN_TABLE, EXPERIMENT):
-        if (folder / name).exists():
-            raise InputError("this file exists already; take it away to describe the folder anew", file=folder / name)
-    for needed in REQUIRED:
-        if needed not in description.signals:
-            raise InputError("this signal is needed", key=f"signals.{needed}")
-    scenario_name = workspace.scenario_path(description.scenario)
-    scenario = load_scenario(scenario_name)
-    robot = next(iter(scenario.robots.values()))
-    if not isinstance(robot.facts, str):
-        raise InputError("its robot has a file of its own: name it in a mapping file by hand", file=scenario_name)
-    signals = {name: _for_all_objects(source, scenario) for name, source in description.signals.items()}
-    mapping = _mapping(robot.facts, description.joints, signals, description.command_includes_gravity, folder / MAPPING)
-    if scenario_name.endswith((".yaml", ".yml")):
-        scenario_name = os.path.relpath(scenario_name, folder)
-    experiment = {"scenario": scenario_name, "mapping": MAPPING, "runs": RUN_TABLE}
-    texts = {
-        MAPPING: yaml.safe_dump(mapping.model_dump(mode="json", exclude_defaults=True), sort_keys=False),
-        EXPERIMENT: yaml.safe_dump(experiment, sort_keys=False),
-        RUN_TABLE: _table(description.runs),
-    }
-    with whole_folder(folder) as aside:
-        for name, text in texts.items():
-            (aside / name).write_text(text, encoding="utf-8")
-        table = (aside / RUN_TABLE).relative_to(folder)
-        row = read_runs(folder, Experiment(scenario=scenario_name, runs=str(table)), scenario)[0]
-        names = Names(object=row.object or "*", arm=next(iter(scenario.robots)), run=row.name)
-        read_series(row.path, mapping, list(signals), REQUIRED, names)
-    return [workspace.name(folder / name) for name in (EXPERIMENT, MAPPING, RUN_TABLE)]
+def _yaml(content: dict[str, Any]) -> str:
+    return yaml.safe_dump(content, sort_keys=False)
 
 
 def _for_all_objects(source: SignalSource, scenario: Scenario) -> SignalSource:

@@ -66,6 +66,7 @@ class Question(Schema):
     scenario: str = Field(description="name, or path of a file in the folder")
     object: str = Field(description="object of the scenario")
     case: str = Field(description="case of the scenario")
+    arm: str = Field("", description="arm of the figure and of the budget; empty: the first")
     motor_inertia: Literal["reduced", "rotor", "zero"] = Field("reduced", description="motor-inertia model")
     values: dict[str, float] = Field({}, description="sliders that were moved, by key")
     moving: bool = Field(False, description="whether a slider is being moved: fewer draws, nothing that takes long")
@@ -131,12 +132,13 @@ def _yaml(value: Setting) -> str:
 
 
 def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
-    """Velocities before and after with their intervals, impulse, and who contributes what.
+    """Velocities before and after with their intervals, impulses, and who contributes what.
 
     Raises:
-        InputError: The scenario has no such object, case or value, or the question has no answer.
+        InputError: The scenario has no such object, case, arm or value, or the question has no answer.
         ImpactMapError: No answer was found.
     """
+    arm = _arm(scenario, question)
     scene, problem = _problem(scenario, question)
     found = predict_impact(problem, "first", "pinocchio")
     stated = scene.scenario.uncertainty
@@ -162,12 +164,16 @@ def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
         for body, ante, post in bodies
         for index, axis in enumerate("xyz")
     ]
-    impulse = sum((contact.impulse for contact in found.contacts if contact.body_b != "support"), np.zeros(3))
+    impulses = {name: np.zeros(3) for name in scene.arms}
+    for contact in found.contacts:
+        if contact.body_b in impulses:
+            impulses[contact.body_b] = impulses[contact.body_b] + contact.impulse
     return {
         "axis": scenario.axis,
         "rows": rows,
-        "impulse": [float(value) for value in impulse],
-        "budget": _budget(told, f"{bodies[0][0]}.velocity.{scenario.axis}"),
+        "arm": arm,
+        "impulses": {name: impulse.tolist() for name, impulse in impulses.items()},
+        "budget": _budget(told, f"{arm}.velocity.{scenario.axis}"),
         "interval": None if told is None else {"level": LEVEL, "method": told.method, "draws": told.draws},
         "moving": question.moving,
         "residual": found.residual.largest,
@@ -194,6 +200,18 @@ def _budget(told: UncertainPrediction | None, name: str) -> list[dict[str, Any]]
     ]
 
 
+def _arm(scenario: Scenario, question: Question) -> str:
+    """The arm that is asked about.
+
+    Raises:
+        InputError: There is no such arm.
+    """
+    arm = question.arm or next(iter(scenario.robots))
+    if arm not in scenario.robots:
+        raise InputError(f"scenario {scenario.name!r} has no arm {arm!r}; known: {', '.join(scenario.robots)}")
+    return arm
+
+
 def _problem(scenario: Scenario, question: Question) -> tuple[Scene, ImpactProblem]:
     changed = scenario.with_settings(settings_of(scenario, question))
     scene = Scene.resolve(changed, question.object, question.case)
@@ -206,9 +224,9 @@ class SweepPoint:
 
     Attributes:
         value: Where the slider is.
-        arms: Of the first arm, by motor inertia.
+        arms: Of the arm that is asked about, by motor inertia.
         object: Of the object, with the motor inertia that was asked for.
-        low: Lower end of the first arm's interval.
+        low: Lower end of the arm's interval.
         high: Upper end of it.
     """
 
@@ -241,15 +259,15 @@ def sweep(scenario: Scenario, question: Question, slider: Slider) -> Iterator[Sw
 def _point(scenario: Scenario, question: Question, value: float) -> SweepPoint:
     arms: dict[str, float | None] = dict.fromkeys(MOTOR_INERTIA_MODELS)
     thing = low = high = None
-    axis = scenario.axis_index
+    axis, arm = scenario.axis_index, _arm(scenario, question)
     try:
         scene, problem = _problem(scenario, question)
         for name in arms:
             found = predict_impact(ImpactProblem.at_nominal_impact(scene, name), "first", "pinocchio")
-            arms[name] = float(next(iter(found.end_effector_twist.values()))[axis])
+            arms[name] = float(found.end_effector_twist[arm][axis])
             thing = float(found.object_twist[axis]) if name == question.motor_inertia else thing
         names, lows, highs = interval_of_draws(problem, scene.scenario.uncertainty, scene.models, MOVING_DRAWS)
-        place = names.index(f"{next(iter(scene.arms))}.velocity.{scenario.axis}")
+        place = names.index(f"{arm}.velocity.{scenario.axis}")
         low, high = float(lows[place]), float(highs[place])
     except (InputError, ImpactMapError):  # a value at which there is no answer leaves a gap
         pass

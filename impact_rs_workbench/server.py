@@ -140,7 +140,10 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/scenario", _got(lambda given: workbench.scenario(given.get("name", "")))),
         Route("/api/comparison", _got(lambda given: results.comparison(workspace.existing(given.get("path", ""))))),
         Route("/api/diagnosis", _got(lambda given: results.diagnosis(workspace.existing(given.get("path", ""))))),
-        Route("/api/laboratory", _got(lambda given: laboratory.look(workspace, given.get("path", "")))),
+        Route(
+            "/api/laboratory",
+            _got(lambda given: laboratory.look(workspace, given.get("path", ""), given.get("scenario", ""))),
+        ),
         Route("/api/jobs", _got(lambda _: jobs.all())),
         Route("/api/jobs/{number:int}/log", _got(lambda given: {"log": jobs.log(given["number"])})),
         Route("/api/events", _events(workbench)),
@@ -163,10 +166,10 @@ def _command(workbench: Workbench, data: Any) -> dict[str, str]:
 
 def _described(workbench: Workbench, data: Any) -> dict[str, Any]:
     description: Description = checked(Description, data)
-    written = laboratory.describe(workbench.workspace, description)
+    written, remarks = laboratory.describe(workbench.workspace, description)
     name = description.path.strip("./") or "lab"
     step = {"step": "compare", "runs": description.path, "experiment": written[0], "output": f"reports/compare_{name}"}
-    return {"written": written} | _command(workbench, step)
+    return {"written": written, "remarks": remarks} | _command(workbench, step)
 
 
 def _kept(workbench: Workbench, data: Any) -> dict[str, str]:

@@ -112,6 +112,22 @@ def graph(domain_ids: Callable[[], int], tmp_path_factory: pytest.TempPathFactor
         yield running
 
 
+@pytest.fixture(scope="session")
+def mixed_trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Bag of a trial in which arms of different kinds clamp a parcel."""
+    from mixed_grab import MIXED
+
+    from impact_rs_trials.bags.record import record_trial
+    from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
+    from impact_rs_trials.spec import TrialSpec
+
+    plan, key = TrialSpec.of(MIXED, "parcel", "case_1").plan, TrialKey("parcel", "case_1", 1.0, 0)
+    path = tmp_path_factory.mktemp("mixed") / key.name
+    verdict, _ = record_trial(plan, TrialInfo.of(plan, key, 0, "inprocess"), path)
+    assert verdict.outcome == "OK", verdict.reason
+    return path
+
+
 HIDDEN_FRICTION = 1.6  # times the friction of the support that the scenario says
 CONSIDERED = ["support_friction"]  # few, because every effect costs twin rollouts
 

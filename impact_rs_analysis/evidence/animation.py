@@ -141,29 +141,33 @@ def animation_of_laboratory(item: LaboratoryRun, scenario: Scenario) -> Animatio
 
     Args:
         item: The run.
-        scenario: What stands in its scene; one arm.
+        scenario: What stands in its scene.
     """
     run = laboratory_run(item, scenario)
-    ((name, own),) = run.signals.arms.items()
-    model = run.physics.robot_model(name)
+    models = run.physics.robot_models()
     kept = np.ones(item.time.size, dtype=bool)
     for gap in item.gaps:
         kept &= (item.time <= gap.start) | (item.time >= gap.end)
     time = item.time[kept]
     starts = (0, *(int(np.searchsorted(time, gap.end)) for gap in item.gaps))
-    parts = [
-        observe(time[rows], own.position[kept][rows], own.velocity[kept][rows], own.torque[kept][rows], model)
-        for rows in _slices((*starts, time.size))
-    ]
-    forces = {name: -np.concatenate([part.force for part in parts])}
-    velocities = {name: np.concatenate([part.velocity for part in parts])}
-    joints, rates = {name: own.position[kept]}, {name: own.velocity[kept]}
+    forces, velocities = {}, {}
+    for name, own in run.signals.arms.items():
+        parts = [
+            observe(
+                time[rows], own.position[kept][rows], own.velocity[kept][rows], own.torque[kept][rows], models[name]
+            )
+            for rows in _slices((*starts, time.size))
+        ]
+        forces[name] = -np.concatenate([part.force for part in parts])
+        velocities[name] = np.concatenate([part.velocity for part in parts])
+    joints = {name: own.position[kept] for name, own in run.signals.arms.items()}
+    rates = {name: own.velocity[kept] for name, own in run.signals.arms.items()}
     thing = _poses_at(time, item.object_time, item.object_position, item.object_quaternion)
     try:
         impacts = {arm: begin for arm, (begin, _) in impacts_of(run).items()} if item.hit else {}
     except InputError:  # nothing was hit, which is to be seen
         impacts = {}
-    jumps = _jumps(time, joints, velocities, thing, impacts, {name: model})
+    jumps = _jumps(time, joints, velocities, thing, impacts, models)
     return Animation(
         label=item.name,
         physics=run.physics,

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -45,11 +45,14 @@ def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map
     scenario = experiment.load_scenario()
     runs = [run_of(item, scenario) for item in recorded_runs]
     remarks = [f"{item.name}: {remark}" for item in recorded_runs for remark in item.remarks]
-    offset = command_offset(runs)
-    if offset != 0.0:
-        runs = [_shifted(run, offset) for run in runs]
+    offsets = {arm: command_offset(runs, arm) for arm in scenario.robots}
+    runs = [_shifted(run, offsets) for run in runs]
+    for arm, offset in offsets.items():
+        if offset == 0.0:
+            continue
+        whose = f"commands of arm {arm!r}" if len(offsets) > 1 else "commands"
         remarks.append(
-            f"commands act {1e3 * abs(offset):.2f} ms {'after' if offset > 0.0 else 'before'} their stamps, by the "
+            f"{whose} act {1e3 * abs(offset):.2f} ms {'after' if offset > 0.0 else 'before'} their stamps, by the "
             "torque balance of free motion: shifted by that, as it is less than half a sampling period and says "
             "nothing of the robot"
         )
@@ -74,21 +77,24 @@ def measured_or_why_not(run: Run) -> MeasuredRun | tuple[str, str]:
 
 
 def run_of(item: LaboratoryRun, scenario: Scenario) -> Run:
-    """A run of a laboratory in the scene of a scenario with one arm."""
-    (name,) = scenario.robots
+    """A run of a laboratory in the scene of its scenario."""
     thing = item.object or next(iter(scenario.objects))
     place = resting_pose(scenario, thing)
     if not item.hit:
         place = BodyState(place.position + [OUT_OF_REACH, OUT_OF_REACH, 0.0], place.rotation, place.twist)
-    arm = ArmSignals(
-        position=item.position,
-        velocity=item.velocity,
-        torque=item.torque,
-        motor_position=item.motor_position,
-        motor_velocity=item.motor_velocity,
-        command=np.zeros((0, item.position.shape[1])),
-    )
-    known = item.command_time.size > 0
+    motors = all(own.motor_position.size and own.motor_velocity.size for own in item.arms.values())
+    arms = {
+        name: ArmSignals(
+            position=own.position,
+            velocity=own.velocity,
+            torque=own.torque,
+            motor_position=own.motor_position if motors else own.motor_position[:0],
+            motor_velocity=own.motor_velocity if motors else own.motor_velocity[:0],
+            command=np.zeros((0, own.position.shape[1])),
+        )
+        for name, own in item.arms.items()
+    }
+    known = all(own.command_time.size for own in item.arms.values())  # the same drives all arms of a replay
     return Run(
         path=item.path,
         condition="/".join(part for part in (item.object or "free motion", item.condition) if part),
@@ -99,20 +105,20 @@ def run_of(item: LaboratoryRun, scenario: Scenario) -> Run:
         drive_period=scenario.timing.drive_period,
         axis=scenario.axis_index,
         signals=Signals(
-            item.time, {name: arm}, item.object_time, item.object_position, yaw_of_quaternions(item.object_quaternion)
+            item.time, arms, item.object_time, item.object_position, yaw_of_quaternions(item.object_quaternion)
         ),
-        command_time={name: item.command_time} if known else {},
-        command={name: item.command} if known else {},
+        command_time={name: own.command_time for name, own in item.arms.items()} if known else {},
+        command={name: own.command for name, own in item.arms.items()} if known else {},
         gaps=tuple((gap.start, gap.end) for gap in item.gaps),
     )
 
 
-def _shifted(run: Run, offset: float) -> Run:
-    return replace(run, command_time={name: time + offset for name, time in run.command_time.items()})
+def _shifted(run: Run, offsets: Mapping[str, float]) -> Run:
+    return replace(run, command_time={name: time + offsets[name] for name, time in run.command_time.items()})
 
 
-def command_offset(runs: Sequence[Run]) -> float:
-    """How much later than their stamps commands act [s]; 0 where that is not told, or is a delay worth finding.
+def command_offset(runs: Sequence[Run], name: str) -> float:
+    """How much later than their stamps an arm's commands act [s]; 0 where it is not told, or a delay worth finding.
 
     In free motion the motor-side balance of a window is
 
@@ -124,15 +130,15 @@ def command_offset(runs: Sequence[Run]) -> float:
 
     Args:
         runs: Of one laboratory.
+        name: Name of the arm.
     """
     chosen = [run for run in runs if run.command and not run.hit] or [run for run in runs if run.command]
     rows: dict[int, list[Array]] = {}
     for run in chosen:
-        for name, arm in run.signals.arms.items():
-            starts = free_starts(run, {}) if not run.hit else free_starts(run, _rough_impact(run))
-            for start in (start for start in starts if recorded(run, start)):
-                for joint, row in enumerate(_window_terms(run, name, arm, start)):
-                    rows.setdefault(joint, []).append(row)
+        starts = free_starts(run, {}) if not run.hit else free_starts(run, _rough_impact(run))
+        for start in (start for start in starts if recorded(run, start)):
+            for joint, row in enumerate(_window_terms(run, name, run.signals.arms[name], start)):
+                rows.setdefault(joint, []).append(row)
     if not rows or min(len(own) for own in rows.values()) < 8:
         return 0.0
     slopes, rests = [], []

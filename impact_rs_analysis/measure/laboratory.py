@@ -119,8 +119,13 @@ def jumps_of(runs: Runs, contact: str = "first") -> LaboratoryJumps:
             lasts is closed.
 
     Raises:
-        InputError: Nothing is hit in any run, or no impact map can be computed.
+        InputError: Nothing is hit in any run, no impact map can be computed, or there are several arms.
     """
+    if any(len(run.setup.physics.arms) > 1 for run in runs.runs):
+        raise InputError(
+            "the jump is analysed for one arm, which the object follows; compare and diagnose take runs of several",
+            file=runs.directory,
+        )
     found, remarks = [], list(runs.remarks)
     for condition, group in runs.conditions.items():
         if not group[0].hit:
@@ -166,9 +171,8 @@ def _speeds(run: MeasuredRun, ante: dict[str, Array]) -> tuple[float, float]:
         if f.phase == "impact"
     }
     for name, direction in _directions(ante).items():
-        label = f"{name}." if len(run.setup.physics.arms) > 1 else ""
         # The feature is the change against the mean over the last milliseconds before the impact.
-        change = np.array([values["end-effector velocity", f"{label}{axis}", SETTLED] for axis in AXES])
+        change = np.array([values["end-effector velocity", axis, SETTLED] for axis in AXES])
         baseline = _baseline(run, name)
         pairs.append((float(ante[name] @ direction), float((baseline + change) @ direction)))
     before, after = np.mean(pairs, axis=0)

@@ -53,7 +53,7 @@ class ArrayFile:
         if source.array is None:
             raise MissingSignal(f"the mapping says no array for {name}", file=self._path, key=f"signals.{name}")
         values = self._array(self._names.fill(source.array), name)
-        stamps = source.time_array or self._mapping.time.array
+        stamps = self._names.fill(source.time_array or self._mapping.time.array)
         time = self._stamps(stamps, f"time of {name}")
         if time.ndim != 1:
             raise InputError(f"array {stamps!r} (time) is {time.shape}, expected one number a sample", file=self._path)

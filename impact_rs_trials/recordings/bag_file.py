@@ -85,6 +85,7 @@ class BagFile:
 
     def __init__(self, path: Path, mapping: Mapping, names: Names, wanted: tuple[SignalName, ...]) -> None:
         self._path, self._mapping, self._names = path, mapping, names
+        self._joints = tuple(names.fill(joint) for joint in mapping.joints)
         self._store = typestore_for(mapping)
         self._messages: dict[str, list[tuple[int, Any]]] = {}
         try:
@@ -240,9 +241,7 @@ class BagFile:
             rows.append(np.asarray(row, dtype=float)[order])
         if not rows:
             seen = ", ".join(sorted({joint for joints in orders for joint in joints}))
-            raise InputError(
-                f"{place}: joint {self._mapping.joints[0]} is missing; the messages name {seen}", file=self._path
-            )
+            raise InputError(f"{place}: joint {self._joints[0]} is missing; the messages name {seen}", file=self._path)
         return kept, np.array(rows) * self._mapping.factor(name)
 
     def _field(self, place: str, message: Any, path: str) -> Any:
@@ -262,23 +261,22 @@ class BagFile:
 
     def _order(self, place: str, names: tuple[str, ...]) -> list[int] | None:
         """Where the mapping's joints are among the names of a message; None where none of them is."""
-        found = [[i for i, name in enumerate(names) if fnmatchcase(name, joint)] for joint in self._mapping.joints]
+        found = [[i for i, name in enumerate(names) if fnmatchcase(name, joint)] for joint in self._joints]
         if not any(found):
             return None
         if any(
             len(each) > 1 for each in found
         ):  # finger_joint1 besides joint1: what * stands for must be common to all
             prefixes = [
-                {_stands_for(joint, names[i]) for i in each}
-                for joint, each in zip(self._mapping.joints, found, strict=True)
+                {_stands_for(joint, names[i]) for i in each} for joint, each in zip(self._joints, found, strict=True)
             ]
             common = set.intersection(*prefixes)
             if len(common) == 1:
                 found = [
                     [i for i in each if _stands_for(joint, names[i]) in common]
-                    for joint, each in zip(self._mapping.joints, found, strict=True)
+                    for joint, each in zip(self._joints, found, strict=True)
                 ]
-        for joint, each in zip(self._mapping.joints, found, strict=True):
+        for joint, each in zip(self._joints, found, strict=True):
             if len(each) != 1:
                 what = "is missing" if not each else "fits several joints"
                 raise InputError(

@@ -5,7 +5,8 @@
     mapping: joint_state_effort_controller        # where the signals are
     runs: runs.csv                                # bag, object, kind; further columns become conditions
 
-References and control of the scenario are not used: another controller moved the arm.
+Several arms have a mapping each (``mapping: {left: left.yaml, right: right.yaml}``), or one that tells them apart by
+``{arm}``. References and control of the scenario are not used: another controller moved the arm.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import csv
 import functools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -69,7 +70,11 @@ class Experiment(Schema):
     """An experiment file; :func:`load_experiment` reads one."""
 
     scenario: str = Field(description="name or path of the scenario; its references and control are not used")
-    mapping: str = Field("joint_state_effort_controller", description="name or path of the mapping")
+    mapping: str | dict[str, str] = Field(
+        "joint_state_effort_controller",
+        description="name or path of the mapping; of several arms one by the name of each, or one for all, in which "
+        "{arm} stands for that name",
+    )
     runs: str = Field("runs.csv", description="table of runs, a path from the recordings' folder or from this file's")
     motion_capture: MotionCapture = Field(
         default_factory=MotionCapture,
@@ -95,13 +100,25 @@ class Experiment(Schema):
         """
         return load_scenario(self._path(self.scenario))
 
-    def load_mapping(self) -> Mapping:
-        """The mapping.
+    def load_mappings(self, arms: Collection[str]) -> dict[str, Mapping]:
+        """The mapping of every arm.
+
+        Args:
+            arms: Names of the scenario's arms.
 
         Raises:
-            InputError: There is none, or it breaks its schema.
+            InputError: There is none, it breaks its schema, or some arm has none.
         """
-        return load_mapping(self._path(self.mapping))
+        if isinstance(self.mapping, str):
+            return dict.fromkeys(arms, load_mapping(self._path(self.mapping)))
+        for arm in arms:
+            if arm not in self.mapping:
+                raise InputError(f"no mapping of arm {arm!r}", file=self.file, key="mapping")
+        for arm in self.mapping:
+            if arm not in arms:
+                known = f"expected {', '.join(arms)}{did_you_mean(arm, arms)}"
+                raise InputError(f"the scenario has no such arm, {known}", file=self.file, key="mapping", value=arm)
+        return {arm: load_mapping(self._path(self.mapping[arm])) for arm in arms}
 
     def _path(self, name: str) -> str:
         return str(self.folder / name) if name.endswith(YAML) else name
@@ -118,7 +135,11 @@ def load_experiment(path: Path) -> Experiment:
     experiment = load(Experiment, path)
     experiment._file = path
     scenario = _in_key(path, "scenario", experiment.scenario, experiment.load_scenario)
-    _in_key(path, "mapping", experiment.mapping, experiment.load_mapping)
+    named = experiment.mapping if isinstance(experiment.mapping, dict) else {"": experiment.mapping}
+    for arm, mapping in named.items():
+        key = f"mapping.{arm}" if arm else "mapping"
+        _in_key(path, key, mapping, functools.partial(load_mapping, experiment._path(mapping)))
+    experiment.load_mappings(scenario.robots)
     for name in experiment.motion_capture.bodies:
         _in_key(path, "motion_capture.bodies", name, functools.partial(scenario.object, name))
     return experiment

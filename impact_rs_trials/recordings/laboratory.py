@@ -5,6 +5,9 @@ Joint signals come on an even grid at the median period of the joint states, int
 Command and object pose keep their own stamps: the one is held until the next, the other is slower. What cannot be used
 is refused in one line. Gaps split a run: its pieces stay on one grid, with the gaps between them told, so that nobody
 takes what was interpolated for measured; a run whose pieces are all too short is left out, with the reason.
+
+Several arms share the grid, that of the arm whose joint states come fastest, over the time in which all of them were
+recorded.
 """
 
 from __future__ import annotations
@@ -12,9 +15,11 @@ from __future__ import annotations
 import functools
 import itertools
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -30,13 +35,15 @@ from impact_rs_trials.recordings.clock import (
     Gap,
     check_jumps,
     check_stamps,
+    even_grid,
     gaps,
     grid_from,
     tell_gaps,
 )
 from impact_rs_trials.recordings.contact_frame import ContactFrame, PadOnFace, contact_frame
 from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, RunRow, read_runs, run_named
-from impact_rs_trials.recordings.mapping import REQUIRED, Mapping, SignalName
+from impact_rs_trials.recordings.mapping import REQUIRED, SignalName
+from impact_rs_trials.recordings.mapping import Mapping as SignalMapping
 from impact_rs_trials.recordings.plausibility import (
     REST,
     check_object,
@@ -71,6 +78,35 @@ IMPACT_SHARE = 0.02  # of the samples, in which an impact may take a velocity or
 ROUNDED = 1e-6  # s, stamps that are nearer to each other are the same
 BEYOND = 0.1  # s, command and pose are kept this long before and after the joint signals
 
+ArmSeries = dict[SignalName, Series]
+
+
+@dataclass(frozen=True)
+class LaboratoryArm:
+    """What was recorded of one arm, in the SI units of its joints.
+
+    Attributes:
+        position: q, ``(k, n)`` [rad].
+        velocity: dq, ``(k, n)`` [rad/s].
+        torque: Link-side joint torque tau_J, ``(k, n)`` [N m].
+        motor_position: theta, ``(k, n)`` [rad], or ``(0, n)`` where it was not recorded.
+        motor_velocity: dtheta, ``(k, n)`` [rad/s], or ``(0, n)``.
+        command_time: Stamps of the command, ``(m,)`` [s].
+        command: Desired torque with gravity, ``(m, n)`` [N m], valid until the next; ``(0, n)`` where it is not known.
+        wrench_time: Stamps of the wrench, ``(w,)`` [s]; empty where there is none.
+        wrench: Force and torque as recorded, ``(w, 6)`` [N, N m].
+    """
+
+    position: Array
+    velocity: Array
+    torque: Array
+    motor_position: Array
+    motor_velocity: Array
+    command_time: Array
+    command: Array
+    wrench_time: Array
+    wrench: Array
+
 
 @dataclass(frozen=True)
 class LaboratoryRun:
@@ -83,18 +119,10 @@ class LaboratoryRun:
         hit: Whether something is hit.
         condition: What it has in common with its repeats.
         time: Even grid from 0, ``(k,)`` [s].
-        position: q, ``(k, n)`` [rad].
-        velocity: dq, ``(k, n)`` [rad/s].
-        torque: Link-side joint torque tau_J, ``(k, n)`` [N m].
-        motor_position: theta, ``(k, n)`` [rad], or ``(0, n)`` where it was not recorded.
-        motor_velocity: dtheta, ``(k, n)`` [rad/s], or ``(0, n)``.
-        command_time: Stamps of the command, ``(m,)`` [s].
-        command: Desired torque with gravity, ``(m, n)`` [N m], valid until the next; ``(0, n)`` where it is not known.
+        arms: Signals by arm.
         object_time: Stamps of the object's pose, ``(p,)`` [s]; empty where it was not tracked.
         object_position: Its geometric centre in A, ``(p, 3)`` [m].
         object_quaternion: Its axes in A, x y z w, ``(p, 4)``, without changes of sign between samples.
-        wrench_time: Stamps of the wrench, ``(w,)`` [s]; empty where there is none.
-        wrench: Force and torque as recorded, ``(w, 6)`` [N, N m].
         gaps: Where nothing was recorded between its pieces; joint signals there are interpolated and mean nothing.
         remarks: What the user should know of how it was read.
     """
@@ -105,18 +133,10 @@ class LaboratoryRun:
     hit: bool
     condition: str
     time: Array
-    position: Array
-    velocity: Array
-    torque: Array
-    motor_position: Array
-    motor_velocity: Array
-    command_time: Array
-    command: Array
+    arms: Mapping[str, LaboratoryArm]
     object_time: Array
     object_position: Array
     object_quaternion: Array
-    wrench_time: Array
-    wrench: Array
     gaps: tuple[Gap, ...]
     remarks: tuple[str, ...]
 
@@ -131,57 +151,124 @@ class Laboratory:
 
     Attributes:
         scenario: Robots, objects and support.
-        arm: Name of the arm.
-        mapping: Where the signals are.
+        mappings: Where the signals of each arm are.
         motion_capture: Where its world is.
         placed: How that was found; None: it was given.
     """
 
     scenario: Scenario
-    arm: str
-    mapping: Mapping
+    mappings: Mapping[str, SignalMapping]
     motion_capture: MotionCapture
     placed: ContactFrame | None = None
 
     @classmethod
     def of(cls, experiment: Experiment) -> Laboratory:
-        """Scenario and mapping of an experiment, which must fit each other.
+        """Scenario and mappings of an experiment, which must fit each other.
 
         Raises:
-            InputError: They do not, or there are several arms.
+            InputError: They do not, or signals of two arms are the same.
         """
-        scenario, mapping = experiment.load_scenario(), experiment.load_mapping()
-        if len(scenario.robots) != 1:
-            raise InputError(
-                f"scenario {scenario.name!r} has {len(scenario.robots)} arms ({', '.join(scenario.robots)}); "
-                "recordings of a laboratory are read for one arm",
-                file=experiment.file,
-                key="scenario",
-                value=experiment.scenario,
-            )
-        ((arm, robot),) = scenario.robots.items()
-        if robot.robot_facts != mapping.facts:
-            raise InputError(
-                f"the mapping is for robot {mapping.robot!r}, arm {arm!r} of scenario {scenario.name!r} is "
-                f"{robot.facts_name!r}; expected the same",
-                file=experiment.file,
-                key="mapping",
-                value=experiment.mapping,
-            )
-        if mapping.torque_measured_at != "link":
-            raise InputError(
-                "torque_measured_at is 'motor' in the mapping; runs with contact need the torque behind the gears "
-                "(link), the torque asked of the motors is signals.command",
-                file=experiment.file,
-                key="mapping",
-                value=experiment.mapping,
-            )
-        return cls(scenario, arm, mapping, experiment.motion_capture)
+
+        def place(arm: str | None) -> dict[str, Any]:
+            named = experiment.mapping
+            if isinstance(named, str):
+                return {"file": experiment.file, "key": "mapping", "value": named}
+            if arm is None:
+                return {"file": experiment.file, "key": "mapping"}
+            return {"file": experiment.file, "key": f"mapping.{arm}", "value": named[arm]}
+
+        scenario = experiment.load_scenario()
+        return cls.checked(scenario, experiment.load_mappings(scenario.robots), experiment.motion_capture, place)
+
+    @classmethod
+    def checked(
+        cls,
+        scenario: Scenario,
+        mappings: Mapping[str, SignalMapping],
+        motion_capture: MotionCapture,
+        place: Callable[[str | None], Mapping[str, Any]],
+    ) -> Laboratory:
+        """Scenario and mappings, which must fit each other.
+
+        Args:
+            scenario: Robots, objects and support.
+            mappings: Where the signals of each arm are.
+            motion_capture: Where its world is.
+            place: File, key and value that an error names, for the mapping of an arm or of all of them.
+
+        Raises:
+            InputError: They do not, or signals of two arms are the same.
+        """
+        for arm, mapping in mappings.items():
+            robot = scenario.robots[arm]
+            if robot.robot_facts != mapping.facts:
+                raise InputError(
+                    f"the mapping is for robot {mapping.robot!r}, arm {arm!r} of scenario {scenario.name!r} is "
+                    f"{robot.facts_name!r}; expected the same",
+                    **place(arm),
+                )
+            if mapping.torque_measured_at != "link":
+                raise InputError(
+                    "torque_measured_at is 'motor' in the mapping; runs with contact need the torque behind the gears "
+                    "(link), the torque asked of the motors is signals.command",
+                    **place(arm),
+                )
+        for one, other in itertools.combinations(mappings, 2):
+            for name in REQUIRED:
+                if _where(mappings[one], one, name) == _where(mappings[other], other, name):
+                    raise InputError(
+                        f"{name} of arms {one!r} and {other!r} would be the same numbers; expected {{arm}} where the "
+                        "name of an arm stands in a topic, a column or the joints, or a mapping of each arm, mapping: "
+                        f"{{{one}: ..., {other}: ...}}",
+                        **place(None),
+                    )
+        return cls(scenario, mappings, motion_capture)
 
     @functools.cached_property
-    def model(self) -> RobotModel:
-        """Nominal rigid-body model of the arm."""
-        return Physics.nominal(self.scenario, next(iter(self.scenario.objects))).robot_model(self.arm)
+    def models(self) -> dict[str, RobotModel]:
+        """Nominal rigid-body models of the arms."""
+        physics = Physics.nominal(self.scenario, next(iter(self.scenario.objects)))
+        return {arm: physics.robot_model(arm) for arm in self.mappings}
+
+    @property
+    def tracker(self) -> str:
+        """The arm whose mapping says where the object's pose is; the first where none does."""
+        tracking = (arm for arm, mapping in self.mappings.items() if set(OBJECT_SIGNALS) & set(mapping.signals))
+        return next(tracking, next(iter(self.mappings)))
+
+    def series(self, run: RunRow, wanted: Sequence[SignalName], needed: Sequence[SignalName]) -> dict[str, ArmSeries]:
+        """Signals of every arm as the files have them; those of the object are with :attr:`tracker`.
+
+        Args:
+            run: The run.
+            wanted: Signals to read, as far as a mapping has them.
+            needed: Of those, the ones that must be there.
+
+        Raises:
+            InputError: A needed signal is missing, or something cannot be used.
+        """
+        found = {}
+        for arm, mapping in self.mappings.items():
+            names = Names(object=run.object or "*", arm=arm, run=run.name)
+            own = [name for name in wanted if name not in OBJECT_SIGNALS or arm == self.tracker]
+            with self.told_of(arm):
+                found[arm] = read_series(run.path, mapping, own, set(needed) & set(own), names)
+        return found
+
+    @contextmanager
+    def told_of(self, arm: str) -> Iterator[None]:
+        """What is wrong in here is wrong with this arm, which is said where there are several."""
+        try:
+            yield
+        except InputError as error:
+            if len(self.mappings) == 1:
+                raise
+            message = f"{self.label(arm)}{error.message}"
+            raise type(error)(message, file=error.file, key=error.key, value=error.value) from None
+
+    def label(self, arm: str) -> str:
+        """What a message about an arm begins with; nothing where there is one arm."""
+        return f"arm {arm!r}: " if len(self.mappings) > 1 else ""
 
     def placed_by(self, touches: Sequence[PadOnFace]) -> Laboratory:
         """With the world of the motion capture where hits say it is.
@@ -194,6 +281,14 @@ class Laboratory:
         x, y, z = (float(number) for number in found.position)
         update = {"position": (x, y, z), "rpy": (*given.rpy[:2], found.yaw)}
         return replace(self, motion_capture=given.model_copy(update=update), placed=found)
+
+
+def _where(mapping: SignalMapping, arm: str, name: SignalName) -> tuple[str | None, ...]:
+    """All that tells where a signal of an arm is."""
+    source, names = mapping.signals[name], Names(arm=arm)
+    parts = (source.topic, source.field, source.file, source.column, source.array, *(source.columns or ()))
+    joints = mapping.joints if source.names else ()
+    return tuple(None if part is None else names.fill(part) for part in (*parts, *joints))
 
 
 def read_laboratory(
@@ -216,7 +311,7 @@ def read_laboratory(
     table = read_runs(directory, experiment, laboratory.scenario)
     read: list[LaboratoryRun] = []
     skipped: list[tuple[str, str]] = []
-    laboratory = _placed(laboratory, table, map_tasks)
+    laboratory = placed(laboratory, table, map_tasks)
     tasks = [(laboratory, run) for run in table]
     for run, result in zip(table, map_tasks(_try_to_read, tasks), strict=True):
         if isinstance(result, LaboratoryRun):
@@ -245,15 +340,19 @@ def read_one(directory: Path, experiment: Experiment, name: str, map_tasks: Map)
     laboratory = Laboratory.of(experiment)
     table = read_runs(directory, experiment, laboratory.scenario)
     row = run_named(table, directory, name)
-    return read_run(_placed(laboratory, table, map_tasks), row)
+    return read_run(placed(laboratory, table, map_tasks), row)
 
 
-def _placed(laboratory: Laboratory, table: Sequence[RunRow], map_tasks: Map) -> Laboratory:
-    """With the world of the motion capture where hits say it is, where nobody has measured it."""
+def placed(laboratory: Laboratory, table: Sequence[RunRow], map_tasks: Map) -> Laboratory:
+    """With the world of the motion capture where hits say it is, where nobody has measured it.
+
+    Raises:
+        InputError: No hit says anything of it.
+    """
     if not laboratory.motion_capture.estimate:
         return laboratory
     hits = [(laboratory, run) for run in table if run.hit]
-    return laboratory.placed_by([touch for touch in map_tasks(touch_of, hits) if touch is not None])
+    return laboratory.placed_by([touch for touches in map_tasks(touches_of, hits) for touch in touches])
 
 
 def _try_to_read(task: tuple[Laboratory, RunRow]) -> LaboratoryRun | InputError:
@@ -271,50 +370,42 @@ def read_run(laboratory: Laboratory, run: RunRow) -> LaboratoryRun:
         TooShort: Too little is left of it between gaps.
         InputError: It cannot be used; the message says where, why, and what to do.
     """
-    mapping, path = laboratory.mapping, run.path
+    path, tracker = run.path, laboratory.tracker
     wanted: list[SignalName] = [*ARM_SIGNALS, "command", "wrench", *(OBJECT_SIGNALS if run.hit else ())]
-    needed = {name for name in wanted if name in (*REQUIRED, "command", *OBJECT_SIGNALS)}
-    names = Names(object=run.object or "*", arm=laboratory.arm, run=run.name)
-    series = read_series(path, mapping, wanted, needed & (set(REQUIRED) | set(mapping.signals)), names)
-    remarks = list(dict.fromkeys(remark for one in series.values() for remark in one.remarks))
+    arms = laboratory.series(run, wanted, _needed(laboratory, run))
+    remarks = list(dict.fromkeys(remark for own in arms.values() for one in own.values() for remark in one.remarks))
     if run.hit:
-        series = _with_object(path, series, remarks)
-    for name, one in series.items():
-        _check(path, name, one)
-    _check_overlap(path, series)
-    origin = float(series["position"].time[0])  # numbers of the wall clock have no room for microseconds
-    series = {name: replace(one, time=one.time - origin) for name, one in series.items()}
+        arms[tracker] = _with_object(path, arms[tracker], remarks)
+    for arm, own in arms.items():
+        with laboratory.told_of(arm):
+            for name, one in own.items():
+                _check(path, name, one)
+    base = _fastest(arms)
+    for arm, own in arms.items():
+        with laboratory.told_of(arm):
+            _check_overlap(path, arms[base]["position"], own)
+    origin = float(arms[base]["position"].time[0])  # numbers of the wall clock have no room for microseconds
+    arms = {arm: {name: replace(one, time=one.time - origin) for name, one in own.items()} for arm, own in arms.items()}
+    pose_seen = arms[tracker].pop("object_pose", None)
 
-    pieces, main = _pieces(run, series, remarks)
-    base = series["position"]
-    raw = base.time[_inside(base.time, pieces)]
-    grid = grid_from(raw, base.time[_inside(base.time, [main])])
-    arm = {name: _on_grid(series[name], grid) for name in ARM_SIGNALS if name in series}
-    _tell_rates(raw, grid, series, remarks)
+    pieces, main = _pieces(run, arms, pose_seen, remarks)
+    raw = arms[base]["position"].time
+    grid = grid_from(raw[_inside(raw, pieces)], raw[_inside(raw, [main])])
+    for arm, own in arms.items():
+        _tell_rates(own["position"], grid, pieces, main if arm != base else None, remarks)
+    _tell_pose_rate(pose_seen, remarks)
     time = grid - grid[0]
-    recording = Recording(path, time, arm["position"], arm["velocity"], arm["torque"], {})
-    check_recording(recording, mapping, IMPACT_SHARE if run.hit else 0.0)
-    remedy = "wrong sign or unit, or without the arm's own weight?"
-    check_weight(path, "torque", laboratory.model, arm["position"], arm["torque"], remedy)
-
-    count = len(mapping.joints)
-    none = np.zeros((0, count))
-    command_time, command = _part(series.get("command"), grid, none)
-    if command_time.size:
-        command = _with_weight(laboratory, path, time, arm["position"], command_time, command)
-    else:
-        remarks.append(
-            "no command was recorded: the joint torque has to drive the replay, which hides gears and motors"
-        )
-    object_time, pose = _part(series.get("object_pose"), grid, np.zeros((0, 7)))
+    read = {arm: _arm_of(laboratory, run, arm, own, grid, remarks) for arm, own in arms.items()}
+    object_time, pose = _part(pose_seen, grid, np.zeros((0, 7)))
     if object_time.size:
         if laboratory.placed is not None:
             remarks.append(str(laboratory.placed))
         pose = _in_inertial_frame(laboratory.motion_capture, run, pose)
-        remarks += _check_object(laboratory, run, time, arm["position"], object_time, pose)
+        for arm, joints in read.items():
+            with laboratory.told_of(arm):
+                remarks += _check_object(laboratory, run, arm, time, joints.position, object_time, pose)
     elif run.hit:
         remarks.append("the object was not tracked: it starts where the scenario places it")
-    wrench_time, wrench = _part(series.get("wrench"), grid, np.zeros((0, 6)))
     return LaboratoryRun(
         path=path,
         name=run.name,
@@ -322,27 +413,65 @@ def read_run(laboratory: Laboratory, run: RunRow) -> LaboratoryRun:
         hit=run.hit,
         condition=run.condition,
         time=time,
-        position=arm["position"],
-        velocity=arm["velocity"],
-        torque=arm["torque"],
-        motor_position=arm.get("motor_position", none),
-        motor_velocity=arm.get("motor_velocity", none),
-        command_time=command_time,
-        command=command,
+        arms=read,
         object_time=object_time,
         object_position=pose[:, :3],
         object_quaternion=pose[:, 3:],
+        gaps=tuple(Gap(end - grid[0], start - end) for (_, end), (start, _) in itertools.pairwise(pieces)),
+        remarks=tuple(dict.fromkeys(remarks)),
+    )
+
+
+def _needed(laboratory: Laboratory, run: RunRow) -> list[SignalName]:
+    """Signals without which a run is refused: those of the joints, and what the mappings promise beside them."""
+    promised = {name for mapping in laboratory.mappings.values() for name in mapping.signals}
+    asked: tuple[SignalName, ...] = ("command", *(OBJECT_SIGNALS if run.hit else ()))
+    return [*REQUIRED, *(name for name in asked if name in promised)]
+
+
+def _fastest(arms: Mapping[str, ArmSeries]) -> str:
+    """The arm with the shortest period of joint states; the first of those that have the same."""
+    return min(arms, key=lambda arm: round(float(np.median(np.diff(arms[arm]["position"].time))), 6))
+
+
+def _arm_of(
+    laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, grid: Array, remarks: list[str]
+) -> LaboratoryArm:
+    """One arm on the grid of the run; what the user should know of it is added to the remarks."""
+    mapping, path = laboratory.mappings[arm], run.path
+    own = {name: _on_grid(series[name], grid) for name in ARM_SIGNALS if name in series}
+    time, none = grid - grid[0], np.zeros((0, len(mapping.joints)))
+    with laboratory.told_of(arm):
+        recording = Recording(path, time, own["position"], own["velocity"], own["torque"], {})
+        check_recording(recording, mapping, IMPACT_SHARE if run.hit else 0.0)
+        remedy = "wrong sign or unit, or without the arm's own weight?"
+        check_weight(path, "torque", laboratory.models[arm], own["position"], own["torque"], remedy)
+        command_time, command = _part(series.get("command"), grid, none)
+        if command_time.size:
+            command = _with_weight(laboratory, path, arm, time, own["position"], command_time, command)
+        else:
+            remarks.append(
+                f"{laboratory.label(arm)}no command was recorded: the joint torque has to drive the replay, which "
+                "hides gears and motors"
+            )
+    wrench_time, wrench = _part(series.get("wrench"), grid, np.zeros((0, 6)))
+    return LaboratoryArm(
+        position=own["position"],
+        velocity=own["velocity"],
+        torque=own["torque"],
+        motor_position=own.get("motor_position", none),
+        motor_velocity=own.get("motor_velocity", none),
+        command_time=command_time,
+        command=command,
         wrench_time=wrench_time,
         wrench=wrench,
-        gaps=tuple(Gap(end - grid[0], start - end) for (_, end), (start, _) in itertools.pairwise(pieces)),
-        remarks=tuple(remarks),
     )
 
 
 # ---- stamps and gaps ------------------------------------------------------------------------------------------------
 
 
-def _with_object(path: Path, series: dict[SignalName, Series], remarks: list[str]) -> dict[SignalName, Series]:
+def _with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
     """With the pose as one signal, and without the samples in which the object was not seen."""
     series = dict(series)
     position, quaternion = series.pop("object_position", None), series.pop("object_quaternion", None)
@@ -386,9 +515,8 @@ def _check(path: Path, name: SignalName, series: Series) -> None:
         )
 
 
-def _check_overlap(path: Path, series: dict[SignalName, Series]) -> None:
-    """Every signal shares some time with the joint positions."""
-    base = series["position"]
+def _check_overlap(path: Path, base: Series, series: ArmSeries) -> None:
+    """Every signal shares some time with the joint positions ``base``."""
     for one in series.values():
         if one.time[-1] < base.time[0] or one.time[0] > base.time[-1]:
             raise InputError(
@@ -399,42 +527,44 @@ def _check_overlap(path: Path, series: dict[SignalName, Series]) -> None:
 
 
 def _pieces(
-    run: RunRow, series: dict[SignalName, Series], remarks: list[str]
+    run: RunRow, arms: Mapping[str, ArmSeries], pose: Series | None, remarks: list[str]
 ) -> tuple[list[tuple[float, float]], tuple[float, float]]:
     """Stretches between gaps that are long enough, in order, and the one that matters most.
 
     That is the longest one; of a hit the one with the impact, behind which nothing is used.
     """
-    base = series["position"]
-    start, end = float(base.time[0]), float(base.time[-1])
+    start = max(float(own["position"].time[0]) for own in arms.values())
+    end = min(float(own["position"].time[-1]) for own in arms.values())
     cuts: list[Gap] = []
-    for name in (*ARM_SIGNALS, "command", "object_pose"):
-        one = series.get(name)
-        if one is None or one.time.size < 2 or (name != "position" and np.array_equal(one.time, base.time)):
+    all_of_them = [own.get(name) for own in arms.values() for name in (*ARM_SIGNALS, "command")]
+    seen: list[Array] = []  # stamps that signals share are looked at once
+    for one in (*all_of_them, pose):
+        if one is None or one.time.size < 2 or any(np.array_equal(one.time, time) for time in seen):
             continue
+        seen.append(one.time)
         periods = GAP_PERIODS * float(np.median(np.diff(one.time)))
         found = gaps(one.time, max(GAP_TOLD, periods))
         if not found:
             continue
         told = f"{one.place}: {'gaps' if len(found) > 1 else 'a gap'} of {tell_gaps(found, start)}"
-        if name != "object_pose":
-            cuts += [gap for gap in found if gap.length > GAP_CUT]
+        if one is not pose:
+            cuts += [gap for gap in found if gap.length > GAP_CUT and gap.end > start and gap.start < end]
         remarks.append(told)
     if end - start < SHORTEST:
         raise TooShort(f"it lasts {end - start:.3f} s, at least {SHORTEST} s are needed", file=run.path)
     if not cuts:
         return [(start, end)], (start, end)
-    impact = _impact(series["velocity"]) if run.hit else None
-    inside = [gap for gap in cuts if impact is not None and gap.start <= impact <= gap.end]
+    impacts = [_impact(own["velocity"]) for own in arms.values()] if run.hit else []
+    inside = [gap for gap in cuts if impacts and gap.start <= max(impacts) and min(impacts) <= gap.end]
     if inside:
         raise TooShort(f"the impact falls into a gap of {tell_gaps(inside, start)}", file=run.path)
     first = [start, *sorted(gap.end for gap in cuts)]
     last = [*sorted(gap.start for gap in cuts), end]
     between = [(a, b) for a, b in zip(first, last, strict=True) if b > a]
     used = [piece for piece in between if piece[1] - piece[0] >= SHORTEST]
-    main = max(between if impact is None else [p for p in between if p[0] <= impact <= p[1]], key=_length)
-    if impact is not None:
-        used = [piece for piece in used if piece[0] <= impact]
+    main = max([p for p in between if all(p[0] <= impact <= p[1] for impact in impacts)], key=_length)
+    if impacts:
+        used = [piece for piece in used if piece[0] <= max(impacts)]
     if main not in used:
         what = "with the impact " if run.hit else ""
         raise TooShort(
@@ -494,19 +624,40 @@ def _part(series: Series | None, grid: Array, none: Array) -> tuple[Array, Array
     return time - grid[0], series.values[inside]
 
 
-def _tell_rates(raw: Array, grid: Array, series: dict[SignalName, Series], remarks: list[str]) -> None:
-    """Say where stamps are uneven, and where a rate is too low for a question."""
+def _tell_rates(
+    position: Series,
+    grid: Array,
+    pieces: Sequence[tuple[float, float]],
+    main: tuple[float, float] | None,
+    remarks: list[str],
+) -> None:
+    """Say where stamps of joints are uneven, and where their rate is too low for a question.
+
+    Args:
+        position: Joint positions of one arm.
+        grid: That of the run, ``(k,)`` [s].
+        pieces: What is used.
+        main: The piece that matters most, of an arm whose stamps did not make the grid; None: they did.
+        remarks: What is said is added to them.
+    """
+    raw = position.time[_inside(position.time, pieces)]
     period = float(grid[1] - grid[0])
+    if main is not None:
+        own = even_grid(position.time[_inside(position.time, [main])])
+        period = max(period, float(own[1] - own[0]))
     beside = np.abs(raw - grid[0] - period * np.rint((raw - grid[0]) / period)) / period
     worst = float(np.percentile(beside, 99.0))
     if worst > JITTER:
         remarks.append(
-            f"{series['position'].place}: stamps lie up to {100.0 * worst:.0f} % of a period beside an even grid; the "
+            f"{position.place}: stamps lie up to {100.0 * worst:.0f} % of a period beside an even grid; the "
             "samples are interpolated onto it"
         )
     if 1.0 / period < SLOW_JOINTS:
         remarks.append(f"joints at {1.0 / period:.0f} Hz: the jump of an impact is seen, its force is not")
-    pose = series.get("object_pose")
+
+
+def _tell_pose_rate(pose: Series | None, remarks: list[str]) -> None:
+    """Say where the object is seen too seldom for a question."""
     if pose is not None and pose.time.size > 1:
         rate = 1.0 / float(np.median(np.diff(pose.time)))
         if rate < SLOW_POSE:
@@ -520,40 +671,43 @@ def _tell_rates(raw: Array, grid: Array, series: dict[SignalName, Series], remar
 
 
 def _with_weight(
-    laboratory: Laboratory, path: Path, time: Array, position: Array, command_time: Array, command: Array
+    laboratory: Laboratory, path: Path, arm: str, time: Array, position: Array, command_time: Array, command: Array
 ) -> Array:
     """Desired torque with gravity, ``(m, n)`` [N m]; what the mapping says of it must fit the numbers."""
     at = np.column_stack([np.interp(command_time, time, column) for column in position.T])
-    included = laboratory.mapping.command_includes_gravity
-    whole = command if included else command + gravity_torques(laboratory.model, at)
+    included, model = laboratory.mappings[arm].command_includes_gravity, laboratory.models[arm]
+    whole = command if included else command + gravity_torques(model, at)
     remedy = (
         "command_includes_gravity: false in the mapping, where it comes without the arm's own weight"
         if included
         else "command_includes_gravity: true in the mapping, where it holds the arm's own weight already"
     )
-    check_weight(path, "command", laboratory.model, at, whole, remedy)
+    check_weight(path, "command", model, at, whole, remedy)
     return whole
 
 
 # ---- object ---------------------------------------------------------------------------------------------------------
 
 
-def touch_of(task: tuple[Laboratory, RunRow]) -> PadOnFace | None:
-    """What a hit says of the world of the motion capture; None where it cannot be read, which is told when it is."""
+def touches_of(task: tuple[Laboratory, RunRow]) -> list[PadOnFace]:
+    """What every arm's hit says of the world of the motion capture; nothing where it cannot be read, told then."""
     laboratory, run = task
+    wanted: tuple[SignalName, ...] = ("position", "velocity", *OBJECT_SIGNALS)
     try:
-        return _touch(laboratory, run)
+        arms = laboratory.series(run, wanted, wanted[:2])
+        seen = _with_object(run.path, arms[laboratory.tracker], []).get("object_pose")
+        found = [_touch(laboratory, run, arm, own, seen) for arm, own in arms.items()]
     except InputError as error:
         logger.debug("%s: tells nothing of the motion capture: %s", run.name, error)
-        return None
+        return []
+    # Arms that clamp an object go towards each other, and it goes where they go together.
+    way = np.mean([touch.pad_way for touch in found], axis=0)
+    return [replace(touch, pad_way=way) for touch in found]
 
 
-def _touch(laboratory: Laboratory, run: RunRow) -> PadOnFace:
+def _touch(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, seen: Series | None) -> PadOnFace:
     assert run.object is not None
-    wanted: tuple[SignalName, ...] = ("position", "velocity", *OBJECT_SIGNALS)
-    names = Names(object=run.object, arm=laboratory.arm, run=run.name)
-    series = _with_object(run.path, read_series(run.path, laboratory.mapping, wanted, wanted[:2], names), [])
-    joints, seen = series["position"], series.get("object_pose")
+    joints, model = series["position"], laboratory.models[arm]
     if seen is None or seen.time.size < 2:
         raise InputError("the object was not tracked", file=run.path)
     given = laboratory.motion_capture
@@ -563,13 +717,13 @@ def _touch(laboratory: Laboratory, run: RunRow) -> PadOnFace:
     first, last = (impact + moment for moment in TOUCHING)
     times = seen.time[(seen.time >= first) & (seen.time <= last)]
     times = times if times.size else np.array([0.5 * (first + last)])
-    pads = [laboratory.model.placement(q) for q in joints.at(times)]
+    pads = [model.placement(q) for q in joints.at(times)]
     placed = replace(seen, values=pose)
     objects = [pin.XYZQUATToSE3(row) for row in placed.at(times)]
     still = np.median(pose[seen.time <= seen.time[0] + REST], axis=0)
     size = np.array(laboratory.scenario.object(run.object).size)
     ends = np.array([impact, min(impact + FOLLOWED, float(joints.time[-1]), float(seen.time[-1]))])
-    way = np.diff([laboratory.model.placement(q).translation[:2] for q in joints.at(ends)], axis=0)[0]
+    way = np.diff([model.placement(q).translation[:2] for q in joints.at(ends)], axis=0)[0]
     return PadOnFace(
         run=run.name,
         pad=np.array([pad.translation for pad in pads]),
@@ -601,17 +755,19 @@ def _in_inertial_frame(motion_capture: MotionCapture, run: RunRow, pose: Array) 
 
 
 def _check_object(
-    laboratory: Laboratory, run: RunRow, time: Array, position: Array, object_time: Array, pose: Array
+    laboratory: Laboratory, run: RunRow, arm: str, time: Array, position: Array, object_time: Array, pose: Array
 ) -> list[str]:
-    """The object stands where it can, and the pad meets it; what the user should know of both."""
+    """The object stands where it can, and the pad of an arm meets it; what the user should know of both."""
     assert run.object is not None
     scenario = laboratory.scenario
-    remarks = check_object(run.path, scenario, laboratory.arm, run.object, object_time, pose)
+    remarks = check_object(run.path, scenario, arm, run.object, object_time, pose)
     during = (object_time >= time[0]) & (object_time <= time[-1])
     if not np.any(during):
         return remarks
     at = np.column_stack([np.interp(object_time[during], time, column) for column in position.T])
     size = np.array(scenario.object(run.object).size)
-    touching = check_touch(run.path, laboratory.model, run.object, size, at, pose[during])
+    touching = check_touch(run.path, laboratory.models[arm], run.object, size, at, pose[during])
     slow = object_time.size > 1 and float(np.median(np.diff(object_time))) > 1.0 / SLOW_POSE
-    return remarks if slow else [*remarks, *touching]  # a slow tracker does not see where they meet
+    return (
+        remarks if slow else [*remarks, *(f"{laboratory.label(arm)}{remark}" for remark in touching)]
+    )  # a slow tracker does not see where they meet

@@ -4,8 +4,8 @@
 One mapping serves bags (topic, message type and field), CSV and Parquet files (a column per joint) and NPZ and HDF5
 files (an array per signal). What a signal is called is data; what it means is said here, with its unit.
 
-In ``topic``, ``child_frame``, ``file`` and column names ``{object}`` stands for the object of a run, ``{arm}`` for the
-arm of its scenario and ``{run}`` for the run's own name.
+In ``topic``, ``child_frame``, ``file``, ``joints`` and column names ``{object}`` stands for the object of a run,
+``{arm}`` for the arm of its scenario and ``{run}`` for the run's own name.
 """
 
 from __future__ import annotations
@@ -144,7 +144,9 @@ class Mapping(Schema):
     robot: str = Field(
         description="robot facts: name of a file in config/robots, or a path, seen from the mapping file's folder"
     )
-    joints: tuple[str, ...] = Field(min_length=1, description="joint names in order; * stands for anything")
+    joints: tuple[str, ...] = Field(
+        min_length=1, description="joint names in order; * stands for anything, {arm} for the arm"
+    )
     end_effector: MountedEndEffector = Field(
         default_factory=MountedEndEffector, description="what was mounted on the flange"
     )
@@ -265,6 +267,6 @@ def load_mapping(name: str | Path) -> Mapping:
             known, given = mapping_names(), shortened(str(name))
             raise InputError(f"no mapping {given!r}{did_you_mean(given, known)}; known: {', '.join(known)}")
     mapping = load(Mapping, path)
-    if not mapping.robot.endswith(".yaml"):
+    if not mapping.robot.endswith((".yaml", ".yml")):
         return mapping
     return mapping.model_copy(update={"robot": str(path.parent / mapping.robot)})

@@ -7,12 +7,10 @@ What cannot be used is refused with one line that names file, topic, field and w
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rosbags.rosbag2 import Reader
 
 from impact_rs_sim.errors import InputError
@@ -27,6 +25,7 @@ LARGEST_GAP = 5.0  # sampling periods, or
 GAP_IN_LOW_PASS = 0.1  # periods of the low-pass, which is what a gap falls into
 LEAST_SAMPLES = 100
 MARGIN = 0.1  # rad or m, how far a measured position may lie outside the data sheet's limits
+EXCESS = 1.2  # times those of the data sheet, which a measured velocity or torque may be
 
 
 @dataclass(frozen=True)
@@ -161,54 +160,70 @@ def check_recording(recording: Recording, mapping: Mapping, briefly: float = 0.0
             raise InputError(
                 f"{name} of joint {joint + 1} is not a number at t = {start[row]:.3f} s", file=recording.path
             )
-    limits = mapping.facts.limits
-    low, high = np.array(limits.position_min_rad) - MARGIN, np.array(limits.position_max_rad) + MARGIN
-    _refuse(
-        recording, "position", (recording.position < low) | (recording.position > high), "position",
-        lambda j: f"{low[j] + MARGIN:.3g} ... {high[j] - MARGIN:.3g}", mapping,
-    )  # fmt: skip
-    fastest = 1.2 * np.array(limits.velocity_rad_s)
-    _refuse(
-        recording, "velocity", _often(np.abs(recording.velocity) > fastest, briefly), "velocity",
-        lambda j: f"at most {fastest[j] / 1.2:.3g}", mapping,
-    )  # fmt: skip
-    strongest = 1.2 * np.array(limits.torque_Nm)
-    _refuse(
-        recording, "torque", _often(np.abs(recording.torque) > strongest, briefly), "effort",
-        lambda j: f"at most {strongest[j] / 1.2:.3g}", mapping,
-    )  # fmt: skip
-    derived = np.gradient(recording.position, recording.time, axis=0)
-    power = float(np.sum(np.square(derived)))
-    if power > 0.0:
-        ratio = float(np.sum(derived * recording.velocity)) / power
-        if not 0.5 < ratio < 2.0:
-            raise InputError(
-                f"velocity is {ratio:.3g} times the derivative of position, expected 1: wrong unit (now "
-                f"{told_units(mapping.signals['velocity'].units)}), wrong sign or other joints",
-                file=recording.path,
-            )
+    for name in REQUIRED:
+        check_limits(recording.path, name, recording.time, getattr(recording, name), mapping, briefly)
+    check_velocity(recording.path, recording.time, recording.position, recording.velocity, mapping)
 
 
-def _often(wrong: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
-    """``(k, n)``, without the joints in which at most this share of the samples is wrong."""
-    return wrong & (wrong.mean(axis=0) > share)
-
-
-def _refuse(
-    recording: Recording,
-    name: SignalName,
-    wrong: NDArray[np.bool_],
-    quantity: str,
-    expected: Callable[[int], str],
-    mapping: Mapping,
+def check_limits(
+    path: Path, name: SignalName, time: Array, values: Array, mapping: Mapping, briefly: float = 0.0
 ) -> None:
+    """Position, velocity or torque within what the robot can do.
+
+    Args:
+        path: Recording, for messages.
+        name: Which of the three.
+        time: Stamps, ``(k,)`` [s].
+        values: SI, ``(k, n)``.
+        mapping: Knows robot and units.
+        briefly: Share of the samples in which a velocity or torque may be beyond its limit, as in an impact [-].
+
+    Raises:
+        InputError: It is not; the message names signal, joint, time, value and what was expected.
+    """
+    limits = mapping.facts.limits
+    if name == "position":
+        low, high = np.array(limits.position_min_rad), np.array(limits.position_max_rad)
+        wrong, quantity = (values < low - MARGIN) | (values > high + MARGIN), "position"
+        expected = [f"{least:.3g} ... {most:.3g}" for least, most in zip(low, high, strict=True)]
+    else:
+        most, quantity = (limits.velocity_rad_s, "velocity") if name == "velocity" else (limits.torque_Nm, "effort")
+        wrong = np.abs(values) > EXCESS * np.array(most)
+        wrong &= wrong.mean(axis=0) > briefly
+        expected = [f"at most {limit:.3g}" for limit in most]
     if not np.any(wrong):
         return
     row, joint = np.argwhere(wrong)[0]
-    value, unit = getattr(recording, name)[row, joint], getattr(mapping.facts.units[joint], quantity)
+    value, unit = values[row, joint], getattr(mapping.facts.units[joint], quantity)
     raise InputError(
-        f"{name} of joint {joint + 1} is {value:.4g} {unit} at t = {recording.time[row] - recording.time[0]:.3f} s, "
-        f"expected {expected(joint)} {unit} for {mapping.robot}: wrong unit (now {mapping.unit(name, joint)}) or "
+        f"{name} of joint {joint + 1} is {value:.4g} {unit} at t = {time[row] - time[0]:.3f} s, "
+        f"expected {expected[joint]} {unit} for {mapping.robot}: wrong unit (now {mapping.unit(name, joint)}) or "
         "joints?",
-        file=recording.path,
+        file=path,
     )
+
+
+def check_velocity(path: Path, time: Array, position: Array, velocity: Array, mapping: Mapping) -> None:
+    """Velocities are the derivative of positions.
+
+    Args:
+        path: Recording, for messages.
+        time: Stamps, ``(k,)`` [s].
+        position: SI, ``(k, n)``.
+        velocity: SI, ``(k, n)``.
+        mapping: Knows the units.
+
+    Raises:
+        InputError: They are not, by a factor of two and more.
+    """
+    derived = np.gradient(position, time, axis=0)
+    power = float(np.sum(np.square(derived)))
+    if power == 0.0:
+        return
+    ratio = float(np.sum(derived * velocity)) / power
+    if not 0.5 < ratio < 2.0:
+        raise InputError(
+            f"velocity is {ratio:.3g} times the derivative of position, expected 1: wrong unit (now "
+            f"{told_units(mapping.signals['velocity'].units)}), wrong sign or other joints",
+            file=path,
+        )

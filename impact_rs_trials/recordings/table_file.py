@@ -71,7 +71,7 @@ class TableFile:
         columns = self._named(name, source)
         if not columns:
             raise MissingSignal(f"the mapping says no column for {name}", file=self._path, key=f"signals.{name}")
-        stamps = self._stamps(source.time_column or self._mapping.time.column)
+        stamps = self._stamps(self._names.fill(source.time_column or self._mapping.time.column))
         values = np.column_stack([self._numbers(column, name) for column in columns])
         time = seconds_of(stamps, UNITS["time"][self._mapping.time.unit]) + source.delay
         return Series(f"column {columns[0]!r} ({name})", time, self._mapping.to_si(name, values)).sampled()

@@ -29,9 +29,8 @@ async function ask(path, body) {
 
 const query = (values) => new URLSearchParams(values).toString();
 const tidy = (text) => text.replace('-', '−');
-const number = (value, digits = 3) => value === null || value === undefined ? '–' : tidy(Number(value).toPrecision(digits)
-  .replace(/\.?0+(e|$)/, '$1'));
-const fixed = (value, digits = 3) => value === null ? '–' : tidy(value.toFixed(digits));
+const number = (value, digits = 3) => value === null || value === undefined ? '–' : tidy(String(Number(Number(value).toPrecision(digits))));
+const fixed = (value, digits = 3) => value === null ? '–' : tidy((Number(value.toFixed(digits)) + 0).toFixed(digits)); // + 0: no −0.000
 const unit = (text) => !text || text === '-' ? '' : ` ${text}`;
 const slug = (text) => text.replace(/[^A-Za-z0-9]+/g, '_').replace(/^_|_$/g, '');
 const stem = (path) => path.split('/').pop().replace(/\.[a-z]+$/, '');
@@ -202,6 +201,7 @@ const predict = {
     this.case = h('select', {id: 'predict-case', onchange: () => this.again()});
     this.inertia = h('select', {id: 'predict-inertia', onchange: () => this.again()},
       new Option('B_θ: what the torque loop leaves', 'reduced'), new Option('B_ρ: the whole rotor', 'rotor'), new Option('none', 'zero'));
+    this.arm = h('select', {id: 'predict-arm', onchange: () => { this.sweep = null; this.again(); }});
     this.sliders = h('div', {class: 'sliders', id: 'sliders'});
     this.known = h('div', {class: 'sliders'});
     this.plot = h('div', {class: 'plot', id: 'predict-plot', role: 'img', 'aria-label': 'Velocity after the impact'});
@@ -212,7 +212,7 @@ const predict = {
     return h('section', {},
       h('h2', {}, 'Predict the velocities just after the impact'),
       h('div', {class: 'fields'}, labelled('scenario', this.scenario), labelled('object', this.object),
-        labelled('case', this.case), labelled('motor inertia', this.inertia)),
+        labelled('case', this.case), labelled('motor inertia', this.inertia), labelled('arm in the figure', this.arm, {hidden: true})),
       this.sliders,
       h('details', {}, h('summary', {}, 'How well numbers are known (95 %, relative)'), this.known),
       this.plot, this.told.node,
@@ -237,6 +237,8 @@ const predict = {
       fill(this.object, Object.entries(found.objects).map(([value, one]) => ({value, text: `${one.label}, ${one.mass} kg`})),
         this.object.value || 'cat_food');
       fill(this.case, Object.entries(found.cases).map(([value, text]) => ({value, text})), this.case.value || 'case_2');
+      fill(this.arm, plain(Object.keys(found.arms)));
+      this.arm.parentElement.hidden = this.arm.options.length < 2;
       this.objectChosen();
     } catch (error) { this.told.error(error.message); }
   },
@@ -274,7 +276,7 @@ const predict = {
 
   // Latest wins: while one answer is under way, only the newest question waits.
   async again(moving = false) {
-    this.wanted = {scenario: this.scenario.value, object: this.object.value, case: this.case.value,
+    this.wanted = {scenario: this.scenario.value, object: this.object.value, case: this.case.value, arm: this.arm.value,
       motor_inertia: this.inertia.value, values: {...this.values}, moving};
     if (this.busy) return;
     this.busy = true;
@@ -308,19 +310,23 @@ const predict = {
     this.table.replaceChildren(...answer.rows.filter((row) => row.main || Math.max(Math.abs(row.before), Math.abs(row.after)) > 5e-4)
       .map((row) => h('tr', {class: row.main ? 'main' : ''}, h('td', {}, `${row.body}, ${row.axis}`), h('td', {}, fixed(row.before)),
         h('td', {}, fixed(row.after)), h('td', {}, row.low === null ? '–' : `${fixed(row.low)} … ${fixed(row.high)}`))));
-    const [x, y, z] = answer.impulse.map((value) => fixed(value));
+    const impulses = Object.entries(answer.impulses), several = impulses.length > 1;
+    const pushed = impulses.map(([arm, values]) => `${several ? `${arm} ` : ''}[${values.map((value) => fixed(value)).join(', ')}]`).join(', ');
     const told = answer.moving ? '; interval from few draws while a slider moves' : answer.interval ? `; interval ${answer.interval.method.replace('_', ' ')}, ${answer.interval.draws} draws` : '';
-    this.facts.textContent = `m/s. Impulse of the pads on the object [${x}, ${y}, ${z}] N s${told}. ${answer.note}`;
+    this.facts.textContent = `m/s. Impulse of the pad${several ? 's' : ''} on the object ${pushed} N s${told}. ${answer.note}`;
     if (!answer.moving) this.budget.replaceChildren(...answer.budget.slice(0, 7).map((one) => h('li', {}, h('span', {}, one.source),
       h('i', {style: `width: ${(100 * one.share).toFixed(1)}%`}), h('span', {}, `${Math.round(100 * one.share)} %`))));
     this.place(question.moving);
     requestAnimationFrame(() => { this.plot.dataset.shown = JSON.stringify(question.values); });
   },
 
+  // The row of the figure's body.
+  row() { return this.answer.rows.find((one) => one.main && one.body === this.answer.arm); },
+
   // Where we stand on the map: shapes, which a figure moves without working out its lines and axes again.
   marks() {
     const slider = this.slider(), x = this.values[slider.key] ?? slider.value;
-    const row = this.answer.rows.find((one) => one.main), thing = this.answer.rows.find((one) => one.main && one.body === 'object');
+    const row = this.row(), thing = this.answer.rows.find((one) => one.main && one.body === 'object');
     const dot = (y, size, colour) => ({type: 'circle', xsizemode: 'pixel', ysizemode: 'pixel', xanchor: x, yanchor: y, x0: -size, x1: size,
       y0: -size, y1: size, fillcolor: seen(colour), line: {width: 0}});
     const bar = row.low === null ? [] : [{type: 'line', x0: x, x1: x, y0: row.low, y1: row.high, line: {width: 4, color: seen('#000000')}}];
@@ -336,7 +342,7 @@ const predict = {
 
   // The map over one slider, and where we stand on it.
   paint() {
-    const slider = this.slider(), key = slider.key, row = this.answer.rows.find((one) => one.main);
+    const slider = this.slider(), key = slider.key, row = this.row();
     const lines = this.sweep?.slider.key === key ? this.sweep : null;
     this.plot.dataset.over = lines ? key : '';
     const data = [];
@@ -353,7 +359,8 @@ const predict = {
     for (const [name, colour] of [[`${row.body}, here`, '#000000'], ['object, here', '#E69F00']]) { // for the legend
       data.push({x: [null], y: [null], mode: 'markers', name, marker: {color: colour, size: 11}});
     }
-    draw(this.plot, {data, layout: {height: 360, margin: {l: 60, r: 12, t: 10, b: 110}, hovermode: 'closest', shapes: this.marks(),
+    const below = 52 + 19 * Math.ceil(7 / Math.max(1, Math.floor((this.plot.clientWidth - 72) / 190))); // of the legend
+    draw(this.plot, {data, layout: {height: 250 + below, margin: {l: 60, r: 12, t: 10, b: below}, hovermode: 'closest', shapes: this.marks(),
       xaxis: {title: {text: `${slider.label} [${slider.unit}]`, standoff: 8}, range: [slider.low, slider.high], zeroline: false},
       yaxis: {title: {text: `v<sub>${this.answer.axis}</sub> after the impact [m/s]`}, zeroline: true, automargin: true},
       legend: {orientation: 'h', yref: 'container', y: 0, yanchor: 'bottom', x: 0, xanchor: 'left', font: {size: 11}}}});
@@ -440,8 +447,8 @@ const measure = {
     const options = plain(state.workspace.scenarios);
     fill(this.scenario, options, this.scenario.value || 'push');
     fill(this.trialScenario, options, this.trialScenario.value || 'push');
-    if (!this.scenarioFound) { await this.choose(); await this.chooseTrial(); this.tellBlind(); }
     laboratory.update();
+    if (!this.scenarioFound) { await this.choose(); await this.chooseTrial(); this.tellBlind(); }
   },
 
   async choose(only = {}) {
@@ -503,8 +510,10 @@ function runsForm(step, label, {extraFields = [], extra = () => ({}), only = () 
   const made = orderForm([labelled('measurements', runs), labelled('model', model), labelled('folder of the report', output), ...extraFields],
     () => runs.value && model.value ? {step, runs: runs.value, model: model.value, experiment: experimentOf(runs.value), output: output.value,
       ...extra()} : null, label);
-  return {...made, runs, model, output, update() {
-    fill(runs, runsChoices());
+  return {...made, runs, model, output, wanted: null, update() { // wanted: runs that show up soon
+    const choices = runsChoices(), there = choices.some((one) => one.value === this.wanted);
+    fill(runs, choices, there ? this.wanted : undefined);
+    if (there) this.wanted = null;
     fill(model, modelChoices().filter((one) => only(one.value)));
     named();
     made.tell();
@@ -806,30 +815,34 @@ const history_ = {
 
 // ---- laboratory -----------------------------------------------------------------------------------------------------------
 
-const SIGNALS = [
-  {name: 'position', text: 'joint position', units: ['rad', 'mrad', 'deg'], needed: true},
-  {name: 'velocity', text: 'joint velocity', units: ['rad/s', 'mrad/s', 'deg/s'], needed: true},
-  {name: 'torque', text: 'joint torque', units: ['N m', 'mN m'], needed: true},
-  {name: 'command', text: 'commanded torque', units: ['N m', 'mN m']},
-  {name: 'object_pose', text: 'pose of the object', units: ['m', 'mm']},
-];
+// Units of joints that turn, and of those that slide where a robot has some.
+const JOINT_UNITS = {position: [['rad', 'mrad', 'deg'], ['m', 'mm']], velocity: [['rad/s', 'mrad/s', 'deg/s'], ['m/s', 'mm/s']],
+  torque: [['N m', 'mN m'], ['N', 'mN']], command: [['N m', 'mN m'], ['N', 'mN']]};
+const ARM_SIGNALS = [{name: 'position', text: 'joint position'}, {name: 'velocity', text: 'joint velocity'},
+  {name: 'torque', text: 'joint torque'}, {name: 'command', text: 'commanded torque', optional: true}];
+const OBJECT_POSE = {name: 'object_pose', text: 'pose of the object', optional: true};
 
 const laboratory = {
   build() {
     this.folder = h('select', {id: 'lab-folder', onchange: () => this.look()});
+    this.scenario = h('select', {id: 'lab-scenario', onchange: () => this.look()});
     this.none = emptyNote('No recordings of others in this folder yet: copy them into it (a folder with a bag, CSV, Parquet, NPZ or HDF5 file per run), ' +
       'and it shows up here.');
     this.told = teller();
     this.body = h('div', {id: 'lab'});
-    return h('div', {}, this.none, labelled('folder of recordings', this.folder), this.told.node, this.body);
+    return h('div', {}, this.none, h('div', {class: 'fields'}, labelled('folder of recordings', this.folder),
+      labelled('scenario: robots, boxes', this.scenario)), this.body, this.told.node);
   },
 
   update() {
     const found = state.workspace.laboratories;
     this.none.hidden = found.length > 0;
-    this.folder.parentElement.hidden = !found.length;
+    this.folder.closest('.fields').hidden = !found.length;
     const first = found.find((lab) => !lab.experiment)?.path;
-    fill(this.folder, found.map((lab) => ({value: lab.path, text: `${lab.path}${lab.experiment ? ' (described)' : ''}`})), this.folder.value || first);
+    fill(this.folder, found.map((lab) => ({value: lab.path, text: `${lab.path}${lab.experiment ? ' (described)' : ''}`})),
+      this.wanted ?? (this.folder.value || first));
+    this.wanted = null;
+    fill(this.scenario, plain(state.workspace.scenarios), this.scenario.value || 'push');
     if (this.folder.value && this.folder.value !== this.looked) this.look();
   },
 
@@ -839,70 +852,96 @@ const laboratory = {
     this.told.node.replaceChildren();
     if (this.lab.error) this.told.error(this.lab.error);
     try {
-      const [scenarios, found] = [state.workspace.scenarios, await ask(`/api/laboratory?${query({path: folder})}`)];
+      const name = this.scenario.value;
+      const [found, {objects}] = await Promise.all([ask(`/api/laboratory?${query({path: folder, scenario: name})}`),
+        ask(`/api/scenario?${query({name})}`)]);
+      if (this.looked !== folder || this.scenario.value !== name) return; // another one was chosen meanwhile
       this.found = found;
-      this.scenario = h('select', {id: 'lab-scenario', onchange: () => this.table()}, ...scenarios.map((name) => new Option(name, name)));
-      this.scenario.value = 'push';
-      this.rows = h('tbody', {});
-      this.gravity = h('input', {type: 'checkbox', checked: true});
-      this.signals = null;
-      this.signals = SIGNALS.map((signal) => this.signal(signal));
-      this.body.replaceChildren(h('div', {class: 'fields'}, labelled('scenario with robot, boxes and support', this.scenario)),
-        h('h3', {}, `Signals, as ${found.recording} has them`), h('p', {class: 'note'}, 'Choose where each signal is and look at it: are its size and unit right?'),
-        ...this.signals.map((one) => one.node),
-        h('label', {}, this.gravity, ' the commanded torque holds the weight of the arm'),
+      this.arms = Object.entries(found.arms).map(([arm, given]) => this.arm(arm, given));
+      this.pose = this.signal(OBJECT_POSE, this.arms[0], found.object_pose);
+      this.world = h('input', {type: 'checkbox', id: 'lab-world'});
+      this.rows = h('tbody', {}, ...this.lab.recordings.map((recording) => this.row(recording, objects)));
+      this.body.replaceChildren(
+        h('h3', {}, `Signals, as ${found.recording} has them`), h('p', {class: 'note'}, 'Choose where each signal is and in which unit, and look at it: are its numbers right?'),
+        h('div', {class: this.arms.length > 1 ? 'arms' : ''}, ...this.arms.map((one) => one.node)),
+        this.pose.node,
+        h('label', {class: 'tick'}, this.world, ' the tracker’s world is not the robot’s: find it from the contact in the hits'),
         h('h3', {}, 'Runs'), h('div', {class: 'scroll'}, h('table', {}, h('thead', {}, h('tr', {}, ...['recording', 'object', 'kind', 'condition']
-          .map((text) => h('th', {scope: 'col'}, text)))), this.rows)),
+          .map((text) => h('th', {scope: 'col', class: 'text'}, text)))), this.rows)),
         h('div', {class: 'actions'}, h('button', {type: 'button', class: 'primary', id: 'lab-save', onclick: () => this.keep()},
           'Write experiment.yaml and mapping')));
-      await this.table();
+      for (const one of [...this.arms.flatMap((arm) => arm.signals), this.pose]) one.show();
     } catch (error) { this.told.error(error.message); this.body.replaceChildren(); }
   },
 
-  signal(signal) {
-    const options = this.found.streams.filter((stream) => signal.name === 'object_pose' ? stream.pose : !stream.pose);
-    const source = h('select', {'data-signal': signal.name}, ...(signal.needed ? [] : [new Option('not recorded', '')]),
-      ...options.map((stream) => new Option(stream.label, this.found.streams.indexOf(stream))));
-    const guess = options.find((stream) => stream.guess === signal.name);
-    source.value = guess ? this.found.streams.indexOf(guess) : signal.needed && options.length ? this.found.streams.indexOf(options[0]) : '';
-    const units = h('select', {'aria-label': `unit of ${signal.text}`}, ...signal.units.map((one) => new Option(one, one)));
-    const plot = h('div', {class: 'plot', role: 'img', 'aria-label': `preview of ${signal.text}`});
+  // Joints, signals and gravity of one arm; a heading where there are several.
+  arm(name, given) {
+    const several = Object.keys(this.found.arms).length > 1;
+    const own = {name, given, several, label: several ? ` of ${name}` : ''};
+    const named = this.found.streams.some((stream) => stream.joints.length);
+    own.names = h('textarea', {class: 'names', rows: several ? 3 : 1, onchange: () => { for (const one of own.signals) one.show(); }}, given.joints.join(', '));
+    own.joints = () => own.names.value.split(/[\s,]+/).filter(Boolean);
+    own.gravity = h('input', {type: 'checkbox', checked: true, onchange: () => own.signals.at(-1).show()});
+    own.signals = ARM_SIGNALS.map((signal) => this.signal(signal, own, given.signals[signal.name]));
+    own.node = h('section', {'data-lab-arm': name}, several ? h('h3', {}, `Arm ${name}, ${given.robot}`) : '',
+      named ? labelled(`joints in order, base to tip (${given.slides.length} of ${given.robot})`, own.names) : '', ...own.signals.map((one) => one.node),
+      h('label', {class: 'tick'}, own.gravity, ' the commanded torque holds the weight of the arm'));
+    return own;
+  },
+
+  signal(signal, arm, proposed) {
+    const pose = signal.name === 'object_pose', streams = this.found.streams;
+    const what = pose ? signal.text : `${signal.text}${arm.label}`;
+    const source = h('select', {'data-signal': signal.name}, ...(signal.optional ? [new Option('not recorded', '')] : []),
+      ...streams.flatMap((stream, number_) => stream.pose === pose ? [new Option(stream.label, number_)] : []));
+    source.value = proposed ?? (signal.optional ? '' : source.options[0]?.value ?? '');
+    const slides = pose ? [] : arm.given.slides, [turning, sliding] = JOINT_UNITS[signal.name] ?? [['m', 'mm'], []];
+    const kinds = [[turning, slides.every((one) => one) && !pose ? '' : 'turn'], [sliding, slides.some((one) => one) ? 'slide' : '']].filter(([, how]) => how);
+    const units = kinds.map(([all, how]) => ({how, select: h('select', {}, ...all.map((one) => new Option(one, one)))}));
+    const plot = h('div', {class: 'plot', role: 'img', 'aria-label': `preview of ${what}`});
     const line = h('p', {class: 'note', 'aria-live': 'polite'});
+    const unitOf = (how) => (units.find((one) => one.how === how) ?? units[0]).select.value;
+    const value = () => source.value === '' ? null : {...streams[source.value].source,
+      unit: units.length > 1 ? slides.map((one) => unitOf(one ? 'slide' : 'turn')) : units[0].select.value};
+    let asked = 0;
+    const clear = (text, kind) => { line.className = kind; line.textContent = text; plot.replaceChildren(); Plotly.purge(plot); };
     const show = async () => {
-      if (source.value === '') { plot.replaceChildren(); Plotly.purge(plot); line.textContent = ''; return; }
+      const mine = ++asked;
+      if (source.value === '') { clear('', 'note'); return; }
       try {
-        const seen_ = await ask('/api/laboratory/preview', {path: this.found.path, signal: signal.name,
-          source: {...this.found.streams[source.value].source, unit: units.value}, position: this.position(), joints: this.found.joints});
-        line.className = 'note';
-        line.textContent = `${seen_.place}; ${seen_.samples} samples at ${number(seen_.rate)} Hz; from ${number(seen_.low)} to ${number(seen_.high)} ${seen_.unit}`;
-        await draw(plot, {data: seen_.columns.map((column) => ({x: seen_.time, y: column.values, name: column.name, mode: 'lines', line: {width: 1.2}})),
-          layout: {height: 170, margin: {l: 50, r: 10, t: 6, b: 34}, showlegend: false, xaxis: {title: {text: 'time [s]'}},
-            yaxis: {title: {text: seen_.unit}}}});
-      } catch (error) { line.className = 'error'; line.textContent = error.message; plot.replaceChildren(); Plotly.purge(plot); }
+        const seen_ = await ask('/api/laboratory/preview', {path: this.found.path, scenario: this.scenario.value, arm: arm.name, signal: signal.name,
+          source: value(), position: arm.signals?.[0].value() ?? value(), joints: arm.joints(), command_includes_gravity: arm.gravity.checked});
+        if (mine !== asked) return;
+        const told = seen_.ranges.map((one) => `from ${number(one.low)} to ${number(one.high)} ${one.unit}`).join(', ');
+        line.className = seen_.wrong ? 'error' : 'note';
+        line.textContent = seen_.wrong || `${seen_.place}; ${seen_.samples} samples at ${number(seen_.rate)} Hz; ${told}`;
+        const second = seen_.ranges.length > 1 ? sliding[0] : null; // the SI unit of joints that slide beside others that turn
+        await draw(plot, {data: seen_.columns.map((column) => ({x: seen_.time, y: column.values, name: column.name, mode: 'lines', line: {width: 1.2},
+          hovertemplate: `%{y:.4g} ${column.unit}`, ...(column.unit === second ? {yaxis: 'y2'} : {})})),
+        layout: {height: 170, margin: {l: 50, r: second ? 50 : 10, t: 6, b: 34}, showlegend: false, xaxis: {title: {text: 'time [s]'}},
+          yaxis: {title: {text: seen_.ranges.find((one) => one.unit !== second).unit}},
+          ...(second ? {yaxis2: {title: {text: second}, overlaying: 'y', side: 'right', tickmode: 'auto', showgrid: false}} : {})}});
+      } catch (error) { if (mine === asked) clear(error.message, 'error'); }
     };
-    source.addEventListener('change', show);
-    units.addEventListener('change', show);
-    const node = h('div', {'data-lab-signal': signal.name}, h('div', {class: 'fields'}, labelled(signal.text, source), labelled('unit in the file', units)), line, plot);
-    show();
-    return {node, name: signal.name, value: () => source.value === '' ? null : {...this.found.streams[source.value].source, unit: units.value}};
+    // All signals of an arm have the clock of its joint positions.
+    const changed = () => { if (signal.name === 'position') for (const one of arm.signals) one.show(); else show(); };
+    for (const control of [source, ...units.map((one) => one.select)]) control.addEventListener('change', changed);
+    const node = h('div', {'data-lab-signal': signal.name}, h('div', {class: `fields ${units.length > 1 ? 'mixed' : ''}`}, labelled(what, source),
+      ...units.map((one) => labelled(units.length > 1 ? `unit, joints that ${one.how}` : 'unit', one.select))), line, plot);
+    return {node, name: signal.name, value, show};
   },
 
-  // The clock of all signals is that of the joint positions.
-  position() {
-    const chosen = this.signals?.find((one) => one.name === 'position')?.value();
-    const first = this.found.streams.find((stream) => stream.guess === 'position') ?? this.found.streams.find((stream) => !stream.pose);
-    return chosen ?? {...(first ?? this.found.streams[0]).source, unit: 'rad'};
-  },
-
-  async table() {
-    const {objects} = await ask(`/api/scenario?${query({name: this.scenario.value})}`);
-    this.rows.replaceChildren(...this.lab.recordings.map((recording) => {
-      const object = h('select', {'aria-label': `object of ${recording}`}, ...Object.entries(objects).map(([value, one]) => new Option(one.label, value)));
-      const kind = h('select', {'aria-label': `kind of ${recording}`}, new Option('hit', 'hit'), new Option('free motion', 'free motion'), new Option('leave out', ''));
-      const condition = h('input', {'aria-label': `condition of ${recording}`, value: 'case_1'});
-      kind.addEventListener('change', () => { object.disabled = kind.value !== 'hit'; });
-      return h('tr', {'data-recording': recording}, h('td', {}, recording), h('td', {}, object), h('td', {}, kind), h('td', {}, condition));
-    }));
+  // What a recording is called may tell what it is.
+  row(recording, objects) {
+    const object = h('select', {'aria-label': `object of ${recording}`}, ...Object.entries(objects).map(([value, one]) => new Option(one.label, value)));
+    const kind = h('select', {'aria-label': `kind of ${recording}`}, new Option('hit', 'hit'), new Option('free motion', 'free motion'), new Option('leave out', ''));
+    const condition = h('input', {'aria-label': `condition of ${recording}`, value: 'case_1'});
+    object.value = Object.keys(objects).find((one) => recording.includes(one)) ?? object.options[0].value;
+    if (/free|excite/i.test(recording)) kind.value = 'free motion';
+    const told = () => { object.disabled = kind.value !== 'hit'; };
+    kind.addEventListener('change', told);
+    told();
+    return h('tr', {'data-recording': recording}, h('td', {}, recording), h('td', {}, object), h('td', {}, kind), h('td', {}, condition));
   },
 
   async keep() {
@@ -910,12 +949,17 @@ const laboratory = {
       const [object, kind] = row.querySelectorAll('select');
       return {bag: row.dataset.recording, object: kind.value === 'hit' ? object.value : 'none', kind: kind.value, condition: row.querySelector('input').value};
     }).filter((run) => run.kind);
+    const chosen = (arm) => Object.fromEntries(arm.signals.map((one) => [one.name, one.value()]).filter(([, value]) => value));
+    const folder = this.folder.value;
     try {
-      const done = await ask('/api/laboratory', {path: this.folder.value, scenario: this.scenario.value, joints: this.found.joints,
-        command_includes_gravity: this.gravity.checked, runs,
-        signals: Object.fromEntries(this.signals.map((one) => [one.name, one.value()]).filter(([, value]) => value))});
-      this.told.node.replaceChildren(h('p', {class: 'good', id: 'lab-written'}, `Written: ${done.written.join(', ')}. Next:`), commandLine(done.command));
-    } catch (error) { this.told.error(error.message); this.told.node.scrollIntoView({block: 'nearest'}); }
+      const done = await ask('/api/laboratory', {path: folder, scenario: this.scenario.value, object_pose: this.pose.value(),
+        world_from_hits: this.world.checked, runs, arms: Object.fromEntries(this.arms.map((arm) => [arm.name,
+          {joints: arm.joints(), command_includes_gravity: arm.gravity.checked, signals: chosen(arm)}]))});
+      this.told.node.replaceChildren(h('p', {class: 'good', id: 'lab-written'}, `Written: ${done.written.join(', ')}.`),
+        ...done.remarks.map((remark) => h('p', {class: 'note'}, `Note: ${remark}`)), h('p', {}, 'Next:'), commandLine(done.command),
+        h('div', {class: 'actions'}, h('button', {type: 'button', onclick: () => { compare.form.wanted = folder; go('compare'); }}, 'Compare')));
+    } catch (error) { this.told.error(error.message); }
+    this.told.node.scrollIntoView({block: 'nearest'});
   },
 };
 
@@ -940,7 +984,7 @@ function showFolder() {
   $('campaigns').replaceChildren(...or(campaigns.map((one) => entry(`campaign ${one.path}`, one.path,
     [one.error || `${one.scenario ? `${one.scenario}, ` : ''}${one.present} of ${one.trials} trials`], () => chooseCampaign(one))), 'none yet'));
   $('laboratories').replaceChildren(...or(laboratories.map((one) => entry(`lab ${one.path}`, one.path === '.' ? 'this folder' : one.path,
-    [one.error || (one.experiment ? 'described' : `${one.recordings.length} recordings, not described`)], () => chooseLaboratory(one))), 'none yet'));
+    [one.error || (one.experiment ? 'described' : `${one.recordings.length} recording${one.recordings.length === 1 ? '' : 's'}, not described`)], () => chooseLaboratory(one))), 'none yet'));
   const branch = (parent) => models.filter((one) => one.parent === parent && one.path !== parent).map((one) => {
     const children = branch(one.path);
     const item = entry(`model ${one.path}`, one.name, [one.error || one.effects.join(' + ') || 'nothing added',
@@ -968,8 +1012,8 @@ function chooseCampaign(one) {
 function chooseLaboratory(one) {
   go('measure');
   measure.show('laboratory');
-  laboratory.folder.value = one.path;
-  laboratory.look();
+  laboratory.wanted = one.path;
+  laboratory.update();
 }
 
 function chooseModel(one) {
@@ -1044,6 +1088,7 @@ function finished(job) {
   if (job.step === 'compare' && job.arguments[0] === 'compare') compare.wanted = `${made[0]}/compare.html`;
   if (job.step === 'compare' && job.arguments[0] === 'analyze') compare.wanted = `${made[0]}/report.html`;
   if (job.step === 'diagnose') diagnose.wanted = `${made[0]}/diagnosis.json`;
+  if (state.workspace) STEPS[state.step][1].update(); // the files may have been told of before the job's end
 }
 
 // ---- the page ---------------------------------------------------------------------------------------------------------------

@@ -14,9 +14,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
+from mixed_grab import FILE
 from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.reader import TrialBag
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on this machine")
@@ -140,6 +145,114 @@ def test_the_whole_loop_by_mouse_names_the_hidden_effect_and_the_error_falls(
     history = json.loads((address[1] / "reports" / "history" / "history.json").read_text())["history"]
     assert history[1]["error_fit"] < 0.5 * history[0]["error_fit"]
     expect(page.locator("#models .tree small").last).to_contain_text("held out")
+
+
+def shown(page: Page, arm: str, signal: str) -> np.ndarray:
+    """What the preview of a signal has drawn, ``(k, n)``."""
+    plot = page.locator(f"[data-lab-arm={arm}] [data-lab-signal={signal}] .plot")
+    expect(plot.locator(".scatterlayer .trace").first).to_be_attached()
+    return np.array(plot.evaluate("node => node.data.map((trace) => [...trace.y])")).T
+
+
+def accessible(page: Page) -> None:
+    found = Axe().run(page).response["violations"]
+    assert [(one["id"], one["nodes"][0]["html"]) for one in found] == []
+
+
+@pytest.mark.timeout(600)
+def test_a_folder_of_recordings_is_described_from_lists_and_compared(
+    page: Page, address: tuple[str, Path], hidden_campaign: Path, rewrite_bag: Callable[..., None]
+) -> None:
+    trials = sorted((hidden_campaign / "push").glob("parcel*"))
+    for number, trial in enumerate(trials, start=1):  # as others record: nothing of ours is in them
+        kept = {topics.joint_states("arm"), topics.joint_command("arm"), topics.OBJECT_POSE}
+        rewrite_bag(trial, address[1] / "lab" / f"parcel_{number}", kept.__contains__)
+    expect(page.locator("#laboratories")).to_contain_text("2 recordings, not described")
+    page.locator("#laboratories button").click()
+    line = page.locator("[data-lab-signal=velocity] p")
+    expect(line).to_contain_text("1000 Hz; from")
+    measured = TrialBag.open(trials[0]).joints(topics.joint_states("arm"))
+    seen = shown(page, "arm", "velocity")
+    np.testing.assert_allclose(seen, measured.velocity[:: -(-len(measured.velocity) // 300)], rtol=1e-4, atol=1e-9)
+
+    page.locator("[data-lab-signal=velocity]").get_by_label("unit").select_option("deg/s")
+    expect(line).to_have_class("error")
+    expect(line).to_contain_text("velocity is 0.0175 times the derivative of position, expected 1: wrong unit")
+    np.testing.assert_allclose(shown(page, "arm", "velocity"), np.radians(seen), rtol=1e-3, atol=1e-9)
+    page.locator("[data-lab-signal=velocity]").get_by_label("unit").select_option("rad/s")
+    expect(line).to_have_class("note")
+    joints = page.get_by_label("joints in order")
+    names = joints.input_value()
+    joints.fill(names.replace("joint7", "joint9"))
+    joints.blur()
+    expect(page.locator("[data-lab-signal=torque] p")).to_contain_text("joint arm_joint9 is missing; the message")
+    joints.fill(names)
+    joints.blur()
+    expect(page.locator("[data-lab-signal] .plot .xy .scatterlayer")).to_have_count(5)  # four of the arm, one object
+    expect(page.locator("[data-lab-signal] .error")).to_have_count(0)
+    accessible(page)
+
+    expect(page.get_by_label("object of parcel_1")).to_have_value("parcel")  # as it is called
+    pose_unit = page.locator("[data-lab-signal=object_pose]").get_by_label("unit")
+    pose_unit.select_option("mm")
+    page.locator("#lab-save").click()
+    expect(page.locator("#part-laboratory .told .error")).to_contain_text(
+        "parcel_1: the centre of 'parcel' is first at"
+    )
+    pose_unit.select_option("m")
+    page.get_by_label("condition of parcel_2").fill("case_1")
+    page.locator("#lab-save").click()
+    expect(page.locator("#lab-written")).to_contain_text("lab/experiment.yaml, lab/mapping.yaml, lab/runs.csv")
+    expect(page.locator("#laboratories")).to_contain_text("described")
+    page.locator("#part-laboratory").get_by_role("button", name="Compare").click()
+    expect(page.locator("#compare-runs")).to_have_value("lab")
+    start(page, "Compare")
+    job(page)
+    expect(page.locator("#compare-result .answer")).to_contain_text("differs from 2 trials by")
+
+
+def test_two_arms_of_different_kinds_are_predicted_and_described(
+    page: Page, address: tuple[str, Path], mixed_trial: Path, rewrite_bag: Callable[..., None]
+) -> None:
+    shutil.copy(FILE, address[1] / "mixed_grab.yaml")
+    rewrite_bag(mixed_trial, address[1] / "two" / "run_1", lambda topic: not topic.startswith(("/trial", "/truth")))
+    expect(page.locator("#predict-scenario option[value='mixed_grab.yaml']")).to_be_attached()
+    expect(page.locator("#predict-arm")).to_be_hidden()  # of one arm
+    page.select_option("#predict-scenario", "mixed_grab.yaml")
+    page.select_option("#predict-object", "parcel")
+    page.select_option("#predict-arm", "right")
+    expect(page.locator("#predict-facts")).to_contain_text("Impulse of the pads on the object left [")
+    expect(page.locator("#predict-table tr.main td:first-child")).to_have_text(["left, z", "right, z", "object, z"])
+    expect(page.locator("#predict-plot .scatterlayer .trace")).to_have_count(7)  # the map of the right arm
+    expect(page.locator("#predict-plot .legendtext").nth(5)).to_have_text("right, here")
+    place = page.locator("#predict-plot").evaluate(
+        "node => node.layout.shapes.find((one) => one.type === 'circle').yanchor"
+    )
+    assert f"{place:.3f}" == page.locator("#predict-table tr.main td").nth(6).inner_text()
+    page.locator("[data-key=speed]").focus()
+    page.keyboard.press("ArrowLeft")
+    expect(page.locator(".command code").first).to_contain_text("right.ante_velocity=")
+
+    page.locator("[data-entry='lab two']").click()
+    page.select_option("#lab-scenario", "mixed_grab.yaml")
+    expect(page.locator("[data-lab-signal] .plot .xy .scatterlayer")).to_have_count(9)
+    for arm, count in (("left", 7), ("right", 6)):
+        torque = TrialBag.open(mixed_trial).joints(topics.joint_states(arm)).effort
+        seen = shown(page, arm, "torque")
+        assert seen.shape[1] == count
+        np.testing.assert_allclose(seen, torque[:: -(-len(torque) // 300)], rtol=1e-4, atol=1e-9)
+    effort = page.locator("[data-lab-arm=right] select[data-signal=torque]")
+    effort.select_option("/left/joint_states: effort (7)")
+    expect(page.locator("[data-lab-arm=right] .error")).to_contain_text("joint right_joint1 is missing")
+    expect(page.locator("[data-lab-arm=left] .error")).to_have_count(0)
+    effort.select_option("/right/joint_states: effort (6)")
+    expect(page.locator("[data-lab-signal] .plot .xy .scatterlayer")).to_have_count(9)
+    accessible(page)
+    picture(page, "workbench_laboratory", address[1])
+    page.set_viewport_size({"width": 360, "height": 800})
+    expect(page.locator("html")).to_have_js_property("scrollWidth", 360)
+    page.locator("#lab-save").click()
+    expect(page.locator("#lab-written")).to_contain_text("two/mapping_left.yaml, two/mapping_right.yaml")
 
 
 def test_a_job_that_fails_shows_its_one_line(page: Page, address: tuple[str, Path]) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from impact_rs_sim.errors import InputError
@@ -81,3 +82,21 @@ def test_a_slider_of_another_object_is_none() -> None:
 
 def test_the_command_of_untouched_sliders_sets_nothing() -> None:
     assert map_arguments("push", question(), {}) == ["map", "push", "cat_food", "case_2", "--uncertainty"]
+
+
+def test_each_of_two_arms_has_its_figure_its_budget_and_its_impulse() -> None:
+    grab, places = load_scenario("grab"), {}
+    slider = slider_of(grab, "cat_food", "speed")
+    for arm in ("left", "right"):
+        asked = question(scenario="grab", arm=arm)
+        found = answer(grab, asked)
+        speed = {row["body"]: row["after"] for row in found["rows"] if row["main"]}
+        assert (found["arm"], list(speed)) == (arm, ["left", "right", "object"])
+        impulse = {name: value[1] for name, value in found["impulses"].items()}
+        assert impulse["left"] < -0.1 < 0.1 < impulse["right"]  # N s, they clamp along y
+        line = drawn(asked, slider, list(sweep(grab, asked, slider)))["lines"][0]["y"]
+        places[arm] = np.interp(1.0, np.linspace(slider.low, slider.high, len(line)), line)
+        assert places[arm] == pytest.approx(speed[arm], abs=0.01)
+    assert abs(places["left"] - places["right"]) > 0.01
+    with pytest.raises(InputError, match="scenario 'grab' has no arm 'lefd'; known: left, right"):
+        answer(grab, question(scenario="grab", arm="lefd"))

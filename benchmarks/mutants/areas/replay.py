@@ -90,8 +90,8 @@ MUTANTS = [
     Mutant(
         name="command_offset_sign",
         file=LABORATORY,
-        original="command_time={name: time + offset for name, time in run.command_time.items()}",
-        mutated="command_time={name: time - offset for name, time in run.command_time.items()}",
+        original="command_time={name: time + offsets[name] for name, time in run.command_time.items()}",
+        mutated="command_time={name: time - offsets[name] for name, time in run.command_time.items()}",
         wrong="Commands are shifted away from where they act.",
         tests=LABORATORY_TESTS,
     ),

@@ -26,7 +26,7 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.recordings.clock import Gap
-from impact_rs_trials.recordings.laboratory import LaboratoryRun
+from impact_rs_trials.recordings.laboratory import LaboratoryArm, LaboratoryRun
 
 
 @pytest.fixture(scope="module")
@@ -52,10 +52,14 @@ def laboratory_run(bag: TrialBag) -> LaboratoryRun:
     none = np.zeros((0, 7))
     return LaboratoryRun(
         path=bag.path, name="run_1", object=bag.info.object, hit=True, condition="",
-        time=joints.time, position=joints.position, velocity=joints.velocity, torque=joints.effort,
-        motor_position=none, motor_velocity=none, command_time=np.zeros(0), command=none,
+        time=joints.time,
+        arms={"arm": LaboratoryArm(
+            position=joints.position, velocity=joints.velocity, torque=joints.effort, motor_position=none,
+            motor_velocity=none, command_time=np.zeros(0), command=none, wrench_time=np.zeros(0),
+            wrench=np.zeros((0, 6)),
+        )},
         object_time=seen.time, object_position=seen.position, object_quaternion=seen.quaternion,
-        wrench_time=np.zeros(0), wrench=np.zeros((0, 6)), gaps=(), remarks=(),
+        gaps=(), remarks=(),
     )  # fmt: skip
 
 
@@ -82,7 +86,8 @@ def test_nothing_is_seen_in_the_gaps_of_a_run(bag: TrialBag, laboratory_run: Lab
 def test_a_run_that_hits_nothing_or_whose_object_nobody_tracked_is_seen_all_the_same(
     bag: TrialBag, laboratory_run: LaboratoryRun
 ) -> None:
-    still = replace(laboratory_run, velocity=0.0 * laboratory_run.velocity)
+    arm = laboratory_run.arms["arm"]
+    still = replace(laboratory_run, arms={"arm": replace(arm, velocity=0.0 * arm.velocity)})
     assert animation_of_laboratory(still, bag.info.spec.scenario).impact is None
     empty = np.zeros(0)
     lost = replace(

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mixed_grab import write_experiment
 
 from impact_rs_analysis.evidence.ante_impact import ante_impact_state, obliqueness, problem_of
-from impact_rs_analysis.evidence.laboratory import _shifted, command_offset
+from impact_rs_analysis.evidence.laboratory import _shifted, command_offset, read_laboratory_runs
 from impact_rs_analysis.evidence.measured import MeasuredRun
 from impact_rs_analysis.evidence.replays import layout_of, pure_errors
 from impact_rs_analysis.evidence.run import Run
-from impact_rs_analysis.evidence.runs import Runs
+from impact_rs_analysis.evidence.runs import Runs, read_trial
 from impact_rs_analysis.evidence.twin import simulated
 from impact_rs_analysis.measure.laboratory import jumps_of
 from impact_rs_sim.effects import library
@@ -22,6 +23,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import compute_impact_map
 from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.spec import TrialSpec
 
 from .conftest import COULOMB
@@ -36,18 +38,18 @@ def stamped(run: Run, late: float) -> Run:
 def test_an_offset_below_half_a_period_is_found_also_with_friction(free: Run, rubbed: Run, late: float) -> None:
     """The torque loop itself is half of its period, 0.125 ms, early."""
     for run in (free, rubbed):
-        assert command_offset([stamped(run, late)]) == pytest.approx(-late, abs=1.5e-4)
+        assert command_offset([stamped(run, late)], "arm") == pytest.approx(-late, abs=1.5e-4)
     assert COULOMB.max() > 0.2
 
 
 def test_a_delay_of_milliseconds_is_left_for_the_diagnosis(free: Run) -> None:
-    assert command_offset([stamped(free, -0.003)]) == 0.0
-    assert command_offset([replace(free, command={}, command_time={})]) == 0.0
+    assert command_offset([stamped(free, -0.003)], "arm") == 0.0
+    assert command_offset([replace(free, command={}, command_time={})], "arm") == 0.0
 
 
 def test_a_shift_brings_commands_to_where_they_act(free: Run) -> None:
     late = stamped(free, 0.0003)
-    again = _shifted(late, command_offset([late]))
+    again = _shifted(late, {"arm": command_offset([late], "arm")})
     name = next(iter(free.command_time))
     assert np.max(np.abs(again.command_time[name] - free.command_time[name])) < 2e-4
 
@@ -202,3 +204,16 @@ def test_a_pad_that_comes_at_an_angle_takes_the_object_along_sideways() -> None:
     found = jumps_of(Runs.of(Path("here"), [measured]))
     assert abs(found.errors["reduced"]) < 0.8
     assert found.errors["reduced"] < found.errors["rotor"]
+
+
+def test_of_two_arms_all_is_seen_that_is_seen_of_the_same_trial_of_our_own(tmp_path: Path, mixed_trial: Path) -> None:
+    ours = read_trial(mixed_trial)
+    runs = read_laboratory_runs(tmp_path, load_experiment(write_experiment(tmp_path, mixed_trial)), map)
+    (theirs,) = runs.runs
+    assert isinstance(ours, MeasuredRun)
+    assert theirs.features == ours.features
+    assert theirs.impacts == pytest.approx(ours.impacts)
+    floors = np.array([feature.floor for feature in ours.features])  # a window may end a sample later
+    assert np.max(np.abs(theirs.measured - ours.measured) / floors) < 1.0
+    with pytest.raises(InputError, match="the jump is analysed for one arm"):
+        jumps_of(runs)

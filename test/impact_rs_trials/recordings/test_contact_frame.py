@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from known_recordings import ARM
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.contact_frame import PadOnFace, contact_frame
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.recordings.laboratory import read_one
 
-from .conftest import ARM, LaboratoryFolder
+from .conftest import LaboratoryFolder
 
 SIZE = np.array([0.25, 0.18, 0.16])
 WORLD = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, 2.4), np.array([1.3, -0.7, 0.25]))  # of the motion capture, in A

@@ -114,7 +114,7 @@ def test_paths_are_seen_from_the_folder_of_the_file(tmp_path: Path) -> None:
         (tmp_path / f"{kind}.yaml").write_text((config_directory() / kind / f"{name}.yaml").read_text())
     experiment = load_experiment(experiment_file(tmp_path, "{scenario: scenarios.yaml, mapping: mappings.yaml}\n"))
     assert experiment.load_scenario().name == "push"
-    assert experiment.load_mapping().robot == "franka_fer"
+    assert experiment.load_mappings(["arm"])["arm"].robot == "franka_fer"
 
 
 def test_one_experiment_file_may_serve_several_folders_with_a_table_each(tmp_path: Path) -> None:

@@ -12,9 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import yaml
+from mixed_grab import JOINTS as ARM_JOINTS
+from mixed_grab import write_experiment
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 from impact_rs_trials.recordings.experiment import load_experiment
@@ -22,7 +27,8 @@ from impact_rs_trials.recordings.laboratory import LaboratoryRun, read_laborator
 from impact_rs_trials.spec import TrialSpec
 
 if TYPE_CHECKING:
-    from conftest import LaboratoryFolder, Signals
+    from conftest import LaboratoryFolder
+    from known_recordings import Signals
 
 JOINT_COLUMNS = {"position": "position", "velocity": "velocity", "effort": "torque"}
 POSE_COLUMNS = [f"object_{name}" for name in ("x", "y", "z", "qx", "qy", "qz", "qw")]
@@ -34,15 +40,15 @@ def assert_known(run: LaboratoryRun, signals: Signals, command_after: float = 0.
     seconds = 1e-9 * signals.time
     np.testing.assert_allclose(run.time, seconds, atol=1e-6)
     assert np.ptp(np.diff(run.time)) < 1e-12  # even
-    np.testing.assert_allclose(run.position, signals.position, atol=1e-12)
-    np.testing.assert_allclose(run.velocity, signals.velocity, atol=1e-12)
-    np.testing.assert_allclose(run.torque, signals.torque, atol=1e-12)
-    np.testing.assert_allclose(run.command_time, seconds + command_after, atol=1e-6)
-    np.testing.assert_allclose(run.command, signals.command, atol=1e-12)
+    np.testing.assert_allclose(run.arms["arm"].position, signals.position, atol=1e-12)
+    np.testing.assert_allclose(run.arms["arm"].velocity, signals.velocity, atol=1e-12)
+    np.testing.assert_allclose(run.arms["arm"].torque, signals.torque, atol=1e-12)
+    np.testing.assert_allclose(run.arms["arm"].command_time, seconds + command_after, atol=1e-6)
+    np.testing.assert_allclose(run.arms["arm"].command, signals.command, atol=1e-12)
     np.testing.assert_allclose(run.object_time, 1e-9 * signals.object_time, atol=1e-6)
     np.testing.assert_allclose(run.object_position, signals.pose[:, :3], atol=1e-12)
     np.testing.assert_allclose(run.object_quaternion, signals.pose[:, 3:], atol=1e-12)
-    assert run.motor_position.shape == run.motor_velocity.shape == (0, 7)
+    assert run.arms["arm"].motor_position.shape == run.arms["arm"].motor_velocity.shape == (0, 7)
 
 
 def test_a_bag_with_unsorted_joints_and_unstamped_commands_gives_the_known_signals(
@@ -92,16 +98,18 @@ def test_a_wrench_is_read_where_there_is_one(laboratory: LaboratoryFolder) -> No
     laboratory.bag(wrench=True)
     laboratory.mapping({"wrench": {"topic": "/wrench", "unit": "N, N m", "factor": -1.0}})
     (run,) = laboratory.read()
-    np.testing.assert_allclose(run.wrench_time, 1e-9 * laboratory.signals.time[::2], atol=1e-6)
-    np.testing.assert_array_equal(run.wrench[:, 1], -laboratory.signals.time[::2])
-    np.testing.assert_array_equal(run.wrench[:, [0, 2, 3, 4, 5]], np.tile([-1.0, -3.0, -4.0, -5.0, -6.0], (350, 1)))
+    np.testing.assert_allclose(run.arms["arm"].wrench_time, 1e-9 * laboratory.signals.time[::2], atol=1e-6)
+    np.testing.assert_array_equal(run.arms["arm"].wrench[:, 1], -laboratory.signals.time[::2])
+    np.testing.assert_array_equal(
+        run.arms["arm"].wrench[:, [0, 2, 3, 4, 5]], np.tile([-1.0, -3.0, -4.0, -5.0, -6.0], (350, 1))
+    )
 
 
 def test_on_the_clock_of_the_log_everything_is_as_late_as_it_is_logged(laboratory: LaboratoryFolder) -> None:
     laboratory.bag(stamps=False)
     laboratory.mapping({}, time={"stamp": "log"})
     (run,) = laboratory.read()
-    assert run.command_time[0] == pytest.approx(150e-6, abs=1e-6)
+    assert run.arms["arm"].command_time[0] == pytest.approx(150e-6, abs=1e-6)
     assert run.object_time[0] == pytest.approx(0.004, abs=1e-6)
 
 
@@ -118,8 +126,13 @@ def test_a_bag_of_ours_is_read_as_that_of_a_laboratory(tmp_path: Path) -> None:
     (tmp_path / "e.yaml").write_text("{scenario: push, mapping: impact_rs}\n")
     ((run,), skipped) = read_laboratory(tmp_path, load_experiment(tmp_path / "e.yaml"), map)
     assert (skipped, run.condition, run.remarks) == ([], "", ())
-    assert run.motor_velocity.shape == run.command.shape == run.position.shape == (run.time.size, 7)
-    np.testing.assert_array_equal(run.command_time, run.time)
+    assert (
+        run.arms["arm"].motor_velocity.shape
+        == run.arms["arm"].command.shape
+        == run.arms["arm"].position.shape
+        == (run.time.size, 7)
+    )
+    np.testing.assert_array_equal(run.arms["arm"].command_time, run.time)
     moved = run.object_position[-1] - run.object_position[0]
     assert moved[1] < -0.05  # m, pushed along -y
 
@@ -191,8 +204,8 @@ def test_a_slower_signal_of_the_arm_is_interpolated_onto_its_grid(laboratory: La
     np.savez(laboratory.path / "run_1.npz", **arrays(known), **motors)
     laboratory.mapping({"motor_position": {"array": "theta", "time_array": "motor_time", "unit": "rad"}})
     (run,) = laboratory.read()
-    np.testing.assert_allclose(run.motor_position, known.torque, atol=5e-3)
-    assert run.motor_velocity.shape == (0, 7)
+    np.testing.assert_allclose(run.arms["arm"].motor_position, known.torque, atol=5e-3)
+    assert run.arms["arm"].motor_velocity.shape == (0, 7)
 
 
 def test_position_and_quaternion_of_the_object_may_be_two_arrays(laboratory: LaboratoryFolder) -> None:
@@ -274,7 +287,7 @@ def test_stamps_that_jitter_are_interpolated_onto_an_even_grid(laboratory: Labor
     laboratory.bag()
     (run,) = laboratory.read()
     np.testing.assert_allclose(run.time, 1e-9 * known.time, atol=1e-6)
-    np.testing.assert_allclose(run.position, known.position, atol=2e-5)  # rad; the kink of the impact
+    np.testing.assert_allclose(run.arms["arm"].position, known.position, atol=2e-5)  # rad; the kink of the impact
     assert not any("even grid" in remark for remark in run.remarks)
 
 
@@ -306,7 +319,7 @@ def test_a_run_is_cut_to_the_piece_with_the_impact(laboratory: LaboratoryFolder)
     assert "skipped, for it is shorter than 0.3 s: 0.000 ... 0.200 s" in run.remarks
     assert "skipped, for it comes after the impact and a gap: 0.750 ... 1.599 s" in run.remarks
     assert run.gaps == ()
-    assert -0.1 < run.command_time[0] < 0.0  # a command holds until the next, so those before are needed
+    assert -0.1 < run.arms["arm"].command_time[0] < 0.0  # a command holds until the next, so those before are needed
     at_impact = np.argmin(np.abs(run.object_time - 0.179))  # 0.4 s
     assert run.object_position[at_impact, 1] == pytest.approx(-0.15)
     assert run.object_position[at_impact + 2, 1] < -0.15
@@ -325,7 +338,7 @@ def test_free_motion_keeps_all_pieces_on_one_grid(laboratory: LaboratoryFolder) 
     ]
     kept = np.all([(run.time <= gap.start) | (run.time >= gap.end) for gap in run.gaps], axis=0)
     for name in ("position", "velocity", "torque"):
-        np.testing.assert_array_equal(getattr(run, name)[kept], getattr(whole, name)[kept])
+        np.testing.assert_array_equal(getattr(run.arms["arm"], name)[kept], getattr(whole, name)[kept])
     remarks = "\n".join(run.remarks)
     assert "gaps of 0.050 s at t = 0.400 s, 0.060 s at t = 0.900 s, 0.020 s at t = 1.000 s" in remarks
     assert "cut to 0.000 ... 0.400 s, 0.450 ... 0.900 s, 1.020 ... 1.999 s, for gaps > 0.01 s" in remarks
@@ -481,7 +494,7 @@ def test_a_command_without_the_weight_of_the_arm_gets_it(laboratory: LaboratoryF
     laboratory.bag()
     laboratory.mapping({}, command_includes_gravity=False)
     (run,) = laboratory.read()
-    np.testing.assert_allclose(run.command, known.command, atol=3e-3)  # the arm moves on until the command
+    np.testing.assert_allclose(run.arms["arm"].command, known.command, atol=3e-3)  # the arm moves on until the command
 
 
 @pytest.mark.parametrize("included", [True, False])
@@ -534,13 +547,84 @@ def test_runs_can_be_read_by_other_processes(laboratory: LaboratoryFolder) -> No
 # ---- scenario and mapping -------------------------------------------------------------------------------------------
 
 
-def test_several_arms_are_refused_for_now(laboratory: LaboratoryFolder) -> None:
+def test_arms_that_nothing_tells_apart_are_refused(laboratory: LaboratoryFolder) -> None:
     laboratory.bag()
     laboratory.experiment["scenario"] = "grab"
     with pytest.raises(
-        InputError, match=r"scenario 'grab' has 2 arms \(.*\); recordings of a laboratory are read for one"
+        InputError,
+        match="mapping = 'joint_state_effort_controller': position of arms 'left' and 'right' would be the same ",
     ):
         laboratory.read()
+
+
+def test_arms_of_one_topic_are_told_apart_by_the_names_of_their_joints(laboratory: LaboratoryFolder) -> None:
+    names = [f"{arm}_{name}" for arm in ("left", "right") for name in NORMAL_JOINTS]
+    laboratory.bag(joints=names, order=[*range(7), *reversed(range(7))])
+    laboratory.mapping({"command": None}, joints=[f"{{arm}}_{name}" for name in NORMAL_JOINTS])
+    laboratory.experiment["scenario"] = "grab"
+    with pytest.raises(InputError, match="arm 'right': position of joint 6"):
+        laboratory.read("run_1,none,free motion,a,a")  # its numbers are those of the other arm backwards
+    laboratory.bag("run_2", joints=names, order=[*range(7), *range(7)])
+    (run,) = laboratory.read("run_2,none,free motion,a,a")
+    for arm in ("left", "right"):
+        np.testing.assert_allclose(run.arms[arm].position, laboratory.signals.position, atol=1e-12)
+    assert run.remarks[0].startswith("arm 'left': no command was recorded")
+
+
+def test_a_slower_arm_with_a_clock_of_its_own_comes_on_the_grid_of_the_faster_one(laboratory: LaboratoryFolder) -> None:
+    known = laboratory.signals.known(2.0)
+    slow = known.without(1.0, 1.02)
+    kept = slice(51, None, 2)
+    table = {"left_time": 1e-9 * slow.time[kept] + 0.0002, "right_time": 1e-9 * known.time}
+    for name, source in JOINT_COLUMNS.items():
+        table[f"left_{name}"] = getattr(slow, source)[kept] + (
+            0.0002 * slow.velocity[kept] if name == "position" else 0
+        )
+        table[f"right_{name}"] = getattr(known, source)
+    np.savez(laboratory.path / "run_1.npz", **table)
+    changes = {
+        ("torque" if name == "effort" else name): {"array": f"{{arm}}_{name}", "time_array": "{arm}_time"}
+        for name in JOINT_COLUMNS
+    }
+    laboratory.mapping({**changes, "command": None, "object_pose": None})
+    laboratory.experiment["scenario"] = "grab"
+    (run,) = laboratory.read("run_1,none,free motion,a,a")
+    assert run.time[-1] == pytest.approx(1.947, abs=2e-3)  # where both were recorded
+    (gap,) = run.gaps
+    assert (gap.start, gap.length) == pytest.approx((0.949, 0.02), abs=3e-3)
+    on_both = (run.time < gap.start) | (run.time > gap.end)
+    begin = 52  # the first sample of the faster arm in that time
+    both = known.position[begin : begin + run.time.size]
+    np.testing.assert_array_equal(run.arms["right"].position[on_both], both[on_both])
+    np.testing.assert_allclose(run.arms["left"].position[on_both], both[on_both], atol=1e-4)
+
+
+def test_arms_of_different_kinds_have_a_mapping_each(tmp_path: Path, mixed_trial: Path) -> None:
+    experiment = load_experiment(write_experiment(tmp_path, mixed_trial))
+    ((run,), skipped) = read_laboratory(tmp_path, experiment, map)
+    assert (skipped, run.remarks) == ([], ())
+    bag = TrialBag.open(mixed_trial)
+    for arm, count in ARM_JOINTS.items():
+        own = bag.joints(topics.joint_states(arm))
+        assert run.arms[arm].position.shape == (own.time.size, count)
+        np.testing.assert_allclose(run.arms[arm].torque, own.effort, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("mapping", "complaint"),
+    [
+        ({"left": "left.yaml"}, "mapping: no mapping of arm 'right'"),
+        ({"left": "left.yaml", "right": "right.yaml", "rigth": "left.yaml"}, "mapping = 'rigth': the scenario has no "),
+        ({"left": "left.yaml", "right": "rigt.yaml"}, "rigt.yaml: "),
+        ({"left": "right.yaml", "right": "right.yaml"}, "mapping.left = 'right.yaml': the mapping is for robot 'ur5e'"),
+    ],
+)
+def test_arms_without_a_mapping_of_their_own_are_told(
+    tmp_path: Path, mixed_trial: Path, mapping: dict[str, str], complaint: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        read_laboratory(tmp_path, load_experiment(write_experiment(tmp_path, mixed_trial, mapping)), map)
+    assert complaint in str(caught.value)
 
 
 def test_torque_that_motors_were_asked_for_is_no_joint_torque(laboratory: LaboratoryFolder) -> None:
@@ -551,8 +635,6 @@ def test_torque_that_motors_were_asked_for_is_no_joint_torque(laboratory: Labora
 
 
 def test_a_mapping_for_another_robot_is_refused(laboratory: LaboratoryFolder) -> None:
-    from impact_rs_sim.paths import config_directory
-
     facts = yaml.safe_load((config_directory() / "robots" / "franka_fer.yaml").read_text())
     facts["links"][0]["mass"] += 1.0
     (laboratory.path / "other.yaml").write_text(yaml.safe_dump(facts))
@@ -568,5 +650,7 @@ def test_one_run_is_read_as_among_all(laboratory: LaboratoryFolder) -> None:
     _, second = laboratory.read("run_1,parcel,hit,fast,a", "run_2,parcel,hit,fast,a")
     one = read_one(laboratory.path, load_experiment(laboratory.path / "experiment.yaml"), "run_2", map)
     assert (one.name, one.remarks) == ("run_2", second.remarks)
-    for name in ("time", "position", "torque", "command", "object_time", "object_position", "object_quaternion"):
+    for name in ("time", "object_time", "object_position", "object_quaternion"):
         np.testing.assert_array_equal(getattr(one, name), getattr(second, name))
+    for name in ("position", "torque", "command"):
+        np.testing.assert_array_equal(getattr(one.arms["arm"], name), getattr(second.arms["arm"], name))

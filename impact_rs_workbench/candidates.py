@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is in a recording that was not made here, and what of it may be which signal of which arm.
+
+Names hint at it: a proposal is made from them, which a person looks at and changes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.recordings.array_file import ArrayFile
+from impact_rs_trials.recordings.bag_file import register
+from impact_rs_trials.recordings.sources import ARRAY_SUFFIXES, BAG_SUFFIXES, TABLE_SUFFIXES, is_bag_folder
+from impact_rs_trials.recordings.table_file import TableFile
+
+MOST_WIDE = 40  # numbers in a sample of what may be joints
+DEEPEST = 3  # fields of a message inside of each other
+POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
+ARM_SIGNALS = ("position", "velocity", "torque", "command")
+NEEDED = ARM_SIGNALS[:3]
+OBJECT_POSE: Final = "object_pose"
+# Parts of an arm from base to tip, for joints that are named after them and not numbered.
+PARTS = ("rail", "base", "shoulder_pan", "shoulder_lift", "shoulder", "upper_arm", "elbow", "forearm", "wrist")
+FINGERS = re.compile("finger|gripper|hand", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class SignalCandidate:
+    """Something in a recording that may be a signal.
+
+    Attributes:
+        label: How a list calls it.
+        source: Where it is, as a mapping says it; without unit.
+        pose: Whether it is the pose of something; else numbers of joints.
+        guess: The signal that its name hints at; empty: none.
+        width: How many numbers a sample has.
+        joints: Names of its joints, base to tip as far as names tell; empty: the recording names none.
+    """
+
+    label: str
+    source: dict[str, Any]
+    pose: bool
+    guess: str = ""
+    width: int = 0
+    joints: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What the signals of an arm may be.
+
+    Attributes:
+        joints: Names of its joints, base to tip.
+        signals: Numbers of candidates, by signal.
+    """
+
+    joints: tuple[str, ...]
+    signals: dict[str, int] = field(default_factory=dict)
+
+
+def candidates_of(path: Path) -> list[SignalCandidate]:
+    """What may be signals in a recording.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    if is_bag_folder(path) or path.suffix in BAG_SUFFIXES:
+        return _in_bag(path)
+    if path.suffix in TABLE_SUFFIXES:
+        return _in_table(path)
+    if path.suffix in ARRAY_SUFFIXES:
+        return _in_arrays(path)
+    raise InputError("no recording that can be looked at", file=path)
+
+
+def propose(candidates: Sequence[SignalCandidate], arms: dict[str, int]) -> dict[str, Proposal]:
+    """What the signals of every arm may be.
+
+    Args:
+        candidates: What there is.
+        arms: How many joints each arm has.
+    """
+    found = {}
+    for place, (arm, count) in enumerate(arms.items()):
+        signals = {}
+        for name in ARM_SIGNALS:
+            fits = [
+                number
+                for number, one in enumerate(candidates)
+                if one.guess == name and (one.joints or one.width == count)
+            ]
+            own = [number for number in fits if len(arms) > 1 and arm in candidates[number].label]
+            others = [
+                number for number in fits if any(arm_ in candidates[number].label for arm_ in arms if arm_ != arm)
+            ]
+            common = [number for number in fits if number not in others]
+            if own or common:
+                # Where no name is that of an arm, they stand in the order of the arms.
+                signals[name] = own[0] if own else common[min(place, len(common) - 1)]
+            elif name in NEEDED and (any_ := [n for n, one in enumerate(candidates) if not one.pose]):
+                signals[name] = any_[0]
+        named = candidates[signals["position"]].joints if "position" in signals else ()
+        found[arm] = Proposal(joints_of(named, arm, len(arms) > 1, count), signals)
+    return found
+
+
+def joints_of(names: Sequence[str], arm: str, several: bool, count: int) -> tuple[str, ...]:
+    """The joints of an arm among those that a recording names; numbered where it names none.
+
+    Args:
+        names: What the recording names, base to tip.
+        arm: Name of the arm.
+        several: Whether there are other arms.
+        count: How many joints it has.
+    """
+    if not names:
+        return tuple(f"joint{number}" for number in range(1, count + 1))
+    own = [name for name in names if several and arm in name] or list(names)
+    if len(own) > count:
+        own = [name for name in own if not FINGERS.search(name)]
+    return tuple(own[:count])
+
+
+def _in_bag(path: Path) -> list[SignalCandidate]:
+    """The first message of every topic."""
+    found: list[SignalCandidate] = []
+    store = get_typestore(Stores.ROS2_JAZZY)
+    seen: set[str] = set()
+    try:
+        with Reader(path) as reader:
+            for connection in reader.connections:
+                register(store, connection)
+            for connection, _, data in reader.messages():
+                if connection.topic in seen:
+                    continue
+                seen.add(connection.topic)
+                message = store.deserialize_cdr(data, connection.msgtype)
+                found += _in_message(connection.topic, connection.msgtype, message)
+                if len(seen) == len(reader.topics):
+                    break
+    except Exception as error:  # a damaged file can fail anywhere inside the library
+        raise InputError(f"not a readable bag ({type(error).__name__}: {error})", file=path) from None
+    return found
+
+
+def _in_message(topic: str, kind: str, message: Any) -> Iterator[SignalCandidate]:
+    if _holds_pose(message):
+        yield SignalCandidate(topic, {"topic": topic, "type": kind}, True, OBJECT_POSE)
+    names = _names(message)
+    for place, numbers in _numbers(message):
+        source = {"topic": topic, "type": kind, "field": place}
+        joints: tuple[str, ...] = ()
+        if names is not None and len(names) == numbers:
+            source["names"] = "name"
+            joints = tuple(sorted(names, key=_base_to_tip))
+        guess = {"effort": "torque"}.get(place, place)
+        guess = "command" if "command" in topic else guess if "names" in source else ""
+        yield SignalCandidate(f"{topic}: {place} ({numbers})", source, False, guess, numbers, joints)
+
+
+def _names(message: Any) -> list[str] | None:
+    names = getattr(message, "name", None)
+    return list(names) if isinstance(names, list) and all(isinstance(name, str) for name in names) else None
+
+
+def _base_to_tip(name: str) -> tuple[int, list[Any]]:
+    part = next((place for place, part in enumerate(PARTS) if part in name), 0)
+    return part, [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)]
+
+
+def _holds_pose(message: Any, depth: int = DEEPEST) -> bool:
+    if hasattr(message, "transforms"):
+        return True
+    pairs = (("position", "orientation"), ("translation", "rotation"))
+    if any(hasattr(message, a) and hasattr(message, b) for a, b in pairs):
+        return True
+    inner = (getattr(message, name, None) for name in ("pose", "transform"))
+    return depth > 0 and any(_holds_pose(part, depth - 1) for part in inner if part is not None)
+
+
+def _numbers(message: Any, before: str = "", depth: int = DEEPEST) -> Iterator[tuple[str, int]]:
+    """Fields that hold several numbers, by path, and how many."""
+    for name, value in vars(message).items():
+        if name.startswith("__"):
+            continue
+        place = f"{before}{name}"
+        if isinstance(value, np.ndarray):
+            if value.ndim == 1 and 1 < value.size <= MOST_WIDE and np.issubdtype(value.dtype, np.floating):
+                yield place, int(value.size)
+        elif depth > 0 and hasattr(value, "__msgtype__") and name != "header":
+            yield from _numbers(value, f"{place}.", depth - 1)
+
+
+def _in_table(path: Path) -> list[SignalCandidate]:
+    """Columns whose names differ in a number, and those of a pose."""
+    found = []
+    columns = TableFile.columns_of(path)
+    groups: dict[str, set[int]] = {}
+    for column in columns:
+        for number in re.finditer(r"\d+", column):
+            groups.setdefault(f"{column[: number.start()]}{{joint}}{column[number.end() :]}", set()).add(int(number[0]))
+    for pattern, numbers in groups.items():
+        if len(numbers) > 1 and numbers == set(range(1, len(numbers) + 1)):
+            label = f"{pattern.replace('{joint}', '1')} … {pattern.replace('{joint}', str(len(numbers)))}"
+            found.append(SignalCandidate(label, {"column": pattern}, False, _guess(pattern), len(numbers)))
+    for column in columns:
+        before = column.removesuffix("qw")
+        names = [f"{before}{axis}" for axis in POSE_COLUMNS]
+        if before != column and set(names) <= set(columns):
+            found.append(SignalCandidate(f"{names[0]} … {names[-1]}", {"columns": names}, True, OBJECT_POSE))
+    return found
+
+
+def _in_arrays(path: Path) -> list[SignalCandidate]:
+    found = []
+    for name, shape in ArrayFile.shapes_of(path).items():
+        if len(shape) != 2 or not 1 < shape[1] <= MOST_WIDE:
+            continue
+        pose = shape[1] == len(POSE_COLUMNS) and ("pose" in name or "object" in name)
+        guess = OBJECT_POSE if pose else _guess(name)
+        found.append(SignalCandidate(f"{name} ({shape[0]} × {shape[1]})", {"array": name}, pose, guess, shape[1]))
+    return found
+
+
+def _guess(name: str) -> str:
+    """What a name hints at."""
+    low = name.lower()
+    for part, signal in (("command", "command"), ("cmd", "command"), ("desired", "command"), ("vel", "velocity"),
+                         ("dq", "velocity"), ("pos", "position"), ("eff", "torque"), ("tau", "torque"),
+                         ("tor", "torque"), ("q", "position")):  # fmt: skip
+        if part in low:
+            return signal
+    return ""
