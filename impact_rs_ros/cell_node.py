@@ -16,17 +16,19 @@ from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
+import pinocchio as pin
+from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray
 
+from impact_msgs_py.conversions import pose_from_message
 from impact_rs_control.guard import state_complaint, torque_complaint
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.effort_arms import REST, ArmStates, EffortArms, joint_names
 from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.joint_signals import JointReader
-from impact_rs_ros.message_types import message_type
+from impact_rs_ros.motion_capture import COORDINATES, MOCAP, MotionCapture
 from impact_rs_ros.names import on_network, resolved
 from impact_rs_ros.parameters import value
 from impact_rs_ros.process import run
@@ -39,7 +41,6 @@ from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 
 STATES = "/joint_states"  # of joint_state_broadcaster
-MOCAP = "/mocap/object_pose"
 REPEAT = 0.25  # s, until the first state is told the controller again
 ARMING, ARMING_STATES, ARMING_PATIENCE = 0.5, 50, 3.0  # s, states, s: how long jitter is measured, at least and at most
 HOLDING = 0.2  # s of the robot's time, that it must stay where it is held before it is led
@@ -103,6 +104,7 @@ class CellTrial(LeadingTrial):
         arms: The robot.
         patience: What is late.
         start_tolerance: How far a joint may be from where the trial starts [rad].
+        mocap: What the object's poses say.
         inbox: Where the robot's states, the object's poses and the controller's torques come in.
         outbox: Where they go out to controller and recorder.
         robot_clock: The clock of the robot's stamps [ns].
@@ -115,6 +117,7 @@ class CellTrial(LeadingTrial):
         arms: EffortArms,
         patience: Patience,
         start_tolerance: float,
+        mocap: MotionCapture,
         inbox: Inbox,
         outbox: Outbox,
         robot_clock: Callable[[], int],
@@ -125,6 +128,7 @@ class CellTrial(LeadingTrial):
         self._plan = plan
         self._patience = patience
         self._start_tolerance = start_tolerance
+        self._mocap = mocap
         self._inbox = inbox
         self._outbox = outbox
         self._robot_clock = robot_clock
@@ -306,9 +310,15 @@ class CellTrial(LeadingTrial):
                 self.stop(f"the controller does not answer the first state within {CONNECTING:g} s")
 
     def _seen(self, data: bytes) -> None:
-        """Pass on where the object is, in trial time."""
-        pose = deserialize_message(data, message_type(topics.POSE))
+        """Pass on where the object is, in trial time and in the world frame."""
         if self._origin is None:
+            return
+        try:
+            pose = self._mocap.read(data)
+        except InputError as error:
+            self.stop(f"{self._time}: {error}")
+            return
+        if pose is None:
             return
         stamp = pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec - self._origin
         if 0 <= stamp <= self._last * self._period_ns:
@@ -340,6 +350,19 @@ def start_complaint(plan: TrialPlan, states: ArmStates, tolerance: float) -> str
     return ""
 
 
+def off_its_place(plan: TrialPlan, pose: PoseStamped) -> str:
+    """How far the object is from where the scenario has it, in words; shows what a wrong placement of the tracker does.
+
+    Args:
+        plan: The trial.
+        pose: Of the object, in ``world``.
+    """
+    nominal = pin.SE3(plan.scene.object.rotation, plan.scene.object.position)
+    there = nominal.actInv(pin.XYZQUATToSE3(pose_from_message(pose.pose)))
+    distance, angle = (float(np.linalg.norm(part)) for part in (there.translation, pin.log3(there.rotation)))
+    return f"{1e3 * distance:.1f} mm and {np.degrees(angle):.1f} deg from its place in the scenario"
+
+
 class CellNode(LeadingNode[CellTrial]):
     """Runs trials on a robot that ros2_control drives."""
 
@@ -350,7 +373,7 @@ class CellNode(LeadingNode[CellTrial]):
         super().__init__()
         self._commands: dict[str, Publisher] = {}
         self._robot_clock = RobotClock(self.node)
-        self._poses = 0  # of the object, seen while the robot is armed
+        self._object: PoseStamped | None = None  # where it was last seen while the robot is armed
 
     def received(self, arms: list[str]) -> dict[str, str]:
         seen = {MOCAP: topics.POSE} if self.parameter("mocap") else {}
@@ -398,8 +421,10 @@ class CellNode(LeadingNode[CellTrial]):
         )
         patience = Patience(self.parameter("state_timeout"), self.parameter("answer_timeout"))
         tolerance = self.parameter("start_tolerance")
-        self._arm(plan, arms, patience, tolerance)
-        return CellTrial(plan, arms, patience, tolerance, self.inbox, self.outbox, self._robot_clock.now)
+        placement = np.array([self.parameter(f"mocap_{name}") for name in COORDINATES])
+        mocap = MotionCapture(self.parameter("mocap_frame"), placement)
+        self._arm(plan, arms, mocap, patience, tolerance)
+        return CellTrial(plan, arms, patience, tolerance, mocap, self.inbox, self.outbox, self._robot_clock.now)
 
     def close(self) -> None:
         self._brake()
@@ -426,7 +451,9 @@ class CellNode(LeadingNode[CellTrial]):
                 return
             self.trial.rest(time.monotonic() + MATCHING)
 
-    def _arm(self, plan: TrialPlan, arms: EffortArms, patience: Patience, tolerance: float) -> None:
+    def _arm(
+        self, plan: TrialPlan, arms: EffortArms, mocap: MotionCapture, patience: Patience, tolerance: float
+    ) -> None:
         """Look at the robot for a moment before it is led, then hold it for another.
 
         Raises:
@@ -441,8 +468,8 @@ class CellNode(LeadingNode[CellTrial]):
         age = 0.0
         began = time.monotonic()
         self.inbox.clear()
-        self._poses = 0
-        for states in self._heed(arms, None if self.trial is None else self.trial.arms):
+        self._object = None
+        for states in self._heed(arms, mocap, None if self.trial is None else self.trial.arms):
             arrivals.append(time.monotonic())
             stamps.append(states.stamp)
             age = max(age, abs(1e-9 * (self._robot_clock.now() - states.stamp)))
@@ -470,12 +497,13 @@ class CellNode(LeadingNode[CellTrial]):
             raise InputError(
                 f"not armed: states come with a jitter of {1e3 * jitter:.3f} ms, arm_jitter_limit is {1e3 * limit:g} ms"
             )
-        if self.parameter("mocap") and not self._poses:
+        if self.parameter("mocap") and self._object is None:
             raise InputError(f"no pose of the object on {resolved(self.node, MOCAP)}")
-        self._take_over(plan, arms, tolerance)
-        self.log.info(f"armed: jitter {1e3 * jitter:.3f} ms, oldest state {1e3 * age:.3f} ms, {len(stamps)} states")
+        self._take_over(plan, arms, mocap, tolerance)
+        told = f"armed: jitter {1e3 * jitter:.3f} ms, oldest state {1e3 * age:.3f} ms, {len(stamps)} states"
+        self.log.info(told if self._object is None else f"{told}, object {off_its_place(plan, self._object)}")
 
-    def _take_over(self, plan: TrialPlan, arms: EffortArms, tolerance: float) -> None:
+    def _take_over(self, plan: TrialPlan, arms: EffortArms, mocap: MotionCapture, tolerance: float) -> None:
         """Hold the arms for a moment.
 
         Raises:
@@ -483,7 +511,7 @@ class CellNode(LeadingNode[CellTrial]):
         """
         assert arms.states is not None
         until = arms.states.stamp + round(1e9 * HOLDING)
-        for states in self._heed(arms, arms):
+        for states in self._heed(arms, mocap, arms):
             if complaint := start_complaint(plan, states, tolerance):
                 arms.let_go()
                 adds = "adds" if self.parameter("robot_adds_gravity") else "does not add"
@@ -495,11 +523,12 @@ class CellNode(LeadingNode[CellTrial]):
                 return
         raise InputError(f"not armed: the robot told less than {HOLDING:g} s in {ARMING_PATIENCE:g} s")
 
-    def _heed(self, arms: EffortArms, holder: EffortArms | None) -> Iterator[ArmStates]:
-        """The robot's states for a while, each when it comes; the frame of the object's poses is looked at on the way.
+    def _heed(self, arms: EffortArms, mocap: MotionCapture, holder: EffortArms | None) -> Iterator[ArmStates]:
+        """The robot's states for a while, each when it comes; the object's poses are looked at on the way.
 
         Args:
             arms: Who reads the states.
+            mocap: Who reads the poses.
             holder: Who holds the arms meanwhile, for what holds them must not grow old; None: nobody yet.
 
         Raises:
@@ -510,8 +539,7 @@ class CellNode(LeadingNode[CellTrial]):
             self.inbox.wait(MATCHING)
             for name, data in self.inbox.take():
                 if name == MOCAP:
-                    self._check_frame(data)
-                    self._poses += 1
+                    self._object = mocap.read(data) or self._object
                 if name != STATES or (states := arms.read(data)) is None:
                     continue
                 if first:  # of a robot that was only just found
@@ -522,11 +550,6 @@ class CellNode(LeadingNode[CellTrial]):
                     holder.read(data)
                     holder.hold()
                 yield states
-
-    def _check_frame(self, data: bytes) -> None:
-        frame = deserialize_message(data, message_type(topics.POSE)).header.frame_id
-        if frame != "world":
-            raise InputError("expected world", key=f"frame_id of {MOCAP}", value=frame)
 
 
 def main() -> None:

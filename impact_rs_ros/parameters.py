@@ -20,6 +20,7 @@ from impact_rs_sim.impact_map import CONTACTS, ENGINES
 from impact_rs_sim.scenario import load_scenario
 
 Value = bool | float | str
+FULL_TURN = 6.283185  # rad
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,25 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         ),
         NodeParameter(
             "mocap", False, "-", "Pass poses of the object on from motion capture; without them no trial is armed then"
+        ),
+        NodeParameter(
+            "mocap_frame", "world", "-", "What motion capture calls its frame (frame_id); poses in another are refused"
+        ),
+        *(
+            NodeParameter(
+                f"mocap_{axis}", 0.0, "m", f"Where the origin of that frame is in world, along {axis}", (-100.0, 100.0)
+            )
+            for axis in "xyz"
+        ),
+        *(
+            NodeParameter(
+                f"mocap_{name}",
+                0.0,
+                "rad",
+                f"How that frame is turned in world, about fixed {axis}; roll, then pitch, then yaw (REP-103)",
+                (-FULL_TURN, FULL_TURN),
+            )
+            for name, axis in (("roll", "x"), ("pitch", "y"), ("yaw", "z"))
         ),
         NodeParameter(
             "state_timeout",

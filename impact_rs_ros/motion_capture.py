@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses of the object from motion capture, moved from the tracker's frame into the frame ``world``.
+
+    T_world_object = T_world_tracker T_tracker_object
+
+with T_world_tracker from x y z and roll pitch yaw about fixed axes (REP-103): R = Rz(yaw) Ry(pitch) Rx(roll). It is the
+result of a calibration and constant in a trial, so it is a parameter and not looked up on /tf: there it could change or
+be missing while the arm moves, and tf2 is nothing that pip brings.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from geometry_msgs.msg import PoseStamped
+from rclpy.serialization import deserialize_message
+
+from impact_msgs_py.conversions import pose_from_message, pose_to_message
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array
+from impact_rs_sim.rotations import quaternion_of
+
+MOCAP = "/mocap/object_pose"
+WORLD = "world"
+COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
+NOT_UNIT = 0.01  # that a quaternion's length may be off; a tracker that has lost the object sends zeros or NaN
+
+
+class MotionCapture:
+    """What a tracker tells of the object.
+
+    Args:
+        frame: What the tracker calls its frame, the ``frame_id`` of its poses.
+        placement: x y z [m] and roll pitch yaw [rad] of that frame in ``world``, ``(6,)``.
+    """
+
+    def __init__(self, frame: str, placement: Array) -> None:
+        self.frame = frame
+        self._origin = np.array(placement[:3])
+        self._rotation = pin.rpy.rpyToMatrix(*(float(angle) for angle in placement[3:]))
+        x, y, z, w = quaternion_of(self._rotation)
+        self._turn = np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]])  # q: left product by it
+
+    def read(self, data: bytes) -> PoseStamped | None:
+        """A pose in ``world``, with the stamp that it came with; None: it is none, as of an object out of sight.
+
+        Raises:
+            InputError: It is in another frame than that of the tracker.
+        """
+        pose = deserialize_message(data, PoseStamped)
+        if pose.header.frame_id != self.frame:
+            told = pose.header.frame_id
+            raise InputError(f"expected {self.frame}, see mocap_frame", key=f"frame_id of {MOCAP}", value=told)
+        seen = pose_from_message(pose.pose)
+        position, quaternion = seen[:3], seen[3:]
+        if not (np.isfinite(seen).all() and abs(np.linalg.norm(quaternion) - 1.0) < NOT_UNIT):
+            return None
+        moved = np.concatenate((self._origin + self._rotation @ position, self._turn @ quaternion))
+        pose.pose = pose_to_message(moved)
+        pose.header.frame_id = WORLD
+        return pose
