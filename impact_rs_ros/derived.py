@@ -8,12 +8,14 @@ from the recorded messages the recorder works out the same ones that the plant p
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator
 
 import numpy as np
 
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.joint_signals import joint_signals
+from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
 from impact_rs_trials.bags.record import FrameSource
@@ -32,36 +34,51 @@ class DerivedMessages:
 
     def __init__(self, plan: TrialPlan, tracked: bool = True) -> None:
         self._tracked = tracked
-        timing, sensors = plan.scene.scenario.timing, plan.scene.scenario.sensors
         self._store = typestore()
         self._maker = MessageMaker(RosbagsTypes(), plan)
         self._period_ns = self._maker.nanoseconds(1)
-        self._object_every = max(1, round(sensors.object_period / timing.control_period))
         self._frames = FrameSource(plan.scene)
-        self._sources = [*(topics.joint_states(arm) for arm in plan.arms)]
-        self._arms = list(plan.arms)
-        self._known: dict[int, dict[str, bytes]] = {}
+        self._sources = {topics.joint_states(arm): arm for arm in plan.arms}
+        self._known: dict[int, dict[str, Array]] = {}  # joint positions by arm, of ticks that are not told yet
+        self._seen: list[tuple[int, bytes]] = []  # when [ns], and poses of the object
 
-    def receive(self, topic: str, nanoseconds: int, data: bytes) -> Iterator[tuple[str, bytes]]:
-        """Take a recorded message; hands out topics with serialized messages of the same time as soon as known."""
-        if topic not in self._sources and not (self._tracked and topic == topics.OBJECT_POSE):
+    def receive(self, topic: str, nanoseconds: int, data: bytes) -> Iterator[tuple[str, int, bytes]]:
+        """Take a recorded message; hands out topics with times [ns] and serialized messages as soon as they are known.
+
+        The object is where it was last seen. A tracker keeps its own times, and its poses come late: a tick waits
+        until one comes that was taken then or later.
+        """
+        if topic == topics.OBJECT_POSE:
+            self._seen.append((nanoseconds, data))
+        elif topic in self._sources and self._frames.due(tick := nanoseconds // self._period_ns):
+            self._known.setdefault(tick, {})[self._sources[topic]] = joint_signals(data).values[0]
+        else:
             return
-        tick = nanoseconds // self._period_ns
-        if not self._frames.due(tick):
-            return
-        known = self._known.setdefault(tick, {})
-        known[topic] = data
-        sees_object = self._tracked and tick % self._object_every == 0
-        if len(known) < len(self._sources) + sees_object:
-            return
-        del self._known[tick]
-        arms = {arm: joint_signals(known[topics.joint_states(arm)]).values[0] for arm in self._arms}
-        seen = None
-        if sees_object:
-            pose = self._store.deserialize_cdr(known[topics.OBJECT_POSE], topics.POSE).pose  # type: ignore[attr-defined]
-            at, turn = pose.position, pose.orientation
-            seen = np.array([at.x, at.y, at.z]), np.array([turn.x, turn.y, turn.z, turn.w])
-        frames = self._frames.at(arms, seen)
-        transforms = self._maker.transforms(tick, [one for one in frames if self._tracked or one.name != "object"])
-        yield topics.TF, bytes(self._store.serialize_cdr(transforms, topics.TF_MESSAGE))
-        yield topics.CLOCK, bytes(self._store.serialize_cdr(self._maker.clock(tick), topics.CLOCK_TYPE))
+        yield from self._known_until(self._seen[-1][0] // self._period_ns if self._seen else -1)
+
+    def rest(self) -> Iterator[tuple[str, int, bytes]]:
+        """The same of ticks that still wait for the object, at the end of a trial."""
+        self._tracked = self._tracked and bool(self._seen)
+        yield from self._known_until(max(self._known, default=0))
+
+    def _known_until(self, last: int) -> Iterator[tuple[str, int, bytes]]:
+        """What is known of all arms, and of the object up to a tick."""
+        for tick in sorted(self._known):
+            if self._tracked and tick > last:
+                return
+            if len(self._known[tick]) < len(self._sources):
+                continue
+            time = self._maker.nanoseconds(tick)
+            frames = self._frames.at(self._known.pop(tick), self._object_at(time))
+            transforms = self._maker.transforms(tick, [one for one in frames if self._tracked or one.name != "object"])
+            yield topics.TF, time, bytes(self._store.serialize_cdr(transforms, topics.TF_MESSAGE))
+            yield topics.CLOCK, time, bytes(self._store.serialize_cdr(self._maker.clock(tick), topics.CLOCK_TYPE))
+
+    def _object_at(self, time: int) -> tuple[Array, Array] | None:
+        """Position and quaternion where the object was last seen at a time [ns]; None: not yet."""
+        row = bisect_right(self._seen, time, key=lambda seen: seen[0])
+        if row == 0:
+            return None
+        pose = self._store.deserialize_cdr(self._seen[row - 1][1], topics.POSE).pose  # type: ignore[attr-defined]
+        at, turn = pose.position, pose.orientation
+        return np.array([at.x, at.y, at.z]), np.array([turn.x, turn.y, turn.z, turn.w])

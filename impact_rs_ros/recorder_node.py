@@ -12,6 +12,7 @@ from __future__ import annotations
 import struct
 import time
 from collections import Counter, defaultdict
+from collections.abc import Iterable
 from contextlib import ExitStack
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -88,9 +89,17 @@ class OpenTrial:
         if topic in self._kinds:
             self._judged[topic].append(data)
         if self._derived is not None:
-            for name, derived in self._derived.receive(topic, now, data):
-                self.bag.write_raw(name, now, derived)
-                self.counts[name] += 1
+            self._write_derived(self._derived.receive(topic, now, data))
+
+    def complete(self) -> None:
+        """Write what waited for a message that does not come any more."""
+        if self._derived is not None:
+            self._write_derived(self._derived.rest())
+
+    def _write_derived(self, messages: Iterable[tuple[str, int, bytes]]) -> None:
+        for name, now, data in messages:
+            self.bag.write_raw(name, now, data)
+            self.counts[name] += 1
 
     @property
     def time(self) -> float:
@@ -297,6 +306,7 @@ class RecorderNode(NodeProgram):
             return self._finished or response  # who asks again has not heard the answer
         bag = recording.bag
         missing = self._complete(recording, dict(zip(request.topics, request.counts, strict=False)))
+        recording.complete()
         if request.aborted or missing:
             verdict = Verdict("ABORTED", request.reason or f"messages were published and not received: {missing}")
             self._abort()

@@ -47,6 +47,11 @@ def recorded(plan: TrialPlan) -> tuple[list[tuple[str, int, bytes]], dict[tuple[
     return messages, expected
 
 
+def made_by(derived: DerivedMessages, messages: list[tuple[str, int, bytes]]) -> dict[tuple[int, str], bytes]:
+    """What is worked out while these messages come, by time [ns] and topic."""
+    return {(at, name): made for topic, now, data in messages for name, at, made in derived.receive(topic, now, data)}
+
+
 @pytest.mark.parametrize("order", ["as sent", "object first", "shuffled"])
 def test_transforms_and_clock_follow_from_the_messages_in_whatever_order_they_come(
     plan: TrialPlan, recorded: tuple[list, dict], order: str
@@ -58,7 +63,7 @@ def test_transforms_and_clock_follow_from_the_messages_in_whatever_order_they_co
         messages = [messages[index] for index in np.random.default_rng(0).permutation(len(messages))]
         messages.sort(key=lambda message: message[1])
     derived = DerivedMessages(plan)
-    found = {(now, name): made for topic, now, data in messages for name, made in derived.receive(topic, now, data)}
+    found = made_by(derived, messages)
     assert found == expected
     assert len(found) == 2 * 3
 
@@ -66,7 +71,7 @@ def test_transforms_and_clock_follow_from_the_messages_in_whatever_order_they_co
 def test_the_frame_of_an_object_that_nobody_tracks_is_left_out(plan: TrialPlan, recorded: tuple[list, dict]) -> None:
     messages, expected = recorded
     derived = DerivedMessages(plan, tracked=False)
-    found = {(now, name): made for topic, now, data in messages for name, made in derived.receive(topic, now, data)}
+    found = made_by(derived, messages)
     assert list(found) == list(expected)
     for key in (key for key in found if key[1] == topics.TF):
         frames, whole = (
@@ -75,6 +80,49 @@ def test_the_frame_of_an_object_that_nobody_tracks_is_left_out(plan: TrialPlan, 
         )
         assert frames == [name for name in whole if name != "object"]
         assert len(frames) == len(whole) - 1
+
+
+def with_tracker_of_its_own(messages: list, poses: dict[float, float], late: float) -> list[tuple[str, int, bytes]]:
+    """Joint states as they were, and poses with an x [m] by when they were taken [s], each so late [s]."""
+    told = [(now, (topic, now, data)) for topic, now, data in messages if topic != topics.OBJECT_POSE]
+    _, _, like = next(message for message in messages if message[0] == topics.OBJECT_POSE)
+    for taken, x in poses.items():
+        pose = STORE.deserialize_cdr(like, topics.POSE)
+        pose.pose.position.x = x
+        told.append(
+            (
+                round(1e9 * (taken + late)),
+                (topics.OBJECT_POSE, round(1e9 * taken), bytes(STORE.serialize_cdr(pose, topics.POSE))),
+            )
+        )
+    return [message for _, message in sorted(told, key=lambda one: one[0])]
+
+
+def test_an_object_whose_tracker_keeps_its_own_times_is_where_it_was_last_seen(
+    plan: TrialPlan, recorded: tuple[list, dict]
+) -> None:
+    poses = {0.0035 + 0.0083 * number: 0.1 * number for number in range(5)}  # the last at 0.0367 s, before tick 40
+    derived = DerivedMessages(plan)
+    found = made_by(derived, with_tracker_of_its_own(recorded[0], poses, late=0.006))
+    assert list(found) == [(now, topic) for now in (0, 20_000_000) for topic in (topics.TF, topics.CLOCK)]
+    found |= {(at, name): made for name, at, made in derived.rest()}
+    assert list(found) == list(recorded[1])
+    seen = {
+        now: one.transform.translation.x
+        for (now, name), made in found.items()
+        if name == topics.TF
+        for one in STORE.deserialize_cdr(made, topics.TF_MESSAGE).transforms
+        if one.child_frame_id == "object"
+    }
+    assert seen == {0: plan.scene.object.position[0], 20_000_000: pytest.approx(0.1), 40_000_000: pytest.approx(0.4)}
+
+
+def test_an_object_that_was_never_seen_has_no_frame(plan: TrialPlan, recorded: tuple[list, dict]) -> None:
+    derived = DerivedMessages(plan)
+    assert made_by(derived, with_tracker_of_its_own(recorded[0], {}, late=0.0)) == {}
+    untracked = DerivedMessages(plan, tracked=False)
+    expected = made_by(untracked, recorded[0])
+    assert {(at, name): made for name, at, made in derived.rest()} == expected
 
 
 def test_other_topics_change_nothing(plan: TrialPlan) -> None:

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stands for a robot with ros2_control: a process with the topics of broadcaster, effort controller and mocap.
 
-It publishes ``/joint_states``, with a gripper among the joints and in an order of its own, ``/mocap/object_pose`` and
-``/clock``; it takes ``/arm/effort_controller/commands`` and compensates gravity as franka_ros2 does. Its world is that
-of ``examples/foreign_plant.py``. Once it is sent torques it waits for the one of each state, so that a slow machine
-makes it slow and no trial worse; it is the clock of who uses its time.
+Its world is the MuJoCo cell of ``benchmarks/foreign``: elastic joints, motors with their inertia behind a torque loop of
+4 kHz, a pad that yields, sensors with noise. It publishes ``/joint_states``, with a gripper among the joints and in an
+order of its own, ``/mocap/object_pose``, 250 times a second, in a frame of the tracker and some milliseconds after it
+was taken, and ``/clock``; it takes ``/arm/effort_controller/commands`` and compensates gravity as franka_ros2 does. Once
+it is sent torques it waits for the one of each state, so that a slow machine makes it slow and no trial worse; it is the
+clock of who uses its time.
 
     python effort_robot.py SCENARIO OBJECT CASE [--no-gravity] [--offset RAD] [--silent-after N] [--nan-after N]
+                           [--tracker X Y Z ROLL PITCH YAW]
 
 N counts states from when the arm has left its place.
 """
@@ -14,10 +17,10 @@ N counts states from when the arm has left its place.
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import signal
 import sys
 import time
+from collections import deque
 from contextlib import suppress
 from pathlib import Path
 
@@ -33,24 +36,27 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from impact_msgs_py.conversions import pose_to_message
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.spec import TrialSpec
+sys.path.append(str(Path(__file__).resolve().parents[2]))  # where benchmarks is
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "foreign_plant.py"
+from benchmarks.foreign.cell import MujocoCell  # noqa: E402
+from impact_msgs_py.conversions import pose_to_message  # noqa: E402
+from impact_rs_sim.scenario import load_scenario  # noqa: E402
+from impact_rs_trials.spec import TrialSpec  # noqa: E402
+
+LIFETIME = 240.0  # s of the robot's time, which the cell draws its noise for; longer than any test
 WAITING = 5.0  # s, for a torque, once some came
 AWAY = 0.02  # rad; who is further from where it started takes part in a trial, and is not held
-GRIPPER = "fr3_finger_joint1"
+POSE_LATE = 6  # states, until a pose that was taken is on its way
+FINGERS = ("fr3_finger_joint1", "fr3_finger_joint2")
+TRACKER = "tracker"  # what motion capture calls its frame
 
 
-def world_class() -> type:
-    """``World`` of the example."""
-    found = importlib.util.spec_from_file_location("foreign_plant", EXAMPLE)
-    assert found is not None and found.loader is not None
-    module = importlib.util.module_from_spec(found)
-    sys.modules["foreign_plant"] = module
-    found.loader.exec_module(module)
-    return module.World  # type: ignore[no-any-return]
+def world_of(spec: TrialSpec, offset: float) -> MujocoCell:
+    """The cell where a trial starts, or ``offset`` [rad] beside it in every joint."""
+    scenario = spec.scene.scenario
+    lasting = scenario.model_copy(update={"timing": scenario.timing.model_copy(update={"duration": LIFETIME})})
+    start = {name: arm.initial + offset for name, arm in spec.plan.arms.items()}
+    return MujocoCell(lasting, spec.scene.physics, start, spec.scene.object, seed=1)
 
 
 def main() -> None:
@@ -59,16 +65,16 @@ def main() -> None:
     parser.add_argument("trial", nargs=3)
     parser.add_argument("--no-gravity", action="store_true")
     parser.add_argument("--offset", type=float, default=0.0)
+    parser.add_argument("--tracker", type=float, nargs=6, default=[0.0] * 6)
     parser.add_argument("--silent-after", type=int, default=sys.maxsize)
     parser.add_argument("--nan-after", type=int, default=sys.maxsize)
     options = parser.parse_args()
     name, thing, case = options.trial
     spec = TrialSpec.of(load_scenario(name), thing, case)
     (arm,) = spec.plan.arms
-    placed = spec.scene.object
-    pose = np.concatenate((placed.position, pin.Quaternion(placed.rotation).coeffs()))
-    world = world_class()(spec.scene, {arm: spec.plan.arms[arm].initial + options.offset}, pose)
-    model, period = spec.scene.models[arm], world.period
+    world = world_of(spec, options.offset)
+    model, period = spec.scene.models[arm], spec.scene.scenario.timing.control_period
+    tracker = pin.SE3(pin.rpy.rpyToMatrix(*options.tracker[3:]), np.array(options.tracker[:3]))
 
     node = Node("controller_manager")
     executor = EventsExecutor()
@@ -83,9 +89,13 @@ def main() -> None:
     states = node.create_publisher(JointState, "joint_states", 10)
     poses = node.create_publisher(PoseStamped, "mocap/object_pose", 10)
     clock = node.create_publisher(Clock, "/clock", 10)
-    joints = [f"fr3_joint{number}" for number in range(7, 0, -1)]
+    joints = [f"fr3_joint{number}" for number in range(model.joint_count, 0, -1)]
+    names = [FINGERS[0], *joints, FINGERS[1]]
+    start = world.measure().arms[arm].position
+    brakes = model.gravity_torque(start)  # on until the first torque comes
     sent: np.ndarray | None = None
-    start, moved, led = world.arms[arm].q.copy(), 0, False
+    taken: deque[tuple[int, PoseStamped]] = deque()  # and when they are told
+    moved, led = 0, False
     began, step = time.time_ns(), 0
     print("ready", flush=True)
     while True:
@@ -93,22 +103,26 @@ def main() -> None:
         stamp = Time()
         stamp.sec, stamp.nanosec = divmod(began + round(1e9 * step * period), 10**9)
         clock.publish(Clock(clock=stamp))
-        moving = world.arms[arm]
-        moved += moved > 0 or bool(np.abs(moving.q - start).max() > AWAY)
-        message = JointState(name=[GRIPPER, *joints])
+        measured = world.measure()
+        moving = measured.arms[arm]
+        moved += moved > 0 or bool(np.abs(moving.position - start).max() > AWAY)
+        carried = np.zeros_like(start) if options.no_gravity else model.gravity_torque(moving.position)
+        message = JointState(name=names)
         message.header.stamp = stamp
-        measured = moving.q.copy()
         if moved >= options.nan_after:
-            measured[0] = np.nan
-        message.position = [0.04, *measured[::-1]]
-        message.velocity = [0.0, *moving.dq[::-1]]
-        message.effort = [np.nan, *moving.torque[::-1]]
+            moving.position[0] = np.nan
+        message.position = [0.04, *moving.position[::-1], 0.04]
+        message.velocity = [0.0, *moving.velocity[::-1], 0.0]
+        message.effort = [np.nan, *moving.torque[::-1], np.nan]
         if moved < options.silent_after:
             states.publish(message)
-        if step % 4 == 0:
-            seen = PoseStamped(pose=pose_to_message(world.object_pose))
-            seen.header.stamp, seen.header.frame_id = stamp, "world"
-            poses.publish(seen)
+        if measured.object is not None:
+            pose = tracker.actInv(pin.XYZQUATToSE3(np.append(measured.object.position, measured.object.quaternion)))
+            seen = PoseStamped(pose=pose_to_message(pin.SE3ToXYZQUAT(pose)))
+            seen.header.stamp, seen.header.frame_id = stamp, TRACKER
+            taken.append((step + POSE_LATE, seen))
+        if taken and taken[0][0] <= step:
+            poses.publish(taken.popleft()[1])
         until = time.monotonic() + WAITING if led else due
         while not received and (left := until - time.monotonic()) > 0.0:
             executor.spin_once(timeout_sec=left)
@@ -116,9 +130,7 @@ def main() -> None:
         if led:
             sent = received[-1]
             received.clear()
-        if sent is not None:  # its brakes are on until then
-            carried = np.zeros(7) if options.no_gravity else model.gravity_torque(moving.q)
-            world.step({arm: sent + carried})
+        world.step({arm: brakes if sent is None else sent + carried})
         step += 1
         if (left := due - time.monotonic()) > 0.0:
             time.sleep(left)
