@@ -6,11 +6,11 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-mujoco = pytest.importorskip("mujoco", reason="the extra 'peers' is not installed")
 cell_module = pytest.importorskip("benchmarks.foreign.cell", reason="run from the root of the repository")
 campaign = pytest.importorskip("benchmarks.foreign.campaign", reason="run from the root of the repository")
 

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stands for a robot with ros2_control: a process with the topics of broadcaster, effort controller and mocap.
 
-Its world is the MuJoCo cell of ``benchmarks/foreign``: elastic joints, motors with their inertia behind a torque loop of
+Its world is the MuJoCo cell of ``benchmarks/foreign``: elastic joints, motors with inertia behind a torque loop of
 4 kHz, a pad that yields, sensors with noise. It publishes ``/joint_states``, with a gripper among the joints and in an
-order of its own, ``/mocap/object_pose``, 250 times a second, in a frame of the tracker and some milliseconds after it
-was taken, and ``/clock``; it takes ``/arm/effort_controller/commands`` and compensates gravity as franka_ros2 does. Once
-it is sent torques it waits for the one of each state, so that a slow machine makes it slow and no trial worse; it is the
-clock of who uses its time.
+order of its own, ``/mocap/object_pose``, 250 times a second, in the frame of the tracker and some milliseconds after it
+was taken, and ``/clock``; it takes ``/arm/effort_controller/commands`` and compensates gravity as franka_ros2 does.
+Once it is sent torques it waits for the one of each state, so that a slow machine makes it slow and no trial worse; it
+is the clock of who uses its time.
 
     python effort_robot.py SCENARIO OBJECT CASE [--no-gravity] [--offset RAD] [--silent-after N] [--nan-after N]
                            [--tracker X Y Z ROLL PITCH YAW]
@@ -46,6 +46,7 @@ from impact_rs_trials.spec import TrialSpec  # noqa: E402
 LIFETIME = 240.0  # s of the robot's time, which the cell draws its noise for; longer than any test
 WAITING = 5.0  # s, for a torque, once some came
 AWAY = 0.02  # rad; who is further from where it started takes part in a trial, and is not held
+POSE_EVERY = 4  # states
 POSE_LATE = 6  # states, until a pose that was taken is on its way
 FINGERS = ("fr3_finger_joint1", "fr3_finger_joint2")
 TRACKER = "tracker"  # what motion capture calls its frame
@@ -92,8 +93,7 @@ def main() -> None:
     joints = [f"fr3_joint{number}" for number in range(model.joint_count, 0, -1)]
     names = [FINGERS[0], *joints, FINGERS[1]]
     start = world.measure().arms[arm].position
-    brakes = model.gravity_torque(start)  # on until the first torque comes
-    sent: np.ndarray | None = None
+    sent: np.ndarray | None = None  # its brakes are on until then, and its time stands still
     taken: deque[tuple[int, PoseStamped]] = deque()  # and when they are told
     moved, led = 0, False
     began, step = time.time_ns(), 0
@@ -116,7 +116,7 @@ def main() -> None:
         message.effort = [np.nan, *moving.torque[::-1], np.nan]
         if moved < options.silent_after:
             states.publish(message)
-        if measured.object is not None:
+        if measured.object is not None and (sent is not None or step % POSE_EVERY == 0):
             pose = tracker.actInv(pin.XYZQUATToSE3(np.append(measured.object.position, measured.object.quaternion)))
             seen = PoseStamped(pose=pose_to_message(pin.SE3ToXYZQUAT(pose)))
             seen.header.stamp, seen.header.frame_id = stamp, TRACKER
@@ -130,7 +130,8 @@ def main() -> None:
         if led:
             sent = received[-1]
             received.clear()
-        world.step({arm: brakes if sent is None else sent + carried})
+        if sent is not None:
+            world.step({arm: sent + carried})
         step += 1
         if (left := due - time.monotonic()) > 0.0:
             time.sleep(left)

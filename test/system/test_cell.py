@@ -20,6 +20,7 @@ from processes import running
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter as RclParameter
 
+from impact_rs_analysis.measure.analyze import ExperimentSet, analyze_campaign
 from impact_rs_cli.main import main
 from impact_rs_ros.graph import Graph
 from impact_rs_trials.bags import topics
@@ -182,36 +183,45 @@ def test_poses_of_a_tracker_with_a_frame_of_its_own_are_recorded_in_world_when_t
         assert np.ptp(seen.position[:, 2]) < 1e-3  # m, on its support
 
 
-def test_the_velocity_after_the_impact_is_what_the_map_says_with_motors_of_some_inertia(
-    pushes: Pushes, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Between B = 0 and B_rho: less than nothing and more than all of the motors cannot take part in the impact.
+@pytest.fixture(scope="module")
+def found(pushes: Pushes) -> ExperimentSet:
+    """What ``analyze`` says of the pushes: measured velocity after the impact, and predictions."""
+    (found,) = analyze_campaign(pushes.folder).sets
+    assert len(found.trials) == len(SCALES)
+    return found
 
-    How much does depends on torque loop and elasticity, of which MuJoCo's robot has its own.
+
+def test_the_velocity_after_the_impact_is_what_the_map_says_of_motors_with_some_inertia(found: ExperimentSet) -> None:
+    """Between B = 0 and B_rho: not less than none of the motors takes part in the impact, and not more than all.
+
+    How much does is up to torque loop and elasticity, and MuJoCo's robot has its own. No model is fitted, and where the
+    box stands, how smooth its support is and the noise are one draw of the scenario's scatter.
     """
-    assert main(["analyze", str(pushes.folder), "--json"]) == 0
-    (found,) = json.loads(capsys.readouterr().out)["sets"]
-    assert found["trials"] == len(SCALES)
-    free, loaded = (found["predictions"][model]["v_m_s"] for model in ("zero", "rotor"))
-    assert free < found["estimate_m_s"] < loaded
+    none, whole = (abs(found.predictions[model].velocity) for model in ("zero", "rotor"))
+    assert none < found.estimate < whole
 
 
-def test_bags_of_the_cell_are_compared_as_those_of_a_laboratory(
-    pushes: Pushes, capsys: pytest.CaptureFixture[str]
+def test_bags_of_the_cell_are_compared_with_a_model_as_those_of_a_laboratory(
+    pushes: Pushes, found: ExperimentSet, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A robot tells no motor states; an experiment file says so. Without one, that is the complaint."""
-    names = [Path(result.bag_path).name for result in pushes.results]
+    """A robot tells no motor states, so an experiment file says what the bags are.
+
+    Replayed from the measured state with the recorded torque, the model goes through the impact as MuJoCo's robot did:
+    nearer than half of what motors without inertia would change.
+    """
     experiment = pushes.folder / "experiment.yaml"
     experiment.write_text("scenario: push\nmapping: impact_rs\n")
-    rows = [f"{name},cat_food,hit,{scale}" for name, scale in zip(names, SCALES, strict=True)]
-    (pushes.folder / "runs.csv").write_text("\n".join(["bag,object,kind,scale", *rows]) + "\n")
-    assert main(["compare", str(pushes.folder)]) == 2
-    assert "describe such bags with an experiment file" in capsys.readouterr().err
+    (pushes.folder / "runs.csv").write_text(f"bag,object,kind\n{pushes.bags[1].path.name},cat_food,hit\n")
     assert main(["compare", str(pushes.folder), "--experiment", str(experiment), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert document["trials"] == len(SCALES)
-    jumps = {(entry["signal"], entry["index"]): entry["error"] for entry in document["levels"]["jump"]["entries"]}
-    print(jumps)
+    assert (document["trials"], document["skipped"]) == (1, [])
+    (velocity,) = [
+        signal
+        for signal in document["levels"]["trial"]["signals"]
+        if (signal["phase"], signal["signal"]) == ("impact", "end-effector velocity")
+    ]
+    reduced, none = (found.predictions[model].velocity for model in ("reduced", "zero"))
+    assert velocity["error"] < abs(reduced - none) / 2.0  # m/s
 
 
 def test_nothing_is_armed_without_a_robot_that_is_ready(cell: Cell) -> None:
@@ -222,7 +232,7 @@ def test_nothing_is_armed_without_a_robot_that_is_ready(cell: Cell) -> None:
         unsteady = cell.run()
     assert {result.outcome for result in (nobody, elsewhere, unsteady)} == {"ABORTED"}
     assert "nobody tells the joints 'fr3_joint{number}' on /joint_states: is the robot running?" in nobody.message
-    assert re.search(r" of arm is \+0\.02\d\d rad from where the trial starts", elsewhere.message)  # offset and scatter
+    assert re.search(r" of arm is \+0\.020\d rad from where the trial starts", elsewhere.message)  # offset and scatter
     assert "not armed: states come with a jitter of " in unsteady.message
     assert unsteady.message.endswith(" ms, arm_jitter_limit is 0.001 ms")
 
