@@ -28,7 +28,7 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.effort_arms import REST, ArmStates, EffortArms, joint_names
 from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.joint_signals import JointReader
-from impact_rs_ros.motion_capture import COORDINATES, MOCAP, MotionCapture
+from impact_rs_ros.motion_capture import COORDINATES, MOCAP, TrackerPoses
 from impact_rs_ros.names import on_network, resolved
 from impact_rs_ros.parameters import value
 from impact_rs_ros.process import run
@@ -117,7 +117,7 @@ class CellTrial(LeadingTrial):
         arms: EffortArms,
         patience: Patience,
         start_tolerance: float,
-        mocap: MotionCapture,
+        mocap: TrackerPoses,
         inbox: Inbox,
         outbox: Outbox,
         robot_clock: Callable[[], int],
@@ -422,7 +422,7 @@ class CellNode(LeadingNode[CellTrial]):
         patience = Patience(self.parameter("state_timeout"), self.parameter("answer_timeout"))
         tolerance = self.parameter("start_tolerance")
         placement = np.array([self.parameter(f"mocap_{name}") for name in COORDINATES])
-        mocap = MotionCapture(self.parameter("mocap_frame"), placement)
+        mocap = TrackerPoses(self.parameter("mocap_frame"), placement)
         self._arm(plan, arms, mocap, patience, tolerance)
         return CellTrial(plan, arms, patience, tolerance, mocap, self.inbox, self.outbox, self._robot_clock.now)
 
@@ -452,7 +452,7 @@ class CellNode(LeadingNode[CellTrial]):
             self.trial.rest(time.monotonic() + MATCHING)
 
     def _arm(
-        self, plan: TrialPlan, arms: EffortArms, mocap: MotionCapture, patience: Patience, tolerance: float
+        self, plan: TrialPlan, arms: EffortArms, mocap: TrackerPoses, patience: Patience, tolerance: float
     ) -> None:
         """Look at the robot for a moment before it is led, then hold it for another.
 
@@ -503,7 +503,7 @@ class CellNode(LeadingNode[CellTrial]):
         told = f"armed: jitter {1e3 * jitter:.3f} ms, oldest state {1e3 * age:.3f} ms, {len(stamps)} states"
         self.log.info(told if self._object is None else f"{told}, object {off_its_place(plan, self._object)}")
 
-    def _take_over(self, plan: TrialPlan, arms: EffortArms, mocap: MotionCapture, tolerance: float) -> None:
+    def _take_over(self, plan: TrialPlan, arms: EffortArms, mocap: TrackerPoses, tolerance: float) -> None:
         """Hold the arms for a moment.
 
         Raises:
@@ -523,7 +523,7 @@ class CellNode(LeadingNode[CellTrial]):
                 return
         raise InputError(f"not armed: the robot told less than {HOLDING:g} s in {ARMING_PATIENCE:g} s")
 
-    def _heed(self, arms: EffortArms, mocap: MotionCapture, holder: EffortArms | None) -> Iterator[ArmStates]:
+    def _heed(self, arms: EffortArms, mocap: TrackerPoses, holder: EffortArms | None) -> Iterator[ArmStates]:
         """The robot's states for a while, each when it comes; the object's poses are looked at on the way.
 
         Args:

@@ -26,7 +26,7 @@ COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
 NOT_UNIT = 0.01  # that a quaternion's length may be off; a tracker that has lost the object sends zeros or NaN
 
 
-class MotionCapture:
+class TrackerPoses:
     """What a tracker tells of the object.
 
     Args:

@@ -10,12 +10,14 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
 from impact_rs_control.fallback import holding_torque
 from impact_rs_ros.cell_node import STATES, CellTrial, Patience
 from impact_rs_ros.effort_arms import EffortArms, StateReader, joint_names
+from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.spec import TrialSpec
@@ -42,6 +44,7 @@ class Bench:
         self.waiting: list[tuple[str, bytes]] = []
         self.asked: list[int] = []
         self.sent: list[np.ndarray] = []
+        self.poses: list[PoseStamped] = []
         self.step = 0
         self.arms = EffortArms(
             {"arm": MODEL}, {"arm": JOINTS}, adds_gravity, 1.0, lambda arm, torque: self.sent.append(torque)
@@ -51,6 +54,7 @@ class Bench:
             self.arms,
             Patience(LIMIT, LIMIT),
             0.01,
+            TrackerPoses("tracker", np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])),
             self,  # type: ignore[arg-type]
             self,  # type: ignore[arg-type]
             lambda: SWITCHED_ON + round(1e9 * (self.time - 100.0)),
@@ -74,6 +78,10 @@ class Bench:
     def repeat(self, topic: str, data: bytes) -> None:
         """Asked again."""
 
+    def later(self, topic: str, message: PoseStamped) -> None:
+        assert topic == topics.OBJECT_POSE
+        self.poses.append(message)
+
     def work(self) -> None:
         self.trial.work(self.time + 1e-9)
 
@@ -88,6 +96,15 @@ class Bench:
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
         self.step += 1
         self.waiting.append((STATES, bytes(serialize_message(message))))
+        self.work()
+
+    def pose(self, taken: int, x: float = 0.5, frame: str = "tracker") -> None:
+        """A pose of the object, ``taken`` [ns] after the robot was switched on."""
+        message = PoseStamped()
+        message.header.frame_id = frame
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(SWITCHED_ON + taken, 10**9)
+        message.pose.position.x = x
+        self.waiting.append((MOCAP, bytes(serialize_message(message))))
         self.work()
 
     def answer(self, torque: np.ndarray, tick: int | None = None, after: float = 0.0) -> None:
@@ -230,6 +247,21 @@ def test_a_robot_that_falls_silent_ends_the_trial_and_its_brake_is_released() ->
     assert "no state of the robot for 0.0" in bench.trial.failure
     bench.trial.rest(bench.time + 0.02)
     np.testing.assert_allclose(bench.sent[-1], 0.0, atol=1e-12)
+
+
+def test_poses_are_told_in_trial_time_by_when_they_were_taken_and_in_world() -> None:
+    bench = Bench()
+    bench.pose(0)  # before the trial
+    bench.under_way()  # with its origin at the stamp of its first state
+    for taken, x in ((-1, 0.1), (700_000, 0.2), (900_000, np.nan), (1_600_000_000, 0.4), (1_800_000_001, 0.5)):
+        bench.pose(taken, x)
+    times = [pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec for pose in bench.poses]
+    assert times == [700_000, 1_600_000_000]
+    assert [pose.pose.position.x for pose in bench.poses] == [0.2, 0.4]
+    assert {(pose.header.frame_id, pose.pose.position.z) for pose in bench.poses} == {("world", 1.0)}
+    assert not bench.trial.over
+    bench.pose(1_700_000_000, frame="world")
+    assert "frame_id of /mocap/object_pose = 'world': expected tracker" in bench.trial.failure
 
 
 def test_states_that_are_missing_end_the_trial() -> None:
