@@ -9,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
+from impact_msgs_py.conversions import pose_to_message
 from impact_rs_control.fallback import holding_torque
-from impact_rs_ros.cell_node import STATES, CellTrial, Patience
+from impact_rs_ros.cell_node import STATES, CellTrial, Patience, off_its_place
 from impact_rs_ros.effort_arms import EffortArms, StateReader, joint_names
 from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
 from impact_rs_sim.scenario import load_scenario
@@ -262,6 +264,16 @@ def test_poses_are_told_in_trial_time_by_when_they_were_taken_and_in_world() -> 
     assert not bench.trial.over
     bench.pose(1_700_000_000, frame="world")
     assert "frame_id of /mocap/object_pose = 'world': expected tracker" in bench.trial.failure
+
+
+def test_what_a_wrong_placement_of_the_tracker_does_is_told_by_distance_and_angle() -> None:
+    """As with a yaw that is 3 degrees off, and an origin 25 mm too high."""
+    there = PLAN.scene.object
+    turned = pin.SE3(
+        pin.rpy.rpyToMatrix(0.0, 0.0, np.radians(3.0)) @ there.rotation, there.position + [0.0, 0.0, 0.025]
+    )
+    pose = PoseStamped(pose=pose_to_message(pin.SE3ToXYZQUAT(turned)))
+    assert off_its_place(PLAN, pose) == "25.0 mm and 3.0 deg from its place in the scenario"
 
 
 def test_states_that_are_missing_end_the_trial() -> None:
