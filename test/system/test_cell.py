@@ -151,14 +151,12 @@ def test_a_push_goes_through_a_robot_of_ros2_control(pushes: Pushes) -> None:
 def test_the_arm_is_still_until_it_is_led_so_its_weight_is_carried_once(pushes: Pushes) -> None:
     """Carried twice or not at all, some 30 N m would move it; the brake, M dq / 0.1 s, would let that reach rad/s."""
     for bag in pushes.bags:
-        plan = bag.info.spec.plan
+        plan, scenario = bag.info.spec.plan, bag.info.spec.scenario
         arm = bag.joints(topics.joint_states("arm"))
-        still = arm.time < plan.scene.scenario.timing.nominal_impact - plan.scene.scenario.timing.approach
-        away = arm.position[still] - plan.arms["arm"].initial
-        assert (
-            np.abs(away).max() < 5.0 * plan.scene.scenario.scatter.joint_position + 1e-4
-        )  # rad; who placed it, and drift
-        assert np.abs(arm.velocity[still]).max() < 5.0 * plan.scene.scenario.sensors.joint_velocity_noise
+        still = arm.time < scenario.timing.nominal_impact - scenario.timing.approach
+        placed = 5.0 * scenario.scatter.joint_position  # rad, by whoever moved it to the start
+        assert np.abs(arm.position[still] - plan.arms["arm"].initial).max() < placed + 1e-4
+        assert np.abs(arm.velocity[still]).max() < 6.0 * scenario.sensors.joint_velocity_noise
 
 
 def test_the_impact_is_detected_when_the_pad_gets_there(pushes: Pushes) -> None:
@@ -173,11 +171,13 @@ def test_the_impact_is_detected_when_the_pad_gets_there(pushes: Pushes) -> None:
 def test_poses_of_a_tracker_with_a_frame_of_its_own_are_recorded_in_world_when_they_were_taken(pushes: Pushes) -> None:
     for bag in pushes.bags:
         seen, scene = bag.poses(topics.OBJECT_POSE), bag.info.spec.scene
-        np.testing.assert_allclose(np.diff(seen.time), scene.scenario.sensors.object_period, atol=1e-9)
+        steps = np.diff(seen.time) / scene.scenario.sensors.object_period
+        np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
+        assert np.median(steps) == pytest.approx(1.0)  # the cell listens best effort: one may get lost
         assert seen.time[-1] > bag.info.duration - 0.02  # s, though they come late
         off = seen.position[0] - scene.object.position
         assert np.abs(off[:2]).max() < 4.0 * scene.scenario.scatter.object_position
-        assert abs(off[2]) < 4.0 * scene.scenario.sensors.object_position_noise
+        assert abs(off[2]) < 6.0 * scene.scenario.sensors.object_position_noise
         assert abs(seen.quaternion[0] @ [0.0, 0.0, 0.0, 1.0]) > np.cos(4.0 * scene.scenario.scatter.object_yaw / 2.0)
         assert seen.position[-1, 1] < seen.position[0, 1] - 0.1  # m, pushed along -y
         assert np.ptp(seen.position[:, 2]) < 1e-3  # m, on its support
