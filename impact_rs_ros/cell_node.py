@@ -90,6 +90,17 @@ class RobotClock:
             self._simulated = message.clock.sec * 10**9 + message.clock.nanosec
         return self._simulated
 
+    @property
+    def told(self) -> bool:
+        """Whether the time is known; that of a simulator is not until it is heard."""
+        return self.now() != 0
+
+    def forget(self) -> None:
+        """Time of a simulator that was heard before says nothing of one that was started since."""
+        if self._inbox is not None:
+            self._inbox.clear()
+            self._simulated = 0
+
     def close(self) -> None:
         """Listen no more."""
         if self._inbox is not None:
@@ -468,8 +479,11 @@ class CellNode(LeadingNode[CellTrial]):
         age = 0.0
         began = time.monotonic()
         self.inbox.clear()
+        self._robot_clock.forget()
         self._object = None
         for states in self._heed(arms, mocap, None if self.trial is None else self.trial.arms):
+            if not self._robot_clock.told:
+                continue
             arrivals.append(time.monotonic())
             stamps.append(states.stamp)
             age = max(age, abs(1e-9 * (self._robot_clock.now() - states.stamp)))
@@ -479,6 +493,8 @@ class CellNode(LeadingNode[CellTrial]):
                 break
         if arms.states is None:
             raise InputError(f"nobody tells the joints {self.parameter('joints')!r} on {topic}: is the robot running?")
+        if not self._robot_clock.told:
+            raise InputError(f"nobody tells the time on {topics.CLOCK}, which use_sim_time asks for")
         if len(stamps) < ARMING_STATES:
             raise InputError(f"{topic}: {len(stamps)} states in {ARMING_PATIENCE:g} s, expected {ARMING_STATES}")
         steps = 1e-9 * np.diff(np.array(stamps))

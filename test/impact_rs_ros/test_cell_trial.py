@@ -11,12 +11,15 @@ from collections.abc import Iterator
 import numpy as np
 import pinocchio as pin
 import pytest
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from impact_msgs_py.conversions import pose_to_message
 from impact_rs_control.fallback import holding_torque
+from impact_rs_ros import cell_node
 from impact_rs_ros.cell_node import STATES, CellTrial, Patience, off_its_place
 from impact_rs_ros.effort_arms import EffortArms, StateReader, joint_names
 from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
@@ -274,6 +277,39 @@ def test_what_a_wrong_placement_of_the_tracker_does_is_told_by_distance_and_angl
     )
     pose = PoseStamped(pose=pose_to_message(pin.SE3ToXYZQUAT(turned)))
     assert off_its_place(PLAN, pose) == "25.0 mm and 3.0 deg from its place in the scenario"
+
+
+def test_the_time_of_a_simulator_is_not_known_until_it_is_told_nor_after_it_was_another(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Topic(list[Clock]):
+        """What waits on ``/clock``."""
+
+        def __init__(self, node: object, name: str, qos: object) -> None:
+            super().__init__()
+
+        def connect(self, kinds: object) -> None:
+            """Listened to."""
+
+        def gather(self) -> None:
+            """All that waits is here."""
+
+        def take(self) -> Iterator[tuple[str, Clock]]:
+            while self:
+                yield topics.CLOCK, self.pop(0)
+
+    monkeypatch.setattr(cell_node, "Inbox", Topic)
+    monkeypatch.setattr(cell_node, "value", lambda node, name: name == "use_sim_time")
+    clock = cell_node.RobotClock(None)  # type: ignore[arg-type]
+    waiting = clock._inbox
+    assert isinstance(waiting, Topic)
+    assert not clock.told
+    waiting.append(Clock(clock=Time(sec=2, nanosec=5)))
+    assert clock.told
+    assert clock.now() == 2_000_000_005
+    waiting.append(Clock(clock=Time(sec=3)))  # of the one that has ended
+    clock.forget()
+    assert not clock.told
 
 
 def test_states_that_are_missing_end_the_trial() -> None:
