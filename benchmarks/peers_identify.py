@@ -9,13 +9,13 @@ A box is pushed, with an effect hidden: its mass is 15 % larger, or the joints h
 campaigns as effects, because there is no plant that is nobody's own:
 
     plant    the plant of this package under its controller; the replay is made of it, so impact_rs plays at home
-    cell     the MuJoCo cell of :mod:`benchmarks.foreign` under a controller of its own; mujoco.sysid plays at home. It
-             even gets the cell's contact settings, which nobody knows of a real table
+    cell     the MuJoCo cell of :mod:`benchmarks.foreign` under a controller of its own; mujoco.sysid plays at home,
+             with the cell's own steps and contact settings, which nobody knows of a real table
 
 Both record what a laboratory does: q, dq, joint torque and desired torque at 1 kHz, pose of the box at 250 Hz, as bags
-with names and clocks of their own. For all tools it is ours to read them, to find the impact, to put clocks together and
-to cut windows; so are the states in which windows start (16 ms local fit, motors ahead by the joint torque over K), and
-what signals are weighed with, :func:`weights`.
+with clocks of their own. For all tools it is ours to read them, to find the impact, to put clocks together and to cut
+windows; so are the states in which windows start (16 ms local fit, motors ahead by the joint torque over K), and what
+signals are weighed with, :func:`weights`.
 
     sysid      mujoco.sysid.optimize with its own solver, its own batched rollouts in threads and its own intervals.
                The model is a MuJoCo model with B_theta behind a spring-damper tendon in every joint, which is what the
@@ -86,7 +86,7 @@ CONDITIONS = {  # by plant; object and condition
     "cell": [(thing, pose) for thing in ("parcel", "juice") for pose in ("pose_a_fast", "pose_b_fast")],
 }
 FREE = [("none", "slow"), ("none", "fast")]
-STEP = 0.125e-3  # s, of the rollouts of mujoco.sysid; at the truth 0.25 ms is three times as far off, 0.06 ms no nearer
+TICK = 1e-3  # s, of the recordings
 LEAST = 1e-6  # of the weights, in units of the signals
 FAR = (5.0, 5.0, 0.0)  # m, where the object is in free motion
 TOLERANCE = 1e-3  # relative, of step and cost, where mujoco.sysid and plain least squares end
@@ -97,6 +97,20 @@ DIFFERENCE = 0.1  # step of finite differences, in scales of the parameters
 CUSTOM = sysid.SignalType.CustomObs
 
 console = Console(width=180)
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """How mujoco.sysid rolls out: the integrator of MuJoCo and its step [s]."""
+
+    integrator: mujoco.mjtIntegrator
+    step: float
+
+
+ROLLOUTS = {  # what agrees best with the true values; both cost the same
+    "plant": Rollout(mujoco.mjtIntegrator.mjINT_RK4, 0.5e-3),
+    "cell": Rollout(mujoco.mjtIntegrator.mjINT_IMPLICITFAST, 0.125e-3),  # the cell's own
+}
 
 
 # What is fitted, and what was measured
@@ -301,10 +315,11 @@ def plain(runs: Runs, cut: dict[str, list[Stretch]], map_tasks: Map) -> Answer:
     return answer("plain", fitted, found.x, interval(found.fun, found.jac), f"{found.nfev} steps")
 
 
-def with_drives(physics: Physics) -> Callable[[mujoco.MjSpec], None]:
+def with_drives(physics: Physics, integrator: mujoco.mjtIntegrator) -> Callable[[mujoco.MjSpec], None]:
     """Controls and friction at the motors of a description."""
 
     def modify(spec: mujoco.MjSpec) -> None:
+        spec.option.integrator = integrator
         for name, arm in physics.arms.items():
             for index, coulomb in enumerate(np.broadcast_to(arm.friction.coulomb, JOINTS)):
                 motor = f"{name}/motor{index + 1}"
@@ -315,16 +330,19 @@ def with_drives(physics: Physics) -> Callable[[mujoco.MjSpec], None]:
     return modify
 
 
-def described(physics: Physics, contact: bool, keep: Callable[[mujoco.MjSpec], None] | None = None) -> mujoco.MjModel:
+def described(
+    physics: Physics, contact: bool, rollout: Rollout, keep: Callable[[mujoco.MjSpec], None] | None = None
+) -> mujoco.MjModel:
     """What somebody who knows MuJoCo makes of a scene: motors of inertia B_theta, driven by the desired torque.
 
     Args:
         physics: What is believed.
         contact: Whether there is something to hit.
+        rollout: How it is integrated.
         keep: Gets the description.
     """
     arms = {name: replace(arm, motor_inertia_rotor=arm.motor_inertia_reduced) for name, arm in physics.arms.items()}
-    drives = with_drives(physics)
+    drives = with_drives(physics, rollout.integrator)
 
     def modify(spec: mujoco.MjSpec) -> None:
         drives(spec)
@@ -332,7 +350,7 @@ def described(physics: Physics, contact: bool, keep: Callable[[mujoco.MjSpec], N
             keep(spec)
 
     height = physics.support_height if contact else None
-    return compile_scene(replace(physics, arms=arms, support_height=height), STEP, modify=modify)
+    return compile_scene(replace(physics, arms=arms, support_height=height), rollout.step, modify=modify)
 
 
 def start_of(model: mujoco.MjModel, window: Window, physics: Physics) -> Array:
@@ -353,15 +371,18 @@ def start_of(model: mujoco.MjModel, window: Window, physics: Physics) -> Array:
     return np.asarray(sysid.create_initial_state(model, position, velocity))
 
 
-def control_of(window: Window, drive_period: float) -> sysid.TimeSeries:
+def control_of(window: Window, drive_period: float, step: float) -> sysid.TimeSeries:
     """Desired torques at the steps of a rollout; the last is held for nothing."""
     ((name, acting),) = window.acting.items()
-    torque = np.repeat(window.torque[name][acting], round(drive_period / STEP), axis=0)
-    return sysid.TimeSeries(STEP * np.arange(len(torque) + 1), np.vstack((torque, torque[-1])))
+    finest = min(step, drive_period)
+    torque = np.repeat(window.torque[name][acting], round(drive_period / finest), axis=0)
+    torque = torque.reshape(-1, round(step / finest), JOINTS).mean(axis=1)
+    return sysid.TimeSeries(step * np.arange(len(torque) + 1), np.vstack((torque, torque[-1])))
 
 
-def table_of_states(model: mujoco.MjModel, physics: Physics, states: Array, each: int) -> Array:
-    """Columns of :func:`table` at every ``each``-th state of a rollout."""
+def table_of_states(model: mujoco.MjModel, physics: Physics, states: Array) -> Array:
+    """Columns of :func:`table` of a rollout, at the ticks of the recordings."""
+    each = round(TICK / model.opt.timestep)
     rows = states[each - 1 :: each, 1:]  # behind the time
     ((name, arm),) = physics.arms.items()
     links, motors = ([model.joint(f"{name}/{kind}{n + 1}") for n in range(JOINTS)] for kind in ("joint", "motor"))
@@ -374,7 +395,7 @@ def table_of_states(model: mujoco.MjModel, physics: Physics, states: Array, each
 
 
 def fitted_by_sysid(
-    tool: str, effects: Sequence[str], runs: Runs, cut: dict[str, list[Stretch]], threads: int
+    tool: str, effects: Sequence[str], runs: Runs, cut: dict[str, list[Stretch]], rollout: Rollout, threads: int
 ) -> Answer:
     """Fit some effects with mujoco.sysid to the windows of all runs."""
     fitted = unknowns(effects)
@@ -382,7 +403,7 @@ def fitted_by_sysid(
     for run in runs.runs:
         for stretch in cut[str(run.path)]:
             grouped.setdefault(run.place[1] if stretch.window.contact else "free", []).append((run.setup, stretch))
-    parts = [_residual_of(name, own, fitted, threads) for name, own in grouped.items()]
+    parts = [_residual_of(name, own, fitted, rollout, threads) for name, own in grouped.items()]
 
     def residual(x: Array, params: sysid.ParameterDict, **further: Any) -> tuple[list[Any], list[Any], list[Any]]:
         found = [part(x, params, **further) for part in parts]
@@ -408,23 +429,22 @@ def fitted_by_sysid(
 
 
 def _residual_of(
-    name: str, own: Sequence[tuple[Setup, Stretch]], fitted: Sequence[Unknown], threads: int
+    name: str, own: Sequence[tuple[Setup, Stretch]], fitted: Sequence[Unknown], rollout: Rollout, threads: int
 ) -> Callable[..., Any]:
     """What mujoco.sysid makes of the windows that one model is for."""
     setup, first = own[0]
     contact, physics = first.window.contact, setup.physics
     kept: list[mujoco.MjSpec] = []
-    nominal = described(physics, contact, kept.append)
+    nominal = described(physics, contact, rollout, kept.append)
 
     @functools.lru_cache(2 * len(fitted) + 2)
     def model_of(values: tuple[float, ...]) -> mujoco.MjModel:
-        return described(believed(physics, fitted, values), contact)
+        return described(believed(physics, fitted, values), contact, rollout)
 
     def compare(
         params: Any, predicted: Any, measured: sysid.TimeSeries, model: mujoco.MjModel, everything: bool, state: Array
     ) -> tuple[Array, Any, Any]:
-        each = round(1e-3 / STEP)
-        values = table_of_states(model, physics, state, each)
+        values = table_of_states(model, physics, state)
         scaled = (measured.data - values) / first.noise
         told = sysid.TimeSeries(measured.times, values, measured.signal_mapping)
         return scaled[np.isfinite(measured.data)], told, measured
@@ -434,7 +454,7 @@ def _residual_of(
         kept[0],
         [f"{name}_{number}" for number in range(len(own))],
         [start_of(nominal, stretch.window, physics) for _, stretch in own],
-        [control_of(stretch.window, setup.drive_period) for setup, stretch in own],
+        [control_of(stretch.window, setup.drive_period, rollout.step) for setup, stretch in own],
         [
             sysid.TimeSeries.from_custom_map(
                 stretch.window.time[1:] - stretch.window.time[0], stretch.measured, [("signals", 25, CUSTOM)]
@@ -550,9 +570,10 @@ def answers(
     runs = read_laboratory_runs(folder, load_experiment(folder / "experiment.yaml"), map_tasks)
     cut = stretches(runs, map_tasks)
     reading = time.perf_counter() - began
+    rollout = ROLLOUTS[campaign.plant]
     work: dict[str, Callable[[], Answer]] = {
-        "sysid, told": lambda: fitted_by_sysid("sysid, told", [campaign.hidden], runs, cut, jobs),
-        "sysid, list": lambda: fitted_by_sysid("sysid, list", FITTED, runs, cut, jobs),
+        "sysid, told": lambda: fitted_by_sysid("sysid, told", [campaign.hidden], runs, cut, rollout, jobs),
+        "sysid, list": lambda: fitted_by_sysid("sysid, list", FITTED, runs, cut, rollout, jobs),
         "plain": lambda: plain(runs, cut, map_tasks),
         "impact_rs": lambda: diagnosed(runs, map_tasks),
     }
