@@ -419,7 +419,7 @@ def fitted_by_sysid(
         best, result = sysid.optimize(
             params,
             residual,
-            optimizer="scipy_parallel_fd",  # its own takes five times as long, for contact makes the cost rough
+            optimizer="scipy_parallel_fd",  # its own was at work five times as long: contact makes the cost rough
             method="dogbox",
             x_scale=scale,
             diff_step=SYSID_DIFFERENCE,
@@ -606,7 +606,12 @@ def row_of(hidden: str, found: Answer) -> list[str]:
     wrong: dict[str, list[Estimate]] = {}
     for item in false_findings(hidden, found):
         wrong.setdefault(item.effect, []).append(item)
-    words = [f"{name} {own[0].value:.3g}" if len(own) == 1 else f"{name}, {len(own)} x" for name, own in wrong.items()]
+    words = [
+        f"{name} {own[0].value:.4g}"
+        if len(own) == 1
+        else f"{name} {len(own)} x, up to {max(one.value for one in own):.2g}"
+        for name, own in wrong.items()
+    ]
     there = "yes" if hidden in found.says else "no"
     return [found.tool, f"{found.wall:.0f}", f"{found.processor:.0f}", *cells, there, "; ".join(words) or "-"]
 
