@@ -11,11 +11,11 @@ beside it. It resumes where it stopped; ``--only NAME`` runs those whose name st
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -26,7 +26,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from benchmarks.foreign.board import UNKNOWN_HERE, Entry, intervals, scoreboard
 from benchmarks.foreign.campaign import OUTSIDE
-from benchmarks.foreign.cell import MujocoCell
+from benchmarks.foreign.cell import Modification, MujocoCell
 from benchmarks.foreign.discrepancy import oblique
 from examples.laboratory import EXPERIMENT, START, STORE, messages
 from impact_rs_analysis.diagnosis.diagnose import diagnose
@@ -37,6 +37,7 @@ from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_analysis.evidence.store import ReplayStore
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario, load_scenario
@@ -130,7 +131,7 @@ class RunTask:
     entry: Entry
 
 
-@lru_cache
+@functools.lru_cache
 def hidden_in(entry: Entry) -> list[Hidden]:
     """What an entry hides, as it can be in every box of the campaign."""
     worlds = [hit_of(name, condition).scene.physics for name in BOXES for condition in CONDITIONS]
@@ -138,33 +139,56 @@ def hidden_in(entry: Entry) -> list[Hidden]:
 
 
 def record(task: RunTask) -> None:
-    """Run the cell under the laboratory's controller, and write its bag; a finished one stands."""
+    """Run the cell with what an entry hides, and write its bag; a finished one stands."""
     path = Path(task.path)
     if (path / "metadata.yaml").exists():
         return
-    thing = "juice" if task.object == "none" else task.object
-    if task.object == "none":
-        scene = Scene.resolve(load_scenario("push"), thing, "case_1")
+    entry = task.entry
+    modify = None
+    if entry.kind == "outside":
+        modify = functools.partial(OUTSIDE[str(entry.effect)], magnitude=entry.magnitude or 0.0)
+    record_run(path, task.object, task.condition, task.seed, hidden_in(entry), modify)
+
+
+def record_run(
+    path: Path,
+    thing: str,
+    condition: str,
+    seed: int,
+    hidden: list[Hidden],
+    modify: Callable[[Physics], Modification] | None = None,
+) -> None:
+    """Run the cell under the laboratory's controller, and write its bag.
+
+    Args:
+        path: New folder of the bag.
+        thing: Object; ``none``: free motion.
+        condition: Of ``CONDITIONS``, or of ``FREE``.
+        seed: Of scatter and noise.
+        hidden: Effects that its physics have.
+        modify: Makes what physics cannot say.
+    """
+    if thing == "none":
+        scene = Scene.resolve(load_scenario("push"), "juice", "case_1")
         ((name, model),) = scene.models.items()
         start = scene.arms[name].position
-        torque, duration = excursion(model, start, FREE[task.condition]), FREE_TIME
+        torque, duration = excursion(model, start, FREE[condition]), FREE_TIME
         far = BodyState(scene.object.position + [5.0, 5.0, 0.0], np.eye(3), np.zeros(6))
     else:
-        hit = hit_of(thing, task.condition)
+        hit = hit_of(thing, condition)
         scene, far = hit.scene, hit.scene.object
         (name,) = scene.models
         torque, start, duration = impedance(hit)
-    physics = hide(scene.physics, hidden_in(task.entry))
-    outside = task.entry.kind == "outside"
-    modify = OUTSIDE[str(task.entry.effect)](physics, task.entry.magnitude or 0.0) if outside else None
-    cell = MujocoCell(lasting(scene.scenario, duration), physics, {name: start}, far, task.seed, modify=modify)
+    physics = hide(scene.physics, hidden)
+    built = None if modify is None else modify(physics)
+    cell = MujocoCell(lasting(scene.scenario, duration), physics, {name: start}, far, seed, modify=built)
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
         topics: dict[str, Any] = {}
         for number in range(round(duration / 0.001)):
             measured = cell.measure()
             arm = measured.arms[name]
             command = torque(measured.time, arm.position, arm.velocity)
-            shown = measured if task.object != "none" else SimpleNamespace(arms=measured.arms, object=None)
+            shown = measured if thing != "none" else SimpleNamespace(arms=measured.arms, object=None)
             tick = SimpleNamespace(number=number, measurement=shown, commands={"arm": SimpleNamespace(torque=command)})
             for topic, late, message in messages(tick):  # type: ignore[arg-type]
                 if topic not in topics:
@@ -196,7 +220,9 @@ def make(entry: Entry, directory: Path, map_tasks: Map) -> None:
         pass
     (folder / "runs.csv").write_text("\n".join(["bag,object,kind,condition", *(row for _, row in planned)]) + "\n")
     (folder / "experiment.yaml").write_text(EXPERIMENT)
-    effects = [{"name": item.name, "parameters": named(item)} for item in hidden_in(entry)]
+    (robot,) = load_scenario("push").robots.values()
+    joints = robot.robot_facts.joint_types
+    effects = [{"name": item.name, "parameters": named(item, joints)} for item in hidden_in(entry)]
     outside = entry.effect if entry.kind == "outside" else None
     (directory / TRUTH).write_text(json.dumps({"kind": entry.kind, "outside": outside, "effects": effects}) + "\n")
 
