@@ -163,7 +163,20 @@ def _frames(rows: int, count: int, seed: int) -> Array:
     """Random orthonormal frames, uniform over all: the first ``count`` rows of rotations, ``(B, count, rows)``."""
     rng = np.random.default_rng([seed, rows, count])
     basis, upper = np.linalg.qr(rng.standard_normal((DRAWS, rows, count)))
-    return np.swapaxes(basis * np.sign(np.einsum("bii->bi", upper))[:, None, :], 1, 2)
+    return np.ascontiguousarray(np.swapaxes(basis * np.sign(np.einsum("bii->bi", upper))[:, None, :], 1, 2))
+
+
+def _squares(frames: Array, rows: Array) -> Array:
+    """Squares of what each frame makes of rows, by way of the smaller of their dimensions, ``(B,)``.
+
+    Args:
+        frames: ``(B, count, n)``.
+        rows: ``(n, f)``.
+    """
+    if rows.shape[1] < len(rows):
+        turned = frames @ rows
+        return np.asarray(np.einsum("bcf,bcf->b", turned, turned))
+    return np.asarray(np.einsum("bcn,bcn->b", frames @ (rows @ rows.T), frames))
 
 
 class _Rows:
@@ -237,12 +250,12 @@ class RotationReference(Reference):
         noise, noise_null = 0.0, np.zeros(DRAWS)
         for number, layout in enumerate(self._layouts):
             products = layout.products(jacobians, root)
-            gram = np.einsum("cnp,cmp->nm", products, products)
+            rows = np.swapaxes(products, 0, 1).reshape(len(layout.rows), -1)
             frames = _frames(len(layout.rows), layout.means, number)
             observed += np.einsum("ccp->p", products[:, : layout.means])
-            null += np.einsum("bcn,cnp->bp", frames, products)
-            noise += float(np.trace(gram[layout.means :, layout.means :]))
-            noise_null += np.trace(gram) - np.einsum("bcn,nm,bcm->b", frames, gram, frames, optimize=True)
+            null += frames.reshape(DRAWS, -1) @ products.reshape(-1, count)
+            noise += float(np.sum(np.square(rows[layout.means :])))
+            noise_null += np.sum(np.square(rows)) - _squares(frames, rows)
         size, sizes = float(observed @ observed), np.einsum("bp,bp->b", null, null)
         if size <= 0.0:
             return 1.0
@@ -291,12 +304,11 @@ class RotationReference(Reference):
                 if not scale.size:
                     continue
                 scaled = rows[:, own] @ scale
-                gram = scaled @ scaled.T
-                inside = np.einsum("bcn,bcn->b", frames @ gram, frames)
-                observed[place] += float(np.trace(gram[: layout.means, : layout.means]))
-                noise[place] += float(np.trace(gram[layout.means :, layout.means :]))
+                inside = _squares(frames, scaled)
+                observed[place] += float(np.sum(np.square(scaled[: layout.means])))
+                noise[place] += float(np.sum(np.square(scaled[layout.means :])))
                 null[:, place] += inside
-                noise_null[:, place] += np.trace(gram) - inside
+                noise_null[:, place] += np.sum(np.square(scaled)) - inside
         p = smallest(observed / np.maximum(noise, 1e-300), null / np.maximum(noise_null, 1e-300))
         return max(p, smallest(observed, self._by_chance)) if self.discrepant else p
 

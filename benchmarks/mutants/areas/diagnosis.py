@@ -56,8 +56,8 @@ MUTANTS = [
     Mutant(
         name="rotation_noise_not_rotated",
         file=REFERENCE,
-        original="noise_null += np.trace(gram) - np.einsum(",
-        mutated="noise_null += np.trace(gram[layout.means :, layout.means :]) - 0.0 * np.einsum(",
+        original="noise_null += np.sum(np.square(rows)) - _squares(frames, rows)",
+        mutated="noise_null += np.sum(np.square(rows[layout.means :]))",
         wrong="Only the numerator is rotated: the degrees of freedom of the noise are forgotten.",
         tests=REFERENCES,
     ),
