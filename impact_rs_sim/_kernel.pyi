@@ -128,9 +128,6 @@ class Motors:
     @property
     def actuation_torque(self) -> Array:
         """tau_act of the last step [N m]."""
-    @property
-    def friction_torque(self) -> Array:
-        """tau_fric,m of the last step [N m]."""
 
     def place(self, position: Array, velocity: Array, elastic: Array, transmission: Array) -> None:
         """Set the whole state; its shape is that of ``position``.
@@ -142,13 +139,12 @@ class Motors:
     def sense(self, link_position: Sequence[float] | Array, link_velocity: Sequence[float] | Array) -> None:
         """Update the torques of spring and damper from the present motor and link state."""
 
-    def turn(self, shaped: Array, smooth: Array | None, dry: Array | None) -> None:
+    def turn(self, shaped: Array, friction: Array | None) -> None:
         """One period of the torque loop.
 
         Args:
             shaped: B_rho B_theta^-1 times the desired torque [N m].
-            smooth: What of tau_fric,m is a torque at every velocity [N m]; None: nothing.
-            dry: Size of its dry part [N m]; None: there is none.
+            friction: tau_fric,m [N m]; None: none.
         """
 
 class Observer:

@@ -6,9 +6,7 @@
     tau_act = B_rho B_theta^-1 tau_d + (I - B_rho B_theta^-1)(tau_J + D K^-1 dtau_J)   (paper eq. torque_control_law)
 
 B_theta is a setting of the loop, not an inertia of the drive: the motor is integrated with B_rho, and the reduced
-inertia emerges. One step is one period of the loop; semi-implicit Euler, velocity first. Dry friction is implicit: it
-stops the motor where the torque that takes is within its size, else it opposes the motion with all of it (time stepping
-after Moreau 1988), so that a motor at rest is held, whatever the period.
+inertia emerges. One step is one period of the loop; semi-implicit Euler, velocity first.
 """
 
 from __future__ import annotations
@@ -75,7 +73,7 @@ class Drive(_kernel.Motors):
         self._clock = 0.0
         self._commands: deque[tuple[float, Array]] = deque()
         self._desired: Array | None = None
-        self._shaped = self._load = np.zeros_like(physics.stiffness)
+        self._shaped = self._load = self.friction_torque = np.zeros_like(physics.stiffness)
 
     def reset(self, link_position: Array, load: Array) -> None:
         """Rest in equilibrium: the spring carries ``load`` ``(n,)`` [N m] at link position ``(n,)`` [rad]."""
@@ -116,13 +114,10 @@ class Drive(_kernel.Motors):
         if desired is not self._desired:  # the command is held over several periods of the loop
             self._desired = desired
             self._shaped = self._shaping * (self._gain * desired + self._offset + self._load)
-        if self._friction is None:
-            self.turn(self._shaped, None, None)
-            return
-        velocity = self.velocity
-        self.turn(
-            self._shaped, self._shaping * self._friction.smooth(velocity), self._shaping * self._friction.dry(velocity)
-        )
+        friction = None
+        if self._friction is not None:
+            friction = self.friction_torque = self._shaping * self._friction.torque(self.velocity)
+        self.turn(self._shaped, friction)
 
     def _delayed(self, desired: Array) -> Array:
         """Mean of the held commands over the period that began ``delay`` ago, ``(n,)`` [N m]."""

@@ -27,9 +27,8 @@ RESTITUTION_LAWS = ("newton", "poisson")
 class JointFriction:
     """Joint friction as the desired torque feels it: tau_fric of paper eq. EOM_motor_mod.
 
-    The motor feels ``tau_fric,m = B_rho B_theta^-1 tau_fric`` (paper, below eq. EOM_motor_mod). Its dry part, Coulomb's
-    and what sticks, opposes the motor's velocity with :meth:`dry`, and at rest anything up to that
-    (:class:`impact_rs_sim.drive.Drive`); the rest is a torque at every velocity.
+    The motor feels ``tau_fric,m = B_rho B_theta^-1 tau_fric`` (paper, below eq. EOM_motor_mod). The torque opposes the
+    motor's velocity; the sign change is smoothed over ``smoothing`` so that rest is a state and not a limit cycle.
 
     Attributes:
         coulomb: Coulomb friction, ``(n,)`` [N m].
@@ -37,7 +36,7 @@ class JointFriction:
         stribeck: Breakaway torque above Coulomb, ``(n,)`` [N m].
         stribeck_velocity: Velocity at which the excess has fallen to 1/e, ``(n,)`` [rad/s].
         sigmoid: Friction identified by Gaz et al. 2019, added to the above.
-        smoothing: Velocity scale of the sign in :meth:`torque` [rad/s].
+        smoothing: Velocity scale of the smoothed sign [rad/s].
     """
 
     coulomb: Array
@@ -60,21 +59,14 @@ class JointFriction:
             np.any(values) for values in (self.coulomb, self.viscous, self.stribeck)
         )
 
-    def dry(self, velocity: Array) -> Array:
-        """Size of the dry friction at joint velocity ``(n,)`` [rad/s], ``(n,)`` [N m]."""
-        return np.asarray(self.coulomb + self.stribeck * np.exp(-np.square(velocity / self.stribeck_velocity)))
-
-    def smooth(self, velocity: Array) -> Array:
-        """Torque of all that is not dry at joint velocity ``(n,)`` [rad/s], ``(n,)`` [N m]."""
-        torque = -self.viscous * velocity
+    def torque(self, velocity: Array) -> Array:
+        """Friction torque at joint velocity ``(n,)`` [rad/s], ``(n,)`` [N m]."""
+        excess = self.stribeck * np.exp(-np.square(velocity / self.stribeck_velocity))
+        torque = -(self.coulomb + excess) * np.tanh(velocity / self.smoothing) - self.viscous * velocity
         if self.sigmoid is not None:
             a, b, c = (np.array(values) for values in (self.sigmoid.a, self.sigmoid.b, self.sigmoid.c))
             torque -= a / (1.0 + np.exp(-b * (velocity + c))) - a / (1.0 + np.exp(-b * c))
         return np.asarray(torque)
-
-    def torque(self, velocity: Array) -> Array:
-        """Friction torque along a measured velocity ``(n,)`` [rad/s], whose sign is noise at rest, ``(n,)`` [N m]."""
-        return np.asarray(self.smooth(velocity) - self.dry(velocity) * np.tanh(velocity / self.smoothing))
 
 
 @dataclass(frozen=True)

@@ -28,13 +28,12 @@ class Drive {
   // Spring and damper between the motors and links at `q` [rad] that move at `dq` [rad/s].
   void sense(const double* q, const double* dq);
 
-  // One period with B_rho B_theta^-1 tau_d in `shaped` [N m]; of the friction on the motors [N m] what is a torque at every
-  // velocity (`smooth`) and the size of what is dry (`dry`) may be null.
-  void step(const double* shaped, const double* smooth, const double* dry);
+  // One period with B_rho B_theta^-1 tau_d in `shaped` [N m]; `friction` on the motors [N m] may be null.
+  void step(const double* shaped, const double* friction);
 
   std::vector<double> position, velocity;     // of the motors [rad, rad/s]
   std::vector<double> elastic, transmission;  // tau_J, and with the damper [N m]
-  std::vector<double> actuation, friction;    // tau_act and tau_fric,m of the last step [N m]
+  std::vector<double> actuation;              // tau_act of the last step [N m]
 
  private:
   std::vector<double> stiffness_, damping_, feedback_, rotor_inverse_;

@@ -54,10 +54,9 @@ class DriveOfPython {
     drive_.sense(q.data(), dq.data());
   }
 
-  void turn(const Numbers& shaped, const std::optional<Numbers>& smooth, const std::optional<Numbers>& dry) {
+  void turn(const Numbers& shaped, const std::optional<Numbers>& friction) {
     const double* wanted = checked(shaped, drive_.size(), "shaped");
-    drive_.step(wanted, smooth ? checked(*smooth, drive_.size(), "smooth") : nullptr,
-                dry ? checked(*dry, drive_.size(), "dry") : nullptr);
+    drive_.step(wanted, friction ? checked(*friction, drive_.size(), "friction") : nullptr);
   }
 
   template <std::vector<double> Drive::*State>
@@ -84,11 +83,10 @@ void add_drive(py::module_& module) {
       .def("place", &Python::place, py::arg("position"), py::arg("velocity"), py::arg("elastic"),
            py::arg("transmission"))
       .def("sense", &Python::sense, py::arg("link_position"), py::arg("link_velocity"))
-      .def("turn", &Python::turn, py::arg("shaped"), py::arg("smooth"), py::arg("dry"))
+      .def("turn", &Python::turn, py::arg("shaped"), py::arg("friction"))
       .def_property("position", &Python::get<&Drive::position>, &Python::set<&Drive::position>)
       .def_property("velocity", &Python::get<&Drive::velocity>, &Python::set<&Drive::velocity>)
       .def_property_readonly("actuation_torque", &Python::get<&Drive::actuation>)
-      .def_property_readonly("friction_torque", &Python::get<&Drive::friction>)
       .def_property("elastic_torque", &Python::get<&Drive::elastic>, &Python::set<&Drive::elastic>)
       .def_property("transmission_torque", &Python::get<&Drive::transmission>, &Python::set<&Drive::transmission>);
 }

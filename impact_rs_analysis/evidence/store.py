@@ -23,7 +23,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.version import package_version
 from impact_rs_trials.workers import Map
 
-CACHE_VERSION = 12
+CACHE_VERSION = 11
 BATCH = 8  # replays of one run that are sent to a worker together; a few seconds at most
 
 Progress = Callable[[str, int, int], None]

@@ -63,47 +63,6 @@ def test_friction_is_felt_as_stated_at_the_desired_torque(arm):
     np.testing.assert_allclose(drive.velocity, 0.8, rtol=1e-9)
 
 
-def coulomb(arm, breakaway=0.0):
-    """The arm with 0.5 N m of Coulomb friction in every joint, and no spring that acts."""
-    friction = JointFriction(np.full(7, 0.5), np.zeros(7), np.full(7, breakaway), np.full(7, 0.05))
-    return replace(arm, friction=friction)
-
-
-@pytest.mark.parametrize("breakaway", [0.0, 0.2])
-def test_a_motor_at_rest_is_held_up_to_its_dry_friction_and_not_beyond(arm, breakaway):
-    """Coulomb's law at rest: any torque within, and friction is what balances it, at every period."""
-    for period in (PERIOD, PERIOD / 10.0):
-        for share in (-0.99, 0.5, 0.99, 1.01):
-            drive = Drive(coulomb(arm, breakaway), period)
-            drive.reset(np.zeros(7), np.zeros(7))
-            torque = np.full(7, share * (0.5 + breakaway))
-            for _ in range(100):
-                drive.sense(drive.position, drive.velocity)
-                drive.step(torque)
-            if abs(share) < 1.0:
-                np.testing.assert_array_equal(drive.velocity, 0.0)
-                shaping = arm.motor_inertia_rotor / arm.motor_inertia_reduced
-                np.testing.assert_allclose(drive.friction_torque, -shaping * torque, rtol=1e-12)
-            else:
-                assert np.all(drive.velocity > 0.0)
-
-
-@pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_a_motor_coasts_to_rest_as_dry_friction_brakes_it_and_stays_there(arm, direction):
-    """It stops after B_theta v / tau_c and v t / 2, to within a period, and no limit cycle follows."""
-    start, drive = direction * 0.3, Drive(coulomb(arm), PERIOD)
-    drive.velocity = np.full(7, start)
-    stop = arm.motor_inertia_reduced * abs(start) / 0.5
-    moving = np.zeros(7)
-    for _ in range(round(1.5 * float(stop.max()) / PERIOD)):
-        drive.sense(drive.position, drive.velocity)
-        moving += drive.velocity != 0.0
-        drive.step(np.zeros(7))
-    np.testing.assert_array_equal(drive.velocity, 0.0)
-    np.testing.assert_allclose(moving * PERIOD, stop, atol=PERIOD)
-    np.testing.assert_allclose(drive.position, 0.5 * start * stop, atol=abs(start) * PERIOD)
-
-
 def test_friction_only_ever_takes_power(arm):
     sigmoid = replace(JointFriction.none(7), sigmoid=arm.facts.friction)
     stribeck = JointFriction(np.full(7, 0.4), np.full(7, 0.2), np.full(7, 0.3), np.full(7, 0.05))

@@ -33,17 +33,7 @@ def test_the_breakaway_excess_has_fallen_to_one_part_in_e_at_the_stribeck_veloci
     np.testing.assert_allclose(-FRICTION.torque(velocity), expected, rtol=1e-6)
 
 
-def test_dry_and_smooth_friction_are_the_whole_where_it_moves() -> None:
-    sigmoid = SigmoidFriction(a=(0.55, 0.87), b=(5.1, 9.1), c=(0.0395, 0.0258))
-    friction = replace(FRICTION, sigmoid=sigmoid)
-    for velocity in (np.array([0.3, 1.2]), np.array([-0.3, -1.2])):
-        whole = friction.smooth(velocity) - np.sign(velocity) * friction.dry(velocity)
-        np.testing.assert_allclose(friction.torque(velocity), whole, rtol=1e-12)
-    np.testing.assert_allclose(friction.dry(np.zeros(2)), friction.coulomb + friction.stribeck)
-    np.testing.assert_allclose(friction.smooth(np.zeros(2)), 0.0, atol=1e-15)
-
-
-def test_friction_along_a_signal_vanishes_at_rest_and_is_full_within_a_few_smoothing_velocities() -> None:
+def test_friction_vanishes_at_rest_and_is_full_within_a_few_smoothing_velocities() -> None:
     np.testing.assert_array_equal(FRICTION.torque(np.zeros(2)), 0.0)
     slow = FRICTION.torque(np.full(2, 4.0 * FRICTION.smoothing))
     full = FRICTION.coulomb + FRICTION.stribeck * np.exp(
