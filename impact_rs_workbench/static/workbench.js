@@ -170,13 +170,16 @@ async function openManual(name) {
 function orderForm(fields, body, label, extra = []) {
   const told = teller();
   const button = h('button', {class: 'primary', type: 'submit'}, label);
+  let asked = 0; // what was asked before may be answered later, and is of no interest then
   const tell = later(150, async () => {
-    const content = body();
+    const content = body(), number = ++asked;
     if (content === null) { told.node.replaceChildren(); button.disabled = true; return; }
     try {
-      told.command((await ask('/api/command', content)).command);
+      const {command} = await ask('/api/command', content);
+      if (number !== asked) return;
+      told.command(command);
       button.disabled = false;
-    } catch (error) { told.error(error.message); button.disabled = true; }
+    } catch (error) { if (number === asked) { told.error(error.message); button.disabled = true; } }
   });
   const node = h('form', {onsubmit: async (event) => {
     event.preventDefault();
