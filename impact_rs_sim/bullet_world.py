@@ -30,7 +30,7 @@ from impact_rs_sim.errors import NotABody
 from impact_rs_sim.pad_shear import PadShear, Side, Touch
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts
-from impact_rs_sim.rotations import quaternion_of
+from impact_rs_sim.rotations import quaternion_of, yaw_of_quaternions
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.urdf import joint_names, write_urdf
 
@@ -223,13 +223,12 @@ class BulletWorld:
         Returns:
             Its geometric centre, ``(k, 3)`` [m], and its angle about z of A, ``(k,)`` [rad], without jumps.
         """
-        x, y, z, w = poses[:, 3:].T
-        yaw = np.unwrap(np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)))
+        yaw = yaw_of_quaternions(poses[:, 3:])
         if not self._com_is_offset:
             return poses[:, :3], yaw
-        axis, offset = poses[:, 3:6], self.physics.object.com_offset
+        axis, w, offset = poses[:, 3:6], poses[:, 6:], self.physics.object.com_offset
         turned = np.cross(axis, offset)
-        return poses[:, :3] - (offset + 2.0 * (w[:, None] * turned + np.cross(axis, turned))), yaw
+        return poses[:, :3] - (offset + 2.0 * (w * turned + np.cross(axis, turned))), yaw
 
     def object_state(self) -> BodyState:
         """State of the object, at its geometric centre."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rotations as quaternions."""
+"""Rotations as quaternions, and quaternions as angles."""
 
 from __future__ import annotations
 
@@ -20,3 +20,15 @@ def quaternion_of(rotation: Array) -> Array:
         rotation: ``(3, 3)``.
     """
     return np.asarray(pin.SE3ToXYZQUAT(pin.SE3(rotation, _ORIGIN))[3:])
+
+
+def yaw_of_quaternions(quaternion: Array) -> Array:
+    """Rotation about z, unwrapped, ``(m,)`` [rad].
+
+    Args:
+        quaternion: x y z w, ``(m, 4)``.
+    """
+    if quaternion.size == 0:
+        return np.zeros(0)
+    x, y, z, w = quaternion.T
+    return np.unwrap(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))

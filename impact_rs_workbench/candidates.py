@@ -19,14 +19,13 @@ from rosbags.typesys import Stores, get_typestore
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.array_file import ArrayFile
 from impact_rs_trials.recordings.bag_file import register
+from impact_rs_trials.recordings.mapping import REQUIRED
 from impact_rs_trials.recordings.sources import ARRAY_SUFFIXES, BAG_SUFFIXES, TABLE_SUFFIXES, is_bag_folder
 from impact_rs_trials.recordings.table_file import TableFile
 
 MOST_WIDE = 40  # numbers in a sample of what may be joints
 DEEPEST = 3  # fields of a message inside of each other
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
-ARM_SIGNALS = ("position", "velocity", "torque", "command")
-NEEDED = ARM_SIGNALS[:3]
 OBJECT_POSE: Final = "object_pose"
 # Parts of an arm from base to tip, for joints that are named after them and not numbered.
 PARTS = ("rail", "base", "shoulder_pan", "shoulder_lift", "shoulder", "upper_arm", "elbow", "forearm", "wrist")
@@ -91,23 +90,24 @@ def propose(candidates: Sequence[SignalCandidate], arms: dict[str, int]) -> dict
     """
     found = {}
     for place, (arm, count) in enumerate(arms.items()):
-        signals = {}
-        for name in ARM_SIGNALS:
+        signals: dict[str, int] = {}
+        for name in (*REQUIRED, "command"):
             fits = [
                 number
                 for number, one in enumerate(candidates)
                 if one.guess == name and (one.joints or one.width == count)
             ]
             own = [number for number in fits if len(arms) > 1 and arm in candidates[number].label]
-            others = [
-                number for number in fits if any(arm_ in candidates[number].label for arm_ in arms if arm_ != arm)
+            common = [
+                number
+                for number in fits
+                if not any(other in candidates[number].label for other in arms if other != arm)
             ]
-            common = [number for number in fits if number not in others]
             if own or common:
                 # Where no name is that of an arm, they stand in the order of the arms.
                 signals[name] = own[0] if own else common[min(place, len(common) - 1)]
-            elif name in NEEDED and (any_ := [n for n, one in enumerate(candidates) if not one.pose]):
-                signals[name] = any_[0]
+            elif name in REQUIRED and (numeric := [n for n, one in enumerate(candidates) if not one.pose]):
+                signals[name] = numeric[0]
         named = candidates[signals["position"]].joints if "position" in signals else ()
         found[arm] = Proposal(joints_of(named, arm, len(arms) > 1, count), signals)
     return found

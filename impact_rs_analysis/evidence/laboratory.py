@@ -14,10 +14,11 @@ from impact_rs_analysis.evidence.measured import MeasuredRun
 from impact_rs_analysis.evidence.replay import FREE, free_starts, recorded
 from impact_rs_analysis.evidence.run import Run
 from impact_rs_analysis.evidence.runs import Runs
-from impact_rs_analysis.evidence.signals import ArmSignals, Signals, yaw_of_quaternions
+from impact_rs_analysis.evidence.signals import ArmSignals, Signals
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
+from impact_rs_sim.rotations import yaw_of_quaternions
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import BodyState, resting_pose
 from impact_rs_trials.recordings.experiment import Experiment

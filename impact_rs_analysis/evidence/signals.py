@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.robot import Array
+from impact_rs_sim.rotations import yaw_of_quaternions
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import BagError, TrialBag
 
@@ -116,14 +117,6 @@ def _check_times(bag: TrialBag, topic: str, time: Array) -> None:
         raise BagError(bag.path, f"{topic}: time stamps run backwards at t = {time[np.argmax(steps <= 0.0)]:.3f} s")
     if steps.max() > 1.5 * np.median(steps):
         raise BagError(bag.path, f"{topic}: gap of {steps.max():.4f} s at t = {time[np.argmax(steps)]:.3f} s")
-
-
-def yaw_of_quaternions(quaternion: Array) -> Array:
-    """Rotation about z, unwrapped, ``(m,)`` [rad]."""
-    if quaternion.size == 0:
-        return np.zeros(0)
-    x, y, z, w = quaternion.T
-    return np.unwrap(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
 
 
 class SignalCollector:
