@@ -36,6 +36,7 @@ from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import BodyState, Scene
 
@@ -239,7 +240,7 @@ def _bare(model: RobotModel, name: str) -> Xml.Element:
 
 def _quaternion(rotation: Array) -> Array:
     """w, x, y, z of a rotation matrix, ``(4,)``."""
-    return np.roll(pin.Quaternion(rotation).coeffs(), 1)
+    return np.roll(quaternion_of(rotation), 1)
 
 
 class MujocoPeer:

@@ -29,6 +29,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, JointFriction, LoadState, Physics
 from impact_rs_sim.plant import Measurement
 from impact_rs_sim.robot import Array
+from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import BodyState
 from impact_rs_sim.sensors import ArmMeasurement, ArmSensors, ObjectTracker
@@ -541,7 +542,7 @@ def _set_contact(
 
 def _quaternion(rotation: Array) -> Array:
     """w, x, y, z of a rotation matrix, ``(4,)``."""
-    return np.roll(pin.Quaternion(np.asarray(rotation)).coeffs(), 1)
+    return np.roll(quaternion_of(rotation), 1)
 
 
 def _scattered(
