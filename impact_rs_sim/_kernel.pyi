@@ -100,6 +100,57 @@ def solve_impacts(
         ValueError: An array has the wrong size.
     """
 
+class Chain:
+    """Rigid links of one arm in A; what :mod:`impact_rs_sim.robot_model` says of them.
+
+    Args:
+        rotations: Axes of every joint in the link before, ``(n, 3, 3)``.
+        origins: Place of every joint there, ``(n, 3)`` [m].
+        slides: Whether it slides along its z instead of turning about it.
+        masses: Of the links, ``(n,)`` [kg].
+        coms: Centres of mass in the frames of their joints, ``(n, 3)`` [m].
+        inertias: About the centres of mass, ``(n, 3, 3)`` [kg m^2].
+        gravity: Acceleration of gravity in A, ``(3,)`` [m/s^2].
+        tip: Origin of E in the last link, ``(3,)`` [m].
+    """
+
+    def __init__(
+        self,
+        rotations: Array,
+        origins: Array,
+        slides: Sequence[bool],
+        masses: Array,
+        coms: Array,
+        inertias: Array,
+        gravity: Array,
+        tip: Array,
+    ) -> None: ...
+    def advance(self, position: Array, velocity: Array, torque: Array, period: float) -> tuple[Array, Array]:
+        """Steps of semi-implicit Euler, velocity first, of one arm or of k copies.
+
+        Args:
+            position: q, ``(n,)`` or ``(k, n)`` [rad].
+            velocity: dq, likewise [rad/s].
+            torque: On the links, of every step, ``(s, k, n)`` [N m].
+            period: Length of a step [s].
+
+        Returns:
+            q and dq afterwards; not a number where the arm is no set of bodies.
+
+        Raises:
+            ValueError: The shapes do not fit.
+        """
+
+    def momentum(self, position: Array, velocity: Array) -> tuple[Array, Array, Array]:
+        """M dq and C^T dq - g, ``(k, n)`` each, and J dq of frame E in E[A], ``(k, 6)``, at k states.
+
+        Raises:
+            ValueError: The shapes do not fit.
+        """
+
+Friction = tuple[Array, Array, Array, Array, tuple[Array, Array, Array] | None, float]
+"""F_c, F_v, F_s, v_s ``(n,)``, a, b, c of the sigmoid ``(n,)``, smoothing [rad/s]."""
+
 class Motors:
     """Motors and springs of one arm; equations in :mod:`impact_rs_sim.drive`.
 
@@ -110,6 +161,8 @@ class Motors:
         damping: D, ``(n,)`` [N m s/rad].
         feedback: Diagonal of I - B_rho B_theta^-1, ``(n,)`` [-].
         rotor_inverse: Diagonal of B_rho^-1, ``(n,)`` [1/(kg m^2)].
+        friction: tau_fric,m of the motors, the fields of :class:`impact_rs_sim.physics.JointFriction` times
+            B_rho B_theta^-1; None: none.
         period: Period of the torque loop [s].
     """
 
@@ -123,11 +176,21 @@ class Motors:
     """tau_J + D K^-1 dtau_J [N m]."""
 
     def __init__(
-        self, stiffness: Array, damping: Array, feedback: Array, rotor_inverse: Array, period: float
+        self,
+        stiffness: Array,
+        damping: Array,
+        feedback: Array,
+        rotor_inverse: Array,
+        friction: Friction | None,
+        period: float,
     ) -> None: ...
     @property
     def actuation_torque(self) -> Array:
         """tau_act of the last step [N m]."""
+
+    @property
+    def friction_torque(self) -> Array:
+        """tau_fric,m of the last step [N m]."""
 
     def place(self, position: Array, velocity: Array, elastic: Array, transmission: Array) -> None:
         """Set the whole state; its shape is that of ``position``.
@@ -139,12 +202,24 @@ class Motors:
     def sense(self, link_position: Sequence[float] | Array, link_velocity: Sequence[float] | Array) -> None:
         """Update the torques of spring and damper from the present motor and link state."""
 
-    def turn(self, shaped: Array, friction: Array | None) -> None:
-        """One period of the torque loop.
+    def turn(self, shaped: Array) -> None:
+        """One period of the torque loop with B_rho B_theta^-1 times the desired torque [N m]."""
+
+    def coast(self, links: Chain, position: Array, velocity: Array, shaped: Array, load: Array) -> tuple[Array, Array]:
+        """Several periods of :meth:`turn` and :meth:`sense` with links that touch nothing.
 
         Args:
-            shaped: B_rho B_theta^-1 times the desired torque [N m].
-            friction: tau_fric,m [N m]; None: none.
+            links: The links.
+            position: q, ``(k, n)`` [rad].
+            velocity: dq, ``(k, n)`` [rad/s].
+            shaped: B_rho B_theta^-1 times the desired torque, ``(s, k, n)`` [N m].
+            load: What else acts on the links, ``(k, n)`` [N m].
+
+        Returns:
+            q and dq afterwards; not a number where the arm is no set of bodies.
+
+        Raises:
+            ValueError: The shapes do not fit.
         """
 
 class Observer:

@@ -16,7 +16,6 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-import pinocchio as pin
 
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
@@ -64,10 +63,9 @@ class Approach:
     def step(self) -> None:
         """Advance by one step."""
         for name, torque in self._torque.items():
-            model, position, velocity = self._models[name], self._position[name], self._velocity[name]
-            velocity = velocity + self._period * pin.aba(model.pinocchio, model.data, position, velocity, torque)
-            self._position[name] = position + self._period * velocity
-            self._velocity[name] = velocity
+            self._position[name], self._velocity[name] = self._models[name].chain.advance(
+                self._position[name], self._velocity[name], torque, self._period
+            )
 
     def joint_motion(self, name: str) -> tuple[Array, Array]:
         """Joint positions ``(n,)`` [rad] and velocities ``(n,)`` [rad/s] of an arm."""

@@ -14,13 +14,18 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from impact_rs_sim import _kernel
-from impact_rs_sim.physics import ArmPhysics
+from impact_rs_sim._kernel import Chain
+from impact_rs_sim.physics import ArmPhysics, JointFriction
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState
+
+if TYPE_CHECKING:
+    from impact_rs_sim._kernel import Friction
 
 
 @dataclass(frozen=True)
@@ -61,19 +66,23 @@ class Drive(_kernel.Motors):
     def __init__(self, physics: ArmPhysics, period: float) -> None:
         self._shaping = physics.motor_inertia_rotor / physics.motor_inertia_reduced
         super().__init__(
-            physics.stiffness, physics.damping, 1.0 - self._shaping, 1.0 / physics.motor_inertia_rotor, period
+            physics.stiffness,
+            physics.damping,
+            1.0 - self._shaping,
+            1.0 / physics.motor_inertia_rotor,
+            _on_motors(physics.friction, self._shaping),
+            period,
         )
         self.period = period
         self._stiffness = physics.stiffness
         self._damping = physics.damping
-        self._friction = None if physics.friction.is_zero else physics.friction
         self._gain = physics.torque_gain
         self._offset = physics.torque_offset
         self._delay = physics.actuation_delay
         self._clock = 0.0
         self._commands: deque[tuple[float, Array]] = deque()
         self._desired: Array | None = None
-        self._shaped = self._load = self.friction_torque = np.zeros_like(physics.stiffness)
+        self._shaped = self._load = np.zeros_like(physics.stiffness)
 
     def reset(self, link_position: Array, load: Array) -> None:
         """Rest in equilibrium: the spring carries ``load`` ``(n,)`` [N m] at link position ``(n,)`` [rad]."""
@@ -113,11 +122,26 @@ class Drive(_kernel.Motors):
             desired = self._delayed(desired)
         if desired is not self._desired:  # the command is held over several periods of the loop
             self._desired = desired
-            self._shaped = self._shaping * (self._gain * desired + self._offset + self._load)
-        friction = None
-        if self._friction is not None:
-            friction = self.friction_torque = self._shaping * self._friction.torque(self.velocity)
-        self.turn(self._shaped, friction)
+            self._shaped = self._driving(desired)
+        self.turn(self._shaped)
+
+    def glide(self, links: Chain, link: ArmState, desired: Array, load: Array) -> ArmState:
+        """Several periods with links that touch nothing; as :meth:`step`, but the torques are those that arrive.
+
+        Args:
+            links: The links.
+            link: Where they are, ``(k, n)``.
+            desired: Torque of every period, ``(s, k, n)`` [N m]; the actuation delays none of them.
+            load: What else acts on the links, ``(k, n)`` [N m].
+
+        Returns:
+            Where the links are afterwards.
+        """
+        return ArmState(*self.coast(links, link.position, link.velocity, self._driving(desired), load))
+
+    def _driving(self, desired: Array) -> Array:
+        """What the desired torque and the load make of the motor, times B_rho / B_theta [N m]."""
+        return np.asarray(self._shaping * (self._gain * desired + self._offset + self._load))
 
     def _delayed(self, desired: Array) -> Array:
         """Mean of the held commands over the period that began ``delay`` ago, ``(n,)`` [N m]."""
@@ -138,6 +162,21 @@ class Drive(_kernel.Motors):
             if overlap > 0.0:
                 total += overlap / self.period * torque
         return total
+
+
+def _on_motors(friction: JointFriction, shaping: Array) -> Friction | None:
+    """tau_fric,m = B_rho B_theta^-1 tau_fric, as the kernel wants it; None: there is none."""
+    if friction.is_zero:
+        return None
+    sigmoid = friction.sigmoid
+    return (
+        shaping * friction.coulomb,
+        shaping * friction.viscous,
+        shaping * friction.stribeck,
+        friction.stribeck_velocity,
+        None if sigmoid is None else (shaping * sigmoid.a, np.array(sigmoid.b), np.array(sigmoid.c)),
+        friction.smoothing,
+    )
 
 
 class LinkTorque:
@@ -174,6 +213,16 @@ class LinkTorque:
         """See :meth:`Drive.step`."""
         self._rate = (desired - self.elastic_torque) / self.period
         self.elastic_torque = desired
+
+    def glide(self, links: Chain, link: ArmState, desired: Array, load: Array) -> ArmState:
+        """See :meth:`Drive.glide`."""
+        passed = []
+        for torque in desired:
+            passed.append(self.passed(torque) + load)
+            self.step(torque)
+        after = ArmState(*links.advance(link.position, link.velocity, np.array(passed), self.period))
+        self.sense(after.position, after.velocity)
+        return after
 
     def sense(self, link_position: Sequence[float] | Array, link_velocity: Sequence[float] | Array) -> None:
         """See :meth:`Drive.sense`; the motor is where the spring wants it."""

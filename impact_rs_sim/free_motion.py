@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pinocchio as pin
 
 from impact_rs_sim.drive import Drive, DriveStart, LinkTorque
 from impact_rs_sim.physics import Physics
@@ -76,35 +75,27 @@ def run_free(
         drive: What the torque goes through.
     """
     model = physics.robot_model(arm)
-    pinocchio, data = model.pinocchio, model.data
-    loaded = bool(physics.arms[arm].loads)
+    links, loaded = model.chain, bool(physics.arms[arm].loads)
     motors = drive(replace(physics.arms[arm], actuation_delay=0.0), period)
-    q = np.array([one.arm.position for one in stretches])
-    dq = np.array([one.arm.velocity for one in stretches])
-    start = DriveStart(
-        np.array([one.drive.torque for one in stretches]), np.array([one.drive.torque_rate for one in stretches])
+    link = ArmState(
+        np.array([one.arm.position for one in stretches]), np.array([one.arm.velocity for one in stretches])
     )
-    motors.start(ArmState(q, dq), start)
+    torque = np.array([one.drive.torque for one in stretches])
+    motors.start(link, DriveStart(torque, np.array([one.drive.torque_rate for one in stretches])))
     torques = np.stack([one.torque for one in stretches], axis=1)
-    ticks, acceleration = torques.shape[0] // substeps + 1, np.empty_like(q)
-    kept = np.empty((5, ticks, *q.shape))
-    loads = np.zeros_like(q)
+    ticks = torques.shape[0] // substeps + 1
+    kept = np.empty((5, ticks, *torque.shape))
+    on_links, on_motors = np.zeros_like(torque), np.zeros_like(torque)
     for tick in range(ticks):
-        kept[:, tick] = q, dq, motors.elastic_torque, motors.position, motors.velocity
+        kept[:, tick] = link.position, link.velocity, motors.elastic_torque, motors.position, motors.velocity
         if tick + 1 == ticks:
             break
         if loaded:
-            on_motors = np.empty_like(q)
             for row, one in enumerate(stretches):
                 now = one.time + tick * substeps * period
-                loads[row], on_motors[row] = physics.load_torques(arm, model, now, q[row], dq[row])
+                on_links[row], on_motors[row] = physics.load_torques(
+                    arm, model, now, link.position[row], link.velocity[row]
+                )
             motors.load(on_motors)
-        for torque in torques[tick * substeps : (tick + 1) * substeps]:
-            passed = motors.passed(torque) + loads
-            motors.step(torque)
-            for row in range(len(q)):
-                acceleration[row] = pin.aba(pinocchio, data, q[row], dq[row], passed[row])
-            dq = dq + period * acceleration
-            q = q + period * dq
-            motors.sense(q, dq)
-    return [FreePath(*kept[:, :, row]) for row in range(len(q))]
+        link = motors.glide(links, link, torques[tick * substeps : (tick + 1) * substeps], on_links)
+    return [FreePath(*kept[:, :, row]) for row in range(len(stretches))]

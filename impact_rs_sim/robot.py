@@ -226,7 +226,7 @@ def load_facts(name: str) -> RobotFacts:
     return load(RobotFacts, path)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EndEffector:
     """Rigid end effector with a flat pad, in the end-effector frame E.
 
@@ -250,6 +250,17 @@ class EndEffector:
     mount_yaw: float
     pad_size: tuple[float, float, float]
     pad_tilt: tuple[float, float] = (0.0, 0.0)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, EndEffector) and self._numbers == other._numbers
+
+    def __hash__(self) -> int:
+        return hash(self._numbers)
+
+    @property
+    def _numbers(self) -> tuple[object, ...]:
+        arrays = self.com.tobytes(), self.inertia.tobytes()
+        return (self.mass, *arrays, self.length, self.mount_yaw, tuple(self.pad_size), tuple(self.pad_tilt))
 
     @property
     def pad_placement(self) -> pin.SE3:

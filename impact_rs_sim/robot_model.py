@@ -9,6 +9,7 @@ frame A; rows 0..2 are linear, rows 3..5 angular. Units per joint are those of :
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 import scipy
 
+from impact_rs_sim._kernel import Chain
 from impact_rs_sim.errors import UnreachablePose
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts
 from impact_rs_sim.urdf import write_urdf
@@ -69,8 +71,7 @@ class RobotModel:
         self.facts = facts
         self.end_effector = end_effector
         self.base = pin.SE3.Identity() if base is None else base
-        self.urdf = write_urdf(facts, end_effector)
-        model = pin.buildModelFromXML(self.urdf)
+        model = _built(facts, end_effector).copy()
         model.jointPlacements[1] = self.base * model.jointPlacements[1]
         model.gravity.linear = np.asarray(gravity, dtype=float)
         self.pinocchio = model
@@ -82,6 +83,27 @@ class RobotModel:
         self.position_max = np.array(facts.limits.position_max_rad)
         self.velocity_max = np.array(facts.limits.velocity_rad_s)
         self.torque_max = np.array(facts.limits.torque_Nm)
+
+    @property
+    def urdf(self) -> str:
+        """The arm on a base at the origin."""
+        return write_urdf(self.facts, self.end_effector)
+
+    @functools.cached_property
+    def chain(self) -> Chain:
+        """The same arm, compiled: what a replay asks thousands of times."""
+        model, tip = self.pinocchio, self.pinocchio.frames[self._frame].placement
+        inertias = list(model.inertias)[1:]
+        return Chain(
+            np.array([placement.rotation for placement in list(model.jointPlacements)[1:]]),
+            np.array([placement.translation for placement in list(model.jointPlacements)[1:]]),
+            [kind == "prismatic" for kind in self.facts.joint_types],
+            np.array([inertia.mass for inertia in inertias]),
+            np.array([inertia.lever for inertia in inertias]),
+            np.array([inertia.inertia for inertia in inertias]),
+            model.gravity.linear,
+            tip.translation,
+        )
 
     def terms(self, q: Array, dq: Array) -> RigidTerms:
         """All terms at joint positions ``q`` ``(n,)`` [rad] and velocities ``dq`` ``(n,)`` [rad/s]."""
@@ -247,6 +269,12 @@ class RobotModel:
         row = np.asarray(direction) @ self.jacobian(q)[:3]
         inertia = self.mass_matrix(q) + np.diag(motor_inertia)
         return float(1.0 / (row @ np.linalg.solve(inertia, row)))
+
+
+@functools.lru_cache(maxsize=64)
+def _built(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
+    """The arm on a base at the origin; a search replays thousands of times the few arms that its effects make."""
+    return pin.buildModelFromXML(write_urdf(facts, end_effector))
 
 
 def _missing(target: pin.SE3, placement: pin.SE3) -> Array:

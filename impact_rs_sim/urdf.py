@@ -8,6 +8,7 @@ force that no real robot feels. Visual shapes are plain cylinders between joint 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Mapping
 from xml.etree import ElementTree as Xml
 
@@ -70,6 +71,7 @@ def _mount_rpy(facts: RobotFacts, end_effector: EndEffector) -> Array:
     return np.asarray(pin.rpy.matrixToRpy(facts.flange.rotation @ yaw))
 
 
+@functools.lru_cache(maxsize=64)
 def write_urdf(
     facts: RobotFacts, end_effector: EndEffector, name: str = "arm", prefix: str = "", meshes: bool = False
 ) -> str:

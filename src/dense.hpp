@@ -24,6 +24,7 @@ inline Vector cross(const Vector& a, const Vector& b) {
   return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
 }
 
+inline Matrix transposed(const Matrix& m) { return {m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]}; }
 inline Vector row(const Matrix& m, int i) { return {m[3 * i], m[3 * i + 1], m[3 * i + 2]}; }
 inline Vector column(const Matrix& m, int j) { return {m[j], m[3 + j], m[6 + j]}; }
 

@@ -3,8 +3,16 @@
 
 namespace impact_rs {
 
+double Friction::torque(std::size_t i, double velocity) const {
+  const double ratio = velocity / stribeck_velocity[i];
+  double torque = -(coulomb[i] + stribeck[i] * std::exp(-ratio * ratio)) * std::tanh(velocity / smoothing) -
+                  viscous[i] * velocity;
+  if (!a.empty()) torque -= a[i] / (1.0 + std::exp(-b[i] * (velocity + c[i]))) - a[i] / (1.0 + std::exp(-b[i] * c[i]));
+  return torque;
+}
+
 void Drive::resize(std::size_t size) {
-  for (auto* state : {&position, &velocity, &elastic, &transmission, &actuation}) state->assign(size, 0.0);
+  for (auto* state : {&position, &velocity, &elastic, &transmission, &actuation, &friction}) state->assign(size, 0.0);
 }
 
 void Drive::sense(const double* q, const double* dq) {
@@ -15,15 +23,24 @@ void Drive::sense(const double* q, const double* dq) {
   }
 }
 
-void Drive::step(const double* shaped, const double* friction) {
+void Drive::step(const double* shaped) {
   const std::size_t n = joints();
   for (std::size_t i = 0; i < size(); ++i) {
     actuation[i] = feedback_[i % n] * transmission[i] + shaped[i];
     double net = actuation[i] - transmission[i];
-    if (friction != nullptr) net += friction[i];
+    if (!law_.coulomb.empty()) net += friction[i] = law_.torque(i % n, velocity[i]);
     velocity[i] += net * rotor_inverse_[i % n] * period_;
     position[i] += velocity[i] * period_;
   }
+}
+
+void Drive::coast(Chain& links, const double* shaped, const double* load, double* q, double* dq) {
+  passed_.resize(size());
+  for (std::size_t i = 0; i < size(); ++i) passed_[i] = transmission[i] + load[i];
+  step(shaped);
+  for (std::size_t first = 0; first < size(); first += joints())
+    links.advance(q + first, dq + first, passed_.data() + first, period_);
+  sense(q, dq);
 }
 
 }  // namespace impact_rs

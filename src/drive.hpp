@@ -5,17 +5,29 @@
 
 #include <vector>
 
+#include "chain.hpp"
+
 namespace impact_rs {
+
+// B_rho B_theta^-1 tau_fric of the n joints; impact_rs_sim/physics.py says what the numbers are. Empty: none.
+struct Friction {
+  std::vector<double> coulomb, viscous, stribeck, stribeck_velocity;
+  std::vector<double> a, b, c;  // of the sigmoid
+  double smoothing;
+
+  double torque(std::size_t joint, double velocity) const;
+};
 
 class Drive {
  public:
   // Numbers of the n joints; feedback is I - B_rho B_theta^-1.
   Drive(std::vector<double> stiffness, std::vector<double> damping, std::vector<double> feedback,
-        std::vector<double> rotor_inverse, double period)
+        std::vector<double> rotor_inverse, Friction friction, double period)
       : stiffness_(std::move(stiffness)),
         damping_(std::move(damping)),
         feedback_(std::move(feedback)),
         rotor_inverse_(std::move(rotor_inverse)),
+        law_(std::move(friction)),
         period_(period) {
     resize(stiffness_.size());
   }
@@ -28,16 +40,21 @@ class Drive {
   // Spring and damper between the motors and links at `q` [rad] that move at `dq` [rad/s].
   void sense(const double* q, const double* dq);
 
-  // One period with B_rho B_theta^-1 tau_d in `shaped` [N m]; `friction` on the motors [N m] may be null.
-  void step(const double* shaped, const double* friction);
+  // One period with B_rho B_theta^-1 tau_d in `shaped` [N m].
+  void step(const double* shaped);
+
+  // The same with links that touch nothing: copies of one arm at `q` that move at `dq`, and `load` on the links [N m].
+  void coast(Chain& links, const double* shaped, const double* load, double* q, double* dq);
 
   std::vector<double> position, velocity;     // of the motors [rad, rad/s]
   std::vector<double> elastic, transmission;  // tau_J, and with the damper [N m]
-  std::vector<double> actuation;              // tau_act of the last step [N m]
+  std::vector<double> actuation, friction;    // tau_act and tau_fric,m of the last step [N m]
 
  private:
   std::vector<double> stiffness_, damping_, feedback_, rotor_inverse_;
+  Friction law_;
   double period_;
+  std::vector<double> passed_;
 };
 
 }  // namespace impact_rs

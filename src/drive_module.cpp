@@ -29,13 +29,32 @@ class Values {
   Numbers numbers_;
 };
 
+using FrictionOfPython = std::tuple<std::vector<double>, std::vector<double>, std::vector<double>, std::vector<double>,
+                                    std::optional<std::vector<std::vector<double>>>, double>;
+
+Friction friction_of(const std::optional<FrictionOfPython>& given, std::size_t joints) {
+  if (!given) return {};
+  const auto& [coulomb, viscous, stribeck, stribeck_velocity, sigmoid, smoothing] = *given;
+  Friction found{coulomb, viscous, stribeck, stribeck_velocity, {}, {}, {}, smoothing};
+  if (sigmoid) {
+    if (sigmoid->size() != 3) throw py::value_error("friction: a sigmoid has a, b and c");
+    found.a = (*sigmoid)[0], found.b = (*sigmoid)[1], found.c = (*sigmoid)[2];
+  }
+  for (const auto* part : {&found.coulomb, &found.viscous, &found.stribeck, &found.stribeck_velocity})
+    if (part->size() != joints) throw py::value_error("friction: not a number per joint");
+  for (const auto* part : {&found.a, &found.b, &found.c})
+    if (sigmoid && part->size() != joints) throw py::value_error("friction: not a number per joint");
+  return found;
+}
+
 class DriveOfPython {
  public:
   DriveOfPython(const Numbers& stiffness, const Numbers& damping, const Numbers& feedback, const Numbers& rotor_inverse,
-                double period)
+                const std::optional<FrictionOfPython>& friction, double period)
       : drive_(copied(stiffness, stiffness.size(), "stiffness"), copied(damping, stiffness.size(), "damping"),
                copied(feedback, stiffness.size(), "feedback"),
-               copied(rotor_inverse, stiffness.size(), "rotor_inverse"), period),
+               copied(rotor_inverse, stiffness.size(), "rotor_inverse"), friction_of(friction, stiffness.size()),
+               period),
         shape_{stiffness.size()} {}
 
   void place(const Numbers& position, const Numbers& velocity, const Numbers& elastic, const Numbers& transmission) {
@@ -54,9 +73,18 @@ class DriveOfPython {
     drive_.sense(q.data(), dq.data());
   }
 
-  void turn(const Numbers& shaped, const std::optional<Numbers>& friction) {
-    const double* wanted = checked(shaped, drive_.size(), "shaped");
-    drive_.step(wanted, friction ? checked(*friction, drive_.size(), "friction") : nullptr);
+  void turn(const Numbers& shaped) { drive_.step(checked(shaped, drive_.size(), "shaped")); }
+
+  py::tuple coast(Chain& links, const Numbers& position, const Numbers& velocity, const Numbers& shaped,
+                  const Numbers& load) {
+    const auto size = static_cast<py::ssize_t>(drive_.size());
+    for (const Numbers* values : {&position, &velocity, &load}) checked(*values, size, "position, velocity, load");
+    if (links.joints() != drive_.joints() || shaped.size() % size != 0)
+      throw py::value_error("shaped: not a number per joint");
+    Numbers q = own(position), dq = own(velocity);
+    for (const double *wanted = shaped.data(), *end = wanted + shaped.size(); wanted < end; wanted += size)
+      drive_.coast(links, wanted, load.data(), q.mutable_data(), dq.mutable_data());
+    return py::make_tuple(q, dq);
   }
 
   template <std::vector<double> Drive::*State>
@@ -78,15 +106,20 @@ class DriveOfPython {
 void add_drive(py::module_& module) {
   using Python = DriveOfPython;
   py::class_<Python>(module, "Motors")
-      .def(py::init<const Numbers&, const Numbers&, const Numbers&, const Numbers&, double>(), py::arg("stiffness"),
-           py::arg("damping"), py::arg("feedback"), py::arg("rotor_inverse"), py::arg("period"))
+      .def(py::init<const Numbers&, const Numbers&, const Numbers&, const Numbers&, const std::optional<FrictionOfPython>&,
+                    double>(),
+           py::arg("stiffness"), py::arg("damping"), py::arg("feedback"), py::arg("rotor_inverse"),
+           py::arg("friction"), py::arg("period"))
       .def("place", &Python::place, py::arg("position"), py::arg("velocity"), py::arg("elastic"),
            py::arg("transmission"))
       .def("sense", &Python::sense, py::arg("link_position"), py::arg("link_velocity"))
-      .def("turn", &Python::turn, py::arg("shaped"), py::arg("friction"))
+      .def("turn", &Python::turn, py::arg("shaped"))
+      .def("coast", &Python::coast, py::arg("links"), py::arg("position"), py::arg("velocity"), py::arg("shaped"),
+           py::arg("load"))
       .def_property("position", &Python::get<&Drive::position>, &Python::set<&Drive::position>)
       .def_property("velocity", &Python::get<&Drive::velocity>, &Python::set<&Drive::velocity>)
       .def_property_readonly("actuation_torque", &Python::get<&Drive::actuation>)
+      .def_property_readonly("friction_torque", &Python::get<&Drive::friction>)
       .def_property("elastic_torque", &Python::get<&Drive::elastic>, &Python::set<&Drive::elastic>)
       .def_property("transmission_torque", &Python::get<&Drive::transmission>, &Python::set<&Drive::transmission>);
 }

@@ -298,6 +298,7 @@ PYBIND11_MODULE(_kernel, module) {
       .def("judge", &TermsOfPython::judge, py::arg("impulses"), py::arg("after"), py::arg("least"));
   module.def("solve_impacts", &solve_impacts, py::arg("count"), py::arg("arms"), py::arg("thing"), py::arg("contact"),
              py::arg("support"), py::arg("rules"), py::arg("points") = py::none());
+  add_chain(module);
   add_control(module);
   add_drive(module);
 }

@@ -35,6 +35,12 @@ inline std::vector<double> copied(const Numbers& values, py::ssize_t size, const
   return {first, first + size};
 }
 
+// A copy that may be written to, in the same shape.
+inline Numbers own(const Numbers& values) {
+  return Numbers(Shape(values.shape(), values.shape() + values.ndim()), values.data());
+}
+
+void add_chain(py::module_& module);    // chain_module.cpp
 void add_control(py::module_& module);  // control_module.cpp
 void add_drive(py::module_& module);    // drive_module.cpp
 

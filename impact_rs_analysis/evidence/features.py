@@ -18,7 +18,6 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
-import pinocchio as pin
 import scipy
 
 from impact_rs_analysis.evidence.cluster import Feature
@@ -309,15 +308,7 @@ class Balances:
         if coarse:  # momentum counts at the ends alone, and what else there is changes slowly
             ends = (time <= time[0] + 1.5 * EDGE) | (time >= time[-1] - 1.5 * EDGE)
             rows = rows[ends | (rows % STRIDE == 0)]
-        momentum, known = np.zeros((2, rows.size, arm.position.shape[1]))
-        self.twists = np.zeros((rows.size, 6))
-        pinocchio, data, still = model.pinocchio, model.data, np.zeros(model.joint_count)
-        for place, row in enumerate(rows):
-            q, dq = arm.position[row], arm.velocity[row]
-            gravity = model.gravity_torque(q)
-            momentum[place] = pin.rnea(pinocchio, data, q, still, dq) - gravity
-            known[place] = dq @ pin.computeCoriolisMatrix(pinocchio, data, q, dq) - gravity
-            self.twists[place] = model.twist(q, dq)
+        momentum, known, self.twists = model.chain.momentum(arm.position[rows], arm.velocity[rows])
         if motor:
             spring_rate = arm.motor_velocity - arm.velocity
         else:

@@ -11,6 +11,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +19,7 @@ import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from mixed_grab import FILE
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, ViewportSize, expect, sync_playwright
 
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
@@ -27,6 +28,7 @@ BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on this machine")
 SLOW = 300_000.0  # ms, for a job on a machine with other work
 expect.set_options(timeout=60_000.0)
+DESK: ViewportSize = {"width": 1280, "height": 800}
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 
 
@@ -48,26 +50,47 @@ def address(
     return served(folder), folder
 
 
-@pytest.fixture
-def page(browser: Browser, address: tuple[str, Path]) -> Iterator[Page]:
+@contextmanager
+def opened(browser: Browser, address: str) -> Iterator[Page]:
     """A page that asks nobody else for anything and throws no error."""
-    context = browser.new_context(viewport={"width": 1280, "height": 800})
+    context = browser.new_context(viewport=DESK)
     made = context.new_page()
     made.set_default_timeout(60_000.0)
     elsewhere: list[str] = []
     errors: list[str] = []
-    home = re.match(r"http://[^/]+", address[0])
+    home = re.match(r"http://[^/]+", address)
     assert home is not None
     made.on(
         "request", lambda sent: None if sent.url.startswith((home[0], "data:", "blob:")) else elsewhere.append(sent.url)
     )
     made.on("pageerror", lambda error: errors.append(str(error)))
-    made.goto(address[0])
+    made.goto(address)
     expect(made.locator("#predict-plot")).to_have_attribute("data-shown", re.compile("."))
     yield made
     context.close()
     assert not elsewhere
     assert not errors
+
+
+@pytest.fixture
+def page(browser: Browser, address: tuple[str, Path]) -> Iterator[Page]:
+    with opened(browser, address[0]) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def one_page(browser: Browser, address: tuple[str, Path]) -> Iterator[Page]:
+    with opened(browser, address[0]) as made:
+        yield made
+
+
+@pytest.fixture
+def looked_at(one_page: Page) -> Page:
+    """The page of all tests that look at it, at other sizes and in other colours, and tell it nothing."""
+    one_page.set_viewport_size(DESK)
+    one_page.emulate_media(color_scheme="light")
+    one_page.locator("[data-step=predict]").click()
+    return one_page
 
 
 def job(page: Page, state: str | int = 0) -> None:
@@ -302,34 +325,34 @@ def test_a_formula_is_checked_while_it_is_written(page: Page, address: tuple[str
 
 
 @pytest.mark.parametrize("width", [360, 820, 1280])
-def test_nothing_is_wider_than_the_screen_of_a_phone_a_tablet_or_a_laptop(page: Page, width: int) -> None:
-    page.set_viewport_size({"width": width, "height": 800})
+def test_nothing_is_wider_than_the_screen_of_a_phone_a_tablet_or_a_laptop(looked_at: Page, width: int) -> None:
+    looked_at.set_viewport_size({"width": width, "height": 800})
     for step in ("predict", "measure", "compare", "diagnose", "add", "history"):
-        page.locator(f"[data-step={step}]").click()
-        expect(page.locator("main > section:visible h2").first).to_be_visible()
-        expect(page.locator("html")).to_have_js_property("scrollWidth", width)
+        looked_at.locator(f"[data-step={step}]").click()
+        expect(looked_at.locator("main > section:visible h2").first).to_be_visible()
+        expect(looked_at.locator("html")).to_have_js_property("scrollWidth", width)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_finds_nothing_that_keeps_anybody_out(page: Page, scheme: Literal["light", "dark"]) -> None:
+def test_axe_finds_nothing_that_keeps_anybody_out(looked_at: Page, scheme: Literal["light", "dark"]) -> None:
     """Names, roles, order of headings, contrast: the rules of axe-core, step by step."""
-    page.emulate_media(color_scheme=scheme)
+    looked_at.emulate_media(color_scheme=scheme)
     for step in ("predict", "measure", "compare", "diagnose", "add", "history"):
-        page.locator(f"[data-step={step}]").click()
-        expect(page.locator("main > section:visible h2").first).to_be_visible()
-        found = Axe().run(page).response["violations"]
+        looked_at.locator(f"[data-step={step}]").click()
+        expect(looked_at.locator("main > section:visible h2").first).to_be_visible()
+        found = Axe().run(looked_at).response["violations"]
         assert [(one["id"], one["nodes"][0]["html"]) for one in found] == [], step
 
 
-def test_every_control_has_a_name_and_the_manual_opens_by_keyboard(page: Page) -> None:
-    nameless = page.evaluate(
+def test_every_control_has_a_name_and_the_manual_opens_by_keyboard(looked_at: Page) -> None:
+    nameless = looked_at.evaluate(
         """() => [...document.querySelectorAll('input, select, textarea, button')]
             .filter((node) => !(node.labels?.length || node.ariaLabel || node.textContent.trim()))
             .map((node) => node.outerHTML)"""
     )
     assert nameless == []
-    page.get_by_role("link", name="In the manual").focus()
-    page.keyboard.press("Enter")
-    expect(page.locator("#manual h1")).to_have_text("Physics")
-    page.keyboard.press("Escape")
-    expect(page.locator("#manual")).to_be_hidden()
+    looked_at.get_by_role("link", name="In the manual").focus()
+    looked_at.keyboard.press("Enter")
+    expect(looked_at.locator("#manual h1")).to_have_text("Physics")
+    looked_at.keyboard.press("Escape")
+    expect(looked_at.locator("#manual")).to_be_hidden()

@@ -4,6 +4,8 @@
 from mutant import Mutant
 
 MOTORS = "src/drive.cpp"
+CHAIN = "src/chain.cpp"
+CHAIN_TESTS = ("test/impact_rs_sim/test_chain.py",)
 FILE = "impact_rs_sim/drive.py"
 TESTS = ("test/impact_rs_sim/test_drive.py",)
 PHYSICS = "impact_rs_sim/physics.py"
@@ -29,8 +31,8 @@ MUTANTS = [
     Mutant(
         name="motor_integrated_with_the_reduced_inertia",
         file=FILE,
-        original="1.0 / physics.motor_inertia_rotor, period",
-        mutated="1.0 / physics.motor_inertia_reduced, period",
+        original="1.0 / physics.motor_inertia_rotor,",
+        mutated="1.0 / physics.motor_inertia_reduced,",
         wrong="The motor is as light as the loop makes it, and the loop makes it lighter again.",
         tests=TESTS,
     ),
@@ -117,8 +119,8 @@ MUTANTS = [
     Mutant(
         name="friction_not_shaped",
         file=FILE,
-        original="self.friction_torque = self._shaping * self._friction.torque(self.velocity)",
-        mutated="self.friction_torque = self._friction.torque(self.velocity)",
+        original="_on_motors(physics.friction, self._shaping)",
+        mutated="_on_motors(physics.friction, np.ones_like(self._shaping))",
         wrong="Friction is a third of what it is said to be (EOM_motor_mod).",
         tests=TESTS,
     ),
@@ -211,5 +213,53 @@ MUTANTS = [
         mutated='            "rotor": self.motor_inertia_reduced,\n',
         wrong="The impact map with B_rho has B_theta.",
         tests=PHYSICS_TESTS,
+    ),
+    Mutant(
+        name="compiled_friction_without_its_shift",
+        file=MOTORS,
+        original=" - a[i] / (1.0 + std::exp(-b[i] * c[i]));",
+        mutated=";",
+        wrong="The sigmoid of Gaz et al. is not zero at rest.",
+        tests=CHAIN_TESTS,
+    ),
+    Mutant(
+        name="coasting_without_load",
+        file=MOTORS,
+        original="passed_[i] = transmission[i] + load[i];",
+        mutated="passed_[i] = transmission[i];",
+        wrong="What else acts on the links is lost where they touch nothing.",
+        tests=CHAIN_TESTS,
+    ),
+    Mutant(
+        name="chain_by_explicit_euler",
+        file=CHAIN,
+        original="    dq[i] += period * acceleration_[i];\n    q[i] += period * dq[i];",
+        mutated="    q[i] += period * dq[i];\n    dq[i] += period * acceleration_[i];",
+        wrong="Positions of free motion follow the velocity of the step before.",
+        tests=CHAIN_TESTS,
+    ),
+    Mutant(
+        name="chain_without_gyroscopic_forces",
+        file=CHAIN,
+        original="times(bodies_[i], acceleration) + carried_momentum(velocity, times(bodies_[i], velocity));",
+        mutated="times(bodies_[i], acceleration);",
+        wrong="Links that turn feel no gyroscopic moment.",
+        tests=CHAIN_TESTS,
+    ),
+    Mutant(
+        name="chain_of_unmoved_axes",
+        file=CHAIN,
+        original="known[i] = dot(carried(velocities_[i], axes_[i]), moved) + dot(axes_[i], weight);",
+        mutated="known[i] = dot(axes_[i], weight);",
+        wrong="The torque balance of a moving arm lacks C^T dq.",
+        tests=CHAIN_TESTS,
+    ),
+    Mutant(
+        name="chain_that_turns_where_it_slides",
+        file=CHAIN,
+        original="axes_[i] = {Vector{}, z};",
+        mutated="axes_[i] = {z, cross(origin, z)};",
+        wrong="A sliding joint turns its links.",
+        tests=CHAIN_TESTS,
     ),
 ]

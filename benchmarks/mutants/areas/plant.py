@@ -180,14 +180,6 @@ MUTANTS = [
         tests=APPROACH_TESTS,
     ),
     Mutant(
-        name="approach_by_explicit_euler",
-        file=APPROACH,
-        original="position + self._period * velocity\n",
-        mutated="position + self._period * self._velocity[name]\n",
-        wrong="Positions of an approach follow the velocity of the step before.",
-        tests=APPROACH_TESTS,
-    ),
-    Mutant(
         name="encoder_rounds_down",
         file=SENSORS,
         original="np.rint(angle * self._lines)",

@@ -21,6 +21,8 @@ from impact_rs_trials.spec import TrialSpec
 
 FRICTION = 2.0  # N m, in the second joint of the UR5e
 CONDITIONS = (("parcel", "case_1"), ("cat_food", "case_1"), ("parcel", "case_2"))
+COARSE = MIXED.timing.model_copy(update={"drive_period": 0.0005})  # s; half of the steps, in plant and replay alike
+SCENARIO = MIXED.model_copy(update={"timing": COARSE})
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -30,7 +32,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
     directory = tmp_path_factory.mktemp("mixed")
     values = np.zeros(13)
     values[7 + 1] = FRICTION
-    for spec in (TrialSpec.of(MIXED, thing, case) for thing, case in CONDITIONS):
+    for spec in (TrialSpec.of(SCENARIO, thing, case) for thing, case in CONDITIONS):
         for repeat in range(2):
             trial = Trial.of(spec, repeat, 3)
             info = TrialInfo.of(spec.plan, trial.key, trial.seed, "inprocess")

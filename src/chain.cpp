@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "chain.hpp"
+
+#include <limits>
+
+namespace impact_rs {
+Chain::Chain(std::vector<Joint> joints, std::vector<Link> links, const Vector& gravity, const Vector& tip)
+    : joints_(std::move(joints)),
+      links_(std::move(links)),
+      gravity_(gravity),
+      tip_(tip),
+      axes_(joints_.size()),
+      bodies_(joints_.size()),
+      end_{},
+      velocities_(joints_.size()),
+      forces_(joints_.size()),
+      inertia_(joints_.size() * joints_.size()),
+      acceleration_(joints_.size()) {}
+
+Spatial Chain::times(const Body& body, const Spatial& motion) {
+  return {body.inertia * motion.turn + cross(body.moment, motion.slide),
+          body.mass * motion.slide + cross(motion.turn, body.moment)};
+}
+
+void Chain::place(const double* q) {
+  Matrix rotation{1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0};
+  Vector origin{};
+  for (std::size_t i = 0; i < joints(); ++i) {
+    origin = origin + rotation * joints_[i].origin;
+    rotation = rotation * joints_[i].rotation;
+    const Vector z = column(rotation, 2);
+    if (joints_[i].slides) {
+      origin = origin + q[i] * z;
+      axes_[i] = {Vector{}, z};
+    } else {
+      const Vector x = column(rotation, 0), y = column(rotation, 1);
+      const double c = std::cos(q[i]), s = std::sin(q[i]);
+      for (int row = 0; row < 3; ++row) {
+        rotation[3 * row] = c * x[row] + s * y[row];
+        rotation[3 * row + 1] = c * y[row] - s * x[row];
+      }
+      axes_[i] = {z, cross(origin, z)};
+    }
+    const Vector com = origin + rotation * links_[i].com;
+    Body& body = bodies_[i];
+    body.mass = links_[i].mass;
+    body.moment = body.mass * com;
+    body.inertia = rotation * links_[i].inertia * transposed(rotation);
+    const double square = dot(com, com);
+    for (int row = 0; row < 3; ++row) {
+      for (int j = 0; j < 3; ++j) body.inertia[3 * row + j] -= body.mass * com[row] * com[j];
+      body.inertia[4 * row] += body.mass * square;
+    }
+  }
+  end_ = origin + rotation * tip_;
+}
+
+void Chain::accelerate(const double* q, const double* dq, const double* tau, double* ddq) {
+  const int n = static_cast<int>(joints());
+  place(q);
+  Spatial velocity{}, acceleration{Vector{}, -1.0 * gravity_};
+  for (int i = 0; i < n; ++i) {
+    const Spatial own = dq[i] * axes_[i];
+    velocity = velocity + own;
+    acceleration = acceleration + carried(velocity, own);
+    forces_[i] = times(bodies_[i], acceleration) + carried_momentum(velocity, times(bodies_[i], velocity));
+  }
+  Spatial force{};
+  Body rest{};  // all links from this one on
+  for (int i = n - 1; i >= 0; --i) {
+    force = force + forces_[i];
+    ddq[i] = tau[i] - dot(axes_[i], force);
+    rest.mass += bodies_[i].mass;
+    rest.moment = rest.moment + bodies_[i].moment;
+    for (int k = 0; k < 9; ++k) rest.inertia[k] += bodies_[i].inertia[k];
+    const Spatial moved = times(rest, axes_[i]);
+    for (int j = 0; j <= i; ++j) inertia_[i * n + j] = dot(axes_[j], moved);
+  }
+  if (!factorise(inertia_.data(), n)) std::fill(ddq, ddq + n, std::numeric_limits<double>::quiet_NaN());
+  forward(inertia_.data(), n, ddq, 1);
+  backward(inertia_.data(), n, ddq, 1);
+}
+
+void Chain::advance(double* q, double* dq, const double* tau, double period) {
+  accelerate(q, dq, tau, acceleration_.data());
+  for (std::size_t i = 0; i < joints(); ++i) {
+    dq[i] += period * acceleration_[i];
+    q[i] += period * dq[i];
+  }
+}
+
+void Chain::momentum(const double* q, const double* dq, double* momentum, double* known, double* twist) {
+  const int n = static_cast<int>(joints());
+  place(q);
+  Spatial velocity{};
+  for (int i = 0; i < n; ++i) {
+    velocities_[i] = velocity;  // of the link before
+    velocity = velocity + dq[i] * axes_[i];
+    forces_[i] = times(bodies_[i], velocity);
+  }
+  Spatial moved{}, weight{};  // momentum and weight of all links from this one on
+  for (int i = n - 1; i >= 0; --i) {
+    moved = moved + forces_[i];
+    weight = weight + Spatial{cross(bodies_[i].moment, gravity_), bodies_[i].mass * gravity_};
+    momentum[i] = dot(axes_[i], moved);
+    // A turn of the joint turns all behind it, which is as if the link before moved the other way around.
+    known[i] = dot(carried(velocities_[i], axes_[i]), moved) + dot(axes_[i], weight);
+  }
+  const Vector speed = velocity.slide + cross(velocity.turn, end_);
+  std::copy(speed.begin(), speed.end(), twist);
+  std::copy(velocity.turn.begin(), velocity.turn.end(), twist + 3);
+}
+
+}  // namespace impact_rs

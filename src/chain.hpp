@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: Apache-2.0
+// Rigid links in a row on a base that stands still: what a replay asks of an arm thousands of times.
+//
+// Recursive Newton-Euler and composite rigid bodies (Featherstone, Rigid Body Dynamics Algorithms, tables 5.1 and 6.2),
+// with every spatial vector in axes of A about the origin of A, so that nothing is carried from link to link.
+
+#pragma once
+
+#include <vector>
+
+#include "dense.hpp"
+
+namespace impact_rs {
+
+struct Joint {
+  Matrix rotation;  // axes and
+  Vector origin;    // place [m] in the link before, of the first joint in A
+  bool slides;      // along its z; else it turns about that
+};
+
+struct Link {
+  double mass;     // [kg]
+  Vector com;      // in the frame of its joint [m]
+  Matrix inertia;  // about the centre of mass, in axes of that frame [kg m^2]
+};
+
+// A motion (speed of turning, velocity of what is at the origin) or a force (moment about the origin, force).
+struct Spatial {
+  Vector turn, slide;
+};
+
+inline Spatial operator+(const Spatial& a, const Spatial& b) { return {a.turn + b.turn, a.slide + b.slide}; }
+inline Spatial operator*(double s, const Spatial& a) { return {s * a.turn, s * a.slide}; }
+
+// Power of a force along a motion.
+inline double dot(const Spatial& motion, const Spatial& force) {
+  return dot(motion.turn, force.turn) + dot(motion.slide, force.slide);
+}
+
+// Change of a motion that is carried along by another.
+inline Spatial carried(const Spatial& by, const Spatial& motion) {
+  return {cross(by.turn, motion.turn), cross(by.turn, motion.slide) + cross(by.slide, motion.turn)};
+}
+
+// Change of a momentum that is carried along by a motion.
+inline Spatial carried_momentum(const Spatial& by, const Spatial& momentum) {
+  return {cross(by.turn, momentum.turn) + cross(by.slide, momentum.slide), cross(by.turn, momentum.slide)};
+}
+
+class Chain {
+ public:
+  // `tip` is the origin of the end effector in the frame of the last joint [m].
+  Chain(std::vector<Joint> joints, std::vector<Link> links, const Vector& gravity, const Vector& tip);
+
+  std::size_t joints() const { return joints_.size(); }
+
+  // ddq = M^-1 (tau - h) of the n joints; not a number where M is not positive definite.
+  void accelerate(const double* q, const double* dq, const double* tau, double* ddq);
+
+  // A step of semi-implicit Euler, velocity first.
+  void advance(double* q, double* dq, const double* tau, double period);
+
+  // M dq and C^T dq - g (n), and the twist of the tip about itself (6): linear, then angular.
+  void momentum(const double* q, const double* dq, double* momentum, double* known, double* twist);
+
+ private:
+  // Spatial inertia about the origin.
+  struct Body {
+    double mass;
+    Vector moment;   // m c
+    Matrix inertia;  // about the origin
+  };
+
+  static Spatial times(const Body& body, const Spatial& motion);
+
+  void place(const double* q);  // axes_, bodies_ and end_ at these joint positions
+
+  std::vector<Joint> joints_;
+  std::vector<Link> links_;
+  Vector gravity_;
+  Vector tip_;
+
+  std::vector<Spatial> axes_;  // of the joints: motion at unit speed
+  std::vector<Body> bodies_;
+  Vector end_;  // the tip in A [m]
+  std::vector<Spatial> velocities_, forces_;
+  std::vector<double> inertia_;       // M (n, n), row by row
+  std::vector<double> acceleration_;  // of the last step
+};
+
+}  // namespace impact_rs
