@@ -2,18 +2,24 @@
 """Trials per second against workers and size of the campaign: ``./run python benchmarks/scale.py [--sizes 10 20 40]``.
 
 Prints a table, and what a million trials would take. Starting the workers is measured apart: it is paid once.
+``--memory 2000`` tells instead how a worker's memory grows over so many trials, ``--tiny 10000`` what the scheduler
+takes for so many tasks that do nothing.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+import resource
 import tempfile
 import time
+from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 
-from impact_rs_trials.campaign import make_manifest, run_campaign
-from impact_rs_trials.workers import Workforce
+from impact_rs_trials.campaign import make_manifest, run_campaign, run_one
+from impact_rs_trials.spec import Trial
+from impact_rs_trials.workers import Workforce, as_they_end, client_of
 
 MILLION = 1_000_000
 CORES = 256
@@ -49,13 +55,65 @@ def measure(jobs: int, trials: int, scheduler: str | None) -> Measured:
     return Measured(jobs, trials, ends[0], (trials - 1) / (ends[-1] - ends[0]))
 
 
+def _nothing(item: int) -> int:
+    return item
+
+
+def overhead(tasks: int, jobs: int) -> None:
+    """Print what tasks that do nothing cost."""
+    with client_of(Workforce(jobs)) as client:
+        list(as_they_end(client, _nothing, range(10)))
+        start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_SELF)
+        list(as_they_end(client, _nothing, range(tasks)))
+        took, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_SELF)
+    own = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    print(
+        f"{tasks} tasks that do nothing, {jobs} workers: {took:.1f} s, {tasks / took:.0f} a second; for each, scheduler"
+    )
+    print(f"and client take {1e3 * own / tasks:.2f} ms of processor time; they hold {after.ru_maxrss / 1024:.0f} MB")
+
+
+def _trial_and_memory(trial: Trial) -> tuple[int, float]:
+    """Process, and the memory that it holds after a trial [MB]."""
+    with tempfile.TemporaryDirectory() as folder:
+        report = run_one(Path(folder), trial)
+    assert report.outcome == "OK", report.message
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return os.getpid(), pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def memory(trials: int, jobs: int) -> None:
+    """Print what workers hold along a campaign of all conditions of ``push``."""
+    one = make_manifest("push", trials=1)
+    manifest = make_manifest("push", trials=-(-trials // len(one.keys)))
+    held: dict[int, list[float]] = defaultdict(list)
+    start = time.perf_counter()
+    with client_of(Workforce(jobs)) as client:
+        for _, (process, size) in as_they_end(client, _trial_and_memory, map(manifest.trial, manifest.keys[:trials])):
+            held[process].append(size)
+    print(
+        f"{trials} trials of {len(one.keys)} conditions in {time.perf_counter() - start:.0f} s; MB that a worker holds"
+    )
+    for process, sizes in held.items():
+        marks = sorted({min(count, len(sizes)) for count in (1, 10, 100, 250, 500, 750, 1000, len(sizes))})
+        print(f"worker {process}: " + ", ".join(f"{sizes[count - 1]:.0f} MB after {count}" for count in marks))
+
+
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--memory", type=int, metavar="TRIALS", help="memory of workers over so many trials")
+    parser.add_argument("--tiny", type=int, metavar="TASKS", help="cost of so many tasks that do nothing")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--sizes", type=int, nargs="+", default=[10, 20, 40], help="trials of a campaign")
     parser.add_argument("--scheduler", help="address of a running dask scheduler; its workers count as one row")
     arguments = parser.parse_args()
+    if arguments.tiny is not None:
+        overhead(arguments.tiny, max(arguments.workers))
+    if arguments.memory is not None:
+        memory(arguments.memory, max(arguments.workers))
+    if arguments.tiny is not None or arguments.memory is not None:
+        return
     measure(1, 2, None)  # imports and caches of this process
     print(f"{'workers':>8} {'trials':>8} {'first trial [s]':>16} {'trials/s':>10} {'trials/s per worker':>20}")
     results = []
