@@ -39,7 +39,7 @@ def test_the_loop_makes_the_score_fall(
     )
     assert (report / "compare.html").stat().st_size > 1_000_000
     assert len(list(aligned.glob("*/*.mcap"))) == 3
-    history = _json(capfd, "history", str(model_2), "--runs", str(hidden_campaign))["history"]
+    history = _json(capfd, "history", str(model_2), "--runs", str(hidden_campaign), "--jobs", "1")["history"]
     assert [entry["effect_added"] for entry in history] == [None, "support_friction"]
     assert after["score"] < 0.5 * history[0]["error_fit"]
     assert history[1]["error_fit"] == pytest.approx(after["score"], rel=1e-6)
@@ -170,7 +170,8 @@ def test_too_few_conditions_say_what_still_works(
     capfd: pytest.CaptureFixture, hidden_campaign: Path, tmp_path: Path
 ) -> None:
     shutil.copytree(hidden_campaign / "push", tmp_path / "push")
-    _refused(capfd, ["diagnose", str(tmp_path), "-o", str(tmp_path / "d.json")], "impact-rs compare")
+    few = ["diagnose", str(tmp_path), "-o", str(tmp_path / "d.json"), "--jobs", "1"]
+    _refused(capfd, few, "impact-rs compare")
     assert not (tmp_path / "d.json").exists()
 
 

@@ -141,7 +141,11 @@ def test_a_campaign_at_a_url_keeps_there_why_a_trial_failed(manifest: Manifest) 
         files.rm("/failing", recursive=True)
 
 
-def test_a_trial_whose_worker_dies_is_run_again(tmp_path: Path, manifest: Manifest) -> None:
+def test_a_trial_whose_worker_dies_is_run_again(
+    tmp_path: Path, manifest: Manifest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("OMP_NUM_THREADS")  # which the tests set for themselves; workers have it of their own
+
     def dies_once(directory: Path, trial: Trial) -> TrialReport:
         marker = directory / "died"
         if trial.key.scale == 1.0 and not marker.exists():

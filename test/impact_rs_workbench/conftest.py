@@ -55,11 +55,7 @@ def client(workbench: Workbench) -> TestClient:
 
 @pytest.fixture(scope="session")
 def served() -> Iterator[Callable[[Path], str]]:
-    """Starts ``impact-rs workbench`` for a folder, and gives its address; all of them end with the tests.
-
-    It may use one core, so that its jobs work by themselves: processes to help them take longer to start than they do.
-    """
-    core = min(os.sched_getaffinity(0))
+    """Starts ``impact-rs workbench`` for a folder, and gives its address; all of them end with the tests."""
     with contextlib.ExitStack() as held:
 
         def start(folder: Path) -> str:
@@ -71,7 +67,6 @@ def served() -> Iterator[Callable[[Path], str]]:
                     text=True,
                     cwd=folder.parent,
                     env=environment,
-                    preexec_fn=lambda: os.sched_setaffinity(0, {core}),
                 )
             )
             held.callback(process.send_signal, signal.SIGINT)
