@@ -251,6 +251,7 @@ def test_in_real_time_the_plant_does_not_wait_and_every_sample_is_recorded(graph
     bag = TrialBag.open(Path(result.bag_path))
     samples = bag.counts[topics.joint_states("arm")]
     assert samples == bag.counts[topics.truth_joint_states("arm")]
+    assert took > bag.info.spec.scenario.timing.control_period * (samples - 1)
     # An arm that is led late on a busy machine may run away, which ends the trial.
     assert samples == 1801 or (result.outcome == "DIVERGED" and samples < 1801)
     assert 1 <= bag.counts[topics.joint_command("arm")] <= 1801  # a busy machine misses ticks
