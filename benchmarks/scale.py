@@ -17,8 +17,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 
-from impact_rs_trials.campaign import make_manifest, run_campaign, run_one
-from impact_rs_trials.spec import Trial
+from impact_rs_trials.campaign import Trial, make_manifest, run_campaign, run_one
 from impact_rs_trials.workers import Workforce, as_they_end, client_of
 
 MILLION = 1_000_000
