@@ -137,12 +137,6 @@ class RobotModel:
         jacobian = pin.computeFrameJacobian(self.pinocchio, self.data, q, self._frame, pin.LOCAL_WORLD_ALIGNED)
         return np.array(jacobian).reshape(6, self.joint_count)  # of one joint Pinocchio makes a vector
 
-    def twist(self, q: Array, dq: Array) -> Array:
-        """J(q) dq of frame E in E[A], ``(6,)`` [m/s, rad/s]."""
-        pin.forwardKinematics(self.pinocchio, self.data, q, dq)
-        velocity = pin.getFrameVelocity(self.pinocchio, self.data, self._frame, pin.LOCAL_WORLD_ALIGNED)
-        return np.array(velocity.vector)
-
     def placement(self, q: Array) -> pin.SE3:
         """Placement of frame E in A."""
         pin.framesForwardKinematics(self.pinocchio, self.data, q)

@@ -2,6 +2,7 @@
 // What Python sees of drive.hpp; impact_rs_sim/_kernel.pyi says it in Python's words.
 
 #include <optional>
+#include <tuple>
 
 #include "drive.hpp"
 #include "module.hpp"
@@ -29,21 +30,21 @@ class Values {
   Numbers numbers_;
 };
 
-using FrictionOfPython = std::tuple<std::vector<double>, std::vector<double>, std::vector<double>, std::vector<double>,
-                                    std::optional<std::vector<std::vector<double>>>, double>;
+using PerJoint = std::vector<double>;
+using FrictionOfPython = std::tuple<PerJoint, PerJoint, PerJoint, PerJoint,
+                                    std::optional<std::tuple<PerJoint, PerJoint, PerJoint>>, double>;
 
 Friction friction_of(const std::optional<FrictionOfPython>& given, std::size_t joints) {
   if (!given) return {};
   const auto& [coulomb, viscous, stribeck, stribeck_velocity, sigmoid, smoothing] = *given;
   Friction found{coulomb, viscous, stribeck, stribeck_velocity, {}, {}, {}, smoothing};
+  std::vector<const PerJoint*> parts{&found.coulomb, &found.viscous, &found.stribeck, &found.stribeck_velocity};
   if (sigmoid) {
-    if (sigmoid->size() != 3) throw py::value_error("friction: a sigmoid has a, b and c");
-    found.a = (*sigmoid)[0], found.b = (*sigmoid)[1], found.c = (*sigmoid)[2];
+    std::tie(found.a, found.b, found.c) = *sigmoid;
+    parts.insert(parts.end(), {&found.a, &found.b, &found.c});
   }
-  for (const auto* part : {&found.coulomb, &found.viscous, &found.stribeck, &found.stribeck_velocity})
+  for (const PerJoint* part : parts)
     if (part->size() != joints) throw py::value_error("friction: not a number per joint");
-  for (const auto* part : {&found.a, &found.b, &found.c})
-    if (sigmoid && part->size() != joints) throw py::value_error("friction: not a number per joint");
   return found;
 }
 

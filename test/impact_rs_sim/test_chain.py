@@ -49,7 +49,7 @@ def test_accelerations_momentum_and_twist_are_those_of_pinocchio(model: RobotMod
     coriolis = pin.computeCoriolisMatrix(model.pinocchio, model.data, q, dq)
     np.testing.assert_allclose(momentum, model.mass_matrix(q) @ dq, rtol=1e-10, atol=1e-11)
     np.testing.assert_allclose(known, dq @ coriolis - model.gravity_torque(q), rtol=1e-10, atol=1e-11)
-    np.testing.assert_allclose(twist, model.twist(q, dq), rtol=1e-10, atol=1e-11)
+    np.testing.assert_allclose(twist, model.terms(q, dq).twist, rtol=1e-10, atol=1e-11)
 
 
 def energy(model: RobotModel, q: np.ndarray, dq: np.ndarray) -> float:
