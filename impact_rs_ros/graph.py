@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, Self
@@ -38,7 +38,8 @@ from impact_rs_trials.store import open_store
 START_TIMEOUT = 60.0  # s, for all nodes to answer; imports take some seconds on a busy machine
 FOREIGN_TIMEOUT = 120.0  # s, for somebody else's node in the place of one of ours; a person may have to start it
 STARTS = 3  # of a node that is killed, or freezes, while it starts
-ANSWER_TIMEOUT = 3.0  # s, for a node to answer something harmless
+QUESTIONS = 6  # to a node whether it is there, something harmless; the first may be lost in the discovery of who asks
+ANSWER_TIMEOUT = 0.5  # s, for the answer to one; a machine that stands still for longer has only one of them unanswered
 SILENCE = 1.0  # s, after which an experiment node that tells nothing of a trial is asked whether it is there
 ATTEMPTS = 3  # of a trial; the next one after a kill may stall as well
 RESULT_TIMEOUT = 10.0  # s, for the answer to a goal, beyond what the experiment node may wait itself
@@ -92,6 +93,7 @@ class Graph:
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
         self._revived: list[str] = []
+        self._hung: list[str] = []
 
     @classmethod
     @contextmanager
@@ -166,16 +168,15 @@ class Graph:
         starts = dict.fromkeys(self.processes, 1)
         deadline = time.monotonic() + START_TIMEOUT
         while waiting := self._not_ready():
-            frozen = self.end_frozen()
-            late = time.monotonic() > deadline
-            if late:
-                self.nodes.kill(waiting)
+            self.end_frozen()
+            if time.monotonic() > deadline:
+                self._end([waiting])
                 deadline = time.monotonic() + START_TIMEOUT
             for name, how in self.nodes.dead().items():
                 if not self.nodes.was_ended(name) or starts[name] == STARTS:
                     raise GraphError(f"node {name} ended with {how} while starting: {self.nodes.last_words(name)}")
                 starts[name] += 1
-            self.revive([*frozen, waiting] if late else frozen)
+            self.revive()
         for name in self.foreign:
             self._await_foreign(name)
 
@@ -224,16 +225,17 @@ class Graph:
     def answers(self, name: str) -> bool:
         """Whether a node answers something harmless."""
         client = self.node.create_client(GetParameters, f"{name}/get_parameters")
-        deadline = time.monotonic() + ANSWER_TIMEOUT
         try:
-            while time.monotonic() < deadline and self.is_there(name):
+            for _ in range(QUESTIONS):
                 future = client.call_async(GetParameters.Request(names=["scenario"]))
-                attempt = time.monotonic() + 0.5  # a request into the discovery of a new client can be lost
-                while not future.done() and time.monotonic() < attempt and self.is_there(name):
+                deadline = time.monotonic() + ANSWER_TIMEOUT
+                while not future.done() and time.monotonic() < deadline and self.is_there(name):
                     self.spin(0.02)
                 if future.done():
                     return True
                 client.remove_pending_request(future)
+                if not self.is_there(name):
+                    break
             return False
         finally:
             self.node.destroy_client(client)
@@ -243,37 +245,54 @@ class Graph:
         return not self._ended(name) and not self.presence.gone(name)
 
     def end_frozen(self) -> list[str]:
-        """End every node that runs and is frozen; returns their names."""
+        """End every node that runs and is frozen; returns their names, which :meth:`revive` starts again."""
         return self._end([name for name in self.presence.gone(*self.processes) if not self._ended(name)])
 
     def end_hung(self) -> list[str]:
-        """End every node that runs and does not answer, frozen or not; returns their names."""
+        """End every node that runs and does not answer, frozen or not; returns their names, as :meth:`end_frozen`."""
         running = [name for name, process in self.processes.items() if process.poll() is None]
         return self._end([name for name in running if not self.answers(name)])
 
     def _end(self, names: list[str]) -> list[str]:
         for name in names:
             self.nodes.kill(name)
+        self._hung += names
         return names
 
-    def revive(self, hung: Sequence[str] = ()) -> list[str]:
-        """Start the nodes again that have died, or ``hung``; returns a line about each."""
-        lines = []
+    def died(self) -> list[str]:
+        """Nodes that run no more, other than those that were ended here because they did not answer."""
+        return [name for name in self.nodes.dead() if name not in self._hung]
+
+    def revive(self) -> list[str]:
+        """Start every node of ours again that runs no more; returns a line about each."""
+        died, lines = self.died(), []
         for name, how in self.nodes.dead().items():
-            what = "did not answer any more" if name in hung else f"died ({how})"
+            what = f"died ({how})" if name in died else "did not answer any more"
             lines.append(f"node {name} {what} and is started again: {self.nodes.last_words(name)}")
             self.nodes.start(name)
             self.presence.forget(name)
             if name not in self._revived:
                 self._revived.append(name)
+        self._hung.clear()
         return lines
 
     def call_trial(self, goal: RunTrial.Goal, feedback: Any = None) -> RunTrial.Result:
         """Run one trial.
 
+        When this is over, so is the trial: an experiment node of ours that does not say how it stands is ended, for it
+        would reject the next one, or run this one beside it.
+
         Raises:
             GraphError: The experiment node rejected the goal, or it or the recorder is gone.
         """
+        try:
+            return self._trial(goal, feedback)
+        except NodeHangs:
+            if "experiment" in self.processes and not self._ended("experiment"):
+                self._end(["experiment"])
+            raise
+
+    def _trial(self, goal: RunTrial.Goal, feedback: Any) -> RunTrial.Result:
         heard = [time.monotonic()]
 
         def hear(message: Any) -> None:
@@ -289,13 +308,25 @@ class Graph:
             answer: RunTrial.Result = self._wait(ended, None, ("experiment", "recorder"), heard).result
         except (NodeHangs, KeyboardInterrupt):  # nobody is left to ask, or all are told to stop
             raise
-        except BaseException:
+        except BaseException as error:
             if not self._ended("experiment"):
-                with suppress(GraphError):  # what went wrong first is what is told
-                    self._wait(handle.cancel_goal_async(), STOP_TIMEOUT)
-                    self._wait(ended, RESULT_TIMEOUT)  # else the next goal would be rejected
+                self._cancel(handle, ended, error)
             raise
         return answer
+
+    def _cancel(self, handle: Any, ended: Any, error: BaseException) -> None:
+        """Cancel a trial and wait for its end, because of ``error``, which is what is told.
+
+        Raises:
+            NodeHangs: Nothing is heard of the end.
+        """
+        try:
+            self._wait(handle.cancel_goal_async(), STOP_TIMEOUT)
+            self._wait(ended, RESULT_TIMEOUT)
+        except NodeHangs:
+            raise NodeHangs(str(error)) from error
+        except GraphError:
+            pass  # it died
 
     def call(self, kind: Any, name: str, request: Any, timeout: float = RESULT_TIMEOUT) -> Any:
         """Call a service of a node, and wait at most ``timeout`` [s] for its answer.
@@ -331,7 +362,7 @@ class Graph:
             if not self.is_there("experiment"):
                 raise NodeHangs("the experiment node froze")
             if deadline is not None and time.monotonic() > deadline:
-                raise GraphError(f"no answer within {timeout:g} s")
+                raise NodeHangs(f"no answer within {timeout:g} s")
             if heard is not None and time.monotonic() > heard[0] + SILENCE:
                 heard[0] = time.monotonic()
                 if not self.answers("experiment"):
@@ -403,12 +434,16 @@ def run_trial(
             outcome, message = result.outcome, result.message
         except GraphError as error:
             outcome, message = "ABORTED", str(error)
-        hung = graph.end_hung() if outcome == "ABORTED" else graph.end_frozen()
-        revived = graph.revive(hung)
+        if outcome == "ABORTED":
+            graph.end_hung()
+        else:
+            graph.end_frozen()
+        died = graph.died()
+        revived = graph.revive()
         ended += revived
         if revived:
             graph.wait_until_ready()
-        if len(revived) > len(hung) or outcome != "ABORTED":
+        if died or outcome != "ABORTED":
             break
     trace = graph.nodes.outputs() if outcome == "ABORTED" else ""
     report = TrialReport(key, outcome, "; ".join(filter(None, (message, *ended))), trace)
@@ -450,7 +485,8 @@ def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (),
             which = known.name, next(iter(known.objects)), next(iter(known.cases))
             print(_instructions(names, *which, full_namespace(namespace)), flush=True)
             while not stopping:
-                for line in graph.revive(graph.end_frozen()):
+                graph.end_frozen()
+                for line in graph.revive():
                     print(line, file=sys.stderr, flush=True)
                 graph.spin(0.2)
             print("stopping the nodes", flush=True)

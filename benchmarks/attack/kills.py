@@ -105,7 +105,8 @@ def attack(graph: Graph, folder: Path, node: str, kind: signal.Signals, at: floa
             failures.append(f"the trial goes on without it, and ended {outcome}")
     elif seconds > ENOUGH:
         failures.append(f"ended after {seconds:.1f} s")
-    graph.revive(graph.end_frozen())
+    graph.end_frozen()
+    graph.revive()
     try:
         graph.wait_until_ready()
         result = graph.call_trial(trial_in(folder / "next"))

@@ -113,7 +113,7 @@ def test_a_frozen_recorder_ends_the_trial_with_its_name_and_what_it_wrote_is_rea
     assert bag.counts[topics.joint_states("arm")] > 200
     spin_until(graph, lambda: bool(graph.presence.gone("recorder")), "the runner notices nothing")
     assert graph.end_frozen() == ["recorder"]
-    assert graph.revive(["recorder"])[0].startswith("node recorder did not answer any more")
+    assert graph.revive()[0].startswith("node recorder did not answer any more")
     graph.wait_until_ready()
     assert graph.call_trial(goal(tmp_path, scenario=short)).outcome == "OK"
 
@@ -231,6 +231,27 @@ def test_a_node_that_hangs_is_started_again_and_its_trial_run_once_more(
     assert report.message.startswith(f"node {victim} did not answer any more and is started again")
     assert graph.processes[victim].pid != stopped[0]
     assert not Path(f"/proc/{stopped[0]}").exists()
+
+
+def test_an_experiment_node_that_only_seemed_to_hang_does_not_go_on_with_its_trial_beside_the_next(
+    graph: Graph, tmp_path: Path, short: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers, before, asked = graph.answers, graph.processes["experiment"].pid, []
+
+    def deaf_once(name: str) -> bool:
+        if name == "experiment" and not asked:
+            asked.append(name)
+            return False
+        return answers(name)
+
+    monkeypatch.setattr(graph, "answers", deaf_once)
+    monkeypatch.setattr("impact_rs_ros.graph.SILENCE", 0.0)
+    manifest = make_manifest(short, ["parcel"], ["1"], [1.0], trials=1)
+    report = run_trial(graph, tmp_path, manifest, manifest.keys[0])
+    assert asked
+    assert report.outcome == "OK", report
+    assert report.message.startswith("node experiment did not answer any more and is started again")
+    assert graph.processes["experiment"].pid != before
 
 
 def test_in_real_time_the_plant_does_not_wait_and_every_sample_is_recorded(graph: Graph, tmp_path: Path) -> None:
