@@ -290,14 +290,16 @@ class BulletWorld:
         if not np.any(touch.loads):
             shear.release()
             return
-        state, model = self.arm_state(name), self._models[name]
-        placement, jacobian = model.placement(state.position), model.jacobian(state.position)
-        response = np.linalg.solve(model.mass_matrix(state.position), jacobian.T)
-        pad = Side(placement.translation, jacobian @ state.velocity, jacobian @ response)
+        position, velocity = self.joint_motion(name)
+        upper, jacobian, placement = self._models[name].at_impact(np.array(position))
+        root = np.linalg.cholesky(upper.T)  # of which the lower triangle counts
+        moved = np.linalg.solve(root, jacobian.T)
+        pad = Side(placement.translation, jacobian @ np.array(velocity), moved.T @ moved)
         forces = shear.step(touch, self._object_side(), pad, placement.rotation)
-        for point, force in zip(touch.points.tolist(), forces, strict=True):
-            for body, link, sign in ((self.object, -1, 1.0), (self.arms[name], self.end_effector_link[name], -1.0)):
-                self._push(body, link, (sign * force).tolist(), point, pybullet.WORLD_FRAME)
+        arm, link = self.arms[name], self.end_effector_link[name]
+        for point, (x, y, z) in zip(touch.points.tolist(), forces.tolist(), strict=True):
+            self._push(self.object, -1, (x, y, z), point, pybullet.WORLD_FRAME)
+            self._push(arm, link, (-x, -y, -z), point, pybullet.WORLD_FRAME)
 
     def _object_side(self) -> Side:
         """The object at its centre of mass."""

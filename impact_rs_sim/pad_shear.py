@@ -100,17 +100,18 @@ class PadShear:
         normal, period, lag = touch.normal, self._period, self._time_constant
         share = touch.loads / touch.loads.sum()
         centre = share @ touch.points
-        turning = np.cross(normal, touch.points - centre)  # n x r_i
+        across = _skew(normal)
+        turning = (touch.points - centre) @ across.T  # n x r_i
         radius = float(np.sqrt(share @ np.sum(np.square(turning), axis=1)))
         turns = radius > SMALLEST_TURN
-        along = np.eye(3) - np.outer(normal, normal)
+        along = _AXES - normal[:, None] * normal
         of_thing, of_pad = (_rows(along, normal, radius, centre - side.position) for side in (thing, pad))
         # Three shears in axes of A and the twist as a length (phi times the radius of gyration of the load).
         velocity = of_thing @ thing.twist - of_pad @ pad.twist
         mobility = of_thing @ thing.mobility @ of_thing.T + of_pad @ pad.mobility @ of_pad.T
-        lever = np.cross(normal, centre - pad.position)
-        deflection = np.append(along @ (rotation @ self._shift + self._twist * lever), radius * self._twist)
-        last = np.append(along @ rotation @ self._pull, self._torque / radius if turns else 0.0)
+        lever = across @ (centre - pad.position)
+        deflection = _shears(along @ (rotation @ self._shift + self._twist * lever), radius * self._twist)
+        last = _shears(along @ (rotation @ self._pull), self._torque / radius if turns else 0.0)
 
         theta = lag + period
         compliance = max(self._compliance, self._pads * theta * period * float(np.linalg.eigvalsh(mobility)[-1]))
@@ -118,13 +119,13 @@ class PadShear:
         wanted = -(stuck + theta * velocity) / (compliance + theta * self._creep)
         twisting = wanted[3] / radius if turns else 0.0
         forces = share[:, None] * (wanted[:3] + twisting * turning)
-        size, limit = np.linalg.norm(forces, axis=1), self._friction * touch.loads
+        size, limit = np.sqrt(np.einsum("mi,mi->m", forces, forces)), self._friction * touch.loads
         slips = size > limit
         if np.any(slips):
             forces *= np.where(slips, limit / np.maximum(size, 1e-300), 1.0)[:, None]
         self.force, self._torque = forces.sum(axis=0), float(np.sum(turning * forces))
         if np.any(slips):
-            held = np.append(self.force, self._torque / radius if turns else 0.0)
+            held = _shears(self.force, self._torque / radius if turns else 0.0)
             stuck = (lag * deflection - period * compliance * held) / theta
         self._twist = float(stuck[3]) / radius if turns else 0.0
         self._shift = rotation.T @ (stuck[:3] - self._twist * lever)
@@ -132,12 +133,26 @@ class PadShear:
         return forces
 
 
+_AXES = np.eye(3)
+
+
+def _skew(a: Array) -> Array:
+    """Matrix of the product ``a x``; :func:`numpy.cross` takes ten times as long for a single vector."""
+    x, y, z = a.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def _shears(along: Array, twist: float) -> Array:
+    """Shears in axes of A, and the twist as a length, ``(4,)``."""
+    found = np.empty(4)
+    found[:3], found[3] = along, twist
+    return found
+
+
 def _rows(along: Array, normal: Array, radius: float, lever: Array) -> Array:
     """What a twist does to shear and twist at a place ``lever`` from its reference point, ``(4, 6)``."""
-    x, y, z = lever
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     rows = np.zeros((4, 6))
     rows[:3, :3] = along
-    rows[:3, 3:] = -along @ cross
+    rows[:3, 3:] = -along @ _skew(lever)
     rows[3, 3:] = radius * normal
     return rows

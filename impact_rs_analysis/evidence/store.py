@@ -24,7 +24,13 @@ from impact_rs_sim.version import package_version
 from impact_rs_trials.workers import Map
 
 CACHE_VERSION = 11
-BATCH = 8  # replays of one run that are sent to a worker together; a few seconds at most
+EFFORT_OF_CONTACT = 20.0  # of a sample with contact, in samples of free motion
+LEAST_BATCH, LARGEST_BATCH = (
+    4_000.0,
+    30_000.0,
+)  # such samples that a worker is sent together, 30 to 200 ms of work: a task
+# costs the scheduler, and this process, some milliseconds
+BATCHES = 16  # rather than larger ones, so that workers end together
 
 Progress = Callable[[str, int, int], None]
 
@@ -94,7 +100,7 @@ def run_replay(task: Replay) -> Array | None:
 
 
 def run_batch(tasks: Sequence[Replay]) -> list[Array | None]:
-    """Features of replays of one run, as :func:`run_replay`."""
+    """Features of replays, as :func:`run_replay`."""
     return [run_replay(task) for task in tasks]
 
 
@@ -103,7 +109,24 @@ def _batches(missing: dict[str, Replay]) -> list[list[str]]:
     grouped: dict[str, list[str]] = {}
     for digest, task in missing.items():
         grouped.setdefault(task.setup.digest, []).append(digest)
-    return [own[start : start + BATCH] for own in grouped.values() for start in range(0, len(own), BATCH)]
+    efforts = {run: _effort(missing[own[0]].setup) for run, own in grouped.items()}
+    total = sum(len(own) * efforts[run] for run, own in grouped.items())
+    size = min(max(total / BATCHES, LEAST_BATCH), LARGEST_BATCH)
+    batches: list[list[str]] = []
+    left = 0.0
+    for run, own in grouped.items():
+        for digest in own:
+            if left < efforts[run]:
+                batches.append([])
+                left = size
+            batches[-1].append(digest)
+            left -= efforts[run]
+    return batches
+
+
+def _effort(setup: Setup) -> float:
+    """What a replay takes, in samples of free motion."""
+    return sum(window.time.size * (EFFORT_OF_CONTACT if window.contact else 1.0) for window in setup.windows)
 
 
 def cache_directory() -> Path:

@@ -178,8 +178,8 @@ MUTANTS = [
     Mutant(
         name="twist_the_other_way",
         file="impact_rs_sim/pad_shear.py",
-        original="turning = np.cross(normal, touch.points - centre)",
-        mutated="turning = np.cross(touch.points - centre, normal)",
+        original="turning = (touch.points - centre) @ across.T",
+        mutated="turning = (touch.points - centre) @ across",
         wrong="A twisted face turns on.",
         tests=("test/impact_rs_sim/test_pad_shear.py",),
     ),
@@ -218,8 +218,8 @@ MUTANTS = [
     Mutant(
         name="no_reaction_on_the_pad",
         file="impact_rs_sim/bullet_world.py",
-        original="(self.arms[name], self.end_effector_link[name], -1.0)",
-        mutated="(self.arms[name], self.end_effector_link[name], 0.0)",
+        original="self._push(arm, link, (-x, -y, -z), point",
+        mutated="self._push(arm, link, (0.0, 0.0, 0.0), point",
         wrong="The object is dragged by a pad that feels nothing.",
         tests=(f"{TESTS}/test_contact.py",),
     ),

@@ -12,7 +12,7 @@ import pytest
 
 from impact_rs_analysis.evidence.measured import MeasuredRun, Setup
 from impact_rs_analysis.evidence.run import Run
-from impact_rs_analysis.evidence.store import BATCH, Replay, ReplayStore, run_batch, run_replay
+from impact_rs_analysis.evidence.store import BATCHES, Replay, ReplayStore, run_batch, run_replay
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.scene import ArmState
@@ -96,24 +96,28 @@ def test_a_fit_that_takes_away_more_than_there_is_gets_no_replay_and_a_model_tha
         run_replay(Replay(setup, model))
 
 
-def test_replays_of_one_run_travel_together_and_come_back_in_order(
+def test_replays_of_one_run_travel_side_by_side_in_batches_of_like_effort_and_come_back_in_order(
     setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    other = replace(setup, drive="joint torque")
-    sizes = []
+    free = tuple(replace(window, contact=False) for window in setup.windows)
+    other = replace(setup, windows=free)
+    sent: list[list[bool]] = []
 
     def map_tasks(function: Callable, batches: Iterable[Sequence[Replay]]) -> list:
         batches = list(batches)
-        for batch in batches:
-            assert len({task.setup.digest for task in batch}) == 1
-            sizes.append(len(batch))
+        sent.extend([any(window.contact for window in task.setup.windows) for task in batch] for batch in batches)
         return [[np.array([task.added[0][1][0]]) for task in batch] for batch in batches]
 
-    values = [0.01 * number for number in range(BATCH + 2)]
+    values = [0.001 * number for number in range(4 * BATCHES)]
     tasks = [
         Replay(one, Model(name="nominal"), (("restitution", (value,)),)) for value in values for one in (setup, other)
     ]
     found = ReplayStore(map_tasks)(tasks)
     assert [float(item[0]) for item in found] == [value for value in values for _ in range(2)]
-    assert sorted(sizes) == [2, 2, BATCH, BATCH]
+    kinds = [kind for batch in sent for kind in batch]
+    assert kinds == sorted(kinds, reverse=True)  # all of one run, then all of the other
+    hits = [len(batch) for batch in sent if all(batch)]
+    motions = [len(batch) for batch in sent if not any(batch)]
+    assert len(hits) > len(motions)
+    assert max(motions) > 4 * max(hits)
