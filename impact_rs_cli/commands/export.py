@@ -28,7 +28,7 @@ and left out.
 example:
   {PROGRAM} export campaigns/push -o push.parquet
   {PROGRAM} export s3://bucket/push -o push.h5
-  {PROGRAM} export campaigns/push -o push          # folder: push/part-00000.parquet, ...
+  {PROGRAM} export campaigns/push -o push_rows     # folder: push_rows/part-00000.parquet, ...
 
 Needs pyarrow for Parquet and h5py for HDF5 (both are in the extra "export").
 
