@@ -3,21 +3,28 @@
 
 Prints a table, and what a million trials would take. Starting the workers is measured apart: it is paid once.
 ``--memory 2000`` tells instead how a worker's memory grows over so many trials, ``--tiny 10000`` what the scheduler
-takes for so many tasks that do nothing.
+takes for so many tasks that do nothing, ``--rows 1000000`` how large a data set of so many trials is (``export``), and
+what it takes to find nothing new.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import random
 import resource
 import tempfile
 import time
 from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from impact_rs_analysis.measure.data_set import extend
+from impact_rs_analysis.measure.export import trial_row
 from impact_rs_trials.campaign import Trial, make_manifest, run_campaign, run_one
+from impact_rs_trials.store import Folder
 from impact_rs_trials.workers import Workforce, as_they_end, client_of
 
 MILLION = 1_000_000
@@ -72,6 +79,51 @@ def overhead(tasks: int, jobs: int) -> None:
     print(f"and client take {1e3 * own / tasks:.2f} ms of processor time; they hold {after.ru_maxrss / 1024:.0f} MB")
 
 
+class _Listed(Folder):
+    """A place that says it holds so many bags; there are none."""
+
+    def __init__(self, bags: int) -> None:
+        super().__init__("/nowhere")
+        self._bags = bags
+
+    def stamps(self) -> dict[str, int]:
+        """Bags of nine repeats of so many conditions, stamps without pattern."""
+        numbers = random.Random(1)
+        return {
+            f"cat_food__case_2__s{1 + i // 9 / 1e6:.6f}__r{i % 9}": numbers.getrandbits(64) for i in range(self._bags)
+        }
+
+
+def data_set(trials: int) -> None:
+    """Print size of a data set of rows like that of one trial, with other numbers, and cost of finding nothing new."""
+    with tempfile.TemporaryDirectory() as folder:
+        key = make_manifest("push", ["cat_food"], ["case_2"], [1.0], 1)
+        (report,) = run_campaign(Path(folder) / "push", key)
+        row = trial_row(Path(folder) / "push" / report.key.name)
+        assert isinstance(row, dict), row
+        numbers = random.Random(2)
+
+        def rows(_: object, names: Sequence[str]) -> Iterator[dict[str, Any]]:
+            for name in names:
+                yield row | {
+                    "trial": name,
+                    "seed": numbers.getrandbits(63),
+                    "repeat": int(name[-1]),
+                    "net_feedback_m_s": numbers.gauss(0.0, 0.1),
+                    "arm_impact_time_s": round(numbers.gauss(1.0, 0.01), 3),
+                }
+
+        store, target = _Listed(trials), Path(folder) / "rows"
+        extend(store, target, rows, lambda done, total: None)
+        parts = [path.stat().st_size for path in target.iterdir()]
+        start = time.perf_counter()
+        assert extend(store, target, rows, lambda done, total: None).read == 0
+        took = time.perf_counter() - start
+    held = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"{trials} rows: {len(parts)} parts, {sum(parts) / 1e6:.1f} MB, {sum(parts) / trials:.0f} bytes a row")
+    print(f"to find that none of these bags is new: {took:.1f} s; this process held {held:.0f} MB at most")
+
+
 def _trial_and_memory(trial: Trial) -> tuple[int, float]:
     """Process, and the memory that it holds after a trial [MB]."""
     with tempfile.TemporaryDirectory() as folder:
@@ -103,6 +155,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--memory", type=int, metavar="TRIALS", help="memory of workers over so many trials")
     parser.add_argument("--tiny", type=int, metavar="TASKS", help="cost of so many tasks that do nothing")
+    parser.add_argument("--rows", type=int, metavar="TRIALS", help="size of a data set of so many trials")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--sizes", type=int, nargs="+", default=[10, 20, 40], help="trials of a campaign")
     parser.add_argument("--scheduler", help="address of a running dask scheduler; its workers count as one row")
@@ -111,7 +164,9 @@ def main() -> None:
         overhead(arguments.tiny, max(arguments.workers))
     if arguments.memory is not None:
         memory(arguments.memory, max(arguments.workers))
-    if arguments.tiny is not None or arguments.memory is not None:
+    if arguments.rows is not None:
+        data_set(arguments.rows)
+    if any(option is not None for option in (arguments.tiny, arguments.memory, arguments.rows)):
         return
     measure(1, 2, None)  # imports and caches of this process
     print(f"{'workers':>8} {'trials':>8} {'first trial [s]':>16} {'trials/s':>10} {'trials/s per worker':>20}")

@@ -8,11 +8,13 @@ uploaded last: a bag that has it is complete.
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import os
 import socket
 import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 
 COMPLETE = "metadata.yaml"
 LOCK = ".lock"
+# What file systems of fsspec call size, time and checksum of a file; never the time at which it was read.
+CHANGES = ("size", "mtime", "created", "updated", "last_modified", "LastModified", "etag", "ETag")
 
 
 def is_url(place: str | Path) -> bool:
@@ -41,6 +45,11 @@ def is_bag(folder: Path) -> bool:
         return False
 
 
+def _stamp(facts: Iterable[tuple[object, ...]]) -> int:
+    """A number of 64 bits for facts of files, in whatever order they come."""
+    return int.from_bytes(hashlib.blake2b(repr(sorted(facts)).encode(), digest_size=8).digest())
+
+
 class Store(ABC):
     """A place that holds files and bags by their name."""
 
@@ -55,6 +64,16 @@ class Store(ABC):
     @abstractmethod
     def names(self) -> set[str]:
         """Names of all complete bags, and possibly of files."""
+
+    @abstractmethod
+    def stamps(self) -> dict[str, int]:
+        """Bags at any depth, by their path below the place, each with a number that changes when it is written again.
+
+        Hidden ones are left out. No file is opened.
+
+        Raises:
+            InputError: There is no such place, or it cannot be read.
+        """
 
     @abstractmethod
     def read(self, name: str) -> str:
@@ -109,6 +128,21 @@ class Folder(Store):
     def names(self) -> set[str]:
         """Names of everything in the folder."""
         return set(os.listdir(self.path)) if self.path.is_dir() else set()
+
+    def stamps(self) -> dict[str, int]:
+        """Stamps of whatever looks like a bag, damaged ones too, from sizes and times of its files."""
+        if not self.path.is_dir():
+            raise InputError("no such folder", file=self.path)
+        found = {}
+        for folder, folders, files in os.walk(self.path):
+            folders[:] = [name for name in folders if not name.startswith(".")]
+            if any(name == COMPLETE or name.endswith((".mcap", ".db3")) for name in files):
+                with suppress(FileNotFoundError):  # it was removed since
+                    facts = [(name, os.stat(os.path.join(folder, name))) for name in files]
+                    found[os.path.relpath(folder, self.path)] = _stamp(
+                        (name, fact.st_size, fact.st_mtime_ns) for name, fact in facts
+                    )
+        return found
 
     def read(self, name: str) -> str:
         """Text of a file."""
@@ -228,11 +262,23 @@ class Remote(Store):
             self.copy(name, Path(scratch))
             yield Path(scratch)
 
-    def bags(self) -> list[str]:
-        """Complete bags at any depth, by their path below the place; hidden ones are left out."""
+    def stamps(self) -> dict[str, int]:
+        """Stamps of complete bags from what the file system tells of their files; some tell no more than the size."""
         self._files.invalidate_cache()
-        found = (path.split(f"{self._root}/", 1)[1] for path in self._files.glob(f"{self._root}/**/{COMPLETE}"))
-        return sorted(str(Path(path).parent) for path in found if not path.startswith(".") and "/." not in path)
+        try:
+            files = self._files.find(self._root, detail=True)
+        except Exception as error:  # as above
+            raise InputError(f"cannot be read: {type(error).__name__}: {error}", file=self.url) from None
+        bags: dict[str, list[tuple[object, ...]]] = defaultdict(list)
+        for path, facts in files.items():
+            folder, _, name = path.split(f"{self._root}/", 1)[1].rpartition("/")
+            bags[folder].append((name, *(str(facts.get(key)) for key in CHANGES)))
+        return {
+            folder: _stamp(facts)
+            for folder, facts in bags.items()
+            if any(fact[0] == COMPLETE for fact in facts)
+            and not any(part.startswith(".") for part in folder.split("/"))
+        }
 
     def copy(self, name: str, directory: Path) -> None:
         """Copy a bag into a folder of this machine, at the same path below it."""
@@ -275,7 +321,7 @@ def local_copy(
         return
     with tempfile.TemporaryDirectory(prefix="impact_rs_") as scratch:
         try:
-            bags = store.bags()
+            bags = sorted(store.stamps())
             for number, name in enumerate(bags, start=1):
                 store.copy(name, Path(scratch))
                 progress(number, len(bags))

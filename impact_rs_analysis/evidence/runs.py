@@ -14,6 +14,7 @@ from impact_rs_analysis.evidence.run import run_of_trial
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.checksums import says_so, unsealed_words
 from impact_rs_trials.bags.reader import BagError, TrialBag, told
+from impact_rs_trials.store import Folder
 from impact_rs_trials.workers import Map
 
 LARGEST_LOSS = 0.5  # share of the windows of free motion that all runs give up for gaps in some of them
@@ -88,10 +89,7 @@ def _alike(runs: list[MeasuredRun]) -> tuple[MeasuredRun, ...]:
 
 def find_bags(directory: Path) -> list[Path]:
     """Folders below ``directory`` that look like bags; hidden ones are half-written."""
-    if not directory.is_dir():
-        raise InputError("no such folder", file=directory)
-    found = {path.parent for pattern in ("*.mcap", "*.db3", "metadata.yaml") for path in directory.rglob(pattern)}
-    return sorted(path for path in found if not any(part.startswith(".") for part in path.relative_to(directory).parts))
+    return sorted(directory / name for name in Folder(directory).stamps())
 
 
 def read_trial(path: Path) -> MeasuredRun | tuple[str, str]:

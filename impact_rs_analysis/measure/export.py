@@ -67,10 +67,18 @@ def check_target(path: Path) -> None:
         InputError: Another ending than .parquet, .h5 or .hdf5, a folder, or a package that is not installed.
     """
     if path.suffix not in NEEDS:
-        raise InputError(f"expected a name that ends with {', '.join(NEEDS)}", file=path)
+        raise InputError(f"expected a name that ends with {', '.join(NEEDS)}, or a folder without ending", file=path)
     if path.is_dir():
         raise InputError("this is a folder; expected the name of a file", file=path)
-    package = NEEDS[path.suffix]
+    check_package(NEEDS[path.suffix], path)
+
+
+def check_package(package: str, path: Path) -> None:
+    """Check that the package is installed that a result is written with.
+
+    Raises:
+        InputError: It is not.
+    """
     try:
         importlib.import_module(package)
     except ImportError:
@@ -162,7 +170,6 @@ def _identity(info: TrialInfo) -> dict[str, Any]:
 
 
 def _parquet(directory: Path, bags: list[Path], target: Path, map_tasks: Map) -> Iterator[SkippedBag | None]:
-    import pyarrow
     import pyarrow.parquet
 
     del directory
@@ -173,16 +180,27 @@ def _parquet(directory: Path, bags: list[Path], target: Path, map_tasks: Map) ->
         else:
             rows.append(row)
             yield None
-    columns = list(dict.fromkeys(name for row in rows for name in row))  # arms differ from scenario to scenario
-    table = pyarrow.table({name: _column(name, [row.get(name) for row in rows]) for name in columns})
-    pyarrow.parquet.write_table(table, target)
+    pyarrow.parquet.write_table(table_of(rows), target)
+
+
+def table_of(rows: list[dict[str, Any]]) -> Any:
+    """Rows as a :class:`pyarrow.Table` with the columns of all of them: arms differ from scenario to scenario."""
+    import pyarrow
+
+    columns = dict.fromkeys(name for row in rows for name in row)
+    return pyarrow.table({name: _column(name, [row.get(name) for row in rows]) for name in columns})
 
 
 def _column(name: str, values: list[Any]) -> Any:
     """A column whose type does not depend on whether anything was measured."""
     import pyarrow
 
-    kind = {"seed": pyarrow.uint64(), "repeat": pyarrow.uint32(), "impact": pyarrow.bool_()}.get(name)
+    kind = {
+        "seed": pyarrow.uint64(),
+        "stamp": pyarrow.uint64(),
+        "repeat": pyarrow.uint32(),
+        "impact": pyarrow.bool_(),
+    }.get(name)
     if kind is None and name.endswith(("_s", "velocity_scale")):
         kind = pyarrow.float64()
     return pyarrow.array(values, kind or pyarrow.string())

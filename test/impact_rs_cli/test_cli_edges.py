@@ -127,9 +127,10 @@ def limited(arguments: list[str], size: int) -> subprocess.CompletedProcess:
         (lambda runs, out: ["trial", "push", "cat_food", "2", "-o", str(out)], 200_000),
         (lambda runs, out: ["export", str(runs), "-o", str(out / "x.h5")], 200_000),
         (lambda runs, out: ["export", str(runs), "-o", str(out / "x.parquet")], 2000),
+        (lambda runs, out: ["export", str(runs), "-o", str(out)], 2000),
         (lambda runs, out: ["analyze", str(runs), "-o", str(out)], 200_000),
     ],
-    ids=["trial", "h5", "parquet", "analyze"],
+    ids=["trial", "h5", "parquet", "data set", "analyze"],
 )
 def test_a_full_disk_ends_in_one_line_and_leaves_nothing(
     push_campaign: Path, tmp_path: Path, command: Callable, size: int

@@ -57,6 +57,31 @@ def test_a_campaign_at_a_url_is_resumed_and_copied_down(memory: str, manifest: M
     assert not directory.exists()
 
 
+def test_a_stamp_changes_when_its_bag_is_written_again(tmp_path: Path, memory: str, manifest: Manifest) -> None:
+    for store in (Folder(tmp_path), open_store(memory)):
+        names = [report.key.name for report in run_campaign(store, manifest, run=fake)]
+        stamps = store.stamps()
+        assert sorted(stamps) == sorted(names)
+        assert store.stamps() == stamps
+        store.write(f"{names[0]}/signals.mcap", "other")
+        changed = store.stamps()
+        assert changed[names[0]] != stamps[names[0]]
+        assert changed[names[1]] == stamps[names[1]]
+        store.write(f".partial/{names[0]}/metadata.yaml", "hidden")
+        store.write(f"deeper/{names[0]}/metadata.yaml", "")
+        assert store.stamps().keys() - stamps.keys() == {f"deeper/{names[0]}"}
+
+
+def test_only_a_folder_has_stamps_of_bags_without_metadata(tmp_path: Path, memory: str) -> None:
+    """There a bag that was cut off is told; at a URL it is still being uploaded."""
+    for store in (Folder(tmp_path), open_store(memory)):
+        store.write("cut_off/signals.mcap", "")
+    assert Folder(tmp_path).stamps().keys() == {"cut_off"}
+    assert not open_store(memory).stamps()
+    with pytest.raises(InputError, match="no such folder"):
+        Folder(tmp_path / "nowhere").stamps()
+
+
 def test_a_bag_that_was_uploaded_by_half_is_run_again(memory: str, manifest: Manifest) -> None:
     name = manifest.keys[0].name
     fsspec.filesystem("memory").pipe(f"/campaigns/push/{name}/signals.mcap", b"half")

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rows of a campaign as a folder of Parquet files that grows with it: no bag is read twice.
+
+``part-*.parquet`` hold the rows of :func:`~impact_rs_analysis.measure.export.trial_row` with two columns more: ``bag``
+is where the bag lies below the campaign, and ``stamp`` changes when it is written again. A bag that has no row, or one
+with another stamp, is read. A part is whole or has no name, and is written anew for two reasons only. Where a bag was
+written again its old row goes before it is read, so none has two. Where a row has an arm that no row had before, every
+part gets its column: many readers take the columns of the first file for those of all.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from impact_rs_analysis.measure.analyze import SkippedBag
+from impact_rs_analysis.measure.export import check_package, table_of, trial_row
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import whole
+from impact_rs_sim.version import package_version
+from impact_rs_trials.bags.reader import told
+from impact_rs_trials.store import Folder, Store, open_store, owned
+from impact_rs_trials.workers import Map
+
+ROWS = 2000  # of a part: so many are held in memory, and lost where an export is killed
+PART = re.compile(r"part-\d+\.parquet")
+CAMPAIGN = b"impact_rs_campaign"  # key in every part's metadata: where its bags lie
+
+
+@dataclass(frozen=True)
+class Extended:
+    """What an export into a data set did.
+
+    Attributes:
+        trials: Number of trials that the data set holds now.
+        read: How many of them were read this time.
+        skipped: Bags that could not be read; they are tried again next time.
+    """
+
+    trials: int
+    read: int
+    skipped: tuple[SkippedBag, ...]
+
+
+def extend(
+    place: str | Path | Store, folder: Path, map_tasks: Map, progress: Callable[[int, int], None], rows: int = ROWS
+) -> Extended:
+    """Bring a data set up to date with a campaign. Rows of bags that are gone stay.
+
+    Args:
+        place: Folder with bags of trials, however deep, or its URL; it may grow meanwhile.
+        folder: Folder of the data set; it is made.
+        map_tasks: Parallel map.
+        progress: Told how many of how many new bags are read.
+        rows: How many a part has at most.
+
+    Raises:
+        InputError: Another folder than a data set of this campaign, one that another process works on, a part that
+            cannot be read or written, no bags, no readable trial, or a package that is not installed.
+    """
+    check_package("pyarrow", folder)
+    store = open_store(place)
+    _check(folder)
+    stamps = store.stamps()
+    added, skipped = 0, []
+    with owned(Folder(folder), "data set"):
+        parts = _Parts(folder, str(store))
+        known = parts.stamps()
+        new = sorted(name for name, stamp in stamps.items() if known.get(name) != stamp)
+        parts.drop(known.keys() & new)
+        for start in range(0, len(new), rows):
+            names = new[start : start + rows]
+            read: list[dict[str, Any]] = []
+            try:
+                found = zip(names, map_tasks(functools.partial(_row, store), names), strict=True)
+                for number, (name, row) in enumerate(found, start=start + 1):
+                    if isinstance(row, SkippedBag):
+                        skipped.append(row)
+                    else:
+                        read.append({**row, "bag": name, "stamp": stamps[name]})
+                    progress(number, len(new))
+            finally:  # what was read before an interrupt stays
+                parts.add(read)
+            added += len(read)
+        trials = len(known.keys() - new) + added
+        if not trials:
+            reason = f"; {skipped[0].name}: {skipped[0].reason}" if skipped else ""
+            raise InputError(f"no readable trials here{reason}", file=str(store))
+    return Extended(trials, added, tuple(skipped))
+
+
+def _row(store: Store, name: str) -> dict[str, Any] | SkippedBag:
+    try:
+        with store.getting(name) as directory:
+            return trial_row(directory / name)
+    except Exception as error:  # as for whatever is wrong with one bag
+        return SkippedBag(name, told(error))
+
+
+def _paths(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.glob("part-*") if PART.fullmatch(path.name))
+
+
+def _check(folder: Path) -> None:
+    """A data set, an empty folder, or none yet; hidden files do not count."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError("this is a file; expected the name of a folder", file=folder)
+    foreign = {path.name for path in folder.glob("[!.]*") if not PART.fullmatch(path.name)}
+    if foreign:
+        raise InputError(f"is no data set, for it holds {min(foreign)}; choose an empty or a new folder", file=folder)
+
+
+class _Parts:
+    """The parts of a data set, all with the same columns.
+
+    Args:
+        folder: Where they lie; this process owns it.
+        campaign: Where their bags lie, for the metadata of every part.
+
+    Raises:
+        InputError: One cannot be read, or is not of this data set.
+    """
+
+    def __init__(self, folder: Path, campaign: str) -> None:
+        self._folder = folder
+        self._metadata = {CAMPAIGN: campaign.encode(), b"made_by": f"impact-rs {package_version()}".encode()}
+        for path in folder.glob(".part-*.partial"):  # of an export that was killed
+            path.unlink(missing_ok=True)
+        schemas = [self._of_campaign(path) for path in _paths(folder)]
+        self._schema = self._united(schemas)
+        self._conform()
+
+    def stamps(self) -> dict[str, int]:
+        """The stamp of every bag that has a row, by its name."""
+        found: dict[str, int] = {}
+        for path in _paths(self._folder):
+            with _opened(path) as part:
+                columns = part.read(["bag", "stamp"]).to_pydict()
+            found.update(zip(columns["bag"], columns["stamp"], strict=True))
+        return found
+
+    def drop(self, names: Collection[str]) -> None:
+        """Take the rows of bags away, and parts that are empty then."""
+        import pyarrow.compute
+
+        for path in _paths(self._folder) if names else ():
+            with _opened(path) as part:
+                table = part.read()
+            gone = pyarrow.compute.is_in(table["bag"], pyarrow.array(list(names)))
+            kept = table.filter(pyarrow.compute.invert(gone))
+            if not kept.num_rows:
+                path.unlink()
+            elif kept.num_rows < table.num_rows:
+                self._write(path, kept)
+
+    def add(self, rows: list[dict[str, Any]]) -> None:
+        """Add a part, unless there are no rows."""
+        if not rows:
+            return
+        table = table_of(rows)
+        united = self._united([self._schema, table.schema])
+        if not united.equals(self._schema):
+            self._schema = united
+            self._conform()
+        last = max((int(path.stem.removeprefix("part-")) for path in _paths(self._folder)), default=-1)
+        self._write(self._folder / f"part-{last + 1:05d}.parquet", table)
+
+    def _of_campaign(self, path: Path) -> Any:
+        """Schema of a part, which is one of this data set."""
+        with _opened(path) as part:
+            schema = part.schema_arrow
+        theirs, ours = (schema.metadata or {}).get(CAMPAIGN), self._metadata[CAMPAIGN]
+        if theirs is None:
+            raise InputError("is no part of a data set of impact-rs; choose another folder", file=path)
+        if theirs != ours:
+            raise InputError(
+                f"holds the trials of {theirs.decode()}; choose another folder for those of {ours.decode()}",
+                file=self._folder,
+            )
+        return schema
+
+    def _united(self, schemas: list[Any]) -> Any:
+        """The columns of all of them."""
+        import pyarrow
+
+        try:
+            return pyarrow.unify_schemas([pyarrow.schema([]), *schemas]).with_metadata(self._metadata)
+        except pyarrow.ArrowException as error:
+            raise InputError(
+                f"holds rows of another version ({error}); choose another folder", file=self._folder
+            ) from None
+
+    def _conform(self) -> None:
+        """Give every part all columns."""
+        for path in _paths(self._folder):
+            with _opened(path) as part:
+                if part.schema_arrow.names != self._schema.names:
+                    self._write(path, part.read())
+
+    def _write(self, path: Path, table: Any) -> None:
+        import pyarrow
+        import pyarrow.parquet
+
+        columns = [
+            table[field.name] if field.name in table.column_names else pyarrow.nulls(table.num_rows, field.type)
+            for field in self._schema
+        ]
+        with whole(path) as aside:
+            pyarrow.parquet.write_table(pyarrow.table(columns, schema=self._schema), aside, compression="zstd")
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """A part to read from.
+
+    Raises:
+        InputError: It is damaged, or no Parquet file.
+    """
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        with pyarrow.parquet.ParquetFile(path) as part:
+            yield part
+    except (OSError, pyarrow.ArrowException) as error:
+        words = " ".join(str(error).split())
+        raise InputError(f"cannot be read ({words}); remove it, and its bags are read again", file=path) from None
