@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -89,20 +90,27 @@ def hold_out(source: Source, effects: Sequence[Effect]) -> HoldOut | None:
         return None
     rest: dict[int, Array] = {}
     names = []
-    for fold in folds:
-        evidence = Evidence.of(source, fold.training, thrifty=True)
-        search = Search.screened(effects, evidence, SHORTLIST_OF_FOLD)
-        found = search.choose(thrifty=True)
-        if found is not None and source.cheap:
-            found, _ = search.settle(found)
-        added = () if found is None else found.candidate.split(found.estimate)
-        names.append(() if found is None else found.candidate.names)
-        both = source.predict([(n, what) for n in fold.held for what in ((), added)], "hold-out")
-        for number, before, after in zip(fold.held, both[::2], both[1::2], strict=True):
-            item = source.clusters[number]
-            # Where the found effects cannot be simulated they predict nothing.
-            change = 0.0 if before is None or after is None else (after - before) / item.sigma
-            rest[number] = item.mean - change
+    for fold, (found, left) in zip(folds, source.spread(partial(_predicted, effects), folds, "hold-out"), strict=True):
+        names.append(found)
+        rest.update(zip(fold.held, left, strict=True))
     ordered = tuple(rest[number] for number in range(len(source.clusters)))
     errors = np.array([float(np.mean(np.square(values))) for values in ordered])
     return HoldOut(tuple(folds), errors, ordered, tuple(names))
+
+
+def _predicted(effects: Sequence[Effect], source: Source, fold: Fold) -> tuple[tuple[str, ...], list[Array]]:
+    """What the search finds without a fold, and what that leaves of the fold's mean residuals."""
+    evidence = Evidence.of(source, fold.training, thrifty=True)
+    search = Search.screened(effects, evidence, SHORTLIST_OF_FOLD)
+    found = search.choose(thrifty=True)
+    if found is not None and source.cheap:
+        found, _ = search.settle(found)
+    added = () if found is None else found.candidate.split(found.estimate)
+    both = source.predict([(n, what) for n in fold.held for what in ((), added)], "hold-out")
+    rest = []
+    for number, before, after in zip(fold.held, both[::2], both[1::2], strict=True):
+        item = source.clusters[number]
+        # Where the found effects cannot be simulated they predict nothing.
+        change = 0.0 if before is None or after is None else (after - before) / item.sigma
+        rest.append(item.mean - change)
+    return () if found is None else found.candidate.names, rest

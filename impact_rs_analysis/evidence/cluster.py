@@ -22,9 +22,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -36,6 +37,9 @@ from impact_rs_sim.robot import Array, JointType, RobotFacts
 
 Added = tuple[tuple[str, tuple[float, ...]], ...]
 """Effects on top of a model: names with their parameter vectors."""
+
+Item = TypeVar("Item")
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -239,6 +243,17 @@ class Source(ABC):
     def free_motion(self) -> Source | None:
         """The same clusters before anything was hit, where a look at them alone is cheaper; None: it is not."""
         return None
+
+    def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
+        """``function(source, item)`` of every item, in processes side by side where predictions are dear.
+
+        Args:
+            function: Changes nothing; another process must be able to load it.
+            items: What to do it with.
+            what: What it is for, to tell the user.
+        """
+        del what
+        return [function(self, item) for item in items]
 
     @abstractmethod
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:

@@ -3,16 +3,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from impact_rs_analysis.evidence.ante_impact import obliqueness
-from impact_rs_analysis.evidence.cluster import Added, Cluster, Identity, Source, apart, difference, pooled_error
+from impact_rs_analysis.evidence.cluster import (
+    Added,
+    Cluster,
+    Identity,
+    Item,
+    Made,
+    Source,
+    apart,
+    difference,
+    pooled_error,
+)
 from impact_rs_analysis.evidence.discrepancy import Discrepancy, Kind, measured_discrepancy
 from impact_rs_analysis.evidence.measured import MeasuredRun
 from impact_rs_analysis.evidence.runs import Runs
@@ -241,6 +251,13 @@ class ReplaySource(Source):
         return self.store(
             [Replay(self.conditions[number][0].setup, self.model, added) for number, added in wanted], what
         )
+
+    def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
+        """See :meth:`Source.spread`; every process has the replays that were made so far, and makes its own."""
+        alone = ReplaySource(
+            self.runs, self.model, self.store.in_one_process(), self.clusters, self.discrepancy, self.remarks
+        )
+        return self.store.spread(partial(function, alone), items, what)
 
     def differences(
         self, numbers: Sequence[int], before: Added, after: Added, what: str, every: bool = True

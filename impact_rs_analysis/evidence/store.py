@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_rs_analysis.evidence.cluster import Added
+from impact_rs_analysis.evidence.cluster import Added, Item, Made
 from impact_rs_analysis.evidence.measured import Setup
 from impact_rs_sim.errors import NotABody
 from impact_rs_sim.model import Model
@@ -145,9 +145,24 @@ class ReplayStore:
 
     def __init__(self, map_tasks: Map, progress: Progress | None = None) -> None:
         self._map = map_tasks
-        self._progress = progress or (lambda *_: None)
+        self._progress = progress
         self._known: dict[str, Array | None] = {}
         self._directory = cache_directory()
+
+    def in_one_process(self) -> ReplayStore:
+        """A store of the same replays that makes further ones where it is, and says nothing; others can load it."""
+        store = ReplayStore(map)
+        store._known = self._known
+        return store
+
+    def spread(self, function: Callable[[Item], Made], items: Sequence[Item], what: str) -> list[Made]:
+        """``function`` of every item over the map, told like replays."""
+        found = []
+        self._tell(what, 0, len(items))
+        for result in self._map(function, items):
+            found.append(result)
+            self._tell(what, len(found), len(items))
+        return found
 
     def __call__(self, tasks: Sequence[Replay], what: str = "replays") -> list[Array | None]:
         """Features of each replay, in order."""
@@ -164,8 +179,12 @@ class ReplayStore:
                 self._known[digest] = result
                 self._save(digest, result)
             done += len(batch)
-            self._progress(what, done, len(missing))
+            self._tell(what, done, len(missing))
         return [self._known[digest] for digest in digests]
+
+    def _tell(self, what: str, done: int, total: int) -> None:
+        if self._progress is not None:
+            self._progress(what, done, total)
 
     def _load(self, digest: str) -> bool:
         path = self._directory / digest[:2] / f"{digest}.npy"
