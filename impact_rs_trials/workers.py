@@ -8,6 +8,7 @@ import logging
 import pickle
 import tempfile
 import threading
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -177,7 +178,9 @@ def workers(workforce: Workforce) -> Iterator[Map]:
                     return
                 clients.append(held.enter_context(client_of(workforce)))
             client = clients[0]
-            futures = client.map(_work, [_packed(function, item) for item in items], pure=False, retries=2)
+            with warnings.catch_warnings():  # a task has all that it needs with it, so that any worker can run it again
+                warnings.filterwarnings("ignore", "Sending large graph")
+                futures = client.map(_work, [_packed(function, item) for item in items], pure=False, retries=2)
             for future in futures:
                 yield _result(client, future)
 
