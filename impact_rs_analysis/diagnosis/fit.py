@@ -272,23 +272,18 @@ def see_all(fitted: Fit) -> Fit:
 def look_elsewhere(fitted: Fit) -> Fit:
     """Begin again further away where a fit does not fit, since what is in contact may change on the way there.
 
-    A box that stands flat tips only with its weight beyond some offset; before that nothing tells which way to go. At
-    first the effect is elsewhere in one parameter and off in its others, which is the same place for every fold of a
-    hold-out; then from where that led.
+    A box that stands flat tips only with its weight beyond some offset; before that nothing tells which way to go.
     """
-    scalars, parts = fitted.candidate.scalars, fitted.candidate.parts
-    for look in range(len(scalars)):
+    scalars = fitted.candidate.scalars
+    for _ in scalars:
         evidence = fitted.evidence
         if fitted.misfit <= POOR * float(evidence.expected.mean()):
             break
         glance = replace(evidence, thrifty=True)
         places = []
         for index, scalar in enumerate(scalars):
-            own = next(part for _, part in parts if part.start <= index < part.stop)
             for value in scalar.far:
                 point = fitted.estimate.copy()
-                if look == 0:
-                    point[own] = fitted.candidate.nominal[own]
                 point[index] = value
                 if (moved := evaluate_at(fitted.candidate, point, glance)) is not None:
                     places.append(moved)

@@ -32,7 +32,9 @@ from impact_rs_trials.bags.reader import TrialBag, told
 from impact_rs_trials.campaign import MANIFEST, Manifest
 from impact_rs_trials.sensitivity import varied_folders
 from impact_rs_trials.spec import recorded_scenario
+from impact_rs_trials.workers import Map
 
+MANY = 100  # bags; fewer are read before processes have started
 LARGEST_SPREAD = 0.05  # s between the impacts of two arms; later, velocity feedback fights the second one
 
 
@@ -334,12 +336,24 @@ def find_bags(directory: Path) -> list[Path]:
     return found
 
 
-def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | None = None) -> Analysis:
+def feedback_of(path: Path) -> tuple[TrialFeedback | str, bool]:
+    """What a bag shows, or why it cannot be used; and whether it carries the checksums of a whole one."""
+    try:
+        bag = TrialBag.open(path)
+        return net_feedback(bag), bag.sealed
+    except Exception as error:  # whatever is wrong with one bag, the others are analysed
+        return told(error), True
+
+
+def analyze_campaign(
+    directory: Path, progress: Callable[[int, int], None] | None = None, map_tasks: Map = map
+) -> Analysis:
     """Analyse a folder of trials.
 
     Args:
         directory: Folder whose subfolders are bags.
         progress: Told how many of how many bags are read.
+        map_tasks: Parallel map, for campaigns of many trials.
 
     Raises:
         InputError: No such folder, or none of its bags is a trial that can be used.
@@ -361,14 +375,14 @@ def analyze_campaign(directory: Path, progress: Callable[[int, int], None] | Non
     def read(paths: Sequence[Path], prefix: str = "") -> list[TrialFeedback]:
         nonlocal count
         found = []
-        for path in paths:
-            try:
-                bag = TrialBag.open(path)
-                found.append(net_feedback(bag))
-                if not bag.sealed:
-                    unsealed.append(f"{prefix}{path.name}")
-            except Exception as error:  # whatever is wrong with one bag, the others are analysed
-                skipped.append(SkippedBag(f"{prefix}{path.name}", told(error)))
+        spread = map_tasks if len(paths) > MANY else map
+        for path, (feedback, sealed) in zip(paths, spread(feedback_of, paths), strict=True):
+            if isinstance(feedback, str):
+                skipped.append(SkippedBag(f"{prefix}{path.name}", feedback))
+            else:
+                found.append(feedback)
+            if not sealed:
+                unsealed.append(f"{prefix}{path.name}")
             count += 1
             if progress is not None:
                 progress(count, total)

@@ -12,6 +12,7 @@ from pathlib import Path
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
 from impact_rs_analysis.measure.sensitivity import Sensitivity
 from impact_rs_trials.campaign import Manifest, make_manifest
+from impact_rs_trials.workers import Map
 
 SCENARIOS = ("push", "grab")
 
@@ -29,17 +30,20 @@ def study_manifests(trials: int | None = None, seed: int = 0) -> dict[str, Manif
     return {name: make_manifest(name, trials=trials, seed=seed) for name in SCENARIOS}
 
 
-def analyze_study(directory: Path, progress: Callable[[int, int], None] | None = None) -> Analysis:
+def analyze_study(
+    directory: Path, progress: Callable[[int, int], None] | None = None, map_tasks: Map = map
+) -> Analysis:
     """Analyse both campaigns of a study as one.
 
     Args:
         directory: Folder of the study.
         progress: Told how many of how many bags of the present campaign are read.
+        map_tasks: Parallel map, for many trials.
 
     Raises:
         InputError: A campaign has no readable trial.
     """
-    parts = {name: analyze_campaign(directory / name, progress) for name in SCENARIOS}
+    parts = {name: analyze_campaign(directory / name, progress, map_tasks) for name in SCENARIOS}
     return Analysis(
         directory=directory,
         sets=tuple(entry for part in parts.values() for entry in part.sets),

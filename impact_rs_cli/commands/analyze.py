@@ -24,6 +24,7 @@ from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_trials.bags.checksums import unsealed_words
 from impact_rs_trials.campaign import MANIFEST
 from impact_rs_trials.store import is_url, local_copy
+from impact_rs_trials.workers import Map
 
 TEXT = """\
 Compare the impact map's predictions with what a folder of trials shows.
@@ -73,8 +74,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         return _laboratory(args, terminal)
     if is_url(args.directory) and args.output is None:
         raise InputError("expected a folder for the report: -o REPORT_DIR", file=args.directory)
-    with local_copy(args.directory, (MANIFEST,)) as directory:
-        return report_on(directory, args.output, terminal, args.contact)[0]
+    with local_copy(args.directory, (MANIFEST,)) as directory, started(args) as map_tasks:
+        return report_on(directory, args.output, terminal, args.contact, map_tasks)[0]
 
 
 def _laboratory(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -106,10 +107,12 @@ def _laboratory(args: argparse.Namespace, terminal: Terminal) -> int:
     return 0
 
 
-def report_on(directory: Path, output: Path | None, terminal: Terminal, contact: str = "first") -> tuple[int, Path]:
+def report_on(
+    directory: Path, output: Path | None, terminal: Terminal, contact: str = "first", map_tasks: Map = map
+) -> tuple[int, Path]:
     """Analyse, write the report and show the table; exit code and path of the report."""
     with terminal.progress("reading bags") as tell:
-        analysis = analyze_campaign(directory, tell)
+        analysis = analyze_campaign(directory, tell, map_tasks)
     report = publish(analysis, output or directory / "report", terminal, contact)
     if not analysis.sets:
         terminal.warn("no set has enough trials for an estimate; see above what is missing")

@@ -14,6 +14,7 @@ from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
 from impact_rs_trials.campaign import Manifest
 from impact_rs_trials.sensitivity import with_sensitivity
 from impact_rs_trials.store import Folder, Store
+from impact_rs_trials.workers import workers
 
 TEXT = """\
 Run the whole published study, analyse it and write one report: both scenarios (push with one arm, grab with two), three
@@ -63,7 +64,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             failed += sum(report.outcome == "ABORTED" for report in ran)
             tell_wrong(ran, terminal)
             terminal.say(f"{name}: {counted(ran) or 'all trials were there'}")
-    with terminal.progress("reading bags") as tell:
-        analysis = analyze_study(args.output, tell)
+    with terminal.progress("reading bags") as tell, workers(workforce) as map_tasks:
+        analysis = analyze_study(args.output, tell, map_tasks)
     publish(analysis, args.output / "report", terminal, args.contact)
     return 0 if analysis.sets and not failed and not analysis.missing else 1

@@ -384,8 +384,8 @@ MUTANTS = [
     Mutant(
         name="a_poor_fit_looks_nowhere_else",
         file="impact_rs_analysis/diagnosis/fit.py",
-        original="    for look in range(len(scalars)):\n        evidence = fitted.evidence",
-        mutated="    for look in range(0):\n        evidence = fitted.evidence",
+        original="    for _ in scalars:\n        evidence = fitted.evidence",
+        mutated="    for _ in ():\n        evidence = fitted.evidence",
         wrong="A fit on the side on which a box stays flat never learns that it tips on the other.",
         tests=SEARCHES,
     ),
