@@ -3,11 +3,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from analytic_world import EFFECTS, AnalyticSource
 
 from impact_rs_analysis.diagnosis.hold_out import folds_of, hold_out
+from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.evidence.runs import read_runs
+from impact_rs_analysis.evidence.store import ReplayStore
+from impact_rs_sim.effects import library
+from impact_rs_sim.model import load_model
+from impact_rs_trials.workers import _packed, _work
 
 pytestmark = pytest.mark.usefixtures("few_draws")
 
@@ -73,3 +83,21 @@ def test_a_true_effect_lowers_the_error_on_unseen_clusters_to_that_of_noise() ->
     expected = np.mean([item.expected for item in source.clusters])
     assert found.errors.mean() < 2.0 * expected
     assert np.mean([item.error for item in source.clusters]) > 20.0 * expected
+
+
+def test_a_fold_in_another_process_finds_the_friction_that_it_finds_here(
+    hidden_campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+    def elsewhere(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+        return (_work(_packed(function, item)) for item in items)
+
+    runs, effects = read_runs(hidden_campaign, map), [library()["support_friction"]]
+    here, there = (
+        hold_out(ReplaySource.of(runs, load_model("nominal"), ReplayStore(way)), effects) for way in (map, elsewhere)
+    )
+    assert here is not None and there is not None
+    np.testing.assert_array_equal(there.errors, here.errors)
+    assert there.chosen == here.chosen
+    assert ("support_friction",) in here.chosen
