@@ -93,7 +93,10 @@ OFF_BOUND = 0.01  # of the range, where what is nominal at a bound starts, as mu
 SYSID_DIFFERENCE = 5e-3  # step of its finite differences; over less, contact is jumpy
 DIFFERENCE = 0.1  # step of finite differences, in scales of the parameters
 
-CUSTOM = sysid.SignalType.CustomObs
+try:
+    CUSTOM = sysid.SignalType.CustomObs
+except AttributeError:  # mujoco.sysid is empty without what it needs
+    raise SystemExit('mujoco.sysid is not installed; pip install "impact_rs[peers]"') from None
 
 console = Console(width=180)
 

@@ -154,7 +154,14 @@ class Fit:
     @cached_property
     def half_widths(self) -> Array:
         """Half widths of the 95 % intervals in parameter scales, ``(p,)``."""
-        return self.problem.half_widths(self.change, self.evidence.reference)
+        return self.widths(0.95)
+
+    def widths(self, confidence: float) -> Array:
+        """Half widths of intervals in parameter scales, ``(p,)``; of a delay, with what the clocks may be off."""
+        clock = confidence * self.evidence.source.clock  # of equally likely offsets
+        unsure = np.array([clock if scalar.unit == "s" else 0.0 for scalar in self.candidate.scalars])
+        own = self.problem.half_widths(self.change, self.evidence.reference, confidence)
+        return np.asarray(np.hypot(own, unsure / self.candidate.scale))
 
     @property
     def misfit(self) -> float:

@@ -512,7 +512,7 @@ def consistent(fitted: Fit, first: int = 0) -> bool:
     if fitted.evidence.reference.shortage is not None or not np.any(own):
         return True
     confidence = 1.0 - SIGNIFICANT / float(np.count_nonzero(own))
-    widths = fitted.problem.half_widths(fitted.change, fitted.evidence.reference, confidence)
+    widths = fitted.widths(confidence)
     distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale
     return bool(np.any((distance > widths)[own]))
 

@@ -184,6 +184,8 @@ class Source(ABC):
         size_unit: Unit of :meth:`size`.
         pieces: What clusters are where nothing is repeated.
         of_motion: Whether motion before and after an impact was measured, or the impact alone.
+        clock: How far the stamps of commands may be off the clock of what was measured, either way [s]: that much of a
+            delay nobody can tell from them.
         least_change: Where nothing is repeated, parameter scales beyond which the whole interval of an accepted effect
             lies; 0: its features have floors, by which it is judged.
     """
@@ -198,6 +200,7 @@ class Source(ABC):
     size_unit: str = TIMES
     pieces: str = "stretches of time"
     of_motion: bool = True
+    clock: float = 0.0
     least_change: float = 1.0
 
     @property

@@ -66,7 +66,8 @@ def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map
         if isinstance(run, MeasuredRun) and run.lost
     ]
     found = Runs.of(directory, [*measured, *skipped])
-    return replace(found, remarks=tuple(_merged(remarks)))
+    clock = LARGEST_OFFSET * max((run.period for run in runs if run.command), default=0.0)
+    return replace(found, remarks=tuple(_merged(remarks)), clock=clock)
 
 
 def measured_or_why_not(run: Run) -> MeasuredRun | tuple[str, str]:

@@ -176,7 +176,7 @@ class ReplaySource(Source):
         remarks: Sequence[str] = (),
     ) -> None:
         self.runs, self.model, self.store, self.clusters = runs, model, store, clusters
-        self.discrepancy, self.remarks = discrepancy, tuple(remarks)
+        self.discrepancy, self.remarks, self.clock = discrepancy, tuple(remarks), runs.clock
         self.conditions = list(runs.conditions.values())
         self.physics = model.apply(self.conditions[0][0].setup.physics)
         self._numbers = {item.name: number for number, item in enumerate(clusters)}

@@ -29,12 +29,14 @@ class Runs:
         runs: Measured runs; repeats of a condition have the same features.
         skipped: Path and reason of everything that cannot be used.
         remarks: What a reader should know of how they were read.
+        clock: See :class:`~impact_rs_analysis.evidence.cluster.Source` [s].
     """
 
     directory: Path
     runs: tuple[MeasuredRun, ...]
     skipped: tuple[tuple[str, str], ...]
     remarks: tuple[str, ...] = ()
+    clock: float = 0.0
 
     @property
     def digest(self) -> str:

@@ -382,6 +382,14 @@ MUTANTS = [
         tests=SEARCHES,
     ),
     Mutant(
+        name="clocks_are_right",
+        file="impact_rs_analysis/diagnosis/fit.py",
+        original='clock if scalar.unit == "s" else 0.0',
+        mutated="0.0",
+        wrong="A delay is told as if the stamps of commands were those of the measured signals.",
+        tests=SEARCHES,
+    ),
+    Mutant(
         name="a_poor_fit_looks_nowhere_else",
         file="impact_rs_analysis/diagnosis/fit.py",
         original="    for _ in scalars:\n        evidence = fitted.evidence",

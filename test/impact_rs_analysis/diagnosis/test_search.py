@@ -110,6 +110,19 @@ def test_intervals_are_wider_by_what_the_simulator_is_known_to_be_off_by_and_hol
     assert binom.ppf(0.005, count, 0.93) <= inside
 
 
+def test_of_a_delay_nobody_knows_more_than_how_far_the_clocks_may_be_off() -> None:
+    source = AnalyticSource(3, (("inverse", (0.7,)),))
+    evidence = Evidence.of(source)
+    start = linearise(Candidate.of((EFFECTS["inverse"],), source), evidence.clusters, evidence.numbers, source)
+    assert start is not None
+    late = replace(start, scalars=tuple(replace(scalar, unit="s") for scalar in start.scalars))
+    alone = Fit.of(late, evidence).half_widths
+    source.clock = 0.4  # of commands
+    both, without_time = Fit.of(late, evidence).half_widths, Fit.of(start, evidence).half_widths
+    np.testing.assert_allclose(both**2 - alone**2, (0.95 * 0.4 / late.scale) ** 2)
+    np.testing.assert_array_equal(without_time, alone)
+
+
 def test_an_update_of_the_sensitivities_gives_the_step_just_made_exactly() -> None:
     source = AnalyticSource(7, (("bent", (9.0,)),))
     search = searched(source, ("bent",))

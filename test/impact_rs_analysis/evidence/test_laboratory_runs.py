@@ -209,6 +209,7 @@ def test_a_pad_that_comes_at_an_angle_takes_the_object_along_sideways() -> None:
 def test_of_two_arms_all_is_seen_that_is_seen_of_the_same_trial_of_our_own(tmp_path: Path, mixed_trial: Path) -> None:
     ours = read_trial(mixed_trial)
     runs = read_laboratory_runs(tmp_path, load_experiment(write_experiment(tmp_path, mixed_trial)), map)
+    assert runs.clock == pytest.approx(5e-4)  # half a sampling period of 1 ms
     (theirs,) = runs.runs
     assert isinstance(ours, MeasuredRun)
     assert theirs.features == ours.features
