@@ -78,13 +78,18 @@ def diagnose(
     search = Search.screened(effects, Evidence.of(source), told=told)
     chosen = None if search.evidence.reference.shortage is not None else search.choose()
     rivals: Sequence[Rival] = ()
+    held = None
     if chosen is not None:
         chosen, rivals = search.settle(chosen)
+        held = hold_out(source, effects)
+        if held is not None and not any(held.chosen):
+            # Significant in all conditions together, by chance, where no five sixths of them show anything.
+            chosen, rivals, held = None, (), None
     found = Findings(
         search=search,
         chosen=chosen,
         rivals=tuple(rivals),
-        hold_out=None if chosen is None else hold_out(source, effects),
+        hold_out=held,
         p_values=_p_values(search, chosen),
     )
     return _document(found, known, source, model)

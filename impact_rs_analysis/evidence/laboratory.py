@@ -28,7 +28,8 @@ from impact_rs_trials.workers import Map
 OUT_OF_REACH = 5.0  # m, where the object stands in a free motion
 LARGEST_OFFSET = 0.5  # sampling periods; a later command is a delay, which the diagnosis shall find
 SLOPE = 0.002  # s, over which the command is averaged at both ends of a window for its slope
-SMALLEST_OFFSET = 3.0  # standard errors; less is not told from none
+SURE = 3.0  # standard errors; an offset that is so far beyond the largest is a delay
+LEAST_WINDOWS = 8  # of a joint, for five terms
 
 
 def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map) -> Runs:
@@ -120,15 +121,19 @@ def _shifted(run: Run, offsets: Mapping[str, float]) -> Run:
 
 
 def command_offset(runs: Sequence[Run], name: str) -> float:
-    """How much later than their stamps an arm's commands act [s]; 0 where it is not told, or a delay worth finding.
+    """How much later than their stamps an arm's commands act [s]; 0 where it is a delay worth finding.
 
     In free motion the motor-side balance of a window is
 
         b_m = delta dtau_d/dt + (what friction, offset, gain and inertia of the joint leave of it)
 
     to first order in the offset delta: a regression over all windows, with one delta and, for every joint, a constant,
-    the sign and the mean of its velocity, the mean torque and the acceleration beside it. Free motions are looked at
-    where there are any, because windows before an impact are few.
+    the sign and the mean of its velocity, the mean torque and the acceleration beside it. A window in which a joint turns back says nothing of that
+    joint, for its dry friction has no one sign. Free motions are looked at where there are any, because windows before
+    an impact are few.
+
+    Told is the mean of delta under the regression and the belief that any offset of less than half a sampling period
+    is as likely as any other.
 
     Args:
         runs: Of one laboratory.
@@ -139,13 +144,14 @@ def command_offset(runs: Sequence[Run], name: str) -> float:
     for run in chosen:
         starts = free_starts(run, {}) if not run.hit else free_starts(run, _rough_impact(run))
         for start in (start for start in starts if recorded(run, start)):
-            for joint, row in enumerate(_window_terms(run, name, run.signals.arms[name], start)):
-                rows.setdefault(joint, []).append(row)
-    if not rows or min(len(own) for own in rows.values()) < 8:
+            terms, turns = _window_terms(run, name, run.signals.arms[name], start)
+            for joint in np.flatnonzero(np.logical_not(turns)).tolist():
+                rows.setdefault(joint, []).append(terms[joint])
+    tables = [np.array(own) for own in rows.values() if len(own) >= LEAST_WINDOWS]
+    if not tables:
         return 0.0
     slopes, rests = [], []
-    for own in rows.values():
-        table = np.array(own)
+    for table in tables:
         balance, slope, beside = table[:, 0], table[:, 1], table[:, 2:]
         design = np.column_stack((np.ones(len(table)), beside))
         basis = np.linalg.qr(design / np.maximum(np.linalg.norm(design, axis=0), 1e-12))[0]
@@ -157,10 +163,11 @@ def command_offset(runs: Sequence[Run], name: str) -> float:
     b = np.concatenate([weight * rest for weight, rest in zip(weights, rests, strict=True)])
     offset = float(a @ b / (a @ a))
     error = float(np.sqrt(np.mean(np.square(b - offset * a)) / (a @ a)))
-    period = chosen[0].period
-    if abs(offset) < SMALLEST_OFFSET * error or abs(offset) > LARGEST_OFFSET * period:
+    largest = LARGEST_OFFSET * chosen[0].period
+    if abs(offset) > largest + SURE * error:
         return 0.0
-    return offset
+    believed = largest**2 / 3.0  # variance of what is equally likely up to the largest
+    return float(np.clip(offset * believed / (believed + error**2), -largest, largest))
 
 
 def _rough_impact(run: Run) -> dict[str, float]:
@@ -169,8 +176,13 @@ def _rough_impact(run: Run) -> dict[str, float]:
     return {name: float(run.signals.time[int(np.argmax(change))]) for name in run.signals.arms}
 
 
-def _window_terms(run: Run, name: str, arm: ArmSignals, start: float) -> Array:
-    """By joint: balance, slope of the command, and what stands beside it in :func:`command_offset`, ``(n, 6)``."""
+def _window_terms(run: Run, name: str, arm: ArmSignals, start: float) -> tuple[Array, Array]:
+    """What :func:`command_offset` needs of a window.
+
+    Returns:
+        By joint its balance, the slope of its command, and what stands beside it, ``(n, 6)``; whether it turns back,
+        ``(n,)``.
+    """
     time = run.signals.time
     rows = (time >= start - 1e-9) & (time <= start + FREE + 1e-9)
     cut = arm.at(rows)
@@ -186,7 +198,8 @@ def _window_terms(run: Run, name: str, arm: ArmSignals, start: float) -> Array:
     balance = torque - passed - physics.motor_inertia_reduced * ramp
     speed = cut.velocity.mean(axis=0)
     # Held later by delta, the mean of the command is smaller by delta times its slope.
-    return np.column_stack((balance, slope, np.sign(speed), speed, torque, ramp))
+    turns = np.min(cut.velocity, axis=0) * np.max(cut.velocity, axis=0) < 0.0
+    return np.column_stack((balance, slope, np.sign(speed), speed, torque, ramp)), turns
 
 
 def _held_mean(sent: Array, values: Array, start: float, end: float) -> Array:

@@ -382,6 +382,14 @@ MUTANTS = [
         tests=SEARCHES,
     ),
     Mutant(
+        name="found_in_all_and_in_no_part",
+        file="impact_rs_analysis/diagnosis/diagnose.py",
+        original="if held is not None and not any(held.chosen):",
+        mutated="if False:",
+        wrong="An effect is named that the hold-out, which sees five sixths of the conditions at a time, never found.",
+        tests=SAID,
+    ),
+    Mutant(
         name="clocks_are_right",
         file="impact_rs_analysis/diagnosis/fit.py",
         original='clock if scalar.unit == "s" else 0.0',

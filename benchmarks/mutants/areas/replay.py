@@ -90,8 +90,8 @@ MUTANTS = [
     Mutant(
         name="a_real_delay_is_taken_out",
         file=LABORATORY,
-        original="or abs(offset) > LARGEST_OFFSET * period:",
-        mutated="or abs(offset) > 100.0 * LARGEST_OFFSET * period:",
+        original="if abs(offset) > largest + SURE * error:",
+        mutated="if abs(offset) > 100.0 * largest + SURE * error:",
         wrong="A delay of the actuation is taken for an offset of clocks.",
         tests=LABORATORY_TESTS,
     ),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,9 @@ from analytic_world import EFFECTS, FEATURES, AnalyticSource
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.fit import Evidence
+from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.verdicts import p_told, rests_of, told
+from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 
@@ -37,6 +40,19 @@ def test_nothing_is_missing_and_one_is_what_repetition_gives() -> None:
     assert np.mean([d.held_out_error_before for d in documents]) == pytest.approx(1.0, abs=0.05)
     assert all(d.noise_floor == 1.0 for d in documents)
     assert sum(d.verdict == "NOTHING-MISSING" for d in documents) >= 18
+
+
+def test_what_no_part_of_the_conditions_shows_without_the_others_is_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nowhere(source: AnalyticSource, effects: Sequence[Effect]) -> HoldOut | None:
+        found = hold_out(source, effects)
+        return found and replace(found, chosen=tuple(() for _ in found.chosen))
+
+    source = AnalyticSource(1, (("straight", (5.0,)),))
+    assert said(source).named == ("straight",)
+    monkeypatch.setattr("impact_rs_analysis.diagnosis.diagnose.hold_out", nowhere)
+    document = said(source)
+    assert document.named == ()
+    assert document.held_out_error_after == document.held_out_error_before
 
 
 @pytest.mark.parametrize("value", [1.0, 5.0, 40.0])

@@ -36,7 +36,6 @@ def stamped(run: Run, late: float) -> Run:
 
 @pytest.mark.parametrize("late", [-0.0003, 0.0, 0.0003])
 def test_an_offset_below_half_a_period_is_found_also_with_friction(free: Run, rubbed: Run, late: float) -> None:
-    """The torque loop itself is half of its period, 0.125 ms, early."""
     for run in (free, rubbed):
         assert command_offset([stamped(run, late)], "arm") == pytest.approx(-late, abs=1.5e-4)
     assert COULOMB.max() > 0.2
