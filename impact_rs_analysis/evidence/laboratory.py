@@ -128,9 +128,9 @@ def command_offset(runs: Sequence[Run], name: str) -> float:
         b_m = delta dtau_d/dt + (what friction, offset, gain and inertia of the joint leave of it)
 
     to first order in the offset delta: a regression over all windows, with one delta and, for every joint, a constant,
-    the sign and the mean of its velocity, the mean torque and the acceleration beside it. A window in which a joint turns back says nothing of that
-    joint, for its dry friction has no one sign. Free motions are looked at where there are any, because windows before
-    an impact are few.
+    the sign and the mean of its velocity, the mean torque and the acceleration beside it. A window in which a joint
+    turns back says nothing of that joint, for its dry friction has no one sign. Free motions are looked at where there
+    are any, because windows before an impact are few.
 
     Told is the mean of delta under the regression and the belief that any offset of less than half a sampling period
     is as likely as any other.
