@@ -332,6 +332,14 @@ class Problem:
             confidence,
         )
 
+    def moved_by_clock(self) -> Array:
+        """Change of the estimate when the clock of all commands is off by its standard deviation, ``(p,)``."""
+        score = np.zeros(self.total.shape[0])
+        for item, jacobian in zip(self.clusters, self.candidate.jacobians, strict=True):
+            if item.late is not None:
+                score += item.count * jacobian.T @ item.late
+        return np.asarray(np.linalg.solve(self.total, score))
+
     def p_value(self, reference: Reference, tested: slice | Sequence[int]) -> float:
         """p of some parameters being nominal, beside all others of the candidate (score test).
 

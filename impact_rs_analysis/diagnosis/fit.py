@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, linearise
 from impact_rs_analysis.diagnosis.reference import BlockReference, Reference, RotationReference
@@ -157,11 +158,12 @@ class Fit:
         return self.widths(0.95)
 
     def widths(self, confidence: float) -> Array:
-        """Half widths of intervals in parameter scales, ``(p,)``; of a delay, with what the clocks may be off."""
+        """Half widths of intervals in parameter scales, ``(p,)``, with what the clocks may be off."""
         clock = confidence * self.evidence.source.clock  # of equally likely offsets
         unsure = np.array([clock if scalar.unit == "s" else 0.0 for scalar in self.candidate.scalars])
         own = self.problem.half_widths(self.change, self.evidence.reference, confidence)
-        return np.asarray(np.hypot(own, unsure / self.candidate.scale))
+        moved = scipy.stats.norm.ppf(0.5 + confidence / 2.0) * self.problem.moved_by_clock()
+        return np.asarray(np.sqrt(own**2 + moved**2 + (unsure / self.candidate.scale) ** 2))
 
     @property
     def misfit(self) -> float:

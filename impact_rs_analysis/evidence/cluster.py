@@ -88,6 +88,8 @@ class Cluster:
         patterns: How it moves the features together, ``(k, F)`` [-]: a sum of these rows with normal amplitudes, whose
             squares add up to those of ``discrepancy``; None: every feature by itself.
         alike: Clusters of one name have the same amplitudes; None: those of one layout.
+        late: What one standard deviation of the clock of commands, the same one everywhere, does to its residuals,
+            ``(F,)`` [-]; None: their clock is known.
     """
 
     name: str
@@ -102,6 +104,7 @@ class Cluster:
     discrepancy: Array
     patterns: Array | None = None
     alike: str | None = None
+    late: Array | None = None
 
     @property
     def count(self) -> int:
@@ -132,6 +135,7 @@ class Cluster:
             pure=self.pure[rows],
             discrepancy=self.discrepancy[rows],
             patterns=None if self.patterns is None else self.patterns[:, rows],
+            late=None if self.late is None else self.late[rows],
         )
 
     @property

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -47,7 +48,8 @@ def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map
     scenario = experiment.load_scenario()
     runs = [run_of(item, scenario) for item in recorded_runs]
     remarks = [f"{item.name}: {remark}" for item in recorded_runs for remark in item.remarks]
-    offsets = {arm: command_offset(runs, arm) for arm in scenario.robots}
+    told = {arm: command_offset(runs, arm) for arm in scenario.robots}
+    offsets = {arm: offset for arm, (offset, _) in told.items()}
     runs = [_shifted(run, offsets) for run in runs]
     for arm, offset in offsets.items():
         if offset == 0.0:
@@ -68,7 +70,22 @@ def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map
     ]
     found = Runs.of(directory, [*measured, *skipped])
     clock = LARGEST_OFFSET * max((run.period for run in runs if run.command), default=0.0)
-    return replace(found, remarks=tuple(_merged(remarks)), clock=clock)
+    late = _late(found, runs, {arm: error for arm, (_, error) in told.items()}, map_tasks)
+    return replace(found, remarks=tuple(_merged(remarks)), clock=clock, late=late)
+
+
+def _late(found: Runs, runs: Sequence[Run], errors: Mapping[str, float], map_tasks: Map) -> dict[str, MeasuredRun]:
+    """The first run of every condition with commands that act later by a standard error of their offset."""
+    if not any(errors.values()):
+        return {}
+    known = {str(run.path): run for run in runs}
+    firsts = {condition: own[0] for condition, own in found.conditions.items()}
+    shifted = map_tasks(measured_or_why_not, [_shifted(known[str(first.path)], errors) for first in firsts.values()])
+    return {
+        condition: late.only(set(first.features))
+        for (condition, first), late in zip(firsts.items(), shifted, strict=True)
+        if isinstance(late, MeasuredRun) and set(first.features) <= set(late.features)
+    }
 
 
 def measured_or_why_not(run: Run) -> MeasuredRun | tuple[str, str]:
@@ -120,8 +137,8 @@ def _shifted(run: Run, offsets: Mapping[str, float]) -> Run:
     return replace(run, command_time={name: time + offsets[name] for name, time in run.command_time.items()})
 
 
-def command_offset(runs: Sequence[Run], name: str) -> float:
-    """How much later than their stamps an arm's commands act [s]; 0 where it is a delay worth finding.
+def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
+    """How much later than their stamps an arm's commands act, and its standard error [s]; 0 where it is a delay.
 
     In free motion the motor-side balance of a window is
 
@@ -132,8 +149,8 @@ def command_offset(runs: Sequence[Run], name: str) -> float:
     turns back says nothing of that joint, for its dry friction has no one sign. Free motions are looked at where there
     are any, because windows before an impact are few.
 
-    Told is the mean of delta under the regression and the belief that any offset of less than half a sampling period
-    is as likely as any other.
+    Told are mean and standard deviation of delta under the regression and the belief that any offset of less than half
+    a sampling period is as likely as any other.
 
     Args:
         runs: Of one laboratory.
@@ -149,7 +166,7 @@ def command_offset(runs: Sequence[Run], name: str) -> float:
                 rows.setdefault(joint, []).append(terms[joint])
     tables = [np.array(own) for own in rows.values() if len(own) >= LEAST_WINDOWS]
     if not tables:
-        return 0.0
+        return 0.0, 0.0
     slopes, rests = [], []
     for table in tables:
         balance, slope, beside = table[:, 0], table[:, 1], table[:, 2:]
@@ -163,11 +180,14 @@ def command_offset(runs: Sequence[Run], name: str) -> float:
     b = np.concatenate([weight * rest for weight, rest in zip(weights, rests, strict=True)])
     offset = float(a @ b / (a @ a))
     error = float(np.sqrt(np.mean(np.square(b - offset * a)) / (a @ a)))
+    # When within its period a torque loop takes a command nobody tells: uniform over half of it either way.
+    error = math.hypot(error, chosen[0].drive_period / math.sqrt(12.0))
     largest = LARGEST_OFFSET * chosen[0].period
     if abs(offset) > largest + SURE * error:
-        return 0.0
+        return 0.0, 0.0
     believed = largest**2 / 3.0  # variance of what is equally likely up to the largest
-    return float(np.clip(offset * believed / (believed + error**2), -largest, largest))
+    share = believed / (believed + error**2)
+    return float(np.clip(share * offset, -largest, largest)), math.sqrt(share) * error
 
 
 def _rough_impact(run: Run) -> dict[str, float]:

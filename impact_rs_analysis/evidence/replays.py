@@ -148,6 +148,21 @@ def max_bin(run: MeasuredRun, phase: str, signal: str) -> int:
     return 1 + max(feature.bin for feature in run.features if (feature.phase, feature.signal) == (phase, signal))
 
 
+def _with_late(
+    clusters: Sequence[Cluster], runs: Runs, residuals: Sequence[Array], model: Model, store: ReplayStore
+) -> tuple[Cluster, ...]:
+    """Clusters with what the clock of commands may do to them."""
+    firsts = {run.condition: values for run, values in zip(reversed(runs.runs), reversed(residuals), strict=True)}
+    late = {name: run for name, run in runs.late.items() if name in firsts}
+    predicted = store([Replay(run.setup, model) for run in late.values()], "clock of the commands")
+    moved = {
+        name: run.measured - values - firsts[name]
+        for (name, run), values in zip(late.items(), predicted, strict=True)
+        if values is not None and np.isfinite(values).all()
+    }
+    return tuple(replace(item, late=moved[item.name] / item.sigma) if item.name in moved else item for item in clusters)
+
+
 class ReplaySource(Source):
     """Runs against the replay twin of a model.
 
@@ -232,6 +247,7 @@ class ReplaySource(Source):
             remark = f"left out, because {words}: {names}"
             runs = replace(runs, runs=tuple(kept), remarks=(*runs.remarks, remark))
         clusters, remarks = clusters_of(runs, residuals, discrepancy)
+        clusters = _with_late(clusters, runs, residuals, model, store)
         return cls(runs, model, store, clusters, discrepancy, (*runs.remarks, *remarks))
 
     @cached_property

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from impact_rs_analysis.evidence.cluster import Feature
@@ -30,6 +30,8 @@ class Runs:
         skipped: Path and reason of everything that cannot be used.
         remarks: What a reader should know of how they were read.
         clock: See :class:`~impact_rs_analysis.evidence.cluster.Source` [s].
+        late: By condition, its first run with commands that act one standard deviation of their clock later; none
+            where that clock is known.
     """
 
     directory: Path
@@ -37,6 +39,7 @@ class Runs:
     skipped: tuple[tuple[str, str], ...]
     remarks: tuple[str, ...] = ()
     clock: float = 0.0
+    late: Mapping[str, MeasuredRun] = field(default_factory=dict)
 
     @property
     def digest(self) -> str:

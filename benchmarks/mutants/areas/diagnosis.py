@@ -382,6 +382,14 @@ MUTANTS = [
         tests=SEARCHES,
     ),
     Mutant(
+        name="clocks_differ_from_condition_to_condition",
+        file="impact_rs_analysis/diagnosis/candidate.py",
+        original="                score += item.count * jacobian.T @ item.late",
+        mutated="                score = item.count * jacobian.T @ item.late",
+        wrong="Of the conditions that one wrong clock moves alike only the last counts in an interval.",
+        tests=SEARCHES,
+    ),
+    Mutant(
         name="found_in_all_and_in_no_part",
         file="impact_rs_analysis/diagnosis/diagnose.py",
         original="if held is not None and not any(held.chosen):",

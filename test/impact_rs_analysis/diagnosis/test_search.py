@@ -123,6 +123,20 @@ def test_of_a_delay_nobody_knows_more_than_how_far_the_clocks_may_be_off() -> No
     np.testing.assert_array_equal(without_time, alone)
 
 
+def test_an_interval_knows_what_a_clock_that_is_off_does_to_all_conditions_alike() -> None:
+    source = AnalyticSource(3, (("straight", (2.0,)),))
+    evidence = Evidence.of(source)
+    start = linearise(Candidate.of((EFFECTS["straight"],), source), evidence.clusters, evidence.numbers, source)
+    assert start is not None
+    alone = Fit.of(start, evidence).half_widths
+    clock = np.full(start.point.size, 0.3)  # parameter scales that it looks like
+    late = tuple(
+        replace(item, late=jacobian @ clock) for item, jacobian in zip(evidence.clusters, start.jacobians, strict=True)
+    )
+    both = Fit.of(start, replace(evidence, clusters=late)).half_widths
+    np.testing.assert_allclose(np.sqrt(both**2 - alone**2), 1.96 * clock, rtol=1e-3)
+
+
 def test_an_update_of_the_sensitivities_gives_the_step_just_made_exactly() -> None:
     source = AnalyticSource(7, (("bent", (9.0,)),))
     search = searched(source, ("bent",))
