@@ -177,10 +177,7 @@ def _window(run: Run, start: float, end: float, thing: BodyState, number: int | 
         earlier: tuple[tuple[float, Array], ...] = ()
         if run.command:
             sent, values = run.command_time[name], run.command[name]
-            # A command on the edge of a period belongs to it, whatever rounding says.
-            rows = np.maximum(np.searchsorted(sent, grid + 1e-3 * run.period, side="right") - 1, 0)
-            torques[name] = values[rows[0] : rows[-1] + 1]
-            acting[name] = (rows - rows[0]).astype(np.int32)
+            torques[name], acting[name] = _held(sent, values, grid, run.period / substeps)
             known = np.nonzero((sent < ticks[0]) & (sent > ticks[0] - EARLIER))[0]
             earlier = tuple((float(sent[row] - ticks[0]), values[row]) for row in known)
         else:
@@ -191,6 +188,34 @@ def _window(run: Run, start: float, end: float, thing: BodyState, number: int | 
     tracked = run.signals.object_time
     seen = tracked[contact & (tracked >= ticks[0] - 1e-9) & (tracked <= ticks[-1] + 1e-9)]
     return Window(contact, number or 0, ticks, arms, drives, thing, torques, acting, seen)
+
+
+def _held(sent: Array, values: Array, grid: Array, period: float) -> tuple[Array, NDArray[np.int32]]:
+    """Commands that are held until the next, by period of the torque loop.
+
+    Args:
+        sent: When they begin to act, ``(c,)`` [s].
+        values: What they are, ``(c, n)`` [N m].
+        grid: Where the periods begin, ``(s,)`` [s].
+        period: How long they are [s].
+
+    Returns:
+        Torques in the order in which they act, ``(m, n)``, and which of them acts in every period, ``(s,)``; where a
+        command begins within a period, the means over the periods.
+    """
+    edge = 4e-3 * period  # a command on the edge of a period belongs to it, whatever rounding says
+    rows, last = (
+        np.maximum(np.searchsorted(sent, moments, side="right") - 1, 0)
+        for moments in (grid + edge, grid + period - edge)
+    )
+    if np.array_equal(rows, last):
+        return values[rows[0] : rows[-1] + 1], (rows - rows[0]).astype(np.int32)
+    edges = np.append(grid, grid[-1] + period)
+    knots = np.append(sent, max(sent[-1], edges[-1]) + period)
+    knots[0] = min(knots[0], edges[0])
+    sums = np.vstack((np.zeros(values.shape[1]), np.cumsum(np.diff(knots)[:, None] * values, axis=0)))
+    at = np.column_stack([np.interp(edges, knots, column) for column in sums.T])
+    return np.diff(at, axis=0) / np.diff(edges)[:, None], np.arange(grid.size, dtype=np.int32)
 
 
 def _near(time: Array, moment: float) -> slice:

@@ -88,6 +88,14 @@ MUTANTS = [
         tests=LABORATORY_TESTS,
     ),
     Mutant(
+        name="a_command_acts_from_the_next_period_on",
+        file="impact_rs_analysis/evidence/replay.py",
+        original="    if np.array_equal(rows, last):",
+        mutated="    if True:",
+        wrong="A command that begins within a period of the torque loop waits for the next, up to 0.25 ms.",
+        tests=("test/impact_rs_analysis/evidence/test_replay.py",),
+    ),
+    Mutant(
         name="a_real_delay_is_taken_out",
         file=LABORATORY,
         original="if abs(offset) > largest + SURE * error:",

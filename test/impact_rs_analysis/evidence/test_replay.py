@@ -15,6 +15,7 @@ from impact_rs_analysis.evidence.replay import (
     AFTER_IMPACT,
     BEFORE_IMPACT,
     FREE,
+    _held,
     _joint_fit,
     _slope_fit,
     free_starts,
@@ -223,3 +224,20 @@ def test_the_part_before_the_hit_is_measured_and_replayed_as_in_the_whole(hit: R
     physics = with_friction(run.physics)
     predicted = whole.setup.features_of(whole.setup.replayed(physics))
     np.testing.assert_allclose(part.setup.features_of(part.setup.replayed(physics)), predicted[rows], atol=1e-12)
+
+
+def test_a_command_that_begins_within_a_period_of_the_torque_loop_acts_for_its_share_of_it() -> None:
+    period, values = 2.5e-4, np.array([[1.0], [2.0], [4.0]])
+    grid = period * np.arange(12)
+    torque, acting = _held(np.array([0.0, 1.1e-3, 2.1e-3]), values, grid, period)
+    assert torque[acting].ravel() == pytest.approx([1.0] * 4 + [1.6] + [2.0] * 3 + [3.2] + [4.0] * 3)
+    impulse = 1.0 * 1.1e-3 + 2.0 * 1.0e-3 + 4.0 * 0.9e-3
+    assert period * float(torque[acting].sum()) == pytest.approx(impulse)
+
+
+def test_commands_on_the_edges_of_the_torque_loop_act_as_they_were_sent() -> None:
+    period, values = 2.5e-4, np.array([[1.0], [2.0], [4.0]])
+    sent = np.array([0.0, 1.0e-3 + 1e-12, 2.0e-3 - 1e-12])
+    torque, acting = _held(sent, values, period * np.arange(12), period)
+    np.testing.assert_array_equal(torque, values)
+    np.testing.assert_array_equal(acting, np.repeat([0, 1, 2], 4))
