@@ -111,9 +111,13 @@ def test_scales_that_differ_little_have_a_bag_each(tmp_path: Path, capfd: pytest
 
 
 def limited(arguments: list[str], size: int) -> subprocess.CompletedProcess:
-    """A command that may write no file beyond so many bytes, as on a disk that is full."""
+    """A command that may write no file beyond so many bytes, as on a disk that is full.
+
+    Python would cut off what it compiles as well, which no later process could import.
+    """
     return subprocess.run(
         [sys.executable, "-m", "impact_rs_cli.main", *arguments],
+        env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1"},
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)),
         capture_output=True,
         text=True,
