@@ -82,8 +82,8 @@ def diagnose(
     if chosen is not None:
         chosen, rivals = search.settle(chosen)
         held = hold_out(source, effects)
-        if held is not None and not any(held.chosen):
-            # Significant in all conditions together, by chance, where no five sixths of them show anything.
+        if held is not None and not any(held.chosen) and not search.lacking:
+            # Nothing is left to explain: significant by chance, where no five sixths of the conditions show it.
             chosen, rivals, held = None, (), None
     found = Findings(
         search=search,

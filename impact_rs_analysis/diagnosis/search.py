@@ -324,7 +324,7 @@ class Search:
         self._told("+".join(fitted.candidate.names), self.evidence.size(fitted.held_out))
 
     @property
-    def _lacking(self) -> bool:
+    def lacking(self) -> bool:
         """Whether the model leaves more than noise and discrepancy; if not, what is too small to matter stays out."""
         left = self.evidence.lack_of_fit
         return left is None or left < SIGNIFICANT
@@ -351,7 +351,7 @@ class Search:
         first = 0 if chosen is None else chosen.change.size
         sure = consistent if self.source.repeated else noticeable
         found = [proposal for proposal in found if sure(proposal, first)]
-        if self.source.repeated and chosen is None and not self._lacking:
+        if self.source.repeated and chosen is None and not self.lacking:
             found = [proposal for proposal in found if moves_enough(proposal)]
         if not found:
             return None

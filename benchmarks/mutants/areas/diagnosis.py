@@ -392,7 +392,7 @@ MUTANTS = [
     Mutant(
         name="found_in_all_and_in_no_part",
         file="impact_rs_analysis/diagnosis/diagnose.py",
-        original="if held is not None and not any(held.chosen):",
+        original="if held is not None and not any(held.chosen) and not search.lacking:",
         mutated="if False:",
         wrong="An effect is named that the hold-out, which sees five sixths of the conditions at a time, never found.",
         tests=SAID,

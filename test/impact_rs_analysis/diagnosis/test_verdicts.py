@@ -14,6 +14,7 @@ from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
+from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.diagnosis.verdicts import p_told, rests_of, told
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
@@ -42,7 +43,9 @@ def test_nothing_is_missing_and_one_is_what_repetition_gives() -> None:
     assert sum(d.verdict == "NOTHING-MISSING" for d in documents) >= 18
 
 
-def test_what_no_part_of_the_conditions_shows_without_the_others_is_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_noise_explains_all_nothing_is_named_that_no_part_of_the_conditions_shows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def nowhere(source: AnalyticSource, effects: Sequence[Effect]) -> HoldOut | None:
         found = hold_out(source, effects)
         return found and replace(found, chosen=tuple(() for _ in found.chosen))
@@ -50,6 +53,8 @@ def test_what_no_part_of_the_conditions_shows_without_the_others_is_not_named(mo
     source = AnalyticSource(1, (("straight", (5.0,)),))
     assert said(source).named == ("straight",)
     monkeypatch.setattr("impact_rs_analysis.diagnosis.diagnose.hold_out", nowhere)
+    assert said(source).named == ("straight",)  # there is more than noise
+    monkeypatch.setattr(Search, "lacking", False)
     document = said(source)
     assert document.named == ()
     assert document.held_out_error_after == document.held_out_error_before
