@@ -227,6 +227,8 @@ class Graph:
         client = self.node.create_client(GetParameters, f"{name}/get_parameters")
         try:
             for _ in range(QUESTIONS):
+                if not self.is_there(name):
+                    break
                 future = client.call_async(GetParameters.Request(names=["scenario"]))
                 deadline = time.monotonic() + ANSWER_TIMEOUT
                 while not future.done() and time.monotonic() < deadline and self.is_there(name):
@@ -234,8 +236,6 @@ class Graph:
                 if future.done():
                     return True
                 client.remove_pending_request(future)
-                if not self.is_there(name):
-                    break
             return False
         finally:
             self.node.destroy_client(client)

@@ -12,7 +12,7 @@ import numpy as np
 
 from impact_rs_analysis.evidence.features import Balances
 from impact_rs_analysis.evidence.measured import MeasuredRun
-from impact_rs_analysis.evidence.replay import FREE, free_starts, recorded
+from impact_rs_analysis.evidence.replay import FREE, free_starts, held_means, recorded
 from impact_rs_analysis.evidence.run import Run
 from impact_rs_analysis.evidence.runs import Runs
 from impact_rs_analysis.evidence.signals import ArmSignals, Signals
@@ -224,10 +224,7 @@ def _window_terms(run: Run, name: str, arm: ArmSignals, start: float) -> tuple[A
 
 def _held_mean(sent: Array, values: Array, start: float, end: float) -> Array:
     """Mean over a window of commands that are held until the next, ``(n,)`` [N m]."""
-    inside = (sent > start) & (sent < end)
-    edges = np.concatenate(([start], sent[inside], [end]))
-    rows = np.maximum(np.searchsorted(sent, edges[:-1] + 1e-12, side="right") - 1, 0)
-    return np.asarray(np.diff(edges) @ values[rows] / (end - start))
+    return np.asarray(held_means(sent, values, np.array([start, end]))[0])
 
 
 def _merged(remarks: Sequence[str]) -> list[str]:

@@ -92,12 +92,8 @@ class Window:
         earlier = self.drives[arm].earlier or ((-np.inf, self.drives[arm].torque),)
         since = np.concatenate(([moment for moment, _ in earlier], np.arange(len(held)) * period))
         values = np.vstack((*(torque for _, torque in earlier), held))
-        since[0] = min(since[0], -2.0 * delay - period)  # nothing else was sent before
-        edges = np.append(since, len(held) * period)
-        sums = np.vstack((np.zeros(held.shape[1]), np.cumsum(np.diff(edges)[:, None] * values, axis=0)))
         grid = np.arange(len(held) + 1) * period - delay
-        at = np.column_stack([np.interp(grid, edges, column) for column in sums.T])
-        return np.asarray(np.diff(at, axis=0) / period)
+        return held_means(since, values, np.asarray(grid, dtype=float))
 
     def commanded(self, arm: str) -> Array:
         """Driving torque at every tick, ``(k, n)`` [N m]."""
@@ -210,12 +206,24 @@ def _held(sent: Array, values: Array, grid: Array, period: float) -> tuple[Array
     )
     if np.array_equal(rows, last):
         return values[rows[0] : rows[-1] + 1], (rows - rows[0]).astype(np.int32)
-    edges = np.append(grid, grid[-1] + period)
-    knots = np.append(sent, max(sent[-1], edges[-1]) + period)
-    knots[0] = min(knots[0], edges[0])
-    sums = np.vstack((np.zeros(values.shape[1]), np.cumsum(np.diff(knots)[:, None] * values, axis=0)))
+    return held_means(sent, values, np.append(grid, grid[-1] + period)), np.arange(grid.size, dtype=np.int32)
+
+
+def held_means(sent: Array, values: Array, edges: Array) -> Array:
+    """Means, from edge to edge, of commands that are held until the next, ``(s, n)`` [N m].
+
+    Args:
+        sent: When they begin to act, ``(c,)`` [s]; the first has acted before, too.
+        values: What they are, ``(c, n)`` [N m].
+        edges: Moments, ``(s + 1,)`` [s].
+    """
+    first = max(int(np.searchsorted(sent, edges[0], side="right")) - 1, 0)
+    last = max(int(np.searchsorted(sent, edges[-1])), first + 1)
+    knots, own = np.append(sent[first:last], np.inf), values[first:last]
+    knots[0], knots[-1] = edges[0], max(knots[-2], edges[-1]) + 1.0
+    sums = np.vstack((np.zeros(own.shape[1]), np.cumsum(np.diff(knots)[:, None] * own, axis=0)))
     at = np.column_stack([np.interp(edges, knots, column) for column in sums.T])
-    return np.diff(at, axis=0) / np.diff(edges)[:, None], np.arange(grid.size, dtype=np.int32)
+    return np.asarray(np.diff(at, axis=0) / np.diff(edges)[:, None])
 
 
 def _near(time: Array, moment: float) -> slice:

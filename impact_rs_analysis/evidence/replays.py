@@ -270,8 +270,8 @@ class ReplaySource(Source):
 
     def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
         """See :meth:`Source.spread`; every process has the replays that were made so far, and makes its own."""
-        bare = tuple(replace(run, signals=()) for run in self.runs.runs)  # signals are for pictures
-        runs, store = replace(self.runs, runs=bare), self.store.in_one_process()
+        bare = tuple(replace(run, signals=()) for run in self.runs.runs)  # signals are for pictures, late for clusters
+        runs, store = replace(self.runs, runs=bare, late={}), self.store.in_one_process()
         alone = ReplaySource(runs, self.model, store, self.clusters, self.discrepancy, self.remarks)
         return self.store.spread(partial(function, alone), items, what)
 

@@ -25,11 +25,8 @@ from impact_rs_trials.workers import Map
 
 CACHE_VERSION = 11
 EFFORT_OF_CONTACT = 20.0  # of a sample with contact, in samples of free motion
-LEAST_BATCH, LARGEST_BATCH = (
-    4_000.0,
-    30_000.0,
-)  # such samples that a worker is sent together, 30 to 200 ms of work: a task
-# costs the scheduler, and this process, some milliseconds
+# Such samples that a worker is sent together, 30 to 200 ms of work: a task costs the scheduler, and us, some ms.
+LEAST_BATCH, LARGEST_BATCH = 4_000.0, 30_000.0
 BATCHES = 16  # rather than larger ones, so that workers end together
 
 Progress = Callable[[str, int, int], None]
