@@ -184,8 +184,8 @@ function orderForm(fields, body, label, extra = []) {
   const node = h('form', {onsubmit: async (event) => {
     event.preventDefault();
     try { keepJob(await ask('/api/jobs', body())); } catch (error) { told.error(error.message); }
-  }, oninput: tell, onchange: tell}, h('div', {class: 'fields'}, ...fields), told.node,
-  h('div', {class: 'actions'}, button, ...extra));
+  }, oninput: tell, onchange: tell}, h('div', {class: 'fields'}, ...fields),
+  h('div', {class: 'actions'}, button, ...extra), told.node); // below the button, which it must not move from under a click
   return {node, tell};
 }
 

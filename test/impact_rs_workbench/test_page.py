@@ -129,6 +129,18 @@ def test_a_slider_moved_with_the_keyboard_moves_the_prediction_and_its_command(
     picture(page, "workbench", address[1])
 
 
+def test_a_button_stays_under_a_click_while_its_command_is_told(page: Page, address: tuple[str, Path]) -> None:
+    page.locator("[data-step=history]").click()
+    button = page.locator("main form:visible").get_by_role("button", name="Show the history", exact=True)
+    told = page.locator("main form:visible .told")
+    page.select_option("#history-runs", "blind/runs")
+    expect(told.locator("code")).to_contain_text("history")
+    place = button.bounding_box()
+    page.locator("#history-output").fill("reports/" + 60 * "long_")  # a command of several lines
+    expect(told.locator("code")).to_contain_text("long_long")
+    assert button.bounding_box() == place
+
+
 @pytest.mark.timeout(900)
 def test_the_whole_loop_by_mouse_names_the_hidden_effect_and_the_error_falls(
     page: Page, address: tuple[str, Path]
