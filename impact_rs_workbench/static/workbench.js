@@ -54,6 +54,15 @@ function fill(select, options, wanted) {
   if (options.some((one) => one.value === before)) select.value = before;
 }
 
+// Replaces what has changed, and nothing else: a button that is replaced while a pointer is down on it hears no click.
+function refill(node, items) {
+  const before = [...node.children];
+  items.forEach((item, index) => {
+    if (!before[index]) node.append(item); else if (!before[index].isEqualNode(item)) before[index].replaceWith(item);
+  });
+  for (const item of before.slice(items.length)) item.remove();
+}
+
 const plain = (values) => values.map((value) => ({value, text: value}));
 
 function labelled(text, control, attributes = {}) {
@@ -979,24 +988,28 @@ function scoreText(score) {
     (score.floor ? ` (noise ${number(score.floor)})` : '');
 }
 
+const newest = (kind, path) => state.workspace[kind].find((one) => one.path === path);
+
 function showFolder() {
   const {campaigns, laboratories, models, diagnoses} = state.workspace;
   const or = (items, text) => items.length ? items : [h('li', {class: 'quiet'}, text)];
   $('root').textContent = state.workspace.root;
   const focused = document.activeElement?.dataset?.entry;
-  $('campaigns').replaceChildren(...or(campaigns.map((one) => entry(`campaign ${one.path}`, one.path,
-    [one.error || `${one.scenario ? `${one.scenario}, ` : ''}${one.present} of ${one.trials} trials`], () => chooseCampaign(one))), 'none yet'));
-  $('laboratories').replaceChildren(...or(laboratories.map((one) => entry(`lab ${one.path}`, one.path === '.' ? 'this folder' : one.path,
-    [one.error || (one.experiment ? 'described' : `${one.recordings.length} recording${one.recordings.length === 1 ? '' : 's'}, not described`)], () => chooseLaboratory(one))), 'none yet'));
+  refill($('campaigns'), or(campaigns.map((one) => entry(`campaign ${one.path}`, one.path,
+    [one.error || `${one.scenario ? `${one.scenario}, ` : ''}${one.present} of ${one.trials} trials`],
+    () => chooseCampaign(newest('campaigns', one.path)))), 'none yet'));
+  refill($('laboratories'), or(laboratories.map((one) => entry(`lab ${one.path}`, one.path === '.' ? 'this folder' : one.path,
+    [one.error || (one.experiment ? 'described' : `${one.recordings.length} recording${one.recordings.length === 1 ? '' : 's'}, not described`)],
+    () => chooseLaboratory(one.path))), 'none yet'));
   const branch = (parent) => models.filter((one) => one.parent === parent && one.path !== parent).map((one) => {
     const children = branch(one.path);
     const item = entry(`model ${one.path}`, one.name, [one.error || one.effects.join(' + ') || 'nothing added',
-      ...one.scores.slice(0, 1).map(scoreText)], () => chooseModel(one));
+      ...one.scores.slice(0, 1).map(scoreText)], () => chooseModel(newest('models', one.path)));
     if (children.length) item.append(h('ul', {class: 'tree'}, ...children));
     return item;
   });
-  $('models').replaceChildren(...branch(null));
-  $('diagnoses').replaceChildren(...or(diagnoses.map((one) => entry(`diagnosis ${one.path}`, one.path, [`${one.model}: ${one.verdict}`],
+  refill($('models'), branch(null));
+  refill($('diagnoses'), or(diagnoses.map((one) => entry(`diagnosis ${one.path}`, one.path, [`${one.model}: ${one.verdict}`],
     () => { diagnose.wanted = one.path; go('diagnose'); })), 'none yet'));
   if (focused) document.querySelector(`[data-entry="${CSS.escape(focused)}"]`)?.focus();
 }
@@ -1012,10 +1025,10 @@ function chooseCampaign(one) {
     }}, 'Analyze')]});
 }
 
-function chooseLaboratory(one) {
+function chooseLaboratory(path) {
   go('measure');
   measure.show('laboratory');
-  laboratory.wanted = one.path;
+  laboratory.wanted = path;
   laboratory.update();
 }
 
@@ -1042,7 +1055,15 @@ function stateText(job) {
   return `${job.exit_code === 130 ? '■ stopped' : '✗ failed'}: ${job.line}`;
 }
 
-const opened = new Set();
+const opened = new Map(); // of jobs whose output is looked at, by their numbers
+
+async function showOutput(number_) {
+  const {log} = await ask(`/api/jobs/${number_}/log`);
+  if (!opened.has(number_)) return; // closed meanwhile
+  opened.set(number_, log || 'nothing printed yet');
+  const shown = $('job-list').querySelector(`[data-job="${number_}"] pre`);
+  if (shown) shown.textContent = opened.get(number_);
+}
 
 function jobRow(job) {
   const act = (what) => async () => { try { await ask(`/api/jobs/${job.number}/${what}`, {}); } catch (error) {
@@ -1050,17 +1071,17 @@ function jobRow(job) {
   } };
   const bar = job.ended === null ? h('progress', {max: job.progress?.total || 1, 'aria-label': `progress of job ${job.number}`,
     ...(job.progress?.total ? {value: job.progress.done} : {})}) : '';
-  const log = h('pre', {hidden: !opened.has(job.number), tabindex: 0});
-  const fillLog = async () => { log.textContent = (await ask(`/api/jobs/${job.number}/log`)).log || 'nothing printed yet'; };
-  if (opened.has(job.number)) fillLog();
+  const look = ({target}) => {
+    if (!opened.delete(job.number)) { opened.set(job.number, ''); showOutput(job.number); }
+    target.closest('li').querySelector('pre').hidden = !opened.has(job.number);
+  };
   return h('li', {'data-job': job.number, 'data-state': job.ended === null ? 'running' : job.exit_code},
     h('div', {}, h('code', {}, job.command)), h('div', {class: `state ${job.ended !== null && job.exit_code ? 'error' : ''}`}, stateText(job), bar),
     h('div', {class: 'buttons'}, job.ended === null ? h('button', {type: 'button', disabled: job.stopping, onclick: act('stop')}, 'Stop') :
       h('button', {type: 'button', onclick: act('again')}, job.exit_code ? 'Go on' : 'Again'),
-    h('button', {type: 'button', onclick: async () => {
-      if (!opened.delete(job.number)) { opened.add(job.number); await fillLog(); }
-      log.hidden = !opened.has(job.number);
-    }}, 'Output'), h('button', {type: 'button', onclick: () => navigator.clipboard.writeText(job.command)}, 'Copy')), log);
+    h('button', {type: 'button', onclick: look}, 'Output'),
+    h('button', {type: 'button', onclick: () => navigator.clipboard.writeText(job.command)}, 'Copy')),
+    h('pre', {hidden: !opened.has(job.number), tabindex: 0}, opened.get(job.number) ?? ''));
 }
 
 const MOST_JOBS = 8;
@@ -1076,9 +1097,18 @@ function showJobs(jobs) {
     if (item && before.get(job.number) === JSON.stringify(job) && list.children[index] === item) return;
     const focused = item?.contains(document.activeElement) ? document.activeElement.textContent : null;
     const row = jobRow(job);
-    item?.remove();
-    list.insertBefore(row, list.children[index] ?? null);
-    if (focused) [...row.querySelectorAll('button')].find((button) => button.textContent === focused)?.focus();
+    if (list.children[index] === item) {
+      item.dataset.state = row.dataset.state;
+      refill(item, [...row.children]);
+    } else {
+      item?.remove();
+      list.insertBefore(row, list.children[index] ?? null);
+    }
+    const kept = list.children[index];
+    if (focused && !kept.contains(document.activeElement)) {
+      [...kept.querySelectorAll('button')].find((button) => button.textContent === focused)?.focus();
+    }
+    if (opened.has(job.number)) showOutput(job.number);
     if (job.ended !== null && item) finished(job);
   });
   if (state.workspace) diagnose.jobs();

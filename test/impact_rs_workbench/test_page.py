@@ -315,7 +315,14 @@ def test_a_page_that_is_loaded_again_and_a_second_tab_see_the_job_that_runs(page
     other = page.context.new_page()
     other.goto(page.url)
     expect(other.locator("#job-list > li").first).to_have_attribute("data-state", "running")
-    other.locator("#job-list > li").first.get_by_role("button", name="Stop").click()
+    expect(other.locator("#part-campaign .command code")).to_contain_text("impact-rs campaign")  # nothing moves now
+    stop = other.locator("#job-list > li").first.get_by_role("button", name="Stop")
+    stop.hover()
+    other.mouse.down()
+    done = other.locator("#job-list progress").first.get_attribute("value")
+    assert done is not None
+    expect(other.locator("#job-list progress").first).not_to_have_attribute("value", done, timeout=SLOW)
+    other.mouse.up()  # a slow click, while the job has gone on
     job(page, 130)
     expect(page.locator("#job-list .state").first).to_contain_text("■ stopped: interrupted; the same command goes on")
     expect(page.locator("#campaigns")).to_contain_text("campaigns/long")
