@@ -29,7 +29,7 @@ from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.names import on_network, resolved
 from impact_rs_ros.presence import GRACE, Presence
-from impact_rs_ros.qos import EVENT, LATCHED, WATCH
+from impact_rs_ros.qos import EVENT, LATCHED, LEASE, WATCH
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_sim.rotations import quaternion_of
@@ -172,12 +172,22 @@ class TrialSession:
         return self._finish_all(progress, reason, path)
 
     def _cause(self, reason: str) -> str:
-        """What lies behind a failure: a second node of one name may be met only while both disturb the trial."""
+        """What lies behind a failure: a second node of one name may be met only while both disturb the trial.
+
+        Its services can be met, and answer, before it has said that it is there; it says so within a lease.
+        """
+        deadline = time.monotonic() + LEASE
+        while self._answered_twice() and not self._presence.twice(*ALL) and time.monotonic() < deadline:
+            time.sleep(LOOK)
         try:
             self._check_alone(wait=True)
         except TrialError as twice:
             return str(twice)
         return reason
+
+    def _answered_twice(self) -> bool:
+        """Whether a service of a trial has several servers; of a node that was killed it is counted for 20 s."""
+        return any(self._node.count_services(client.srv_name) > 1 for client in self._finish.values())
 
     def _describe(self, urdfs: dict[str, str]) -> None:
         """Publish what there is, and take back what there was of other arms."""
@@ -374,7 +384,7 @@ class TrialSession:
         answers, failures = self._call_all(calls, FINISH)
         if not aborted:
             failures |= {name: answer.message for name, answer in answers.items() if not answer.success}
-            reason = "; ".join(failures.values())
+            reason = self._cause("; ".join(failures.values())) if failures else ""
         last = FinishTrial.Request(aborted=bool(reason), reason=reason)
         if not reason:
             last.topics = [topic for answer in answers.values() for topic in answer.topics]
@@ -389,5 +399,5 @@ class TrialSession:
         if reason:
             return TrialResult("ABORTED", reason, partial_path(path), progress)
         if closed.outcome == "ABORTED" or not closed.success:
-            return TrialResult("ABORTED", closed.message, partial_path(path), progress)
+            return TrialResult("ABORTED", self._cause(closed.message), partial_path(path), progress)
         return TrialResult(closed.outcome, closed.message, path, progress)
