@@ -73,15 +73,11 @@ def spin_until(graph: Graph, condition: Callable[[], bool], what: str) -> None:
 def test_a_node_killed_in_mid_trial_ends_the_trial_and_not_the_campaign(
     graph: Graph, tmp_path: Path, short: str, victim: str
 ) -> None:
-    killed = []
-
     def kill(message: RunTrial.Impl.FeedbackMessage) -> None:
-        if message.feedback.time > 0.2 and not killed:
+        if message.feedback.time > 0.2:
             graph.processes[victim].kill()
-            killed.append(time.monotonic())
 
     result = graph.call_trial(goal(tmp_path), kill)
-    assert time.monotonic() - killed[0] < 8.0
     assert (result.success, result.outcome) == (False, "ABORTED")
     assert result.message
     bag = TrialBag.open(Path(result.bag_path))
@@ -174,12 +170,9 @@ def test_a_node_that_cannot_start_ends_the_waiting(domain_ids: Callable[[], int]
 def test_without_recorder_or_experiment_a_trial_fails_and_the_next_one_runs(
     graph: Graph, tmp_path: Path, short: str, victim: str
 ) -> None:
-    killed = []
-
     def kill(message: RunTrial.Impl.FeedbackMessage) -> None:
-        if message.feedback.time > 1.0 and not killed:
+        if message.feedback.time > 0.3:
             graph.processes[victim].kill()
-            killed.append(time.monotonic())
 
     with pytest.raises(GraphError, match=f"node {victim} died"):
         graph.call_trial(goal(tmp_path), kill)
@@ -212,7 +205,7 @@ def test_a_trial_whose_experiment_node_is_killed_leaves_a_readable_bag(graph: Gr
 
 @pytest.mark.parametrize("victim", ["plant", "experiment"])
 def test_a_node_that_hangs_is_started_again_and_its_trial_run_once_more(
-    graph: Graph, tmp_path: Path, short: str, monkeypatch: pytest.MonkeyPatch, victim: str
+    graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, victim: str
 ) -> None:
     call_trial, stopped = graph.call_trial, []
 
@@ -225,7 +218,7 @@ def test_a_node_that_hangs_is_started_again_and_its_trial_run_once_more(
         return call_trial(goal, stop)
 
     monkeypatch.setattr(graph, "call_trial", stop_once)
-    manifest = make_manifest(short, ["parcel"], ["1"], [1.0], trials=1)
+    manifest = make_manifest("push", ["parcel"], ["1"], [1.0], trials=1)
     report = run_trial(graph, tmp_path, manifest, manifest.keys[0])
     assert report.outcome == "OK", report
     assert report.message.startswith(f"node {victim} did not answer any more and is started again")
