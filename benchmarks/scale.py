@@ -15,7 +15,7 @@ import random
 import resource
 import tempfile
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,13 +124,12 @@ def data_set(trials: int) -> None:
     print(f"to find that none of these bags is new: {took:.1f} s; this process held {held:.0f} MB at most")
 
 
-def _trial_and_memory(trial: Trial) -> tuple[int, float]:
-    """Process, and the memory that it holds after a trial [MB]."""
+def _trial_and_memory(trial: Trial) -> tuple[str, int, float]:
+    """How a trial ended, and process and the memory that it holds after it [MB]."""
     with tempfile.TemporaryDirectory() as folder:
         report = run_one(Path(folder), trial)
-    assert report.outcome == "OK", report.message
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return os.getpid(), pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+    return report.outcome, os.getpid(), pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def memory(trials: int, jobs: int) -> None:
@@ -138,12 +137,16 @@ def memory(trials: int, jobs: int) -> None:
     one = make_manifest("push", trials=1)
     manifest = make_manifest("push", trials=-(-trials // len(one.keys)))
     held: dict[int, list[float]] = defaultdict(list)
+    outcomes: Counter[str] = Counter()
     start = time.perf_counter()
     with client_of(Workforce(jobs)) as client:
-        for _, (process, size) in as_they_end(client, _trial_and_memory, map(manifest.trial, manifest.keys[:trials])):
+        ended = as_they_end(client, _trial_and_memory, map(manifest.trial, manifest.keys[:trials]))
+        for _, (outcome, process, size) in ended:
             held[process].append(size)
+            outcomes[outcome] += 1
     print(
-        f"{trials} trials of {len(one.keys)} conditions in {time.perf_counter() - start:.0f} s; MB that a worker holds"
+        f"{trials} trials of {len(one.keys)} conditions in {time.perf_counter() - start:.0f} s, {dict(outcomes)}; "
+        "MB that a worker holds"
     )
     for process, sizes in held.items():
         marks = sorted({min(count, len(sizes)) for count in (1, 10, 100, 250, 500, 750, 1000, len(sizes))})

@@ -81,7 +81,7 @@ def diagnose(
     held = None
     if chosen is not None:
         chosen, rivals = search.settle(chosen)
-        held = hold_out(source, effects)
+        held = hold_out(source, effects, search.ended)
         if held is not None and not any(held.chosen) and not search.lacking:
             # Nothing is left to explain: significant by chance, where no five sixths of the conditions show it.
             chosen, rivals, held = None, (), None

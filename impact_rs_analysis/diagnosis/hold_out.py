@@ -9,12 +9,13 @@ neighbours with a guard on either side, where there is one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
+from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.diagnosis.thresholds import FOLDS, LEAST_CLUSTERS, SHORTLIST_OF_FOLD
@@ -83,14 +84,25 @@ def _neighbours(source: Source, held: Sequence[int]) -> set[int]:
     return {n for n in near if 0 <= n < len(source.clusters) and source.clusters[n].unit in units}
 
 
-def hold_out(source: Source, effects: Sequence[Effect]) -> HoldOut | None:
-    """Run the search on all but one fold in turn; None where too little is there to hold anything out."""
+def hold_out(
+    source: Source, effects: Sequence[Effect], ended: Mapping[tuple[str, ...], Candidate] | None = None
+) -> HoldOut | None:
+    """Run the search on all but one fold in turn; None where too little is there to hold anything out.
+
+    Args:
+        source: Measurements with the model's predictions.
+        effects: Effects to consider.
+        ended: Where the fits of the search over all clusters have ended; where predictions are dear, folds begin there.
+    """
+    known = {} if source.cheap else dict(ended or {})
     folds = folds_of(source)
     if not folds:
         return None
     rest: dict[int, Array] = {}
     names = []
-    for fold, (found, left) in zip(folds, source.spread(partial(_predicted, effects), folds, "hold-out"), strict=True):
+    for fold, (found, left) in zip(
+        folds, source.spread(partial(_predicted, effects, known), folds, "hold-out"), strict=True
+    ):
         names.append(found)
         rest.update(zip(fold.held, left, strict=True))
     ordered = tuple(rest[number] for number in range(len(source.clusters)))
@@ -98,10 +110,12 @@ def hold_out(source: Source, effects: Sequence[Effect]) -> HoldOut | None:
     return HoldOut(tuple(folds), errors, ordered, tuple(names))
 
 
-def _predicted(effects: Sequence[Effect], source: Source, fold: Fold) -> tuple[tuple[str, ...], list[Array]]:
+def _predicted(
+    effects: Sequence[Effect], known: Mapping[tuple[str, ...], Candidate], source: Source, fold: Fold
+) -> tuple[tuple[str, ...], list[Array]]:
     """What the search finds without a fold, and what that leaves of the fold's mean residuals."""
     evidence = Evidence.of(source, fold.training, thrifty=True)
-    search = Search.screened(effects, evidence, SHORTLIST_OF_FOLD)
+    search = Search.screened(effects, evidence, SHORTLIST_OF_FOLD, known=known)
     found = search.choose(thrifty=True)
     if found is not None and source.cheap:
         found, _ = search.settle(found)

@@ -8,7 +8,7 @@ runs it again without every cluster that it shall predict.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 
@@ -77,15 +77,22 @@ class Search:
         shortlist: Candidates that are fitted through the model in every round.
         told: Called with effects joined by ``+`` and the error that they leave in clusters left out, on the scale of
             :meth:`Evidence.size`, whenever they have been fitted.
+        known: Where a search over more clusters has ended, see ``ended``; fits begin there.
 
     Attributes:
         singles: Every effect alone, linearised where it does nothing; not those that are never measured.
         unmeasured: Effects that change nothing that was measured.
         ruled_out: Effects that free motion rules out, which are not looked for in contact.
+        ended: Where fits through the model have ended, by the names of their effects.
     """
 
     def __init__(
-        self, effects: Sequence[Effect], evidence: Evidence, shortlist: int = SHORTLIST, told: Told = lambda *_: None
+        self,
+        effects: Sequence[Effect],
+        evidence: Evidence,
+        shortlist: int = SHORTLIST,
+        told: Told = lambda *_: None,
+        known: Mapping[tuple[str, ...], Candidate] | None = None,
     ) -> None:
         self.evidence, self._shortlist, self._told = evidence, shortlist, told
         self.source = evidence.source
@@ -95,13 +102,20 @@ class Search:
         self._fitted_before_contact: dict[str, Fit] = {}
         self.unmeasured: set[str] = set()
         self.ruled_out: set[str] = set()
+        self.ended: dict[tuple[str, ...], Candidate] = {}
+        self._known = {names: candidate.only(evidence.numbers) for names, candidate in (known or {}).items()}
 
     @classmethod
     def screened(
-        cls, effects: Sequence[Effect], evidence: Evidence, shortlist: int = SHORTLIST, told: Told = lambda *_: None
+        cls,
+        effects: Sequence[Effect],
+        evidence: Evidence,
+        shortlist: int = SHORTLIST,
+        told: Told = lambda *_: None,
+        known: Mapping[tuple[str, ...], Candidate] | None = None,
     ) -> Search:
         """A search that knows what every effect does to the clusters; arguments as for the class."""
-        search = cls(effects, evidence, shortlist, told)
+        search = cls(effects, evidence, shortlist, told, known)
         search._screen()
         return search
 
@@ -134,6 +148,8 @@ class Search:
         """
         if not _bends(candidate):
             return candidate
+        if (known := self._from_known(candidate, self.evidence)) is not None:
+            return known
         if self.source.cheap:
             return self._best_shape(candidate, self.evidence)
         fits = self._fitted_before_contact
@@ -318,7 +334,30 @@ class Search:
             if best is None or excess - evidence.excess(best.held_out) <= needed:
                 break
             chosen = best if thrifty else measure_again(best)
+            self._keep(chosen)
         return chosen
+
+    def _keep(self, fitted: Fit) -> None:
+        self.ended[fitted.candidate.names] = fitted.candidate
+
+    def _from_known(self, candidate: Candidate, evidence: Evidence) -> Candidate | None:
+        """The effects of a candidate where the search over more clusters has ended with them; None: it had none.
+
+        The replays there are those of that search.
+        """
+        known = self._known.get(candidate.names)
+        if known is None:
+            return None
+        return evaluate_at(replace(known, origin=candidate.origin), known.point, evidence)
+
+    def _begin(self, entry: Fit) -> Candidate:
+        """Where to begin to fit: of where a proposal is linearised and where it is known to have ended, the better."""
+        known = self._from_known(entry.candidate, entry.evidence)
+        if known is None:
+            return entry.candidate
+        nothing = np.zeros(known.point.size)
+        errors = [float(np.mean(entry.evidence.problem(one).errors(nothing))) for one in (entry.candidate, known)]
+        return known if errors[1] < errors[0] else entry.candidate
 
     def _tell(self, fitted: Fit) -> None:
         self._told("+".join(fitted.candidate.names), self.evidence.size(fitted.held_out))
@@ -340,14 +379,17 @@ class Search:
         found: list[Fit] = []
         for entry in shortlist:
             beat = min((proposal.score for proposal in found), default=np.inf)
-            found.append(refine(entry.candidate, entry.evidence, HOPELESS * beat, steps))
+            found.append(refine(self._begin(entry), entry.evidence, HOPELESS * beat, steps))
             self._tell(found[-1])
         if not found:
             return None
         top = min(proposal.score for proposal in found)
-        found = [
-            look_elsewhere(see_all(proposal)) if proposal.score <= HOPELESS * top else proposal for proposal in found
-        ]
+        for number, proposal in enumerate(found):
+            if proposal.score <= HOPELESS * top:
+                seen = see_all(proposal)
+                # The search that knew it has looked elsewhere.
+                found[number] = seen if proposal.candidate.names in self._known else look_elsewhere(seen)
+            self._keep(found[number])
         first = 0 if chosen is None else chosen.change.size
         sure = consistent if self.source.repeated else noticeable
         found = [proposal for proposal in found if sure(proposal, first)]
@@ -417,6 +459,7 @@ class Search:
                 ranked.append((Fit.of(joined, self.evidence).score, joined))
         for _, joined in sorted(ranked, key=lambda entry: entry[0])[:PAIRS]:
             pair = refine(joined, self.evidence, HOPELESS * chosen.score)
+            self._keep(pair)
             if pair.score < (1.0 - LEAST_GAIN) * chosen.score:
                 chosen = measure_again(pair)
         return chosen

@@ -1,21 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is held out is seen by nothing: neither the linearisation point, nor the shortlist, nor the choice."""
+"""What is held out is seen by nothing that predicts it: neither the shortlist, nor the choice, nor the estimate."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from analytic_world import EFFECTS, AnalyticSource
+from analytic_world import EFFECTS, TIPPING, AnalyticSource
 
+from impact_rs_analysis.diagnosis.candidate import Candidate
+from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.hold_out import folds_of, hold_out
+from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_analysis.evidence.runs import read_runs
 from impact_rs_analysis.evidence.store import ReplayStore
-from impact_rs_sim.effects import library
+from impact_rs_sim.effects import Effect, library
 from impact_rs_sim.model import load_model
 from impact_rs_trials.workers import _packed, _work
 
@@ -46,15 +49,27 @@ def test_stretches_of_one_recording_are_predicted_without_those_that_touch_them(
         assert list(fold.held) == list(range(fold.held[0], fold.held[0] + 4))
 
 
+def ended(source: AnalyticSource, effects: Sequence[Effect]) -> Mapping[tuple[str, ...], Candidate]:
+    """Where the fits of the search over all clusters end."""
+    search = Search.screened(effects, Evidence.of(source))
+    search.choose()
+    return search.ended
+
+
+@pytest.mark.parametrize("begun", [False, True], ids=["from_nothing", "where_the_search_ended"])
 @pytest.mark.parametrize("number", range(6))
-def test_what_happens_in_a_held_out_cluster_changes_nothing_of_what_it_is_predicted_from(number: int) -> None:
-    """Spoil one cluster: its prediction stays the same to the last bit, and so does the choice of its fold."""
+def test_what_happens_in_a_held_out_cluster_changes_nothing_of_what_it_is_predicted_from(
+    number: int, begun: bool
+) -> None:
+    """Spoil one cluster: its prediction stays the same, and so does the choice of its fold."""
     truth = (("straight", (4.0,)),)
     effects = [EFFECTS[name] for name in ("straight", "bent", "payload")]
     honest, spoiled = AnalyticSource(1, truth), AnalyticSource(1, truth)
     rows = spoiled.clusters[number].residuals
     rows += 50.0 * np.random.default_rng(number).standard_normal(rows.shape[1])
-    first, second = hold_out(honest, effects), hold_out(spoiled, effects)
+    first, second = (
+        hold_out(source, effects, ended(source, effects) if begun else None) for source in (honest, spoiled)
+    )
     assert first is not None and second is not None
     fold = next(index for index, fold in enumerate(first.folds) if number in fold.held)
     assert first.chosen[fold] == second.chosen[fold] == ("straight",)
@@ -62,6 +77,30 @@ def test_what_happens_in_a_held_out_cluster_changes_nothing_of_what_it_is_predic
         source.clusters[number].mean - found.rest[number] for source, found in ((honest, first), (spoiled, second))
     ]
     np.testing.assert_allclose(predicted[0], predicted[1], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [(EFFECTS["bent"], (9.0,)), (EFFECTS["inverse"], (2.5,)), (TIPPING, (2.0, 9.0)), (EFFECTS["payload"], (3.0, 2.0))],
+    ids=lambda given: given.name if isinstance(given, Effect) else "",
+)
+def test_folds_that_begin_where_the_search_ended_predict_like_those_from_nothing_with_less_work(
+    effect: Effect, values: tuple[float, ...]
+) -> None:
+    source = AnalyticSource(3, ((effect.name, values),), design=(3,) * 8)
+    effects = [effect, EFFECTS["straight"], EFFECTS["of_motors"]]
+    known, work, found = ended(source, effects), [], []
+    before = set(source.asked)  # what was predicted once is known
+    for start in (None, known):
+        source.asked.clear()
+        found.append(hold_out(source, effects, start))
+        work.append(len(set(source.asked) - before))
+    cold, warm = found
+    assert cold is not None and warm is not None
+    assert cold.chosen == warm.chosen
+    assert set(warm.chosen) == {(effect.name,)}
+    np.testing.assert_allclose(np.mean(warm.errors), np.mean(cold.errors), rtol=0.05)
+    assert work[1] < 0.8 * work[0]
 
 
 def test_fitting_noise_does_not_lower_the_error_on_unseen_clusters() -> None:
