@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hold-out: every cluster predicted by a search that has not seen it.
 
-What is held out sees neither the linearisation point, nor the shortlist, nor the choice: for every fold the whole
-search (:mod:`impact_rs_analysis.diagnosis.search`) is run on the other clusters, and the model with what it found is
-run in the fold. Conditions are held out with all their repeats; whole recordings, where there are several; stretches of
-neighbours with a guard on either side, where there is one.
+What is held out has no say in what predicts it, neither in the shortlist, nor in the choice, nor in the estimate: for
+every fold the whole search (:mod:`impact_rs_analysis.diagnosis.search`) is run on the other clusters, and the model
+with what it found is run in the fold. Conditions are held out with all their repeats; whole recordings, where there are
+several; stretches of neighbours with a guard on either side, where there is one.
+
+Where predictions are dear, fits of a fold may begin where those of the search over all clusters have ended, if that
+explains the fold's own clusters better than where they would begin by themselves. Approximate leave-one-out goes as far
+as to stop after one step from there (Rahnama Rad and Maleki 2020, *J. R. Stat. Soc. B* 82(4)); these go on as always.
 """
 
 from __future__ import annotations

@@ -31,6 +31,7 @@ independent of each other, and their scores about as likely to point one way as 
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
@@ -266,16 +267,21 @@ class RotationReference(Reference):
 
     def _with_discrepancy(self, jacobians: Sequence[Array], root: Array) -> Array:
         """Draws of T from noise and discrepancy together, ``(B,)``."""
-        rng = np.random.default_rng(1)
+        weights, rng = self._weights[0], copy.deepcopy(self._weights[1])
         total = np.zeros((DRAWS, root.shape[1]))
-        for layout in self._layouts:
-            if layout.freedom == 0:
-                continue
-            contrasts = layout.products(jacobians, root)[:, layout.means :]
-            total += self._noise(rng, layout).reshape(DRAWS, -1) @ contrasts.reshape(-1, root.shape[1])
+        for layout, own in zip(self._layouts, weights, strict=True):
+            if own is not None:
+                contrasts = layout.products(jacobians, root)[:, layout.means :]
+                total += own @ contrasts.reshape(-1, root.shape[1])
         shared = np.asarray(np.linalg.qr(self._discrepancy_scores(jacobians) @ root, mode="r"))
         total += rng.standard_normal((DRAWS, shared.shape[0])) @ shared
         return np.asarray(np.einsum("bp,bp->b", total, total))
+
+    @cached_property
+    def _weights(self) -> tuple[list[Array | None], np.random.Generator]:
+        """:meth:`_noise` of every layout, ``(B, means * contrasts)``, None without contrasts; and who draws on."""
+        rng = np.random.default_rng(1)
+        return [self._noise(rng, own).reshape(DRAWS, -1) if own.freedom else None for own in self._layouts], rng
 
     @staticmethod
     def _noise(rng: np.random.Generator, layout: _Rows) -> Array:
@@ -340,18 +346,20 @@ class RotationReference(Reference):
         contrasts = layout.rows[layout.means :]
         squares = np.zeros((DRAWS, len(members)))
         noise = self._noise(rng, layout) if layout.freedom else np.zeros((DRAWS, layout.means, 0))
-        off: dict[str, Array] = {}
-        for place, number in enumerate(layout.numbers):
+        off: dict[str, tuple[Array, Array]] = {}
+        for number in layout.numbers:
             item = self.clusters[number]
-            name = alike(item)
-            if name not in off:
+            if alike(item) not in off:
                 root = np.linalg.cholesky(_discrepancy(item) + TINY * np.eye(len(item.features)))
-                off[name] = rng.standard_normal((DRAWS, len(root))) @ root.T
-            drawn = noise[:, place] @ contrasts + np.sqrt(layout.counts[place]) * off[name]
-            for group, (own, scale) in enumerate(zip(members, scales, strict=True)):
-                if scale.size:
-                    seen = drawn[:, own] @ scale
-                    squares[:, group] += np.einsum("bf,bf->b", seen, seen)
+                off[alike(item)] = rng.standard_normal((DRAWS, len(root))), np.asarray(root.T)
+        for group, (own, scale) in enumerate(zip(members, scales, strict=True)):
+            if not scale.size:
+                continue
+            turned = contrasts[:, own] @ scale
+            moved = {name: drawn @ (root[:, own] @ scale) for name, (drawn, root) in off.items()}
+            for place, number in enumerate(layout.numbers):
+                seen = noise[:, place] @ turned + np.sqrt(layout.counts[place]) * moved[alike(self.clusters[number])]
+                squares[:, group] += np.einsum("bf,bf->b", seen, seen)
         return squares
 
     def _noise_and_discrepancy(self, layout: _Rows) -> Array:

@@ -393,8 +393,10 @@ class Search:
         first = 0 if chosen is None else chosen.change.size
         sure = consistent if self.source.repeated else noticeable
         found = [proposal for proposal in found if sure(proposal, first)]
-        if self.source.repeated and chosen is None and not self.lacking:
-            found = [proposal for proposal in found if moves_enough(proposal)]
+        if self.source.repeated and chosen is None:
+            enough = [proposal for proposal in found if moves_enough(proposal)]
+            if len(enough) < len(found) and not self.lacking:  # whether anything is lacking is dear to tell
+                found = enough
         if not found:
             return None
         best = min(found, key=lambda proposal: proposal.score)

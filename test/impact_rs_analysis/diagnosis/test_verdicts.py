@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,8 +47,8 @@ def test_nothing_is_missing_and_one_is_what_repetition_gives() -> None:
 def test_where_noise_explains_all_nothing_is_named_that_no_part_of_the_conditions_shows(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def nowhere(source: AnalyticSource, effects: Sequence[Effect]) -> HoldOut | None:
-        found = hold_out(source, effects)
+    def nowhere(source: AnalyticSource, effects: Sequence[Effect], ended: Any) -> HoldOut | None:
+        found = hold_out(source, effects, ended)
         return found and replace(found, chosen=tuple(() for _ in found.chosen))
 
     source = AnalyticSource(1, (("straight", (5.0,)),))
