@@ -278,6 +278,22 @@ MUTANTS = [
         tests=HELD,
     ),
     Mutant(
+        name="folds_begin_at_the_worse_place",
+        file=SEARCH,
+        original="return known if errors[1] < errors[0] else entry.candidate",
+        mutated="return known if errors[1] > errors[0] else entry.candidate",
+        wrong="A fold begins where the whole search has ended only where that explains less.",
+        tests=HELD,
+    ),
+    Mutant(
+        name="folds_begin_with_the_clusters_of_others",
+        file=SEARCH,
+        original="self._known = {names: candidate.only(evidence.numbers)",
+        mutated="self._known = {names: candidate.only(range(len(evidence.numbers)))",
+        wrong="What is known of a fold's clusters is that of others, in their order.",
+        tests=HELD,
+    ),
+    Mutant(
         name="floor_of_p",
         file=VERDICTS,
         original="return max(value, LEAST_P)",
