@@ -159,6 +159,39 @@ class Search:
         evidence, there = self.evidence, replace(candidate, point=before.estimate)
         return linearise(there, evidence.clusters, evidence.numbers, self.source, "starts of the fit") or candidate
 
+    def _proposed(self, chosen: Fit | None, name: str) -> Fit:
+        """Linear fit of one more effect; where its shape bends it, about what explains the motion before contact.
+
+        Where an effect begins by itself was fitted as if it were alone: friction that fades with speed, to what an
+        offset does. Beside that offset it is fitted anew, and linearised together with it.
+        """
+        proposal = self.beside(chosen, name)
+        if chosen is None or self.source.cheap or not _bends(self._starts[name]):
+            return proposal
+        there = self._from_known(proposal.candidate, proposal.evidence) or self._bent_beside(chosen, name)
+        return proposal if there is None else Fit.of(there, proposal.evidence)
+
+    def _bent_beside(self, chosen: Fit, name: str) -> Candidate | None:
+        """Chosen effects and one more where they explain the motion before contact better; None: it does not."""
+        evidence, whole = self._before_contact(), chosen.evidence
+        if evidence.reference.freedom < LEAST_FREEDOM:
+            return None
+        effects, effect = chosen.candidate.effects, self.singles[name].effects[0]
+        nominal = np.concatenate((chosen.estimate, effect.nominal(self.source.joints)))
+        alone = self._linearised_at(effects, chosen.estimate, evidence)
+        beside = self._linearised_at((*effects, effect), nominal, evidence)
+        if alone is None or beside is None:
+            return None
+        fitted = see_all(self._fitted(beside, evidence))
+        if fitted.misfit > (1.0 - LEAST_GAIN) * Fit.of(alone, evidence).misfit:
+            return None
+        there = Candidate.of((*effects, effect), self.source, fitted.estimate, chosen.candidate.origin)
+        return linearise(there, whole.clusters, whole.numbers, self.source, "starts of the fit")
+
+    def _linearised_at(self, effects: tuple[Effect, ...], point: Array, evidence: Evidence) -> Candidate | None:
+        candidate = Candidate.of(effects, evidence.source, point)
+        return linearise(candidate, evidence.clusters, evidence.numbers, evidence.source)
+
     def _fitted(self, candidate: Candidate, evidence: Evidence) -> Fit:
         """A fit where predictions are cheap: with a shape, which bends everything, from its best value and again."""
         if not _bends(candidate):
@@ -322,7 +355,7 @@ class Search:
                 LEAST_GAIN * excess if self.source.repeated else max(LEAST_GAIN * excess, LEAST_GAIN_OF_FIRST * first)
             )
             likely = [n for n, p in p_values.items() if n not in self.ruled_out and (p < SIGNIFICANT or not decidable)]
-            linear = sorted((self.beside(chosen, name) for name in likely), key=lambda entry: entry.score)
+            linear = sorted((self._proposed(chosen, name) for name in likely), key=lambda entry: entry.score)
             for entry in linear:
                 self._tell(entry)
             # What is small is linear: a proposal that gains nothing there will not gain by being fitted properly.

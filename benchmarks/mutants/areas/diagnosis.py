@@ -294,6 +294,14 @@ MUTANTS = [
         tests=HELD,
     ),
     Mutant(
+        name="shape_fitted_as_if_alone",
+        file=SEARCH,
+        original="return proposal if there is None else Fit.of(there, proposal.evidence)",
+        mutated="return proposal",
+        wrong="Friction that fades with speed begins beside an offset where it would begin alone.",
+        tests=(f"{FOLDER}test_search.py",),
+    ),
+    Mutant(
         name="floor_of_p",
         file=VERDICTS,
         original="return max(value, LEAST_P)",

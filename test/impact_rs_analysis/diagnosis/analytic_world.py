@@ -43,6 +43,7 @@ EFFECTS = {
         effect("one_sided", (parameter("d", lower=0.0),)),
         effect("inverse", (Parameter("s", "-", 1.0, 0.2, 5.0, 0.1, "s"),)),
         effect("fading", (parameter("e"), parameter("rate", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
+        effect("dry", (parameter("f", lower=0.0), parameter("fade", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
     )
 }
 
@@ -82,6 +83,10 @@ def features(cluster: int, added: Added) -> Array:
             result += max(-values[1] - 4.0, 0.0) * direction(cluster, 32) + 0.01 * values[1] * direction(cluster, 33)
         elif name == "outside":
             result += values[0] * direction(cluster, 5)
+    for _, values in (one for one in added if one[0] == "dry"):  # takes its part of whatever drives, and no more
+        driving = result + 3.0 * direction(cluster, 50)
+        held = values[0] * np.exp(-values[1] * np.linspace(0.0, 3.0, FEATURES))
+        result += np.clip(-driving, -held, held)
     return result
 
 

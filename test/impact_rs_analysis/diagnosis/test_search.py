@@ -243,6 +243,17 @@ def test_a_shape_far_from_its_start_is_found_in_the_motion_before_a_hit(rate: fl
     np.testing.assert_allclose(chosen.estimate, (12.0, rate), rtol=0.15)
 
 
+@pytest.mark.parametrize(("force", "friction", "fade"), [(10.0, 15.0, 3.0), (20.0, 8.0, 0.3), (40.0, 8.0, 1.0)])
+def test_dry_friction_that_fades_is_found_beside_the_force_that_drives_against_it(
+    force: float, friction: float, fade: float
+) -> None:
+    """By itself friction explains the motion of what nobody drives; where it begins there leads nowhere."""
+    source = BeforeTheHit(1, (("straight", (force,)), ("dry", (friction, fade))))
+    chosen = searched(source, ("straight", "dry", "bent")).choose()
+    assert chosen is not None and chosen.candidate.names == ("straight", "dry")
+    np.testing.assert_allclose(chosen.estimate, (force, friction, fade), rtol=0.1)
+
+
 def test_motion_before_a_hit_rules_out_as_well_and_the_hit_is_not_asked() -> None:
     """No cluster is without a hit; what is told of the effect all the same is how little of it can be there."""
     ruled_out = 0
