@@ -77,7 +77,7 @@ class Search:
         shortlist: Candidates that are fitted through the model in every round.
         told: Called with effects joined by ``+`` and the error that they leave in clusters left out, on the scale of
             :meth:`Evidence.size`, whenever they have been fitted.
-        known: Where a search over more clusters has ended, see ``ended``; fits begin there.
+        known: Where the search over all clusters of the source has ended, see ``ended``; fits may begin there.
 
     Attributes:
         singles: Every effect alone, linearised where it does nothing; not those that are never measured.

@@ -43,6 +43,7 @@ EFFECTS = {
         effect("one_sided", (parameter("d", lower=0.0),)),
         effect("inverse", (Parameter("s", "-", 1.0, 0.2, 5.0, 0.1, "s"),)),
         effect("fading", (parameter("e"), parameter("rate", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
+        effect("local", (parameter("everywhere"), parameter("in_one_place"))),
         effect("dry", (parameter("f", lower=0.0), parameter("fade", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
     )
 }
@@ -81,6 +82,8 @@ def features(cluster: int, added: Added) -> Array:
         elif name == "tipping":  # as a box that stands flat does, until its weight is too high or too low
             result += values[0] * direction(cluster, 30) + max(values[1] - 4.0, 0.0) * direction(cluster, 31)
             result += max(-values[1] - 4.0, 0.0) * direction(cluster, 32) + 0.01 * values[1] * direction(cluster, 33)
+        elif name == "local":
+            result += values[0] * direction(cluster, 40) + (values[1] * direction(cluster, 41) if cluster == 0 else 0.0)
         elif name == "outside":
             result += values[0] * direction(cluster, 5)
     for _, values in (one for one in added if one[0] == "dry"):  # takes its part of whatever drives, and no more

@@ -103,6 +103,18 @@ def test_folds_that_begin_where_the_search_ended_predict_like_those_from_nothing
     assert work[1] < 0.8 * work[0]
 
 
+def test_what_only_a_held_out_cluster_tells_is_not_known_where_its_fold_begins() -> None:
+    """A parameter that nothing else sees is where it does nothing, although the search over all has found it."""
+    source = AnalyticSource(4, (("local", (5.0, 8.0)),))
+    effects = [EFFECTS["local"], EFFECTS["straight"]]
+    known = ended(source, effects)
+    assert known["local",].point[1] == pytest.approx(8.0, abs=0.5)
+    cold, warm = hold_out(source, effects), hold_out(source, effects, known)
+    assert cold is not None and warm is not None
+    np.testing.assert_allclose(warm.rest[0], cold.rest[0], atol=1e-6)
+    assert warm.errors[0] > 10.0 * warm.errors[1:].max()
+
+
 def test_fitting_noise_does_not_lower_the_error_on_unseen_clusters() -> None:
     worse = 0
     for seed in range(10):
