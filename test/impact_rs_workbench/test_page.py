@@ -229,12 +229,16 @@ def test_a_folder_of_recordings_is_described_from_lists_and_compared(
 
     expect(page.get_by_label("object of parcel_1")).to_have_value("parcel")  # as it is called
     pose_unit = page.locator("[data-lab-signal=object_pose]").get_by_label("unit")
+    pose_line = page.locator("[data-lab-signal=object_pose] p")
+    in_metres = pose_line.inner_text()
     pose_unit.select_option("mm")
+    expect(pose_line).not_to_have_text(in_metres)  # the new preview is there, and moves the button below it no more
     page.locator("#lab-save").click()
     expect(page.locator("#part-laboratory .told .error")).to_contain_text(
         "parcel_1: the centre of 'parcel' is first at"
     )
     pose_unit.select_option("m")
+    expect(pose_line).to_have_text(in_metres)
     page.get_by_label("condition of parcel_2").fill("case_1")
     page.locator("#lab-save").click()
     expect(page.locator("#lab-written")).to_contain_text("lab/experiment.yaml, lab/mapping.yaml, lab/runs.csv")
@@ -284,10 +288,10 @@ def test_two_arms_of_different_kinds_are_predicted_and_described(
     expect(page.locator("[data-lab-signal] .plot .xy .scatterlayer")).to_have_count(9)
     accessible(page)
     picture(page, "workbench_laboratory", address[1])
-    page.set_viewport_size({"width": 360, "height": 800})
-    expect(page.locator("html")).to_have_js_property("scrollWidth", 360)
     page.locator("#lab-save").click()
     expect(page.locator("#lab-written")).to_contain_text("two/mapping_left.yaml, two/mapping_right.yaml")
+    page.set_viewport_size({"width": 360, "height": 800})
+    expect(page.locator("html")).to_have_js_property("scrollWidth", 360)
 
 
 def test_a_job_that_fails_shows_its_one_line(page: Page, address: tuple[str, Path]) -> None:
