@@ -351,12 +351,12 @@ class RotationReference(Reference):
             item = self.clusters[number]
             if alike(item) not in off:
                 root = np.linalg.cholesky(_discrepancy(item) + TINY * np.eye(len(item.features)))
-                off[alike(item)] = rng.standard_normal((DRAWS, len(root))), np.asarray(root.T)
+                off[alike(item)] = rng.standard_normal((DRAWS, len(root))), np.asarray(root)
         for group, (own, scale) in enumerate(zip(members, scales, strict=True)):
             if not scale.size:
                 continue
             turned = contrasts[:, own] @ scale
-            moved = {name: drawn @ (root[:, own] @ scale) for name, (drawn, root) in off.items()}
+            moved = {name: drawn @ (root[own].T @ scale) for name, (drawn, root) in off.items()}
             for place, number in enumerate(layout.numbers):
                 seen = noise[:, place] @ turned + np.sqrt(layout.counts[place]) * moved[alike(self.clusters[number])]
                 squares[:, group] += np.einsum("bf,bf->b", seen, seen)

@@ -125,7 +125,7 @@ class Search:
         self._prefetch([effect for effect in self._effects if effect.name not in self.ruled_out], concerns)
         for effect in self._effects:
             known = absent.get(effect.name)
-            candidate = self._linearised(effect) if known is None else known
+            candidate = self._linearised((effect,), self.evidence) if known is None else known
             if candidate is None:
                 continue
             if all(np.all(jacobian == 0.0) for jacobian in candidate.jacobians):
@@ -135,10 +135,10 @@ class Search:
                 self._starts[effect.name] = self._start(candidate)
 
     def _linearised(
-        self, effect: Effect, where: Where = concerns, evidence: Evidence | None = None
+        self, effects: tuple[Effect, ...], evidence: Evidence, where: Where = concerns, point: Array | None = None
     ) -> Candidate | None:
-        evidence = evidence or self.evidence
-        candidate = Candidate.of((effect,), evidence.source)
+        """Effects together about a point; None: where they do nothing."""
+        candidate = Candidate.of(effects, evidence.source, point)
         return linearise(candidate, evidence.clusters, evidence.numbers, evidence.source, where=where)
 
     def _start(self, candidate: Candidate) -> Candidate:
@@ -178,8 +178,8 @@ class Search:
             return None
         effects, effect = chosen.candidate.effects, self.singles[name].effects[0]
         nominal = np.concatenate((chosen.estimate, effect.nominal(self.source.joints)))
-        alone = self._linearised_at(effects, chosen.estimate, evidence)
-        beside = self._linearised_at((*effects, effect), nominal, evidence)
+        alone = self._linearised(effects, evidence, point=chosen.estimate)
+        beside = self._linearised((*effects, effect), evidence, point=nominal)
         if alone is None or beside is None:
             return None
         fitted = see_all(self._fitted(beside, evidence))
@@ -187,10 +187,6 @@ class Search:
             return None
         there = Candidate.of((*effects, effect), self.source, fitted.estimate, chosen.candidate.origin)
         return linearise(there, whole.clusters, whole.numbers, self.source, "starts of the fit")
-
-    def _linearised_at(self, effects: tuple[Effect, ...], point: Array, evidence: Evidence) -> Candidate | None:
-        candidate = Candidate.of(effects, evidence.source, point)
-        return linearise(candidate, evidence.clusters, evidence.numbers, evidence.source)
 
     def _fitted(self, candidate: Candidate, evidence: Evidence) -> Fit:
         """A fit where predictions are cheap: with a shape, which bends everything, from its best value and again."""
@@ -240,7 +236,7 @@ class Search:
         self._prefetch(seen, in_free_motion, evidence)
         alone: dict[str, Candidate] = {}
         for effect in seen:
-            candidate = self._linearised(effect, in_free_motion, evidence)
+            candidate = self._linearised((effect,), evidence, in_free_motion)
             if candidate is not None:
                 alone[effect.name] = candidate
         absent = {
