@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an arm is told where its controller has nothing to say: hold against gravity, and come to rest.
+"""The torque of an arm without a controller: carry its weight, and come to rest.
 
-    tau = g(q) - M(q) dq / T
+    tau = g(q) - s M(q) dq / T,   s = min(1, min_i SHARE tau_max_i / |M dq / T|_i)
 
-With it joint velocities decay with the time constant T, whatever the arm; the torque stays within the limits.
+Joint velocities decay with the time constant T, whatever the arm. A brake that asks for too much is scaled as a whole:
+its power, -s dq^T M dq / T, is never positive, which limiting joint by joint would not ensure. A delay d turns the
+decay into dq' = -dq(t - d) / T, which does not oscillate for d <= T / e and diverges for d > pi T / 2 (Hayes, J. London
+Math. Soc. 25, 1950): a brake on old states is worse than none.
 """
 
 from __future__ import annotations
@@ -16,6 +19,8 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 
 SETTLE = 0.1  # s, time constant T
+SHARE = 0.5  # of the torque limits, that the brake takes at most; the other half carries weight
+FRESH = 0.03  # s, that the state of a brake may be old; below T / e
 
 
 def holding_torque(model: RobotModel, position: Array, velocity: Array) -> Array:
@@ -26,7 +31,9 @@ def holding_torque(model: RobotModel, position: Array, velocity: Array) -> Array
         position: q, ``(n,)`` [rad].
         velocity: dq, ``(n,)`` [rad/s].
     """
-    torque = model.gravity_torque(position) - model.mass_matrix(position) @ velocity / SETTLE
+    brake = model.mass_matrix(position) @ velocity / SETTLE
+    excess = float(np.max(np.abs(brake) / (SHARE * model.torque_max)))
+    torque = model.gravity_torque(position) - brake / max(1.0, excess)
     return np.asarray(np.clip(torque, -model.torque_max, model.torque_max))
 
 

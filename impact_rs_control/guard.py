@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands between a controller and a real arm: is the state within the arm's limits, and is the torque?
+"""Limits of a real arm: is a measured state possible, and may a torque be sent?
 
-State and torque beyond a limit are told, and whoever asked stops the arm. The rate of a torque is limited instead:
+A state or torque beyond a limit is named, and the caller stops the arm. The rate of a torque is limited instead:
 
-    |tau_k - tau_(k-1)| <= rate * period
+    |tau_k - tau_(k-1)| <= rate (t_k - t_(k-1))
 
 A torque may jump when the references change at an impact, and a robot that refuses jumps would end every trial there.
 """
@@ -18,9 +18,10 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 
 ROUNDING = 1e-6  # N m, that a torque at its limit may be beyond it
+MEASURED = 5.0  # torque limits, that a joint may measure: sensors on the link side see the peak of an impact
 
 
-def state_complaint(model: RobotModel, joints: Sequence[str], position: Array, velocity: Array) -> str:
+def state_complaint(model: RobotModel, joints: Sequence[str], position: Array, velocity: Array, torque: Array) -> str:
     """Which joint is beyond its limits, and how far; empty: none.
 
     Args:
@@ -28,6 +29,7 @@ def state_complaint(model: RobotModel, joints: Sequence[str], position: Array, v
         joints: Names of its joints.
         position: q, ``(n,)`` [rad].
         velocity: dq, ``(n,)`` [rad/s].
+        torque: Measured, ``(n,)`` [N m].
     """
     inside = (model.position_min <= position) & (position <= model.position_max)  # a NaN is nowhere inside
     for index in np.flatnonzero(~inside).tolist():
@@ -37,6 +39,9 @@ def state_complaint(model: RobotModel, joints: Sequence[str], position: Array, v
     for index in np.flatnonzero(~(np.abs(velocity) <= model.velocity_max)).tolist():
         unit = model.facts.units[index].velocity
         return f"{joints[index]} at {velocity[index]:.4g} {unit}, limit {model.velocity_max[index]:.4g} {unit}"
+    for index in np.flatnonzero(~(np.abs(torque) <= MEASURED * model.torque_max)).tolist():
+        unit, limit = model.facts.units[index].effort, model.torque_max[index]
+        return f"{joints[index]} measures {torque[index]:.4g} {unit}, more than {MEASURED:g} times its limit of {limit:.4g}"
     return ""
 
 
@@ -55,11 +60,11 @@ def torque_complaint(model: RobotModel, joints: Sequence[str], torque: Array) ->
 
 
 def rate_limited(torque: Array, before: Array, largest_change: float) -> Array:
-    """The torque nearest to a wanted one that the last one may be followed by, ``(n,)`` [N m].
+    """The torque nearest to the wanted one that may follow the last one, ``(n,)`` [N m].
 
     Args:
         torque: Wanted, ``(n,)`` [N m].
-        before: What was commanded last, ``(n,)`` [N m].
-        largest_change: Rate times period [N m].
+        before: Commanded last, ``(n,)`` [N m].
+        largest_change: Rate times the time since then [N m].
     """
     return before + np.clip(torque - before, -largest_change, largest_change)

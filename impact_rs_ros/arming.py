@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Before a real arm is led: look at the robot for a moment, then hold it for another, and refuse with the reason."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from statistics import median
+from typing import Protocol
+
+import numpy as np
+import pinocchio as pin
+from geometry_msgs.msg import PoseStamped
+
+from impact_msgs_py.conversions import pose_from_message
+from impact_rs_control.plan import TrialPlan
+from impact_rs_ros.effort_arms import REST, EffortArms
+from impact_rs_ros.exchange import Inbox
+from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
+from impact_rs_ros.robot_states import STATES, ArmStates, Clock
+from impact_rs_sim.errors import InputError
+
+LOOKING, LOOKING_STATES = 0.5, 50  # s and states: how long the robot is looked at, at least
+PATIENCE = 3.0  # s, to get that far
+HOLDING = 0.2  # s of the robot's time, that it must stay where it is held before it is led
+PERIOD_TOLERANCE = 0.02  # of the period, that the states of the robot may come faster or slower
+POSE_AGE = 0.5  # s, that a pose of the object may be old
+SLICE = 0.002  # s, between two looks
+
+
+@dataclass(frozen=True)
+class ArmingLimits:
+    """What a robot must keep to be armed.
+
+    Attributes:
+        start: How far a joint may be from where the trial starts [rad].
+        jitter: Largest difference between the time from one state to the next as they arrive, and by their stamps [s].
+    """
+
+    start: float
+    jitter: float
+
+
+class Arming:
+    """Arms a robot for one trial.
+
+    Args:
+        plan: The trial.
+        arms: The robot, nothing sent to it yet for this trial.
+        mocap: Reads poses of the object; None: none are wanted.
+        inbox: Where the robot's states and the object's poses come in.
+        clock: Of the robot.
+        limits: What the robot must keep.
+        holder: Who holds the arms while they are looked at, since the trial before; None: nobody yet.
+        monotonic: A clock that never goes back [s].
+    """
+
+    def __init__(
+        self,
+        plan: TrialPlan,
+        arms: EffortArms,
+        mocap: TrackerPoses | None,
+        inbox: Inbox,
+        clock: Clock,
+        limits: ArmingLimits,
+        holder: EffortArms | None = None,
+        monotonic: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._plan = plan
+        self._arms = arms
+        self._mocap = mocap
+        self._inbox = inbox
+        self._clock = clock
+        self._limits = limits
+        self._holder = holder
+        self._monotonic = monotonic
+        self._pose: PoseStamped | None = None  # where the object was last seen
+
+    def run(self) -> str:
+        """Look, then hold; returns what was found, in one line.
+
+        Raises:
+            InputError: The robot is not where the trial starts, its states do not come as the trial needs them, this
+                process does not get them in time, or it does not stay where it is held.
+        """
+        found = self._look()
+        self._hold()
+        if self._mocap is None:
+            return found
+        if self._pose is None:
+            raise InputError(f"not armed: no pose of the object on {MOCAP} in the last {POSE_AGE:g} s")
+        return f"{found}, object {distance_from_scenario(self._plan, self._pose)}"
+
+    def _look(self) -> str:
+        """The robot's states for a while, without leading it."""
+        period = self._plan.scene.scenario.timing.control_period
+        began, arrivals, stamps = self._monotonic(), [], []
+        for states in self._states(self._holder):
+            if complaint := start_complaint(self._plan, states, self._limits.start):
+                raise InputError(f"not armed: {complaint}")
+            arrivals.append(self._monotonic())
+            stamps.append(states.stamp)
+            if arrivals[-1] > began + LOOKING and len(stamps) >= LOOKING_STATES:
+                break
+        if not stamps:
+            raise InputError(f"not armed: no joint states on {STATES} with the joints of this node: is the robot running?")
+        if len(stamps) < LOOKING_STATES:
+            raise InputError(f"{STATES}: {len(stamps)} states in {PATIENCE:g} s, expected {LOOKING_STATES}")
+        steps = 1e-9 * np.diff(np.array(stamps))
+        if abs(median(steps.tolist()) - period) > PERIOD_TOLERANCE * period:
+            raise InputError(
+                f"{STATES}: a state every {1e3 * median(steps.tolist()):.3f} ms; timing.control_period of the scenario "
+                f"is {1e3 * period:g} ms"
+            )
+        jitter = float(np.abs(np.diff(np.array(arrivals)) - steps).max())
+        if jitter > self._limits.jitter:
+            raise InputError(
+                f"not armed: states come with a jitter of {1e3 * jitter:.3f} ms, arm_jitter_limit is "
+                f"{1e3 * self._limits.jitter:g} ms"
+            )
+        return f"jitter {1e3 * jitter:.3f} ms, oldest state {1e3 * self._arms.states.oldest:.3f} ms, {len(stamps)} states"
+
+    def _hold(self) -> None:
+        """Hold the arms for a moment: do they stay?"""
+        latest = self._arms.states.latest
+        assert latest is not None
+        until = latest.stamp + round(1e9 * HOLDING)
+        self._arms.rest()
+        for states in self._states(self._arms):
+            if complaint := start_complaint(self._plan, states, self._limits.start):
+                adds = "adds" if self._arms.adds_gravity else "does not add"
+                raise InputError(
+                    f"not armed: {complaint}, while it was held; this node assumes that the robot {adds} gravity "
+                    "(robot_adds_gravity)"
+                )
+            if states.stamp >= until:
+                return
+        raise InputError(f"not armed: less than {HOLDING:g} s of states in {PATIENCE:g} s while the robot was held")
+
+    def _states(self, holder: EffortArms | None) -> Iterator[ArmStates]:
+        """Usable states for a while, each as it comes; poses of the object are read on the way."""
+        until, first = self._monotonic() + PATIENCE, True
+        while self._monotonic() < until:
+            self._inbox.wait(SLICE)
+            for topic, data in self._inbox.take():
+                if topic == MOCAP and self._mocap is not None:
+                    self._see(self._mocap.read(data))
+                if topic != STATES:
+                    continue
+                if holder is not None and holder is not self._arms:
+                    holder.states.read(data)
+                states = self._arms.states.read(data)
+                if states is None or not self._clock.known:
+                    continue
+                if states.complaint:
+                    raise InputError(f"not armed: {STATES}: {states.complaint}")
+                if first:  # of a robot that was only just found
+                    until, first = self._monotonic() + PATIENCE, False
+                yield states
+            if holder is not None:
+                holder.rest()
+
+    def _see(self, pose: PoseStamped | None) -> None:
+        if pose is not None:
+            stamp = pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec
+            self._pose = pose if abs(1e-9 * (self._clock.now() - stamp)) <= POSE_AGE else None
+
+
+def start_complaint(plan: TrialPlan, states: ArmStates, tolerance: float) -> str:
+    """Why the arms are not at rest where a trial starts; empty: they are.
+
+    Args:
+        plan: The trial.
+        states: Of the arms.
+        tolerance: How far a joint may be away [rad].
+    """
+    for name, own in plan.arms.items():
+        arm = states.arms[name]
+        away = arm.position - own.initial
+        index = int(np.argmax(np.abs(away)))
+        if abs(away[index]) > tolerance:
+            start = ", ".join(f"{value:.4f}" for value in own.initial)
+            return (
+                f"joint {index + 1} of {name} is {away[index]:+.4f} rad from where the trial starts, start_tolerance "
+                f"is {tolerance:g} rad; move the arm to [{start}]"
+            )
+        if not np.all(np.abs(arm.velocity) <= REST):
+            fastest = np.abs(arm.velocity).max()
+            return f"{name} moves at {fastest:.3g} rad/s; a trial starts at rest, below {REST:g} rad/s"
+    return ""
+
+
+def distance_from_scenario(plan: TrialPlan, pose: PoseStamped) -> str:
+    """How far the object is from where the scenario has it, in words; shows a wrong placement of the tracker.
+
+    Args:
+        plan: The trial.
+        pose: Of the object, in ``world``.
+    """
+    nominal = pin.SE3(plan.scene.object.rotation, plan.scene.object.position)
+    there = nominal.actInv(pin.XYZQUATToSE3(pose_from_message(pose.pose)))
+    distance, angle = (float(np.linalg.norm(part)) for part in (there.translation, pin.log3(there.rotation)))
+    return f"{1e3 * distance:.1f} mm and {np.degrees(angle):.1f} deg from its place in the scenario"

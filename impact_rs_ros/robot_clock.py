@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The clock of the robot's stamps: this machine's, or with ``use_sim_time`` that of a simulator."""
+
+from __future__ import annotations
+
+import time
+
+from rclpy.node import Node
+
+from impact_rs_ros.exchange import Inbox
+from impact_rs_ros.parameters import value
+from impact_rs_ros.qos import WATCH
+from impact_rs_trials.bags import topics
+
+
+class RobotClock:
+    """Time of stamps, and time that never goes back.
+
+    Args:
+        node: Its parameter ``use_sim_time`` says which clock.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._inbox: Inbox | None = None
+        self._simulated = 0
+        if value(node, "use_sim_time"):  # past the executor of the node, which does not run while a trial does
+            self._inbox = Inbox(node, "clock", WATCH)
+            self._inbox.connect({topics.CLOCK: topics.CLOCK_TYPE})
+
+    def now(self) -> int:
+        """Time that stamps are compared with [ns]."""
+        if self._inbox is None:
+            return int(self._node.get_clock().now().nanoseconds)
+        self._inbox.gather()
+        for _, message in self._inbox.take():
+            self._simulated = message.clock.sec * 10**9 + message.clock.nanosec
+        return self._simulated
+
+    def steady(self) -> float:
+        """Time of which differences are taken [s]: setting this machine's clock does not change it."""
+        return time.monotonic() if self._inbox is None else 1e-9 * self.now()
+
+    def saw(self, stamp: int) -> None:
+        """A state with this stamp [ns] has come: in a simulation it is that late at least, ``/clock`` may follow."""
+        if self._inbox is not None:
+            self._simulated = max(self.now(), stamp)
+
+    @property
+    def known(self) -> bool:
+        """Whether the time is known; that of a simulator is not until it was published."""
+        return self.now() != 0
+
+    def forget(self) -> None:
+        """Forget the time of a simulator, which may have been started again."""
+        if self._inbox is not None:
+            self._inbox.clear()
+            self._simulated = 0
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        if self._inbox is not None:
+            self._inbox.close()

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joint states of a robot behind ros2_control: decoded, and judged before anything acts on them.
+
+A state is usable if it is new, fresh, within the limits of the arm, and agrees with the states before it
+(:mod:`impact_rs_control.motion_monitor`). One judge serves arming, trials, the brake and the watchdog, so that none of
+them acts on a state that another one refuses.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from impact_rs_control.guard import state_complaint
+from impact_rs_control.motion_monitor import MotionMonitor
+from impact_rs_ros.joint_signals import FIELDS, joint_signals, names_of
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.sensors import ArmMeasurement
+
+STATES = "/joint_states"  # of joint_state_broadcaster
+NEWER = 0.5  # of the period, that a state is measured after the one before it
+RECENT, EXTRA = 100, 10  # messages, and how many of them may repeat a state or come between two
+
+
+class Clock(Protocol):
+    """Time of the robot's stamps, and time that never goes back."""
+
+    def now(self) -> int:
+        """Time that stamps are compared with [ns]."""
+
+    def steady(self) -> float:
+        """Time of which differences are taken [s]."""
+
+    def saw(self, stamp: int) -> None:
+        """A state with this stamp [ns] has come."""
+
+
+def joint_names(pattern: str, arms: Mapping[str, int]) -> dict[str, list[str]]:
+    """Names that the robot gives the joints of its arms, base to tip.
+
+    Args:
+        pattern: With ``{arm}`` and ``{number}``, which counts from 1.
+        arms: Number of joints by name of the arm in the scenario.
+
+    Raises:
+        InputError: Two joints would have one name.
+    """
+    joints = {
+        arm: [pattern.replace("{arm}", arm).replace("{number}", str(number + 1)) for number in range(count)]
+        for arm, count in arms.items()
+    }
+    names = [name for own in joints.values() for name in own]
+    if len(set(names)) < len(names):
+        missing = "{number}" if any(len(set(own)) < len(own) for own in joints.values()) else "{arm}"
+        wanted = f"{missing} in it: {len(names)} joints of {', '.join(arms)} need names of their own"
+        raise InputError(f"expected {wanted}", key="joints", value=pattern)
+    return joints
+
+
+@dataclass(frozen=True)
+class ArmStates:
+    """One message of the joint states.
+
+    Attributes:
+        stamp: On the robot's clock [ns].
+        arms: Measured state by arm; the motor's is not known, and equals the link's.
+        complaint: Why they are not usable, in one line; empty: they are.
+    """
+
+    stamp: int
+    arms: dict[str, ArmMeasurement] = field(default_factory=dict)
+    complaint: str = ""
+
+
+class StateReader:
+    """Picks the joints of some arms out of a ``sensor_msgs/JointState``, which may hold others, in any order.
+
+    Args:
+        joints: The robot's names of the joints, by arm.
+
+    Attributes:
+        unreadable: Number of messages that could not be decoded.
+    """
+
+    def __init__(self, joints: Mapping[str, list[str]]) -> None:
+        self.unreadable = 0
+        self._joints = joints
+        self._names = b""
+        self._order: dict[str, list[int]] = {}
+        self._count = 0
+
+    def read(self, data: bytes) -> ArmStates | None:
+        """The arms' state; None: of other joints, a gripper's for example, or not readable, which counts as silence."""
+        found = joint_signals(data)
+        if found.complaint:
+            self.unreadable += 1
+            return None
+        if found.names != self._names:
+            names = names_of(found)
+            wanted = [joint for joints in self._joints.values() for joint in joints]
+            missing = [joint for joint in wanted if joint not in names]
+            if len(missing) == len(wanted):
+                return None
+            if missing:
+                return ArmStates(found.stamp, complaint=f"no {', '.join(missing)} among {', '.join(names)[:200]}")
+            if twice := [joint for joint in wanted if names.count(joint) > 1]:
+                return ArmStates(found.stamp, complaint=f"{twice[0]} is {names.count(twice[0])} times in one message")
+            self._order = {arm: [names.index(joint) for joint in joints] for arm, joints in self._joints.items()}
+            self._names, self._count = found.names, len(names)
+        for name, values in zip(FIELDS, found.values, strict=True):
+            if values.size != self._count:
+                return ArmStates(found.stamp, complaint=f"{values.size} values of {name}, expected {self._count}")
+        arms = {}
+        for arm, order in self._order.items():
+            position, velocity, torque = (values[order] for values in found.values)
+            for name, values in zip(FIELDS, (position, velocity, torque), strict=True):
+                for index in np.flatnonzero(~np.isfinite(values)):
+                    complaint = f"{name} of {self._joints[arm][index]} is {values[index]}"
+                    return ArmStates(found.stamp, complaint=complaint)
+            arms[arm] = ArmMeasurement(position, velocity, torque, position, velocity)
+        return ArmStates(found.stamp, arms)
+
+
+class RobotStates:
+    """The usable states of the robot's arms.
+
+    Args:
+        models: By arm.
+        joints: The robot's names of the joints, by arm.
+        period: Between two states [s].
+        timeout: A state that is older is not usable [s].
+        clock: Of the robot.
+
+    Attributes:
+        latest: The last usable state; None: there was none yet.
+        commanded: Torque of a controller by arm, ``(n,)`` [N m]; empty: the arms are held.
+        oldest: Largest age of a state when it came [s].
+    """
+
+    def __init__(
+        self,
+        models: Mapping[str, RobotModel],
+        joints: Mapping[str, list[str]],
+        period: float,
+        timeout: float,
+        clock: Clock,
+    ) -> None:
+        self.latest: ArmStates | None = None
+        self.commanded: dict[str, Array] = {}
+        self.oldest = 0.0
+        self._models = models
+        self._joints = joints
+        self._period = period
+        self._timeout = timeout
+        self._clock = clock
+        self._reader = StateReader(joints)
+        self._monitors = {arm: MotionMonitor(model, joints[arm]) for arm, model in models.items()}
+        self._measured = 0.0  # when the last usable state was measured, on the steady clock [s]
+        self._newest: int | None = None  # stamp [ns]
+        self._extra: deque[bool] = deque(maxlen=RECENT)
+
+    @property
+    def unreadable(self) -> int:
+        """Number of messages that could not be decoded; they count as silence."""
+        return self._reader.unreadable
+
+    @property
+    def age(self) -> float:
+        """Age of the last usable state [s]."""
+        return float("inf") if self.latest is None else self._clock.steady() - self._measured
+
+    def read(self, data: bytes) -> ArmStates | None:
+        """The state in a message, with a complaint where it is not usable; None: there is no new state in it."""
+        states = self._reader.read(data)
+        if states is None:
+            return None
+        if not states.complaint:
+            self._clock.saw(states.stamp)
+            if not self._is_new(states):
+                return self._two_sources(states)
+            complaint = self._too_old(states) or self._impossible(states)
+            states = replace(states, complaint=complaint)
+        if not states.complaint:
+            self.latest = states
+            self._measured = self._clock.steady() - max(0.0, self._age_of(states))
+        return states
+
+    def _age_of(self, states: ArmStates) -> float:
+        """Age by its stamp [s]; negative: from the future."""
+        return 1e-9 * (self._clock.now() - states.stamp)
+
+    def _is_new(self, states: ArmStates) -> bool:
+        """Whether it was measured a period after the newest one, and is no repetition nor from a second source."""
+        least = NEWER * self._period * 1e9
+        new = self._newest is None or states.stamp - self._newest > least
+        # A stamp of long ago is old, or of a robot that was started again: what follows tells.
+        new = new or (self._newest is not None and self._newest - states.stamp > self._timeout * 1e9)
+        self._extra.append(not new)
+        if new:
+            self._newest = states.stamp
+        return new
+
+    def _two_sources(self, states: ArmStates) -> ArmStates | None:
+        extra = sum(self._extra)
+        if extra <= EXTRA:
+            return None
+        complaint = (
+            f"{extra} of the last {len(self._extra)} states repeat one or come between two: does something else publish "
+            "these joints as well?"
+        )
+        return replace(states, complaint=complaint)
+
+    def _too_old(self, states: ArmStates) -> str:
+        age, limit = self._age_of(states), self._timeout
+        self.oldest = max(self.oldest, age)
+        if age > limit:
+            return f"the robot's state is {age:.4f} s old, state_timeout is {limit:g} s"
+        if age < -self._period:
+            return f"the robot's state is stamped {-age:.4f} s in the future, by this machine's clock"
+        return ""
+
+    def _impossible(self, states: ArmStates) -> str:
+        for name, arm in states.arms.items():
+            model, joints = self._models[name], self._joints[name]
+            if complaint := state_complaint(model, joints, arm.position, arm.velocity, arm.torque):
+                return complaint
+        for name, arm in states.arms.items():
+            time, torque = 1e-9 * states.stamp, self.commanded.get(name)
+            if complaint := self._monitors[name].complaint(time, arm.position, arm.velocity, torque):
+                return complaint
+        return ""
