@@ -41,7 +41,8 @@ def state_complaint(model: RobotModel, joints: Sequence[str], position: Array, v
         return f"{joints[index]} at {velocity[index]:.4g} {unit}, limit {model.velocity_max[index]:.4g} {unit}"
     for index in np.flatnonzero(~(np.abs(torque) <= MEASURED * model.torque_max)).tolist():
         unit, limit = model.facts.units[index].effort, model.torque_max[index]
-        return f"{joints[index]} measures {torque[index]:.4g} {unit}, more than {MEASURED:g} times its limit of {limit:.4g}"
+        most = f"more than {MEASURED:g} times its limit of {limit:.4g} {unit}"
+        return f"{joints[index]} measures {torque[index]:.4g} {unit}, {most}"
     return ""
 
 

@@ -43,6 +43,7 @@ class MotionMonitor:
         self._offsets: deque[tuple[float, Array]] = deque()  # time, position less the integral of velocity
         self._last: tuple[float, Array, Array] | None = None
         self._integral = np.zeros(model.joint_count)
+        self._led = False
         self._unchanged_since = np.zeros(model.joint_count)
         self._least = self._greatest = np.zeros(model.joint_count)
 
@@ -78,19 +79,19 @@ class MotionMonitor:
         for index in np.flatnonzero(~(np.abs(gap) <= self._largest_gap)).tolist():
             unit, limit = self._units[index], self._largest_gap[index]
             return (
-                f"position of {self._joints[index]} changed by {gap[index]:.4g} {unit} more than its velocity says, within "
-                f"{time - began:.3f} s; {limit:.2g} {unit} are allowed"
+                f"position of {self._joints[index]} changed by {gap[index]:.4g} {unit} more than its velocity says, "
+                f"within {time - began:.3f} s; {limit:.2g} {unit} are allowed"
             )
         return ""
 
     def _frozen(self, time: float, position: Array, velocity: Array, torque: Array | None) -> str:
         """A joint whose signals stay the same to the last bit while its torque varies."""
-        last = self._last
-        if torque is None or last is None:
-            self._unchanged_since = np.full_like(position, time)
-            self._least = self._greatest = np.zeros_like(position) if torque is None else torque
+        last, led, self._led = self._last, self._led, torque is not None
+        if torque is None:
             return ""
-        changed = (position != last[1]) | (velocity != last[2])
+        changed = np.ones_like(position, dtype=bool)
+        if last is not None and led:
+            changed = (position != last[1]) | (velocity != last[2])
         self._unchanged_since = np.where(changed, time, self._unchanged_since)
         self._least = np.where(changed, torque, np.minimum(self._least, torque))
         self._greatest = np.where(changed, torque, np.maximum(self._greatest, torque))

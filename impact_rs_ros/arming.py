@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from statistics import median
-from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -20,6 +19,7 @@ from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
 from impact_rs_ros.robot_states import STATES, ArmStates, Clock
 from impact_rs_sim.errors import InputError
+from impact_rs_trials.bags.topics import CLOCK
 
 LOOKING, LOOKING_STATES = 0.5, 50  # s and states: how long the robot is looked at, at least
 PATIENCE = 3.0  # s, to get that far
@@ -43,7 +43,7 @@ class ArmingLimits:
 
 
 class Arming:
-    """Arms a robot for one trial.
+    """Arms a robot for one trial: :meth:`look`, then :meth:`hold`.
 
     Args:
         plan: The trial.
@@ -77,23 +77,13 @@ class Arming:
         self._monotonic = monotonic
         self._pose: PoseStamped | None = None  # where the object was last seen
 
-    def run(self) -> str:
-        """Look, then hold; returns what was found, in one line.
+    def look(self) -> str:
+        """Look at the robot's states for a while, without sending it anything new; returns what was found, in one line.
 
         Raises:
-            InputError: The robot is not where the trial starts, its states do not come as the trial needs them, this
-                process does not get them in time, or it does not stay where it is held.
+            InputError: The robot is not at rest where the trial starts, or its states do not come as the trial needs
+                them, or too late to this process.
         """
-        found = self._look()
-        self._hold()
-        if self._mocap is None:
-            return found
-        if self._pose is None:
-            raise InputError(f"not armed: no pose of the object on {MOCAP} in the last {POSE_AGE:g} s")
-        return f"{found}, object {distance_from_scenario(self._plan, self._pose)}"
-
-    def _look(self) -> str:
-        """The robot's states for a while, without leading it."""
         period = self._plan.scene.scenario.timing.control_period
         began, arrivals, stamps = self._monotonic(), [], []
         for states in self._states(self._holder):
@@ -103,8 +93,11 @@ class Arming:
             stamps.append(states.stamp)
             if arrivals[-1] > began + LOOKING and len(stamps) >= LOOKING_STATES:
                 break
+        if not self._clock.known:
+            raise InputError(f"not armed: no time on {CLOCK}, which use_sim_time asks for")
         if not stamps:
-            raise InputError(f"not armed: no joint states on {STATES} with the joints of this node: is the robot running?")
+            first = ", ".join(names[0] for names in self._arms.states.joints.values())
+            raise InputError(f"not armed: no state of {first} and the other joints on {STATES}: is the robot running?")
         if len(stamps) < LOOKING_STATES:
             raise InputError(f"{STATES}: {len(stamps)} states in {PATIENCE:g} s, expected {LOOKING_STATES}")
         steps = 1e-9 * np.diff(np.array(stamps))
@@ -119,10 +112,17 @@ class Arming:
                 f"not armed: states come with a jitter of {1e3 * jitter:.3f} ms, arm_jitter_limit is "
                 f"{1e3 * self._limits.jitter:g} ms"
             )
-        return f"jitter {1e3 * jitter:.3f} ms, oldest state {1e3 * self._arms.states.oldest:.3f} ms, {len(stamps)} states"
+        return (
+            f"jitter {1e3 * jitter:.3f} ms, oldest state {1e3 * self._arms.states.oldest:.3f} ms, {len(stamps)} states"
+        )
 
-    def _hold(self) -> None:
-        """Hold the arms for a moment: do they stay?"""
+    def hold(self) -> str:
+        """Hold the arms for a moment; returns where the object is, in words, where its poses are wanted.
+
+        Raises:
+            InputError: They do not stay where they are, or no pose came. They are held on: the brake lets an arm whose
+                weight is assumed wrongly, by dtau, move at T M^-1 dtau, and a released one accelerate.
+        """
         latest = self._arms.states.latest
         assert latest is not None
         until = latest.stamp + round(1e9 * HOLDING)
@@ -135,8 +135,15 @@ class Arming:
                     "(robot_adds_gravity)"
                 )
             if states.stamp >= until:
-                return
+                return self._object()
         raise InputError(f"not armed: less than {HOLDING:g} s of states in {PATIENCE:g} s while the robot was held")
+
+    def _object(self) -> str:
+        if self._mocap is None:
+            return ""
+        if self._pose is None:
+            raise InputError(f"not armed: no pose of the object on {MOCAP} in the last {POSE_AGE:g} s")
+        return f", object {distance_from_scenario(self._plan, self._pose)}"
 
     def _states(self, holder: EffortArms | None) -> Iterator[ArmStates]:
         """Usable states for a while, each as it comes; poses of the object are read on the way."""
@@ -146,12 +153,12 @@ class Arming:
             for topic, data in self._inbox.take():
                 if topic == MOCAP and self._mocap is not None:
                     self._see(self._mocap.read(data))
-                if topic != STATES:
+                if topic != STATES or not self._clock.known:
                     continue
                 if holder is not None and holder is not self._arms:
                     holder.states.read(data)
                 states = self._arms.states.read(data)
-                if states is None or not self._clock.known:
+                if states is None:
                     continue
                 if states.complaint:
                     raise InputError(f"not armed: {STATES}: {states.complaint}")

@@ -23,6 +23,11 @@ REST = 0.02  # rad/s, m/s; slower is at rest: the holding torque then changes by
 STEPS = 2.0  # periods, that count at most as time since the last torque: a pause permits no jump
 
 
+def commands_topic(arm: str) -> str:
+    """Topic of the arm's JointGroupEffortController."""
+    return f"/{arm}/effort_controller/commands"
+
+
 class EffortArms:
     """The arms of one trial.
 
@@ -70,6 +75,11 @@ class EffortArms:
         self.held = False
         self._braked = None
         self._set(arm, torque)
+
+    def continue_from(self, arm: str, sent: Array) -> None:
+        """Another process sent this torque last, ``(n,)`` [N m]: the next one changes it no faster than allowed."""
+        if sent.shape == (self._models[arm].joint_count,) and np.isfinite(sent).all():
+            self._sent[arm] = self._clock.steady(), sent
 
     def rest(self) -> None:
         """Brake and hold on a fresh state, once a state; without one carry the arms' weight and no more.

@@ -73,6 +73,35 @@ DATA_ROOT = NodeParameter(
     "data_root", "", "-", "Requests may have bags written below this folder alone; empty: working directory"
 )
 
+ROBOT = (
+    NodeParameter(
+        "joints",
+        "{arm}_joint{number}",
+        "-",
+        "What the robot calls its joints: {arm} is the name of the arm in the scenario, {number} counts from 1",
+    ),
+    NodeParameter(
+        "robot_adds_gravity",
+        True,
+        "-",
+        "The robot compensates gravity itself (franka_ros2) and is sent torques without it",
+    ),
+    NodeParameter(
+        "state_timeout",
+        0.01,
+        "s",
+        "A state of the robot that is older, or does not come for so long, ends the trial",
+        (0.001, 10.0),
+    ),
+    NodeParameter(
+        "torque_rate_limit",
+        1000.0,
+        "N m/s or N/s",
+        "What the robot is sent changes no faster; a torque that would is told to it over several periods",
+        (1.0, 1e6),
+    ),
+)
+
 PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
     "plant": (
         *COMMON,
@@ -100,18 +129,8 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
     "controller": COMMON,
     "cell": (
         *COMMON,
-        NodeParameter(
-            "joints",
-            "{arm}_joint{number}",
-            "-",
-            "What the robot calls its joints: {arm} is the name of the arm in the scenario, {number} counts from 1",
-        ),
-        NodeParameter(
-            "robot_adds_gravity",
-            True,
-            "-",
-            "The robot compensates gravity itself (franka_ros2) and is sent torques without it",
-        ),
+        *ROBOT,
+        NodeParameter("watchdog", False, "-", "No trial is armed, and none goes on, without the node watchdog"),
         NodeParameter(
             "mocap", False, "-", "Pass poses of the object on from motion capture; without them no trial is armed then"
         ),
@@ -135,18 +154,18 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
             for name, axis in (("roll", "x"), ("pitch", "y"), ("yaw", "z"))
         ),
         NodeParameter(
-            "state_timeout",
-            0.01,
-            "s",
-            "A state of the robot that is older, or does not come for so long, ends the trial",
-            (0.001, 10.0),
-        ),
-        NodeParameter(
             "answer_timeout",
             0.01,
             "s",
             "A torque of the controller that takes longer ends the trial",
             (0.001, 10.0),
+        ),
+        NodeParameter(
+            "late_torque_share",
+            0.2,
+            "-",
+            "A larger share of the last 100 ticks whose torque came after the next state, or never, ends the trial",
+            (0.0, 1.0),
         ),
         NodeParameter(
             "arm_jitter_limit",
@@ -162,12 +181,12 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
             "No trial is armed, and none begins, with a joint farther from where it starts",
             (1e-4, 0.2),
         ),
+    ),
+    "watchdog": (
+        *COMMON,
+        *ROBOT,
         NodeParameter(
-            "torque_rate_limit",
-            1000.0,
-            "N m/s or N/s",
-            "What the robot is sent changes no faster; a torque that would is told to it over several periods",
-            (1.0, 1e6),
+            "command_timeout", 0.05, "s", "Arms that move without a command for so long are braked", (0.01, 10.0)
         ),
     ),
     "recorder": (

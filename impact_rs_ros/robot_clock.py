@@ -23,7 +23,7 @@ class RobotClock:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._inbox: Inbox | None = None
-        self._simulated = 0
+        self._simulated = self._seen = 0  # by /clock, and by the newest state
         if value(node, "use_sim_time"):  # past the executor of the node, which does not run while a trial does
             self._inbox = Inbox(node, "clock", WATCH)
             self._inbox.connect({topics.CLOCK: topics.CLOCK_TYPE})
@@ -35,7 +35,7 @@ class RobotClock:
         self._inbox.gather()
         for _, message in self._inbox.take():
             self._simulated = message.clock.sec * 10**9 + message.clock.nanosec
-        return self._simulated
+        return max(self._simulated, self._seen) if self._simulated else 0
 
     def steady(self) -> float:
         """Time of which differences are taken [s]: setting this machine's clock does not change it."""
@@ -43,8 +43,7 @@ class RobotClock:
 
     def saw(self, stamp: int) -> None:
         """A state with this stamp [ns] has come: in a simulation it is that late at least, ``/clock`` may follow."""
-        if self._inbox is not None:
-            self._simulated = max(self.now(), stamp)
+        self._seen = max(self._seen, stamp)
 
     @property
     def known(self) -> bool:
@@ -55,7 +54,7 @@ class RobotClock:
         """Forget the time of a simulator, which may have been started again."""
         if self._inbox is not None:
             self._inbox.clear()
-            self._simulated = 0
+            self._simulated = self._seen = 0
 
     def close(self) -> None:
         """Unsubscribe."""

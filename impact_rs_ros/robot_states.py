@@ -31,6 +31,10 @@ RECENT, EXTRA = 100, 10  # messages, and how many of them may repeat a state or 
 class Clock(Protocol):
     """Time of the robot's stamps, and time that never goes back."""
 
+    @property
+    def known(self) -> bool:
+        """Whether the time is known."""
+
     def now(self) -> int:
         """Time that stamps are compared with [ns]."""
 
@@ -98,7 +102,7 @@ class StateReader:
     def read(self, data: bytes) -> ArmStates | None:
         """The arms' state; None: of other joints, a gripper's for example, or not readable, which counts as silence."""
         found = joint_signals(data)
-        if found.complaint:
+        if not found.readable:
             self.unreadable += 1
             return None
         if found.names != self._names:
@@ -138,6 +142,7 @@ class RobotStates:
         clock: Of the robot.
 
     Attributes:
+        joints: The robot's names of the joints, by arm.
         latest: The last usable state; None: there was none yet.
         commanded: Torque of a controller by arm, ``(n,)`` [N m]; empty: the arms are held.
         oldest: Largest age of a state when it came [s].
@@ -155,7 +160,7 @@ class RobotStates:
         self.commanded: dict[str, Array] = {}
         self.oldest = 0.0
         self._models = models
-        self._joints = joints
+        self.joints = joints
         self._period = period
         self._timeout = timeout
         self._clock = clock
@@ -211,8 +216,8 @@ class RobotStates:
         if extra <= EXTRA:
             return None
         complaint = (
-            f"{extra} of the last {len(self._extra)} states repeat one or come between two: does something else publish "
-            "these joints as well?"
+            f"{extra} of the last {len(self._extra)} states repeat one or come between two: are there two publishers "
+            "of these joints?"
         )
         return replace(states, complaint=complaint)
 
@@ -227,7 +232,7 @@ class RobotStates:
 
     def _impossible(self, states: ArmStates) -> str:
         for name, arm in states.arms.items():
-            model, joints = self._models[name], self._joints[name]
+            model, joints = self._models[name], self.joints[name]
             if complaint := state_complaint(model, joints, arm.position, arm.velocity, arm.torque):
                 return complaint
         for name, arm in states.arms.items():

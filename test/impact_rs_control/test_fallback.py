@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from impact_rs_control.fallback import SETTLE, fallback_command, holding_torque
+from impact_rs_control.fallback import FRESH, SETTLE, SHARE, fallback_command, holding_torque
 from impact_rs_control.qp import QpStatus
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
@@ -30,10 +30,42 @@ def test_velocities_decay_with_the_time_constant() -> None:
     np.testing.assert_allclose(velocity, 0.01 / np.e, rtol=0.05)
 
 
-def test_the_torque_stays_within_the_limits() -> None:
-    torque = holding_torque(MODEL, REST, np.full(7, 100.0))
-    assert np.all(np.abs(torque) <= MODEL.torque_max)
-    assert np.any(np.abs(torque) == MODEL.torque_max)
+def test_the_brake_takes_no_more_than_its_share_whatever_velocity_it_is_told() -> None:
+    weight = MODEL.gravity_torque(REST)
+    for speed in (10.0, 1e3, 1e9):
+        brake = holding_torque(MODEL, REST, np.full(7, speed)) - weight
+        assert np.all(np.abs(brake) <= SHARE * MODEL.torque_max * (1.0 + 1e-12))
+        assert np.any(np.abs(brake) >= SHARE * MODEL.torque_max * (1.0 - 1e-9))
+    assert np.all(np.abs(holding_torque(MODEL, REST, np.full(7, 1e9))) <= MODEL.torque_max)
+
+
+def test_the_brake_never_drives_the_arm() -> None:
+    """Power -s dq^T M dq / T. Cut off joint by joint, as a torque limit does, the same brake drives some motions."""
+    rng = np.random.default_rng(2)
+    powers, cut = [], []
+    for _ in range(300):
+        position = rng.uniform(MODEL.position_min, MODEL.position_max)
+        velocity = rng.standard_normal(7) * 10.0 ** rng.uniform(-1.0, 3.0)
+        brake = -MODEL.mass_matrix(position) @ velocity / SETTLE
+        cut.append(velocity @ np.clip(brake, -0.1 * MODEL.torque_max, 0.1 * MODEL.torque_max))
+        held = holding_torque(MODEL, position, velocity) - MODEL.gravity_torque(position)
+        powers.append(velocity @ held)
+    assert max(powers) < 0.0 < max(cut)
+
+
+@pytest.mark.parametrize(("delay", "oscillates", "diverges"), [(FRESH, False, False), (0.1, True, False), (0.2, True, True)])
+def test_a_brake_on_old_states_oscillates_beyond_a_third_of_its_time_constant_and_then_diverges(
+    delay: float, oscillates: bool, diverges: bool
+) -> None:
+    """dq' = -dq(t - d) / T (Hayes 1950): no sign change for d <= T / e = 0.037 s, stable for d < pi T / 2 = 0.157 s."""
+    step, duration = 1e-3, 3.0
+    back = round(delay / step)
+    velocity = [0.1] * (back + 1)
+    for _ in range(round(duration / step)):
+        velocity.append(velocity[-1] - step * velocity[-1 - back] / SETTLE)
+    after = np.array(velocity)
+    assert bool(np.any(after < 0.0)) is oscillates
+    assert bool(np.abs(after[-500:]).max() > 0.1) is diverges
 
 
 @pytest.mark.parametrize("tasks", [6, 7])

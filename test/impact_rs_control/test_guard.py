@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from impact_rs_control.guard import rate_limited, state_complaint, torque_complaint
+from impact_rs_control.guard import MEASURED, rate_limited, state_complaint, torque_complaint
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.spec import TrialSpec
 
@@ -24,18 +24,24 @@ def at(values: np.ndarray, index: int, value: float) -> np.ndarray:
 
 
 def test_a_state_within_every_limit_is_no_complaint() -> None:
-    assert state_complaint(MODEL, JOINTS, START, STILL) == ""
-    assert state_complaint(MODEL, JOINTS, MODEL.position_max, MODEL.velocity_max) == ""
+    assert state_complaint(MODEL, JOINTS, START, STILL, STILL) == ""
+    assert state_complaint(MODEL, JOINTS, MODEL.position_max, MODEL.velocity_max, -MEASURED * MODEL.torque_max) == ""
 
 
 @pytest.mark.parametrize("beyond", [1e-6, 1.0, np.nan])
 def test_a_joint_beyond_a_limit_is_told_by_name(beyond: float) -> None:
     high, low = MODEL.position_max[2] + beyond, MODEL.position_min[2] - beyond
     for position in (high, low):
-        assert state_complaint(MODEL, JOINTS, at(START, 2, position), STILL).startswith("arm_joint3 at ")
+        assert state_complaint(MODEL, JOINTS, at(START, 2, position), STILL, STILL).startswith("arm_joint3 at ")
     for velocity in (MODEL.velocity_max[5] + beyond, -MODEL.velocity_max[5] - beyond):
-        told = state_complaint(MODEL, JOINTS, START, at(STILL, 5, velocity))
+        told = state_complaint(MODEL, JOINTS, START, at(STILL, 5, velocity), STILL)
         assert told.startswith("arm_joint6 at ") and told.endswith(f"limit {MODEL.velocity_max[5]:.4g} rad/s")
+
+
+@pytest.mark.parametrize("measured", [1e6, -1e6, np.nan])
+def test_a_torque_that_no_impact_explains_is_no_measurement(measured: float) -> None:
+    complaint = state_complaint(MODEL, JOINTS, START, STILL, at(STILL, 3, measured))
+    assert complaint.startswith("arm_joint4 measures ") and complaint.endswith("more than 5 times its limit of 87 N m")
 
 
 @pytest.mark.parametrize("beyond", [1e-3, np.nan, np.inf])

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The cell arms nothing while somebody else can move the robot, and leaves no trial with arms in motion."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+import rclpy
+from robot_bench import PUSH
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64MultiArray
+
+from impact_rs_ros import cell_node
+from impact_rs_ros.cell_node import CellNode
+from impact_rs_ros.qos import COMMAND, LATCHED
+from impact_rs_sim.errors import InputError
+
+COMMANDS = "/arm/effort_controller/commands"
+PATIENCE = 30.0  # s, for discovery; never reached on a machine that works
+
+
+class Arms:
+    """Arms that come to rest after some looks."""
+
+    def __init__(self, looks: int) -> None:
+        self.looks = looks
+
+    @property
+    def held(self) -> bool:
+        return self.looks <= 0
+
+    def rest(self) -> None:
+        self.looks -= 1
+
+
+@pytest.fixture(scope="module")
+def cell(domain_ids: Callable[[], int]) -> Iterator[CellNode]:
+    rclpy.init(domain_id=domain_ids())
+    node = CellNode()
+    node.connect(["arm"])
+    yield node
+    node._held = None
+    node.close()
+    node.executor.shutdown(timeout_sec=1.0)
+    node.node.destroy_node()
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def other(cell: CellNode) -> Iterator[rclpy.node.Node]:
+    node = rclpy.create_node("stranger", context=cell.node.context)
+    yield node
+    node.destroy_node()
+
+
+def eventually(cell: CellNode, condition: Callable[[], bool]) -> bool:
+    until = time.monotonic() + PATIENCE
+    while not condition() and time.monotonic() < until:
+        cell.executor.spin_once(timeout_sec=0.01)
+    return condition()
+
+
+def test_leaving_a_trial_and_closing_the_node_go_on_until_the_arms_rest(
+    cell: CellNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cell_node, "rest_until", lambda arms, *others: arms.rest())
+    for leave in (cell._leave, cell.brake):
+        cell._held = Arms(5)  # type: ignore[assignment]
+        leave()
+        assert cell._held.looks == 0  # type: ignore[attr-defined]
+    closed: list[str] = []
+    cell._held = Arms(5)  # type: ignore[assignment]
+    monkeypatch.setattr(cell_node.LeadingNode, "close", lambda self: closed.append("node"))
+    monkeypatch.setattr(cell._clock, "close", lambda: None)
+    cell.close()
+    assert cell._held.looks == 0 and closed == ["node"]  # type: ignore[attr-defined]
+    cell._held = None
+
+
+def test_arms_that_do_not_come_to_rest_are_left_with_a_call_for_the_emergency_stop(
+    cell: CellNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cell_node, "rest_until", lambda arms, *others: arms.rest())
+    monkeypatch.setattr(cell_node, "BRAKING", 0.0)
+    said: list[str] = []
+    monkeypatch.setattr(cell, "log", type("Log", (), {"error": staticmethod(said.append)}))
+    cell._held = Arms(10**9)  # type: ignore[assignment]
+    cell.brake()
+    cell._held = None
+    assert said == ["the arms did not come to rest within 0 s: press the emergency stop"]
+
+
+def test_between_trials_the_arms_are_held_and_in_a_trial_that_has_not_begun_as_well(
+    cell: CellNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cell_node, "rest_until", lambda arms, *others: arms.rest())
+    cell._held = held = Arms(10**9)  # type: ignore[assignment]
+    for let_pass in (cell.turn, cell.wait):
+        before = held.looks
+        let_pass()
+        assert held.looks < before
+    cell._held = None
+
+
+def test_without_an_effort_controller_nothing_is_armed(cell: CellNode, other: rclpy.node.Node) -> None:
+    assert f"nothing listens to torques on {COMMANDS}" in cell._no_listener()
+    other.create_subscription(Float64MultiArray, COMMANDS, lambda message: None, 10)
+    assert eventually(cell, lambda: cell._no_listener() == "")
+
+
+def test_whoever_else_can_send_torques_is_named_and_nothing_is_armed(cell: CellNode, other: rclpy.node.Node) -> None:
+    assert cell._strangers() == ""
+    other.create_publisher(Float64MultiArray, COMMANDS, COMMAND)
+    assert eventually(cell, lambda: cell._strangers() != "")
+    assert cell._strangers().startswith(f"/stranger can send torques on {COMMANDS} as well: stop it")
+    with pytest.raises(InputError, match="^not armed: /stranger can send torques"):
+        cell.prepare(PUSH, None)  # type: ignore[arg-type]
+    other.destroy_node()
+    assert eventually(cell, lambda: cell._strangers() == "")
+
+
+def test_a_second_publisher_of_joint_states_ends_the_trial(cell: CellNode, other: rclpy.node.Node) -> None:
+    cell._robots = 1
+    other.create_publisher(JointState, "/joint_states", 10)
+    assert eventually(cell, lambda: cell.node.count_publishers("/joint_states") == 1)
+    assert cell._strangers() == ""
+    other.create_publisher(JointState, "/joint_states", 10)
+    assert eventually(cell, lambda: cell._strangers() != "")
+    assert cell._strangers() == "2 publishers on /joint_states, 1 when the trial was armed"
+
+
+class Trial:
+    """A trial that has begun."""
+
+    begun, over, failure = True, False, ""
+
+    def stop(self, failure: str) -> None:
+        self.over, self.failure = True, failure
+
+    def work(self, until: float) -> None:
+        """Nothing to do."""
+
+
+def test_what_is_found_while_a_trial_runs_ends_it(cell: CellNode, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cell, "_strangers", lambda: "/stranger can send torques")
+    monkeypatch.setattr(cell, "_over", None)
+    monkeypatch.setattr(cell_node, "SURVEY", -1.0)
+    trial = Trial()
+    cell.work(trial, 0.0)  # type: ignore[arg-type]
+    assert trial.failure == "/stranger can send torques"
+
+
+def test_a_watchdog_that_brakes_or_is_missing_where_one_is_wanted_is_said(
+    cell: CellNode, other: rclpy.node.Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wanted = cell.parameter
+    monkeypatch.setattr(cell, "parameter", lambda name: name == "watchdog" or wanted(name))
+    assert "there is no watchdog" in cell._strangers()
+    braking = other.create_publisher(Bool, "/watchdog/braking", LATCHED)
+    assert eventually(cell, lambda: cell._strangers() == "")
+    braking.publish(Bool(data=True))
+    assert eventually(cell, lambda: cell._strangers() != "")
+    assert "ros2 service call /watchdog/reset std_srvs/srv/Trigger" in cell._strangers()
+    braking.publish(Bool(data=False))
+    assert eventually(cell, lambda: cell._strangers() == "")

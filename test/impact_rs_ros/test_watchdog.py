@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The watchdog takes over arms that move without commands, and no others."""
+
+from __future__ import annotations
+
+from array import array
+
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+from robot_bench import PERIOD, RATE, START, Robot
+from std_msgs.msg import Float64MultiArray
+
+from impact_rs_ros.watchdog_node import Watchdog
+
+TIMEOUT = 0.05  # s
+MOVING = np.full(7, 0.5)
+
+
+def command(torque: np.ndarray) -> bytes:
+    return bytes(serialize_message(Float64MultiArray(data=array("d", torque.tobytes()))))
+
+
+class Bench:
+    """A robot that moves, and a cell that sends five newton metres until it dies."""
+
+    def __init__(self, velocity: np.ndarray = MOVING) -> None:
+        self.robot = Robot()
+        self.watchdog = Watchdog(self.robot.arms, TIMEOUT)
+        self.velocity = velocity
+        self.count = 0
+
+    def period(self, sent: np.ndarray | None = None) -> bool:
+        """A state comes, and a command of the cell if it lives; whether the arms are taken over."""
+        self.robot.state(position=START + self.velocity * PERIOD * self.count, velocity=self.velocity)
+        self.count += 1
+        if sent is not None:
+            self.watchdog.heard("arm", command(sent), self.robot.clock())
+        return self.watchdog.look(self.robot.clock())
+
+
+def test_commands_that_stop_while_the_arm_moves_make_it_take_over_once() -> None:
+    bench = Bench()
+    assert not any(bench.period(np.full(7, 5.0)) for _ in range(100))
+    taken = [bench.period() for _ in range(100)]
+    assert sum(taken) == 1
+    assert taken.index(True) * PERIOD == pytest.approx(TIMEOUT, abs=2 * PERIOD)
+    assert bench.watchdog.braking
+
+
+def test_its_first_torque_follows_the_last_one_of_the_cell() -> None:
+    bench = Bench()
+    bench.period(np.full(7, 5.0))
+    while not bench.period():
+        pass
+    bench.robot.clock.time += PERIOD
+    bench.robot.arms.rest()
+    np.testing.assert_allclose(bench.robot.sent[-1], 5.0 - RATE * PERIOD, atol=1e-9)  # the brake is on the other side
+
+
+@pytest.mark.parametrize("data", [b"\0\1\0\0", command(np.zeros(3)), command(np.full(7, np.nan))])
+def test_a_last_command_that_is_none_does_not_keep_it_from_braking(data: bytes) -> None:
+    bench = Bench()
+    bench.watchdog.heard("arm", data, bench.robot.clock())
+    while not bench.period():
+        pass
+    bench.robot.arms.rest()
+    assert np.isfinite(bench.robot.sent).all()
+
+
+def test_an_arm_at_rest_may_keep_its_torque_while_a_trial_is_loaded() -> None:
+    bench = Bench(velocity=np.full(7, 0.01))
+    bench.period(np.full(7, 5.0))
+    assert not any(bench.period() for _ in range(3000))
+    bench.velocity = MOVING  # it is pushed
+    bench.count = 0
+    assert any(bench.period() for _ in range(1000))
+
+
+def test_an_arm_that_was_never_commanded_is_none_of_its_business() -> None:
+    bench = Bench()
+    assert not any(bench.period() for _ in range(200))
+
+
+def test_after_a_reset_it_waits_for_the_next_command() -> None:
+    bench = Bench()
+    bench.period(np.zeros(7))
+    while not bench.period():
+        pass
+    bench.watchdog.reset()
+    assert not bench.watchdog.braking
+    assert not any(bench.period() for _ in range(200))
+    bench.period(np.zeros(7))
+    assert any(bench.period() for _ in range(200))
