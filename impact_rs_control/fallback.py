@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The torque of an arm without a controller: carry its weight, and come to rest.
 
-    tau = g(q) - s M(q) dq / T,   s = min(1, min_i SHARE tau_max_i / |M dq / T|_i)
+    tau = g(q) - s (M(q) + B) dq / T,   s = min(1, min_i SHARE tau_max_i / |(M + B) dq / T|_i)
 
-Joint velocities decay with the time constant T, whatever the arm. A brake that asks for too much is scaled as a whole:
-its power, -s dq^T M dq / T, is never positive, which limiting joint by joint would not ensure. A delay d turns the
-decay into dq' = -dq(t - d) / T, which does not oscillate for d <= T / e and diverges for d > pi T / 2 (Hayes, J. London
-Math. Soc. 25, 1950): a brake on old states is worse than none.
+B is the inertia of the motors that the torque loop leaves. Joint velocities decay with the time constant T, whatever
+the arm; without B a wrist, whose motor is heavier than its link, would take fifteen times as long. A brake that asks
+for too much is scaled as a whole: its power, -s dq^T (M + B) dq / T, is never positive, which limiting joint by joint
+would not ensure. A delay d turns the decay into dq' = -dq(t - d) / T, which does not oscillate for d <= T / e and
+diverges for d > pi T / 2 (Hayes, J. London Math. Soc. 25, 1950): a brake on old states is worse than none.
 """
 
 from __future__ import annotations
@@ -23,32 +24,36 @@ SHARE = 0.5  # of the torque limits, that the brake takes at most; the other hal
 FRESH = 0.03  # s, that the state of a brake may be old; below T / e
 
 
-def holding_torque(model: RobotModel, position: Array, velocity: Array) -> Array:
+def holding_torque(model: RobotModel, motor_inertia: Array, position: Array, velocity: Array) -> Array:
     """Torque of the module text, ``(n,)`` [N m].
 
     Args:
         model: The arm.
+        motor_inertia: B that the torque loop leaves, ``(n,)`` [kg m^2].
         position: q, ``(n,)`` [rad].
         velocity: dq, ``(n,)`` [rad/s].
     """
-    brake = model.mass_matrix(position) @ velocity / SETTLE
+    brake = (model.mass_matrix(position) @ velocity + motor_inertia * velocity) / SETTLE
     excess = float(np.max(np.abs(brake) / (SHARE * model.torque_max)))
     torque = model.gravity_torque(position) - brake / max(1.0, excess)
     return np.asarray(np.clip(torque, -model.torque_max, model.torque_max))
 
 
-def fallback_command(model: RobotModel, position: Array, velocity: Array, tasks: int) -> ArmCommand:
+def fallback_command(
+    model: RobotModel, motor_inertia: Array, position: Array, velocity: Array, tasks: int
+) -> ArmCommand:
     """The same as a command; its QP counts as failed.
 
     Args:
         model: The arm.
+        motor_inertia: B that the torque loop leaves, ``(n,)`` [kg m^2].
         position: q, ``(n,)`` [rad].
         velocity: dq, ``(n,)`` [rad/s].
         tasks: Number of task accelerations that the arm's controller follows.
     """
     terms = model.terms(position, velocity)
     return ArmCommand(
-        torque=holding_torque(model, position, velocity),
+        torque=holding_torque(model, motor_inertia, position, velocity),
         mode=Mode.ANTE,
         gamma=0.0,
         position=terms.position.copy(),

@@ -75,6 +75,7 @@ class Arming:
         self._limits = limits
         self._holder = holder
         self._monotonic = monotonic
+        self._timeless = False  # states came whose age could not be told
         self._pose: PoseStamped | None = None  # where the object was last seen
 
     def look(self) -> str:
@@ -93,7 +94,7 @@ class Arming:
             stamps.append(states.stamp)
             if arrivals[-1] > began + LOOKING and len(stamps) >= LOOKING_STATES:
                 break
-        if not self._clock.known:
+        if not stamps and self._timeless:
             raise InputError(f"not armed: no time on {CLOCK}, which use_sim_time asks for")
         if not stamps:
             first = ", ".join(names[0] for names in self._arms.states.joints.values())
@@ -121,7 +122,7 @@ class Arming:
 
         Raises:
             InputError: They do not stay where they are, or no pose came. They are held on: the brake lets an arm whose
-                weight is assumed wrongly, by dtau, move at T M^-1 dtau, and a released one accelerate.
+                weight is assumed wrongly, by dtau, move at T (M + B)^-1 dtau, and a released one accelerate.
         """
         latest = self._arms.states.latest
         assert latest is not None
@@ -153,7 +154,10 @@ class Arming:
             for topic, data in self._inbox.take():
                 if topic == MOCAP and self._mocap is not None:
                     self._see(self._mocap.read(data))
-                if topic != STATES or not self._clock.known:
+                if topic != STATES:
+                    continue
+                if not self._clock.known:
+                    self._timeless = True
                     continue
                 if holder is not None and holder is not self._arms:
                     holder.states.read(data)

@@ -34,6 +34,7 @@ from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 
 BRAKING = 0.6  # s, that the arms may take to rest before a trial is left; six times the time constant of the brake
+LISTENING = 1.0  # s, until the effort controllers must have been found
 SURVEY = 0.1  # s, between two looks at who else publishes what only this cell or one robot may publish
 
 
@@ -100,20 +101,22 @@ class CellNode(LeadingNode[CellTrial]):
         state_timeout = self.parameter("state_timeout")
         states = RobotStates(models, joints, period, state_timeout, self._clock)
         gravity, rate = self.parameter("robot_adds_gravity"), self.parameter("torque_rate_limit")
-        arms = EffortArms(models, states, gravity, rate, period, self._clock, self._send)
+        inertia = {arm: plan.scene.physics.arms[arm].motor_inertia_reduced for arm in plan.arms}
+        arms = EffortArms(models, inertia, states, gravity, rate, period, self._clock, self._send)
         mocap = None
         if self.parameter("mocap"):
             placement = np.array([self.parameter(f"mocap_{name}") for name in COORDINATES])
             mocap = TrackerPoses(self.parameter("mocap_frame"), placement)
         start = self.parameter("start_tolerance")
         self._robots = self.node.count_publishers(resolved(self.node, STATES))
-        if complaint := self._strangers() or self._no_listener():
+        if complaint := self._strangers():
             raise InputError(f"not armed: {complaint}")
         self.inbox.clear()
         self._clock.forget()
         limits = ArmingLimits(start, self.parameter("arm_jitter_limit"))
         arming = Arming(plan, arms, mocap, self.inbox, self._clock, limits, self._held)
         found = arming.look()
+        self._await_listeners()
         self._held, self._period = arms, period
         self.log.info(f"armed: {found}{arming.hold()}")
         shares = self.parameter("answer_timeout"), self.parameter("late_torque_share")
@@ -173,13 +176,17 @@ class CellNode(LeadingNode[CellTrial]):
             return f"{robots} publishers on {resolved(self.node, STATES)}, {self._robots} when the trial was armed"
         return ""
 
-    def _no_listener(self) -> str:
-        """Which effort controller is not there; empty: none."""
+    def _await_listeners(self) -> None:
+        """Wait for the effort controllers, which may have been found after the states."""
+        until = time.monotonic() + LISTENING
         for arm in self.arms:
-            if not self._commands[arm].get_subscription_count():
-                topic = resolved(self.node, commands_topic(arm))
-                return f"nothing listens to torques on {topic}: is the effort controller active, is the topic remapped?"
-        return ""
+            while not self._commands[arm].get_subscription_count():
+                if time.monotonic() > until:
+                    topic = resolved(self.node, commands_topic(arm))
+                    remedy = "is the effort controller active, is the topic remapped?"
+                    raise InputError(f"not armed: nothing listens to torques on {topic}: {remedy}")
+                self.inbox.wait(MATCHING)
+                self._rest(MATCHING)
 
 
 def main() -> None:

@@ -126,9 +126,15 @@ class ControllerTrial(LockstepTrial):
             if not wrong:
                 return commands
             self._fail(f"the torque for {wrong[0]} at t = {1e-9 * tick * self._period_ns:.3f} s is not finite")
-        models, plans = self._plan.scene.models, self._plan.arms
+        scene, plans = self._plan.scene, self._plan.arms
         return {
-            arm: fallback_command(models[arm], *self._known[arm], 6 + len(plans[arm].posture)) for arm in self._known
+            arm: fallback_command(
+                scene.models[arm],
+                scene.physics.arms[arm].motor_inertia_reduced,
+                *known,
+                6 + len(plans[arm].posture),
+            )
+            for arm, known in self._known.items()
         }
 
     def _fail(self, failure: str) -> None:

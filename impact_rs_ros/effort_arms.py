@@ -33,6 +33,7 @@ class EffortArms:
 
     Args:
         models: By arm.
+        motor_inertia: B that the torque loop leaves, ``(n,)`` [kg m^2], by arm.
         states: What the robot reports.
         adds_gravity: Whether the robot compensates gravity itself.
         rate: Of a torque, at most [N m/s].
@@ -50,6 +51,7 @@ class EffortArms:
     def __init__(
         self,
         models: Mapping[str, RobotModel],
+        motor_inertia: Mapping[str, Array],
         states: RobotStates,
         adds_gravity: bool,
         rate: float,
@@ -61,6 +63,7 @@ class EffortArms:
         self.limited = 0
         self.held = False
         self._models = models
+        self._motor_inertia = motor_inertia
         self.adds_gravity = adds_gravity
         self._rate = rate
         self._period = period
@@ -90,14 +93,16 @@ class EffortArms:
         latest = self.states.latest
         if latest is None:
             return
-        fresh = self.states.age <= FRESH
+        fresh = 0.0 <= self.states.age <= FRESH
         if fresh and latest is self._braked:
             return
         self._braked = latest if fresh else None
         reached = []
         for name, arm in latest.arms.items():
             model = self._models[name]
-            torque = holding_torque(model, arm.position, arm.velocity) if fresh else model.gravity_torque(arm.position)
+            torque = model.gravity_torque(arm.position)
+            if fresh:
+                torque = holding_torque(model, self._motor_inertia[name], arm.position, arm.velocity)
             still = bool(np.all(np.abs(arm.velocity) <= REST))
             reached.append(self._set(name, torque) and fresh and still)
         self.held = all(reached)

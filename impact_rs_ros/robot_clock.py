@@ -12,6 +12,8 @@ from impact_rs_ros.parameters import value
 from impact_rs_ros.qos import WATCH
 from impact_rs_trials.bags import topics
 
+STOPPED = 0.5  # s, without news a simulator has stopped
+
 
 class RobotClock:
     """Time of stamps, and time that never goes back.
@@ -24,6 +26,8 @@ class RobotClock:
         self._node = node
         self._inbox: Inbox | None = None
         self._simulated = self._seen = 0  # by /clock, and by the newest state
+        self._steady = self._read = 0.0  # s; the latter when it was last read, by the simulator
+        self._asked = self._moved = time.monotonic()  # when that was, and when the simulator last went on
         if value(node, "use_sim_time"):  # past the executor of the node, which does not run while a trial does
             self._inbox = Inbox(node, "clock", WATCH)
             self._inbox.connect({topics.CLOCK: topics.CLOCK_TYPE})
@@ -38,8 +42,21 @@ class RobotClock:
         return max(self._simulated, self._seen) if self._simulated else 0
 
     def steady(self) -> float:
-        """Time of which differences are taken [s]: setting this machine's clock does not change it."""
-        return time.monotonic() if self._inbox is None else 1e-9 * self.now()
+        """Time of which differences are taken [s]; it never goes back, whoever sets this machine's clock.
+
+        It follows a simulator, however slow, and this machine where the simulator has stopped.
+        """
+        real = time.monotonic()
+        if self._inbox is None:
+            return real
+        simulated = 1e-9 * self.now()
+        passed = max(0.0, simulated - self._read) if self._read else 0.0
+        if passed:
+            self._moved = real
+        stopped = real - max(self._asked, self._moved + STOPPED)
+        self._steady += passed or max(0.0, stopped)
+        self._read, self._asked = simulated, real
+        return self._steady
 
     def saw(self, stamp: int) -> None:
         """A state with this stamp [ns] has come: in a simulation it is that late at least, ``/clock`` may follow."""

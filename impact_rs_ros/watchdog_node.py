@@ -105,7 +105,8 @@ class WatchdogNode(NodeProgram):
         period = spec.scene.scenario.timing.control_period
         states = RobotStates(models, joints, period, self.parameter("state_timeout"), self._clock)
         gravity, rate = self.parameter("robot_adds_gravity"), self.parameter("torque_rate_limit")
-        arms = EffortArms(models, states, gravity, rate, period, self._clock, self._send)
+        inertia = {arm: spec.scene.physics.arms[arm].motor_inertia_reduced for arm in models}
+        arms = EffortArms(models, inertia, states, gravity, rate, period, self._clock, self._send)
         self._watchdog = Watchdog(arms, self.parameter("command_timeout"))
 
     def offer(self) -> None:

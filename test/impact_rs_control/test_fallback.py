@@ -13,19 +13,20 @@ from impact_rs_sim.scene import Scene
 
 SCENE = Scene.resolve(load_scenario("push"), "juice", "case_1")
 MODEL = SCENE.models["arm"]
+MOTORS = SCENE.physics.arms["arm"].motor_inertia_reduced
 REST = 0.5 * (MODEL.position_min + MODEL.position_max)
 
 
 def test_an_arm_at_rest_is_held_against_gravity() -> None:
-    np.testing.assert_allclose(holding_torque(MODEL, REST, np.zeros(7)), MODEL.gravity_torque(REST))
+    np.testing.assert_allclose(holding_torque(MODEL, MOTORS, REST, np.zeros(7)), MODEL.gravity_torque(REST))
 
 
 def test_velocities_decay_with_the_time_constant() -> None:
     velocity, position, step = np.full(7, 0.01), REST.copy(), 1e-3
     for _ in range(round(SETTLE / step)):
         terms = MODEL.terms(position, velocity)
-        torque = holding_torque(MODEL, position, velocity)
-        velocity = velocity + step * np.linalg.solve(terms.mass_matrix, torque - terms.bias)
+        torque = holding_torque(MODEL, MOTORS, position, velocity)
+        velocity = velocity + step * np.linalg.solve(terms.mass_matrix + np.diag(MOTORS), torque - terms.bias)
         position = position + step * velocity
     np.testing.assert_allclose(velocity, 0.01 / np.e, rtol=0.05)
 
@@ -33,10 +34,10 @@ def test_velocities_decay_with_the_time_constant() -> None:
 def test_the_brake_takes_no_more_than_its_share_whatever_velocity_it_is_told() -> None:
     weight = MODEL.gravity_torque(REST)
     for speed in (10.0, 1e3, 1e9):
-        brake = holding_torque(MODEL, REST, np.full(7, speed)) - weight
+        brake = holding_torque(MODEL, MOTORS, REST, np.full(7, speed)) - weight
         assert np.all(np.abs(brake) <= SHARE * MODEL.torque_max * (1.0 + 1e-12))
         assert np.any(np.abs(brake) >= SHARE * MODEL.torque_max * (1.0 - 1e-9))
-    assert np.all(np.abs(holding_torque(MODEL, REST, np.full(7, 1e9))) <= MODEL.torque_max)
+    assert np.all(np.abs(holding_torque(MODEL, MOTORS, REST, np.full(7, 1e9))) <= MODEL.torque_max)
 
 
 def test_the_brake_never_drives_the_arm() -> None:
@@ -48,12 +49,14 @@ def test_the_brake_never_drives_the_arm() -> None:
         velocity = rng.standard_normal(7) * 10.0 ** rng.uniform(-1.0, 3.0)
         brake = -MODEL.mass_matrix(position) @ velocity / SETTLE
         cut.append(velocity @ np.clip(brake, -0.1 * MODEL.torque_max, 0.1 * MODEL.torque_max))
-        held = holding_torque(MODEL, position, velocity) - MODEL.gravity_torque(position)
+        held = holding_torque(MODEL, MOTORS, position, velocity) - MODEL.gravity_torque(position)
         powers.append(velocity @ held)
     assert max(powers) < 0.0 < max(cut)
 
 
-@pytest.mark.parametrize(("delay", "oscillates", "diverges"), [(FRESH, False, False), (0.1, True, False), (0.2, True, True)])
+@pytest.mark.parametrize(
+    ("delay", "oscillates", "diverges"), [(FRESH, False, False), (0.1, True, False), (0.2, True, True)]
+)
 def test_a_brake_on_old_states_oscillates_beyond_a_third_of_its_time_constant_and_then_diverges(
     delay: float, oscillates: bool, diverges: bool
 ) -> None:
@@ -70,7 +73,7 @@ def test_a_brake_on_old_states_oscillates_beyond_a_third_of_its_time_constant_an
 
 @pytest.mark.parametrize("tasks", [6, 7])
 def test_as_a_command_it_says_that_there_was_no_answer(tasks: int) -> None:
-    command = fallback_command(MODEL, REST, np.full(7, 0.1), tasks)
+    command = fallback_command(MODEL, MOTORS, REST, np.full(7, 0.1), tasks)
     assert command.qp_status is QpStatus.FAILED
     assert command.task_feedback.shape == (tasks,)
     np.testing.assert_allclose(command.twist, MODEL.jacobian(REST) @ np.full(7, 0.1))

@@ -45,7 +45,11 @@ def test_a_fast_motion_with_noise_and_a_coarse_encoder_is_no_complaint() -> None
 
     def signals(time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         position, velocity = sine(time)
-        return np.round(position, 3), velocity + 0.02 * rng.standard_normal(7), 0.3 * MODEL.torque_max * np.sin(9 * time)
+        return (
+            np.round(position, 3),
+            velocity + 0.02 * rng.standard_normal(7),
+            0.3 * MODEL.torque_max * np.sin(9 * time),
+        )
 
     assert first_complaint(signals) == (np.inf, "")
 

@@ -50,7 +50,14 @@ class Bench:
             stamp = SWITCHED_ON + round(1e9 * time)
             self.wire.put(100.0 + time + late(step), STATES, state_message(stamp, **motion(time)))
         self.arming = Arming(
-            PUSH, self.robot.arms, mocap, self.wire, self.robot.clock, LIMITS, None, self.robot.clock  # type: ignore[arg-type]
+            PUSH,
+            self.robot.arms,
+            mocap,
+            self.wire,
+            self.robot.clock,
+            LIMITS,
+            None,
+            self.robot.clock,  # type: ignore[arg-type]
         )
 
     def run(self) -> str:
@@ -117,7 +124,10 @@ def test_a_time_that_is_not_known_is_said() -> None:
 @pytest.mark.parametrize(
     ("motion", "complaint"),
     [
-        (lambda time: {"position": START + [0, 0, 0, 0.02, 0, 0, 0]}, "joint 4 of arm is +0.0200 rad from where the trial"),
+        (
+            lambda time: {"position": START + [0, 0, 0, 0.02, 0, 0, 0]},
+            "joint 4 of arm is +0.0200 rad from where the trial",
+        ),
         (lambda time: {"velocity": np.full(7, 0.021)}, "arm moves at 0.021 rad/s"),
         (lambda time: {"velocity": np.full(7, -0.021)}, "arm moves at 0.021 rad/s"),
     ],

@@ -104,10 +104,16 @@ def test_between_trials_the_arms_are_held_and_in_a_trial_that_has_not_begun_as_w
     cell._held = None
 
 
-def test_without_an_effort_controller_nothing_is_armed(cell: CellNode, other: rclpy.node.Node) -> None:
-    assert f"nothing listens to torques on {COMMANDS}" in cell._no_listener()
+def test_without_an_effort_controller_nothing_is_armed(
+    cell: CellNode, other: rclpy.node.Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patience:
+        patience.setattr(cell_node, "LISTENING", 0.01)
+        with pytest.raises(InputError, match=f"^not armed: nothing listens to torques on {COMMANDS}"):
+            cell._await_listeners()
+    monkeypatch.setattr(cell_node, "LISTENING", PATIENCE)
     other.create_subscription(Float64MultiArray, COMMANDS, lambda message: None, 10)
-    assert eventually(cell, lambda: cell._no_listener() == "")
+    cell._await_listeners()
 
 
 def test_whoever_else_can_send_torques_is_named_and_nothing_is_armed(cell: CellNode, other: rclpy.node.Node) -> None:

@@ -10,15 +10,12 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
-from robot_bench import LIMIT, MODEL, PERIOD, PUSH, START, STILL, SWITCHED_ON, WEIGHT, Robot
-from rosgraph_msgs.msg import Clock
+from robot_bench import LIMIT, MODEL, MOTORS, PERIOD, PUSH, START, SWITCHED_ON, WEIGHT, Robot
 from sensor_msgs.msg import JointState
 
 from impact_rs_control.fallback import holding_torque
-from impact_rs_ros import robot_clock
 from impact_rs_ros.cell_trial import CellTrial, TrialLimits
 from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
 from impact_rs_ros.robot_states import STATES
@@ -170,64 +167,6 @@ def test_an_answer_that_is_late_ends_the_trial_whether_it_comes_or_not() -> None
         assert "answer_timeout is 0.01 s" in bench.trial.failure
 
 
-def test_the_time_of_a_simulator_is_not_known_until_it_is_told_nor_after_it_was_another(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    class Topic(list[Clock]):
-        """What waits on ``/clock``."""
-
-        def __init__(self, node: object, name: str, qos: object) -> None:
-            super().__init__()
-
-        def connect(self, kinds: object) -> None:
-            """Listened to."""
-
-        def gather(self) -> None:
-            """All that waits is here."""
-
-        def take(self) -> Iterator[tuple[str, Clock]]:
-            while self:
-                yield topics.CLOCK, self.pop(0)
-
-    monkeypatch.setattr(robot_clock, "Inbox", Topic)
-    monkeypatch.setattr(robot_clock, "value", lambda node, name: name == "use_sim_time")
-    clock = robot_clock.RobotClock(None)  # type: ignore[arg-type]
-    waiting = clock._inbox
-    assert isinstance(waiting, Topic)
-    assert not clock.known
-    waiting.append(Clock(clock=Time(sec=2, nanosec=5)))
-    assert clock.known
-    assert clock.now() == 2_000_000_005
-    waiting.append(Clock(clock=Time(sec=3)))  # of the one that has ended
-    clock.forget()
-    assert not clock.known
-
-
-def test_a_simulator_is_as_late_as_its_newest_state_once_its_clock_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else states would come from the future wherever ``/clock`` takes longer; a robot's stamps alone are no clock."""
-    waiting: list[Clock] = []
-
-    class Topic:
-        def __init__(self, node: object, name: str, qos: object) -> None:
-            self.connect = self.clear = lambda *arguments: None
-            self.gather = lambda: None
-
-        def take(self) -> Iterator[tuple[str, Clock]]:
-            while waiting:
-                yield topics.CLOCK, waiting.pop(0)
-
-    monkeypatch.setattr(robot_clock, "Inbox", Topic)
-    monkeypatch.setattr(robot_clock, "value", lambda node, name: name == "use_sim_time")
-    clock = robot_clock.RobotClock(None)  # type: ignore[arg-type]
-    clock.saw(7 * 10**9)
-    assert not clock.known and clock.now() == 0
-    waiting.append(Clock(clock=Time(sec=6)))
-    assert clock.now() == 7 * 10**9
-    assert clock.steady() == 7.0
-    waiting.append(Clock(clock=Time(sec=8)))
-    assert clock.now() == 8 * 10**9
-
-
 def test_until_the_controller_answers_the_first_state_the_arm_is_held_and_time_stands_still() -> None:
     bench = Bench()
     for _ in range(50):
@@ -256,7 +195,10 @@ def test_a_controller_that_never_answers_ends_the_trial() -> None:
         ({"velocity": np.array([np.nan, 0, 0, 0, 0, 0, 0])}, "velocity of fr3_joint1 is nan"),
         ({"velocity": np.array([0, 0, 0, 0, 3.0, 0, 0])}, "fr3_joint5 at 3 rad/s, limit "),
         ({"effort": np.full(7, 1e6)}, "fr3_joint1 measures 1e+06 N m"),
-        ({"position": START + [0, 0.8, 0, 0, 0, 0, 0]}, "position of fr3_joint2 changed by 0.8 rad more than its velocity"),
+        (
+            {"position": START + [0, 0.8, 0, 0, 0, 0, 0]},
+            "position of fr3_joint2 changed by 0.8 rad more than its velocity",
+        ),
         ({"age": -0.02}, "the robot's state is stamped 0.0200 s in the future"),
     ],
 )
@@ -369,7 +311,7 @@ def test_stopping_a_trial_brakes() -> None:
     velocity = np.full(7, 0.5)
     bench.state(velocity=velocity)
     bench.trial.stop("the trial was aborted")
-    braking = holding_torque(MODEL, START, velocity) - WEIGHT
+    braking = holding_torque(MODEL, MOTORS, START, velocity) - WEIGHT
     np.testing.assert_allclose(bench.sent[-1], np.clip(braking, -1.0, 1.0))
     assert bench.trial.over
 

@@ -18,6 +18,7 @@ from impact_rs_trials.spec import TrialSpec
 
 PLAN = TrialSpec.of(load_scenario("push"), "juice", "case_1").plan
 ARM = PLAN.arms["arm"]
+MOTORS = PLAN.scene.physics.arms["arm"].motor_inertia_reduced
 PERIOD_NS = 1_000_000
 
 
@@ -91,7 +92,7 @@ def test_what_cannot_be_used_is_answered_with_a_torque_that_holds_the_arm(
     assert bench.trial.failure == ""
     bench.send(**changes)  # type: ignore[arg-type]
     bench.send()
-    held = holding_torque(PLAN.scene.models["arm"], ARM.initial, np.zeros(7))
+    held = holding_torque(PLAN.scene.models["arm"], MOTORS, ARM.initial, np.zeros(7))
     assert len(bench.wires.torques) == 7
     for torque in bench.wires.torques[5:]:
         np.testing.assert_allclose(torque, held)
@@ -105,7 +106,7 @@ def test_a_first_state_that_cannot_be_used_is_answered_as_well() -> None:
     bench = Bench()
     bench.send(effort=[np.nan] * 7)
     np.testing.assert_allclose(
-        bench.wires.torques[0], holding_torque(PLAN.scene.models["arm"], ARM.initial, np.zeros(7))
+        bench.wires.torques[0], holding_torque(PLAN.scene.models["arm"], MOTORS, ARM.initial, np.zeros(7))
     )
 
 

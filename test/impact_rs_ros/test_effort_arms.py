@@ -10,6 +10,7 @@ import pytest
 from robot_bench import (
     GRAB,
     MODEL,
+    MOTORS,
     PERIOD,
     RATE,
     START,
@@ -73,7 +74,9 @@ def test_the_brake_is_that_of_the_fallback_and_answers_a_state_once() -> None:
         robot.arms.rest()
     assert len(robot.sent) == 100
     position = START + 0.5 * PERIOD * 99
-    np.testing.assert_allclose(robot.sent[-1], holding_torque(MODEL, position, MOVING) - MODEL.gravity_torque(position))
+    np.testing.assert_allclose(
+        robot.sent[-1], holding_torque(MODEL, MOTORS, position, MOVING) - MODEL.gravity_torque(position)
+    )
     assert all(np.all(np.abs(after - before) <= STEP + 1e-9) for before, after in pairwise(robot.sent))
 
 
@@ -118,7 +121,7 @@ def test_the_brake_never_acts_on_a_state_that_is_refused(changes: dict[str, obje
 
 
 class MovingArm:
-    """M ddq + C dq = tau: a rigid arm whose weight is carried, ``extra`` [N m] aside."""
+    """(M + B) ddq + C dq = tau: an arm whose weight is carried, ``extra`` [N m] aside."""
 
     def __init__(self, robot: Robot, velocity: float, extra: np.ndarray = STILL) -> None:
         self.robot, self.velocity, self.position = robot, np.full(7, velocity), START.copy()
@@ -128,13 +131,15 @@ class MovingArm:
     @property
     def energy(self) -> float:
         """Kinetic [J]."""
-        return float(0.5 * self.velocity @ MODEL.mass_matrix(self.position) @ self.velocity)
+        return float(0.5 * self.velocity @ (MODEL.mass_matrix(self.position) + np.diag(MOTORS)) @ self.velocity)
 
     def step(self) -> None:
         """A period."""
         terms = MODEL.terms(self.position, self.velocity)
         torque = self.robot.sent[-1] + self.extra + MODEL.gravity_torque(self.position)
-        self.velocity = self.velocity + PERIOD * np.linalg.solve(terms.mass_matrix, torque - terms.bias)
+        self.velocity = self.velocity + PERIOD * np.linalg.solve(
+            terms.mass_matrix + np.diag(MOTORS), torque - terms.bias
+        )
         self.position = self.position + PERIOD * self.velocity
         self.robot.clock.time += PERIOD
         self.past.append((self.robot.clock.now(), self.position, self.velocity))
@@ -173,11 +178,11 @@ def test_one_state_that_is_repeated_for_ever_does_not_drive_the_arm() -> None:
 
 
 def test_an_arm_whose_weight_is_assumed_wrongly_creeps_instead_of_falling() -> None:
-    """Near dq = T M^-1 dtau, here -0.1 rad/s; a released arm would have -0.5 rad/s by then."""
+    """Near dq = T (M + B)^-1 dtau, here -0.1 rad/s; a released arm would have -0.5 rad/s by then."""
     robot = Robot()
     robot.state()
     robot.arms.rest()
-    arm = MovingArm(robot, 0.0, extra=MODEL.mass_matrix(START) @ np.full(7, -1.0))
+    arm = MovingArm(robot, 0.0, extra=(MODEL.mass_matrix(START) + np.diag(MOTORS)) @ np.full(7, -1.0))
     for _ in range(500):
         arm.step()
         robot.states.read(state_message(*arm.past[-1]))
@@ -188,10 +193,19 @@ def test_an_arm_whose_weight_is_assumed_wrongly_creeps_instead_of_falling() -> N
 
 def test_arms_are_held_when_all_of_them_rest_and_the_torque_that_led_them_has_left() -> None:
     clock, sent = TestClock(), []
-    names = joint_names("{arm}_{number}", {arm: 7 for arm in GRAB.arms})
+    names = joint_names("{arm}_{number}", dict.fromkeys(GRAB.arms, 7))
     models = {arm: GRAB.scene.models[arm] for arm in GRAB.arms}
     states = RobotStates(models, names, PERIOD, 0.01, clock)
-    arms = EffortArms(models, states, True, RATE, PERIOD, clock, lambda arm, torque: sent.append(torque))
+    arms = EffortArms(
+        models,
+        dict.fromkeys(models, MOTORS),
+        states,
+        True,
+        RATE,
+        PERIOD,
+        clock,
+        lambda arm, torque: sent.append(torque),
+    )
     first, second = GRAB.arms
 
     def state(speed: dict[str, float]) -> None:

@@ -41,10 +41,15 @@ def test_a_usable_state_is_the_latest_and_ages() -> None:
         ({"velocity": np.array([0, 0, 0, 0, 3.0, 0, 0])}, "fr3_joint5 at 3 rad/s, limit "),
         ({"age": LIMIT + 1e-4}, "the robot's state is 0.0101 s old, state_timeout is 0.01 s"),
         ({"age": -PERIOD - 1e-4}, "the robot's state is stamped 0.0011 s in the future, by this machine's clock"),
-        ({"position": START + [0, 0.1, 0, 0, 0, 0, 0]}, "position of fr3_joint2 changed by 0.1 rad more than its velocity"),
+        (
+            {"position": START + [0, 0.1, 0, 0, 0, 0, 0]},
+            "position of fr3_joint2 changed by 0.1 rad more than its velocity",
+        ),
     ],
 )
-def test_a_state_that_is_not_usable_says_why_and_leaves_the_latest_one(changes: dict[str, object], complaint: str) -> None:
+def test_a_state_that_is_not_usable_says_why_and_leaves_the_latest_one(
+    changes: dict[str, object], complaint: str
+) -> None:
     robot = Robot()
     before = robot.state()
     robot.clock.time += 0.02

@@ -9,14 +9,16 @@ Once it is sent torques it waits for the one of each state, so that a slow machi
 is the clock of who uses its time.
 
     python effort_robot.py SCENARIO OBJECT CASE [--no-gravity] [--offset RAD] [--silent-after N] [--nan-after N]
-                           [--tracker X Y Z ROLL PITCH YAW]
+                           [--tracker X Y Z ROLL PITCH YAW] [--kill PID] [--kill-after N]
 
-N counts states from when the arm has left its place.
+N counts states from when the arm has left its place. With ``--kill`` the robot kills the cell after N of them, waits
+for torques no longer, as no robot does, and prints whether its arm comes to rest.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
 import time
@@ -45,6 +47,8 @@ from impact_rs_trials.spec import TrialSpec  # noqa: E402
 
 LIFETIME = 240.0  # s of the robot's time, which the cell draws its noise for; longer than any test
 WAITING = 5.0  # s, for a torque, once some came
+QUIET = 0.1  # s, in which the torques come that are still on their way
+WATCHED, RESTING = 4000, 0.02  # states after the cell was killed, and rad/s
 AWAY = 0.02  # rad; who is further from where it started takes part in a trial, and is not held
 POSE_EVERY = 4  # states
 POSE_LATE = 6  # states, until a pose that was taken is on its way
@@ -69,6 +73,8 @@ def main() -> None:
     parser.add_argument("--tracker", type=float, nargs=6, default=[0.0] * 6)
     parser.add_argument("--silent-after", type=int, default=sys.maxsize)
     parser.add_argument("--nan-after", type=int, default=sys.maxsize)
+    parser.add_argument("--kill", type=int, default=0)
+    parser.add_argument("--kill-after", type=int, default=sys.maxsize)
     options = parser.parse_args()
     name, thing, case = options.trial
     spec = TrialSpec.of(load_scenario(name), thing, case)
@@ -96,6 +102,7 @@ def main() -> None:
     sent: np.ndarray | None = None  # its brakes are on until then, and its time stands still
     taken: deque[tuple[int, PoseStamped]] = deque()  # and when they are told
     moved, led = 0, False
+    killed, resting, since = False, 0, 0
     began, step = time.time_ns(), 0
     print("ready", flush=True)
     while True:
@@ -107,6 +114,15 @@ def main() -> None:
         moving = measured.arms[arm]
         moved += moved > 0 or bool(np.abs(moving.position - start).max() > AWAY)
         carried = np.zeros_like(start) if options.no_gravity else model.gravity_torque(moving.position)
+        if not killed and moved >= options.kill_after:
+            os.kill(options.kill, signal.SIGKILL)
+            killed, since = True, step
+            print(f"killed at {np.abs(moving.velocity).max():.3f} rad/s", flush=True)
+        if killed and resting >= 0:
+            resting = resting + 1 if np.abs(moving.velocity).max() < RESTING else 0
+            if resting == 100 or step - since == WATCHED:
+                print(f"{'at rest' if resting == 100 else 'moving'} after {step - since} states", flush=True)
+                resting = -1
         message = JointState(name=names)
         message.header.stamp = stamp
         if moved >= options.nan_after:
@@ -123,9 +139,13 @@ def main() -> None:
             taken.append((step + POSE_LATE, seen))
         if taken and taken[0][0] <= step:
             poses.publish(taken.popleft()[1])
-        until = time.monotonic() + WAITING if led else due
+        until = time.monotonic() + WAITING if led and not killed else due
         while not received and (left := until - time.monotonic()) > 0.0:
             executor.spin_once(timeout_sec=left)
+        if received and not led and not killed:  # torques of states that it did not wait for: from now on it does
+            quiet = time.monotonic() + QUIET
+            while (left := quiet - time.monotonic()) > 0.0:
+                executor.spin_once(timeout_sec=left)
         led = bool(received)
         if led:
             sent = received[-1]

@@ -18,6 +18,7 @@ from impact_rs_trials.spec import TrialSpec
 PUSH = TrialSpec.of(load_scenario("push"), "juice", "case_1").plan
 GRAB = TrialSpec.of(load_scenario("grab"), "juice", "case_1").plan
 MODEL = PUSH.scene.models["arm"]
+MOTORS = PUSH.scene.physics.arms["arm"].motor_inertia_reduced
 START = PUSH.arms["arm"].initial
 STILL = np.zeros(7)
 WEIGHT = MODEL.gravity_torque(START)
@@ -75,7 +76,14 @@ class Robot:
     def __post_init__(self) -> None:
         self.states = RobotStates({"arm": MODEL}, {"arm": JOINTS}, PERIOD, LIMIT, self.clock)
         self.arms = EffortArms(
-            {"arm": MODEL}, self.states, self.adds_gravity, RATE, PERIOD, self.clock, lambda arm, tau: self.sent.append(tau)
+            {"arm": MODEL},
+            {"arm": MOTORS},
+            self.states,
+            self.adds_gravity,
+            RATE,
+            PERIOD,
+            self.clock,
+            lambda arm, tau: self.sent.append(tau),
         )
 
     def message(self, age: float = 0.0, **changes: object) -> bytes:

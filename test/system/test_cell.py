@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import pytest
@@ -42,6 +42,7 @@ PATIENT: dict[
     "use_sim_time": True,
     "state_timeout": 5.0,
     "answer_timeout": 5.0,
+    "late_torque_share": 1.0,
     "arm_jitter_limit": 5.0,
 }
 
@@ -49,15 +50,17 @@ PATIENT: dict[
 class Cell:
     """Our nodes with the cell among them, and what stands for the robot, as each test wants it."""
 
-    def __init__(self, graph: Graph, environment: dict[str, str], root: Path) -> None:
+    def __init__(self, graph: Graph, environment: dict[str, str], root: Path, pid: int) -> None:
         self.graph = graph
+        self.pid = pid
+        self.environment = environment
         self._environment = environment
         self.root = root
         self._trials = 0
         self._robot = False
 
     @contextmanager
-    def robot(self, *options: str) -> Iterator[None]:
+    def robot(self, *options: str) -> Iterator[IO[str]]:
         """A robot that is switched on."""
         with running(
             [sys.executable, str(ROBOT), *TRIAL, "--tracker", *map(str, TRACKER), *options], self._environment
@@ -65,7 +68,7 @@ class Cell:
             assert process.stdout is not None
             assert process.stdout.readline() == "ready\n"
             self._robot = True
-            yield
+            yield process.stdout
             self._robot = False
 
     @contextmanager
@@ -100,8 +103,11 @@ def cell(domain_ids: Callable[[], int], tmp_path_factory: pytest.TempPathFactory
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
     values = [word for name, value in PATIENT.items() for word in ("-p", f"{name}:={value}")]
     command = [sys.executable, "-m", "impact_rs_ros.cell_node", "--ros-args", *values]
-    with running(command, environment), Graph.running("push", domain_id, root=root, without=["plant"]) as graph:
-        yield Cell(graph, environment, root)
+    with (
+        running(command, environment) as process,
+        Graph.running("push", domain_id, root=root, without=["plant"]) as graph,
+    ):
+        yield Cell(graph, environment, root, process.pid)
 
 
 # First: no trial before it holds the arm.
@@ -110,7 +116,7 @@ def test_a_robot_that_was_taken_for_one_that_compensates_gravity_falls_as_soon_a
         falling = cell.run()
     assert falling.outcome == "ABORTED"
     assert "not armed: arm moves at " in falling.message
-    assert "while it was held; this node believes that the robot adds gravity" in falling.message
+    assert "while it was held; this node assumes that the robot adds gravity" in falling.message
 
 
 @dataclass(frozen=True)
@@ -234,7 +240,7 @@ def test_nothing_is_armed_without_a_robot_that_is_ready(cell: Cell) -> None:
     with cell.robot(), cell.parameter("arm_jitter_limit", 1e-6):
         unsteady = cell.run()
     assert {result.outcome for result in (nobody, elsewhere, unsteady)} == {"ABORTED"}
-    assert "nobody tells the joints 'fr3_joint{number}' on /joint_states: is the robot running?" in nobody.message
+    assert "no state of fr3_joint1 and the other joints on /joint_states: is the robot running?" in nobody.message
     assert re.search(r" of arm is \+0\.020\d rad from where the trial starts", elsewhere.message)  # offset and scatter
     assert "not armed: states come with a jitter of " in unsteady.message
     assert unsteady.message.endswith(" ms, arm_jitter_limit is 0.001 ms")
@@ -248,3 +254,27 @@ def test_a_robot_that_tells_nonsense_or_nothing_ends_the_trial_with_the_reason(c
     assert {nonsense.outcome, silent.outcome} == {"ABORTED"}
     assert "position of fr3_joint1 is nan" in nonsense.message
     assert "no state of the robot for 1.0" in silent.message
+
+
+@contextmanager
+def watchdog(cell: Cell) -> Iterator[None]:
+    """A watchdog of the robot, ready."""
+    values = ["-p", "joints:=fr3_joint{number}", "-p", "use_sim_time:=true", "-p", "state_timeout:=5.0"]
+    command = [sys.executable, "-m", "impact_rs_ros.watchdog_node", "--ros-args", *values]
+    with running(command, cell.environment) as process:
+        assert process.stdout is not None
+        while "ready: serves" not in process.stdout.readline():
+            assert process.poll() is None
+        yield
+
+
+# Last: the cell does not survive it.
+def test_a_cell_that_is_killed_in_a_trial_leaves_an_arm_that_the_watchdog_brakes(cell: Cell) -> None:
+    """The effort controller keeps the torque of that moment; nothing but another process can take it away."""
+    with watchdog(cell), cell.robot("--kill", str(cell.pid), "--kill-after", "300") as reported:
+        result = cell.run()
+        killed, after = reported.readline(), reported.readline()
+    assert result.outcome == "ABORTED"
+    assert float(killed.split()[2]) > 0.1, result.message  # rad/s
+    assert after.startswith("at rest after ")
+    assert int(after.split()[3]) < 1500  # states, of 1 ms of the robot's time
