@@ -44,3 +44,17 @@ def test_the_effect_that_the_tutorial_hides_and_finds_is_the_one_that_its_seed_h
     )
     assert [hidden] == [named] == [effect.name for effect in draw_truth(7, "single", None, None)]
     assert f"    {hidden}\n" in (ROOT / "docs" / "missing_effects.md").read_text(encoding="utf-8")
+
+
+def test_every_claim_of_the_safety_argument_names_tests_that_exist() -> None:
+    """``docs/real_robot.md``: what can move a robot."""
+    argument = (ROOT / "docs" / "real_robot.md").read_text().split("## Safety argument")[1].split("\n## ")[0]
+    rows = [row for row in argument.splitlines() if "`test_" in row]
+    there = {
+        name
+        for file in (ROOT / "test").rglob("test_*.py")
+        for name in re.findall(r"^def (test_\w+)\(", file.read_text(), re.MULTILINE)
+    }
+    named = {name for row in rows for name in re.findall(r"`(test_\w+)`", row)}
+    assert len(rows) >= 15
+    assert named <= there

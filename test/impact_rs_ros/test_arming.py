@@ -40,7 +40,7 @@ class Bench:
         motion: Motion = STEADY,
         period: float = PERIOD,
         late: Callable[[int], float] = lambda step: 0.0,
-        until: float = 8.0,
+        until: float = 1.2,
         mocap: TrackerPoses | None = None,
     ) -> None:
         self.robot = Robot()

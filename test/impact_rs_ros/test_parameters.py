@@ -29,8 +29,9 @@ def example() -> dict[str, dict[str, object]]:
     assert set(own) <= set(NODES)
     writes = {"recorder", "experiment"}  # who has the one parameter that not all have in common
     shared = {name: {key: common[key] for key in common if key != "data_root" or name in writes} for name in NODES}
-    cell = yaml.safe_load((ROOT / "config" / "cell.yaml").read_text())["/**/plant"]["ros__parameters"]
-    return {name: shared[name] | own.get(name, {}) for name in NODES} | {"cell": shared["plant"] | cell}
+    real = yaml.safe_load((ROOT / "config" / "cell.yaml").read_text())
+    cell, watchdog = (shared["plant"] | real[f"/**/{name}"]["ros__parameters"] for name in ("plant", "watchdog"))
+    return {name: shared[name] | own.get(name, {}) for name in NODES} | {"cell": cell, "watchdog": watchdog}
 
 
 def test_the_example_files_hold_every_parameter_at_its_default() -> None:
