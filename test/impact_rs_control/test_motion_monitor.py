@@ -108,6 +108,9 @@ def test_a_resting_joint_under_a_steady_torque_or_held_by_the_brake_is_not_froze
     steady = 0.9 * MODEL.torque_max
     assert first_complaint(lambda time: (np.zeros(7), np.zeros(7), steady)) == (np.inf, "")
     assert first_complaint(lambda time: (np.zeros(7), np.zeros(7), None)) == (np.inf, "")
+    noise = np.random.default_rng(4)  # of the velocity, behind an encoder too coarse to show the motion
+    driven = lambda time: 0.9 * MODEL.torque_max * np.sin(9.0 * time)  # noqa: E731
+    assert first_complaint(lambda time: (np.zeros(7), 1e-3 * noise.standard_normal(7), driven(time))) == (np.inf, "")
     little = 0.4 * STIR * MODEL.torque_max
     assert first_complaint(lambda time: (np.zeros(7), np.zeros(7), little * np.sin(50 * time))) == (np.inf, "")
 

@@ -128,6 +128,10 @@ def test_a_time_that_is_not_known_is_said() -> None:
             lambda time: {"position": START + [0, 0, 0, 0.02, 0, 0, 0]},
             "joint 4 of arm is +0.0200 rad from where the trial",
         ),
+        (
+            lambda time: {"position": START - [0, 0.02, 0, 0, 0, 0, 0]},
+            "joint 2 of arm is -0.0200 rad from where the trial",
+        ),
         (lambda time: {"velocity": np.full(7, 0.021)}, "arm moves at 0.021 rad/s"),
         (lambda time: {"velocity": np.full(7, -0.021)}, "arm moves at 0.021 rad/s"),
     ],

@@ -30,11 +30,11 @@ STEP = RATE * PERIOD  # N m
 MOVING = np.full(7, 0.5)
 
 
-def moving_robot() -> Robot:
-    """It moves at 0.5 rad/s in every joint, and the controller has just sent five newton metres too much."""
+def moving_robot(speed: float = 0.5) -> Robot:
+    """It moves at this speed [rad/s] in every joint, and the controller has just sent five newton metres too much."""
     robot = Robot()
     for count in range(5):
-        robot.state(position=START + 0.5 * PERIOD * count, velocity=MOVING)
+        robot.state(position=START + speed * PERIOD * count, velocity=np.full(7, speed))
         robot.arms.command("arm", WEIGHT + 5.0)
     return robot
 
@@ -87,14 +87,17 @@ def test_a_robot_that_was_never_heard_is_sent_nothing() -> None:
     assert not robot.arms.held
 
 
-def test_without_a_fresh_state_the_brake_is_released_within_the_rate() -> None:
-    robot = moving_robot()
+@pytest.mark.parametrize("speed", [0.5, 0.0])
+def test_without_a_fresh_state_the_brake_is_released_within_the_rate(speed: float) -> None:
+    robot = moving_robot(speed)
+    assert robot.states.commanded
     robot.clock.time += FRESH + 1e-6
     for _ in range(10):
         robot.arms.rest()
         robot.clock.time += PERIOD
     np.testing.assert_allclose(robot.sent[-1], 0.0, atol=1e-9)
-    assert not robot.arms.held  # nobody knows whether they rest
+    assert not robot.arms.held  # whether they rest is not known
+    assert not robot.states.commanded
     assert np.abs(np.diff(robot.sent, axis=0)).max() <= STEPS * STEP + 1e-9
 
 

@@ -92,3 +92,13 @@ def test_after_a_reset_it_waits_for_the_next_command() -> None:
     assert not any(bench.period() for _ in range(200))
     bench.period(np.zeros(7))
     assert any(bench.period() for _ in range(200))
+
+
+def test_of_two_arms_the_one_whose_commands_stop_counts() -> None:
+    bench = Bench()
+    for _ in range(round(2.0 * TIMEOUT / PERIOD)):
+        bench.watchdog.heard("other", command(np.zeros(7)), bench.robot.clock())
+        taken = bench.period(np.zeros(7) if bench.count == 0 else None)
+        if taken:
+            break
+    assert bench.watchdog.braking
