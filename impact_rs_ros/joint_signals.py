@@ -12,6 +12,8 @@ import numpy as np
 from impact_rs_sim.robot import Array
 
 FIELDS = ("position", "velocity", "effort")
+MOST_JOINTS = 1024  # in one message; bounds the time that a message can take
+MOST_NAME_BYTES = 65536  # of all names of one message; bounds what is remembered of it
 
 
 @dataclass(frozen=True)
@@ -30,13 +32,32 @@ class JointSignals:
     values: tuple[Array, Array, Array]
     complaint: str = ""
 
+    @property
+    def readable(self) -> bool:
+        """Whether the bytes were a message; else stamp, names and values mean nothing."""
+        return bool(self.names)
+
 
 def joint_signals(data: bytes) -> JointSignals:
     """Decode a serialized ``sensor_msgs/JointState``; rclpy takes ten times as long over it.
 
+    Never raises: of bytes that are no such message, or have more than ``MOST_JOINTS`` joints, the result has a
+    complaint, stamp 0 and no values.
+
     XCDR1: a value is aligned to its size, counted from behind the four bytes of the encapsulation header; a sequence
     and a string begin with their length.
     """
+    try:
+        return _decoded(data)
+    except (ValueError, struct.error):  # a length points past the end, or is out of bounds
+        none = np.empty(0)
+        return JointSignals(0, b"", (none, none, none), f"joint signals cannot be read ({len(data)} bytes)")
+
+
+def _decoded(data: bytes) -> JointSignals:
+    """The message; raises ``ValueError`` or ``struct.error`` where the bytes are none."""
+    if data[:2] not in (b"\0\1", b"\0\0"):
+        raise ValueError("no XCDR1")
     order = "<" if data[1] else ">"
     integer = struct.Struct(order + "I").unpack_from
     seconds, nanoseconds, length = struct.unpack_from(order + "iII", data, 4)
@@ -45,10 +66,14 @@ def joint_signals(data: bytes) -> JointSignals:
     first = at
     (names,) = integer(data, at)
     at += 4
+    if names > MOST_JOINTS:
+        raise ValueError("too many joints")
     for _ in range(names):
         at += -at % 4
         at += 4 + integer(data, at)[0]
     last = at
+    if last > len(data) or last - first > MOST_NAME_BYTES:
+        raise ValueError("names without end")
     values = []
     for _ in range(3):
         at += -at % 4
@@ -63,8 +88,10 @@ def joint_signals(data: bytes) -> JointSignals:
 
 
 def names_of(signals: JointSignals) -> list[str]:
-    """Names of the joints."""
+    """Names of the joints; none where the message cannot be read."""
     data = signals.names
+    if not data:
+        return []
     integer = struct.Struct(("<" if data[1] else ">") + "I").unpack_from
     (count,), at = integer(data, 4), 8
     found = []
@@ -90,8 +117,13 @@ class JointReader:
         self._orders: dict[bytes, list[int] | None] = {}  # by serialized names; None: as wanted
 
     def read(self, data: bytes) -> JointSignals:
-        """Signals in the order of the joints; where ``complaint`` is set, all but the stamp is worthless."""
+        """Signals in the order of the joints; where ``complaint`` is set, all but the stamp is worthless.
+
+        Never raises; of what is no message at all ``readable`` is false and the stamp 0.
+        """
         found = joint_signals(data)
+        if found.complaint:
+            return found
         known = self._orders.get(found.names, ())
         if known == ():
             complaint, known = self._order_of(names_of(found))
@@ -116,6 +148,6 @@ class JointReader:
         if names == self._names:
             return "", None
         if sorted(names) != sorted(self._names):
-            shown = ", ".join(names)[:200] or "none"
+            shown = "".join(letter if letter.isprintable() else "?" for letter in ", ".join(names)[:200]) or "none"
             return f"joints {shown}; expected {', '.join(self._names)}", None
         return "", [names.index(name) for name in self._names]
