@@ -164,10 +164,10 @@ class OpenTrial:
         else:
             hit = all(self.counts[topics.impact_event(arm)] for arm in self._arms)
             verdict = Verdict("OK") if hit else Verdict("NO-IMPACT")
-        cut = "" if verdict.outcome in ENDS_EARLY else self._cut_off()
+        cut = "" if verdict.outcome in ENDS_EARLY else self.cut_off()
         return Verdict("ABORTED", cut) if cut else verdict
 
-    def _cut_off(self) -> str:
+    def cut_off(self) -> str:
         """Which signals do not reach the end of the trial; empty: all do."""
         ends = {}
         for topic in (name(arm) for arm in self._arms for name in (topics.joint_states, topics.controller_state)):
@@ -201,7 +201,10 @@ class OpenTrial:
         return PoseColumns.of(self._columns(topics.OBJECT_POSE))
 
     def _columns(self, topic: str) -> dict[str, Array]:
-        return columns_of(self._kinds[topic], self._judged[topic])
+        try:
+            return columns_of(self._kinds[topic], self._judged[topic])
+        except ValueError:
+            raise InputError(f"{topic} has messages of different lengths: who else publishes?") from None
 
 
 class RecorderNode(NodeProgram):
@@ -384,7 +387,7 @@ class RecorderNode(NodeProgram):
         verdict = Verdict("ABORTED", request.reason or f"messages were published and not received: {missing}")
         if not request.aborted and not missing:
             verdict = self._verdict(recording)
-            if verdict.outcome == "ABORTED":  # it may be meant for another trial: this one goes on
+            if verdict.outcome == "ABORTED" and recording.cut_off():  # it may be meant for another trial
                 response.message = f"recorder: {recording.name} is not over: {verdict.reason}"
                 return response
         recording.complete()
@@ -418,6 +421,8 @@ class RecorderNode(NodeProgram):
         """How the trial ended; ABORTED where that cannot be told."""
         try:
             return recording.verdict()
+        except InputError as error:
+            return Verdict("ABORTED", str(error))
         except Exception as error:  # messages of a stranger among those that are judged
             self.log.error(f"cannot judge the trial: {full_traceback(error)}")
             return Verdict("ABORTED", f"what was recorded cannot be judged: {type(error).__name__}: {error}")

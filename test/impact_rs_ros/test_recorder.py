@@ -16,6 +16,7 @@ from sensor_msgs.msg import JointState
 
 from impact_rs_ros.derived import DERIVED
 from impact_rs_ros.recorder_node import OpenTrial
+from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.bags.writer import BagWriter
@@ -118,11 +119,16 @@ def test_what_is_no_message_of_the_trial_is_not_in_the_bag_and_counted(
     assert trial.note().startswith(f"{trial.refused.total()} messages are not in the bag, unreadable or not of this")
 
 
-def test_a_large_message_with_too_many_joints_is_recorded_and_ends_nothing(opened: Callable[[], OpenTrial]) -> None:
+def test_a_large_message_with_too_many_joints_is_recorded_and_the_trial_is_not_judged(
+    opened: Callable[[], OpenTrial], messages: list[tuple[float, Message]]
+) -> None:
     trial = opened()
     trial.store(STATES, joints(0, 8_000))  # 200 kB
     assert trial.counts[STATES] == 1
     assert trial.counts[topics.TF] == 0
+    stored(trial, messages)
+    with pytest.raises(InputError, match="/arm/joint_states has messages of different lengths: who else publishes"):
+        trial.verdict()
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=50)
