@@ -20,8 +20,6 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 
-AT_ONCE = 5e-5  # s; a state that is awaited for less was there already
-
 
 class ControllerTrial(LockstepTrial):
     """One trial of a :class:`~impact_rs_control.controller.Controller`.
@@ -53,18 +51,13 @@ class ControllerTrial(LockstepTrial):
         self._strangers = 0  # messages whose stamp lies outside the trial
 
     def work(self, until: float) -> None:
-        while (left := until - (before := time.monotonic())) > 0.0:
+        while (left := until - time.monotonic()) > 0.0:
             self._inbox.wait(left)
-            if time.monotonic() - before < AT_ONCE and len(self._gathered) in (0, len(self._arm_of)):
-                self._inbox.gather()  # in real time newer ones may wait behind it
-            newest = {}
             for topic, data in self._inbox.take():
                 arm = self._arm_of[topic]
                 signals = self._readers[arm].read(data)
                 if self._is_of_trial(signals):
-                    newest[arm] = signals
-            for arm, signals in newest.items():
-                self._answer(arm, signals)
+                    self._answer(arm, signals)
 
     def end(self) -> str:
         hit = all(arm.detection is not None for arm in self._controller.arms.values())

@@ -114,7 +114,7 @@ class ExperimentNode(NodeProgram):
         if result.outcome == "ABORTED" and not self._cancelled(handle):
             self._aborted += 1
         text = f"{name}: {result.outcome} after {time.monotonic() - started:.1f} s of wall time"
-        if result.outcome == "OK":
+        if result.outcome == "OK" and not result.message:
             self.log.info(text)
         else:
             self.log.warning(f"{text}: {result.message}")

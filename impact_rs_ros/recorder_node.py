@@ -227,6 +227,8 @@ class RecorderNode(NodeProgram):
 
     def rehearse(self, spec: TrialSpec) -> None:
         DerivedMessages(spec.plan, tracked=True)
+        for kind in set(topics.recorded(list(spec.plan.arms)).values()):
+            Readable(typestore(), kind)(b"")  # the code that reads a type is made at its first message
 
     def offer(self) -> None:
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
@@ -404,7 +406,7 @@ class RecorderNode(NodeProgram):
             self._open.close()
         path = bag.path if verdict.outcome != "ABORTED" else partial_path(bag.path)
         text = f"{recording.said(verdict.outcome)} {path}"
-        if verdict.outcome == "OK":
+        if verdict == Verdict("OK"):
             self.log.info(text)
         else:
             self.log.warning(f"{text}: {verdict.reason}")

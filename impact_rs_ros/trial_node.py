@@ -214,8 +214,8 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         response.counts = list(self.outbox.counts.values())
         after = f"after {1e-9 * self.trial.now:.3f} s, {response.messages} messages published"
         text = f"{self._name}: {response.outcome} {after}"
-        if response.outcome == "ABORTED":
-            self.log.warning(f"{text}: {failure or request.reason}")
+        if response.outcome == "ABORTED" or response.message:
+            self.log.warning(f"{text}: {response.message or request.reason}")
         else:
             self.log.info(text)
         self._finished = response

@@ -49,9 +49,6 @@ class Wires:
     def repeat(self, topic: str, data: bytes) -> None:
         """Asked again."""
 
-    def gather(self) -> None:
-        """Everything is here."""
-
     def flush(self) -> None:
         """Nothing waits."""
 
@@ -65,17 +62,14 @@ class Bench:
         self.names = self.trial._maker.joints["arm"]
         self.tick = 0
 
-    def send(
-        self, names: list[str] | None = None, tick: int | None = None, work: bool = True, **changes: list[float]
-    ) -> None:
+    def send(self, names: list[str] | None = None, tick: int | None = None, **changes: list[float]) -> None:
         still = {"position": ARM.initial.tolist(), "velocity": [0.0] * 7, "effort": [0.0] * 7}
         message = JointState(name=self.names if names is None else names, **still | changes)
         nanoseconds = (self.tick if tick is None else tick) * PERIOD_NS
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(nanoseconds, 10**9)
         self.wires.waiting.append(bytes(serialize_message(message)))
         self.tick += 1
-        if work:
-            self.work()
+        self.work()
 
     def work(self) -> None:
         """Until everything that waits was taken."""
@@ -162,19 +156,6 @@ def test_bytes_that_are_no_state_are_silence_and_counted(data: bytes) -> None:
     assert len(bench.wires.torques) == 3
     assert bench.trial.failure == ""
     assert (bench.trial.unreadable, bench.trial.note()) == (3, "3 messages could not be read")
-
-
-def test_of_states_that_wait_only_the_newest_is_answered() -> None:
-    bench = Bench()
-    bench.send()
-    for _ in range(4):  # while it was busy, in real time
-        bench.send(work=False)
-    bench.wires.waiting.append(b"nonsense")
-    bench.send(tick=1_700_000_000, work=False)
-    bench.work()
-    assert bench.trial._tick == 4
-    assert len(bench.wires.torques) == 2
-    assert bench.trial.status()[1]["missed_ticks"] == 3
 
 
 def test_a_controller_that_raises_holds_the_arms_and_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
