@@ -43,6 +43,8 @@ from impact_rs_trials.spec import TrialSpec
 MATCHING = 2.0  # s, for publishers to be discovered; less than a caller waits for the answer before it asks again
 SAVING = 0.2  # s, how much of a trial is lost when the recorder is killed
 UNAWAITED = (topics.TF, topics.DIAGNOSTICS, topics.TRUTH_MODEL)  # of these some messages are as good as all
+JUDGED = (topics.joint_states, topics.controller_state)  # signals of an arm that reach the end of a trial
+EVERY_TICK = (*JUDGED, topics.joint_command)  # signals of an arm from tick 0 on
 ENDS_EARLY = ("DIVERGED", "LIMIT")  # a plant may stop for these
 ROUNDING = 1e-6  # s, of stamps; far less than a period
 _HEADER_FIRST = 4  # byte of the stamp behind the CDR encapsulation
@@ -72,7 +74,7 @@ class OpenTrial:
         self.bag = bag
         self.name = name
         self._duration = duration
-        self._awaited = set(topics.needed(arms))
+        self._awaited = {name(arm) for arm in arms for name in EVERY_TICK}
         self.counts: Counter[str] = Counter()
         self._arms = arms
         self._plan = plan
@@ -85,8 +87,7 @@ class OpenTrial:
         kinds = topics.recorded(arms)
         self._readable = {topic: Readable(typestore(), kind) for topic, kind in kinds.items()}
         self.refused: Counter[str] = Counter()
-        per_arm = (topics.joint_states, topics.controller_state)
-        judged = {topics.OBJECT_POSE, *(name(arm) for arm in arms for name in per_arm)}
+        judged = {topics.OBJECT_POSE, *(name(arm) for arm in arms for name in JUDGED)}
         self._kinds = {topic: kind for topic, kind in topics.recorded(arms).items() if topic in judged}
         self._judged: dict[str, list[bytes]] = defaultdict(list)  # messages of these topics
 
@@ -97,6 +98,12 @@ class OpenTrial:
         if (now := self._time_of(topic, data)) is None:
             self.refused[topic] += 1
             return
+        if topic in self._awaited and self._plan is not None:
+            if now and topic not in self._last:  # of an abandoned trial, which may end after this one is configured
+                return
+            if 1e-9 * now > self._duration + ROUNDING:
+                self.refused[topic] += 1
+                return
         if topic != topics.DIAGNOSTICS:
             if self._last.get(topic) == now:
                 return
@@ -127,8 +134,7 @@ class OpenTrial:
         except struct.error:  # a sequence without elements
             return None
         now = int(seconds * 1_000_000_000 + nanoseconds)
-        late = self._plan is not None and topic in self._awaited and 1e-9 * now > self._duration + ROUNDING
-        return None if now < 0 or late else now
+        return None if now < 0 else now
 
     def complete(self) -> None:
         """Write what waited for a message that does not come any more."""
@@ -170,7 +176,7 @@ class OpenTrial:
     def cut_off(self) -> str:
         """Which signals do not reach the end of the trial; empty: all do."""
         ends = {}
-        for topic in (name(arm) for arm in self._arms for name in (topics.joint_states, topics.controller_state)):
+        for topic in (name(arm) for arm in self._arms for name in JUDGED):
             last, count = 1e-9 * self._last.get(topic, 0), self.counts[topic]
             period = last / (count - 1) if self._plan is None and count > 1 else 0.0  # else the last tick has a stamp
             if not last > self._duration - 1.5 * period - ROUNDING:

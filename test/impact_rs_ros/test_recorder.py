@@ -108,15 +108,30 @@ def test_what_is_no_message_of_the_trial_is_not_in_the_bag_and_counted(
     for topic in topics.recorded(["arm"]):
         if topic not in DERIVED:
             trial.store(topic, b"")
+    assert trial.bag.messages == 0
+    trial.store(COMMANDS, joints(0))
     trial.store(STATES, joints(-1))
     trial.store(COMMANDS, joints(1_700_000_000))
-    assert trial.bag.messages == 0
+    assert trial.bag.messages == 1
     assert trial.refused[STATES] == 3
     assert trial.refused[COMMANDS] == 2
     stored(trial, messages)
     assert trial.verdict().outcome == "OK"
     assert f"{STATES} 3" in trial.note()
     assert trial.note().startswith(f"{trial.refused.total()} messages are not in the bag, unreadable or not of this")
+
+
+def test_what_an_abandoned_trial_still_publishes_is_not_in_the_bag_of_the_next(
+    opened: Callable[[], OpenTrial], messages: list[tuple[float, Message]]
+) -> None:
+    trial = opened()
+    for at, (topic, data) in messages:
+        if at > 1.0 and topic in (STATES, COMMANDS, CONTROLLER):
+            trial.store(topic, data)
+    assert trial.bag.messages == 0
+    stored(trial, messages)
+    assert (trial.verdict().outcome, trial.note()) == ("OK", "")
+    assert trial.counts[STATES] == 1801
 
 
 def test_a_large_message_with_too_many_joints_is_recorded_and_the_trial_is_not_judged(
