@@ -78,7 +78,7 @@ class CellNode(LeadingNode[CellTrial]):
             super().turn()
             return
         self._rest(SLICE)
-        self.executor.spin_once(timeout_sec=0.0)
+        self.serve(0.0)
         self.diagnose()
 
     def wait(self) -> None:

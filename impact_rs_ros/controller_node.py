@@ -55,7 +55,9 @@ class ControllerTrial(LockstepTrial):
             self._inbox.wait(left)
             for topic, data in self._inbox.take():
                 arm = self._arm_of[topic]
-                self._answer(arm, self._readers[arm].read(data))
+                signals = self._readers[arm].read(data)
+                if self._is_of_trial(signals):
+                    self._answer(arm, signals)
 
     def end(self) -> str:
         hit = all(arm.detection is not None for arm in self._controller.arms.values())
@@ -74,12 +76,18 @@ class ControllerTrial(LockstepTrial):
             "missed_ticks": self._skipped,
         }
 
+    def _is_of_trial(self, signals: JointSignals) -> bool:
+        """Whether a state is one of this trial; if not, it is counted, and silence to whoever waits for an answer."""
+        if not signals.readable:
+            self.unreadable += 1
+            return False
+        inside = 0 <= round(signals.stamp / self._period_ns) <= self._last
+        self._strangers += not inside
+        return inside
+
     def _answer(self, arm: str, signals: JointSignals) -> None:
         """Take the measured state of one arm; decide for all when the last one of a tick is there."""
         tick = round(signals.stamp / self._period_ns)
-        if not 0 <= tick <= self._last:
-            self._strangers += 1
-            return
         if tick <= self._tick:
             if tick == self._tick:  # the plant asks again
                 self._outbox.repeat(topics.joint_command(arm), self._answers[arm])
@@ -121,11 +129,15 @@ class ControllerTrial(LockstepTrial):
     def _commands(self, tick: int) -> dict[str, ArmCommand]:
         """What the controller decides; after anything went wrong, what holds the arms."""
         if not self.failure:
-            commands = self._controller.update(tick, self._gathered)
-            wrong = [arm for arm, command in commands.items() if not np.isfinite(command.torque).all()]
-            if not wrong:
-                return commands
-            self._fail(f"the torque for {wrong[0]} at t = {1e-9 * tick * self._period_ns:.3f} s is not finite")
+            at = f"at t = {1e-9 * tick * self._period_ns:.3f} s"
+            try:
+                commands = self._controller.update(tick, self._gathered)
+                wrong = [arm for arm, command in commands.items() if not np.isfinite(command.torque).all()]
+                if not wrong:
+                    return commands
+                self._fail(f"the torque for {wrong[0]} {at} is not finite")
+            except Exception as error:  # whatever was measured, the arms need a torque
+                self._fail(f"the controller {at}: {type(error).__name__}: {error}")
         scene, plans = self._plan.scene, self._plan.arms
         return {
             arm: fallback_command(

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from impact_rs_control.plan import TrialPlan
-from impact_rs_ros.joint_signals import joint_signals
+from impact_rs_ros.joint_signals import JointReader
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
@@ -39,6 +39,7 @@ class DerivedMessages:
         self._period_ns = self._maker.nanoseconds(1)
         self._frames = FrameSource(plan.scene)
         self._sources = {topics.joint_states(arm): arm for arm in plan.arms}
+        self._readers = {arm: JointReader(names, ("position",)) for arm, names in self._maker.joints.items()}
         self._known: dict[int, dict[str, Array]] = {}  # joint positions by arm, of ticks that are not told yet
         self._seen: list[tuple[int, bytes]] = []  # when [ns], and poses of the object
 
@@ -51,7 +52,10 @@ class DerivedMessages:
         if topic == topics.OBJECT_POSE:
             self._seen.append((nanoseconds, data))
         elif topic in self._sources and self._frames.due(tick := nanoseconds // self._period_ns):
-            self._known.setdefault(tick, {})[self._sources[topic]] = joint_signals(data).values[0]
+            arm = self._sources[topic]
+            if (signals := self._readers[arm].read(data)).complaint:
+                return
+            self._known.setdefault(tick, {})[arm] = signals.values[0]
         else:
             return
         yield from self._known_until(self._seen[-1][0] // self._period_ns if self._seen else -1)

@@ -9,7 +9,7 @@ of the time, and services and parameters never come in between.
 from __future__ import annotations
 
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any
@@ -22,7 +22,7 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
-from impact_rs_ros.message_types import available, message_type
+from impact_rs_ros.message_types import available, decoded, message_type
 from impact_rs_ros.names import on_network, resolved
 from impact_rs_trials.bags.streams import Stream
 
@@ -40,7 +40,10 @@ class Inbox:
         node: Node that they are for.
         name: Name of the inbox among those of the node.
         qos: Quality of service of all subscriptions.
-        raw: Hand out serialized (CDR) messages.
+        raw: Hand out serialized (CDR) messages, as they came; else those that can be read.
+
+    Attributes:
+        unreadable: Number of messages by topic that could not be read, and were not handed out.
     """
 
     def __init__(self, node: Node, name: str, qos: QoSProfile, raw: bool = False) -> None:
@@ -48,7 +51,9 @@ class Inbox:
         self._qos = qos
         self._raw = raw
         self._subscriptions: dict[str, Subscription] = {}
-        self._received: deque[tuple[str, Any]] = deque()
+        self._received: deque[tuple[str, bytes]] = deque()
+        self._kinds: dict[str, Any] = {}  # classes of the messages, by topic
+        self.unreadable: Counter[str] = Counter()
         self._never: Future = Future()
         self._node = rclpy.create_node(
             f"_{node.get_name()}_{name}",
@@ -63,23 +68,21 @@ class Inbox:
 
     def connect(self, topics: Mapping[str, str]) -> None:
         """Subscribe to these topics, type ``package/msg/Name`` by topic, and to no others."""
-        for subscription in self._subscriptions.values():
-            self._node.destroy_subscription(subscription)
-        self._subscriptions = {
-            topic: self._node.create_subscription(
-                message_type(kind),
-                resolved(self._owner, topic),
-                partial(self._receive, topic),
-                self._qos,
-                raw=self._raw,
-            )
-            for topic, kind in topics.items()
-            if available(kind)
-        }
+        while self._subscriptions:
+            self._node.destroy_subscription(self._subscriptions.popitem()[1])
+        self._kinds = {topic: message_type(kind) for topic, kind in topics.items() if available(kind)}
+        for topic, kind in self._kinds.items():  # raw, because the middleware raises where bytes are no message
+            name, receive = resolved(self._owner, topic), partial(self._receive, topic)
+            self._subscriptions[topic] = self._node.create_subscription(kind, name, receive, self._qos, raw=True)
         self._received.clear()
 
-    def _receive(self, topic: str, message: Any) -> None:
-        self._received.append((topic, message))
+    @property
+    def name(self) -> str:
+        """Full name of the hidden node, which ``ros2 node info`` shows the subscriptions of."""
+        return str(self._node.get_fully_qualified_name())
+
+    def _receive(self, topic: str, data: bytes) -> None:
+        self._received.append((topic, data))
 
     def wait(self, timeout: float) -> None:
         """Return when a message has come, or after ``timeout`` [s]."""
@@ -92,7 +95,13 @@ class Inbox:
     def take(self) -> Iterator[tuple[str, Any]]:
         """Everything that has been received: topic and message."""
         while self._received:
-            yield self._received.popleft()
+            topic, data = self._received.popleft()
+            if self._raw:
+                yield topic, data
+            elif (message := decoded(data, self._kinds[topic])) is not None:
+                yield topic, message
+            else:
+                self.unreadable[topic] += 1
 
     def clear(self) -> None:
         """Throw away what has come."""
@@ -190,9 +199,9 @@ class Outbox:
         self._flushed = time.monotonic()
 
     def unmatched(self) -> list[str]:
-        """Topics that nobody listens to, or not everybody yet of whom this node knows."""
-        return [
-            topic
-            for topic, publisher in self._publishers.items()
-            if publisher.get_subscription_count() < max(1, self._node.count_subscribers(publisher.topic_name))
-        ]
+        """Topics without a reader.
+
+        Whether the recorder is among the readers it finds out itself (:class:`~impact_rs_ros.presence.Acquaintance`).
+        How many others there are says nothing: a reader of another quality of service is known and never matched.
+        """
+        return [topic for topic, publisher in self._publishers.items() if publisher.get_subscription_count() == 0]

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ from impact_rs_trials.campaign import TrialReport, make_manifest, open_campaign,
 from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.store import open_store, owned
 
+FAILED = ("ABORTED", "DIVERGED", "LIMIT")  # outcomes of which no trial is a success
+
 
 class ExperimentNode(NodeProgram):
     """Serves ``/run_trial`` and ``/run_campaign``, one goal at a time."""
@@ -41,7 +44,7 @@ class ExperimentNode(NodeProgram):
         self._servers: list[ActionServer] = []
 
     def rehearse(self, spec: TrialSpec) -> None:
-        _ = spec.plan
+        self._session.describe(spec.plan)  # before the first trial, too, viewers have something to show
 
     def offer(self) -> None:
         group = ReentrantCallbackGroup()
@@ -76,7 +79,7 @@ class ExperimentNode(NodeProgram):
     def close(self) -> None:
         self._cancelling.set()
         while self._busy.locked():  # the trial that runs closes its bag, for which it needs answers
-            self.executor.spin_once(timeout_sec=IDLE)
+            self.serve(IDLE)
         with self._busy:
             for server in self._servers:
                 server.destroy()
@@ -89,6 +92,10 @@ class ExperimentNode(NodeProgram):
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
 
+    def _cancelled(self, handle: Any) -> bool:
+        """Whether a goal shall come to its end now."""
+        return bool(handle.is_cancel_requested or self._cancelling.is_set())
+
     def _one(
         self,
         plan: TrialPlan,
@@ -99,18 +106,15 @@ class ExperimentNode(NodeProgram):
         feedback: Callable[[Progress], None] = lambda progress: None,
         plant_model: str = "",
     ) -> TrialResult:
-        def cancelled() -> bool:
-            return bool(handle.is_cancel_requested or self._cancelling.is_set())
-
         name = f"{plan.scene.scenario.name}/{key.name}"
         self.log.debug(f"running {name}")
         started = time.monotonic()
-        result = self._session.run(plan, key, seed, directory, feedback, cancelled, plant_model)
+        result = self._session.run(plan, key, seed, directory, feedback, partial(self._cancelled, handle), plant_model)
         self._trials += 1
-        if result.outcome == "ABORTED":
+        if result.outcome == "ABORTED" and not self._cancelled(handle):
             self._aborted += 1
         text = f"{name}: {result.outcome} after {time.monotonic() - started:.1f} s of wall time"
-        if result.outcome == "OK":
+        if result.outcome == "OK" and not result.message:
             self.log.info(text)
         else:
             self.log.warning(f"{text}: {result.message}")
@@ -132,7 +136,7 @@ class ExperimentNode(NodeProgram):
                 result = self._one(plan, key, goal.seed, directory, handle, feedback, goal.plant_model)
             except Exception as error:  # a node outlives every trial
                 return self._failed(handle, answer, error)
-        answer.success = result.outcome != "ABORTED"
+        answer.success = result.outcome not in FAILED
         answer.message = result.message
         answer.outcome = result.outcome
         answer.bag_path = str(result.bag_path)
@@ -161,12 +165,15 @@ class ExperimentNode(NodeProgram):
                 answer.skipped = len(manifest.keys) - len(todo)
                 self.log.info(f"campaign {directory}: {len(todo)} of {len(manifest.keys)} trials are to be run")
                 for number, key in enumerate(todo):
-                    if handle.is_cancel_requested or self._cancelling.is_set():
+                    if self._cancelled(handle):
                         answer.message = "cancelled"
                         break
                     handle.publish_feedback(RunCampaign.Feedback(finished=number, total=len(todo), current=key.name))
                     trial = manifest.trial(key)
                     result = self._one(trial.spec.plan, key, trial.seed, directory, handle)
+                    if result.outcome == "ABORTED" and self._cancelled(handle):
+                        answer.message = "cancelled"  # which is no failure of that trial
+                        break
                     reports.append(TrialReport(key, result.outcome, result.message))
                     if result.outcome == "ABORTED":
                         answer.failed += 1

@@ -9,6 +9,8 @@ from array import array
 from importlib.util import find_spec
 from typing import Any
 
+from rclpy.serialization import deserialize_message
+
 from impact_rs_sim.robot import Array
 
 
@@ -23,6 +25,14 @@ def message_type(name: str) -> Any:
     """Class of the message ``package/msg/Name``."""
     package, kind, message = name.split("/")
     return getattr(importlib.import_module(f"{package}.{kind}"), message)
+
+
+def decoded(data: bytes, kind: Any) -> Any | None:
+    """A serialized message as an object of the class ``kind``; None: the bytes are no such message."""
+    try:
+        return deserialize_message(data, kind)
+    except Exception:  # of rclpy or the middleware, by what is wrong with the bytes
+        return None
 
 
 class Uninstalled:

@@ -13,9 +13,9 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 from geometry_msgs.msg import PoseStamped
-from rclpy.serialization import deserialize_message
 
 from impact_msgs_py.conversions import pose_from_message, pose_to_message
+from impact_rs_ros.message_types import decoded
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_sim.rotations import quaternion_of
@@ -44,10 +44,14 @@ class TrackerPoses:
     def read(self, data: bytes) -> PoseStamped | None:
         """A pose in ``world``, with the stamp that it came with; None: it is none, as of an object out of sight.
 
+        Bytes that are no message are no pose either.
+
         Raises:
             InputError: It is in another frame than that of the tracker.
         """
-        pose = deserialize_message(data, PoseStamped)
+        pose = decoded(data, PoseStamped)
+        if pose is None:
+            return None
         if pose.header.frame_id != self.frame:
             told = pose.header.frame_id
             raise InputError(f"expected {self.frame}, see mocap_frame", key=f"frame_id of {MOCAP}", value=told)

@@ -35,12 +35,15 @@ class Pace:
     """How long the plant waits for a torque; the node's parameters of these names.
 
     Attributes:
-        realtime: Pace the ticks by the wall clock, and hold the last torque where none came.
+        realtime: Pace the ticks by the wall clock, and hold the last torque where none came in time. A late one acts
+            from the next tick on.
+        missed_limit: Share of the ticks that may be without a torque in time; with more the trial is aborted [-].
         repeat_after: Ask again after so long [s].
         answer_timeout: Give up after so long [s].
     """
 
     realtime: bool
+    missed_limit: float
     repeat_after: float
     answer_timeout: float
 
@@ -75,7 +78,8 @@ class PlantTrial(LeadingTrial):
         self._measured = plant.measure()
         self._asked: dict[str, bytes] = {}  # what was published of this tick, by topic
         self._missing: set[str] = set()  # arms whose torque has not come
-        self._torques: dict[str, Array] = {}
+        self._torques: dict[str, Array] = {}  # the newest of every arm
+        self._answered: dict[str, int] = {}  # stamps of these [ns]
         self._told = False  # whether what nobody waits for is put aside
         self._started = 0.0  # of real time
         self._silent_since = 0.0
@@ -92,7 +96,7 @@ class PlantTrial(LeadingTrial):
             if not self._await_torques(now):
                 return
             if self._tick == self._last or ran_away(self._plan, self._measured.arms, self._torques):
-                self.over = True
+                self._finish()
                 return
             try:
                 self._plant.step(self._torques)
@@ -104,12 +108,28 @@ class PlantTrial(LeadingTrial):
             self._ask()
             self._tick_times.append(time.monotonic() - now)
 
+    def _finish(self) -> None:
+        """End at the end; a trial of too many late torques is none."""
+        if self._missed > self._pace.missed_limit * self._tick:
+            self.stop(
+                f"{self._late()}, {self._missed / self._tick:.1%}, and missed_ticks_limit is "
+                f"{self._pace.missed_limit:.1%}: controller or machine is too slow for real time; with realtime false "
+                "the plant waits for every torque"
+            )
+        self.over = True
+
+    def _late(self) -> str:
+        return f"{self._missed} of {self._tick} ticks without a torque in time"
+
     def end(self) -> str:
         self._plant.close()
         return "OK"
 
+    def note(self) -> str:
+        return "; ".join(filter(None, (self._late() if self._missed else "", super().note())))
+
     def status(self) -> tuple[str, dict[str, object]]:
-        line = "ok" if self._missed == 0 else f"{self._missed} ticks without a torque in time"
+        line = self._late() if self._missed else "ok"
         return line, {**self.tick_statistics(), "missed_ticks": self._missed}
 
     def _ask(self) -> None:
@@ -141,18 +161,20 @@ class PlantTrial(LeadingTrial):
     def _await_torques(self, asked: float) -> bool:
         """Whether this tick's torques are there; gives up for this turn, or for good, when they do not come."""
         pace = self._pace
-        paced = pace.realtime and self._tick > 0
+        paced = pace.realtime and 0 < self._tick < self._last  # the last state has its answer, late or not
         deadline = self._started + self._tick * self._period if paced else asked + pace.repeat_after
         while True:
             for topic, data in self._inbox.take():
                 arm = self._arm_of[topic]
                 command = self._readers[arm].read(data)
-                if command.stamp == self.now:
+                self.unreadable += not command.readable
+                if command.readable and self._acts(arm, command.stamp):
                     if command.complaint:
-                        self.stop(f"{topic} at t = {self._tick * self._period:.3f} s: {command.complaint}")
+                        self.stop(f"{topic} at t = {1e-9 * command.stamp:.3f} s: {command.complaint}")
                         return False
-                    self._torques[arm] = command.values[2]
-                    self._missing.discard(arm)
+                    self._torques[arm], self._answered[arm] = command.values[2], command.stamp
+                    if command.stamp == self.now:
+                        self._missing.discard(arm)
             left = deadline - time.monotonic()
             if not self._missing:
                 if paced and left > 0.0:
@@ -180,6 +202,10 @@ class PlantTrial(LeadingTrial):
             self._outbox.repeat(topic, data)
         return False
 
+    def _acts(self, arm: str, stamp: int) -> bool:
+        """Whether a torque of this stamp [ns] acts: this tick's, or in real time a late one that is the newest."""
+        return stamp == self.now or (self._pace.realtime and self._answered.get(arm, stamp) < stamp < self.now)
+
 
 class PlantNode(LeadingNode[PlantTrial]):
     """Steps a :class:`~impact_rs_sim.plant.Plant`."""
@@ -206,7 +232,12 @@ class PlantNode(LeadingNode[PlantTrial]):
         if info.model_yaml:
             physics = parse_model(info.model_yaml, "TrialInfo.model_yaml").apply(physics)
             self.outbox.later(topics.TRUTH_MODEL, String(data=info.model_yaml))
-        pace = Pace(self.parameter("realtime"), self.parameter("repeat_after"), self.parameter("answer_timeout"))
+        pace = Pace(
+            realtime=self.parameter("realtime"),
+            missed_limit=self.parameter("missed_ticks_limit"),
+            repeat_after=self.parameter("repeat_after"),
+            answer_timeout=self.parameter("answer_timeout"),
+        )
         frames = FrameSource(plan.scene, frame_prefix(self.node.get_namespace()))
         return PlantTrial(plan, make_plant(plan, info.seed, physics), pace, self.inbox, self.outbox, frames)
 

@@ -23,6 +23,7 @@ from std_msgs.msg import Empty
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.qos import ALIVE, LEASE, PRESENT
 
+NOT_MET = "_NODE_NAME_UNKNOWN_"  # what the middleware calls a node of which only a publisher is known yet
 GRACE = 1.0  # s; a lease can lapse and be renewed at once when another publisher of the same topic leaves
 
 
@@ -52,6 +53,7 @@ class Presence:
                 f"{name}/alive",
                 lambda _: None,
                 PRESENT,
+                raw=True,  # whatever somebody publishes there
                 event_callbacks=SubscriptionEventCallbacks(liveliness=partial(self._changed, name)),
             )
 
@@ -94,9 +96,13 @@ class Presence:
         return self._node.resolve_topic_name(f"{name}/alive").removesuffix("/alive")
 
     def publishers(self, topic: str) -> list[str]:
-        """Names, with namespace, of the nodes that publish a topic; one that died is among them for 20 s."""
+        """Names, with namespace, of the nodes that publish a topic; one that died is among them for 20 s.
+
+        Hidden nodes are among them: ``ros2 topic pub`` is one.
+        """
         found = self._node.get_publishers_info_by_topic(topic)
-        return sorted({f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in found if one.node_name[0] != "_"})
+        named = [one for one in found if one.node_name != NOT_MET]
+        return sorted({f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in named})
 
 
 class Acquaintance:

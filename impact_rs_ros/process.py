@@ -23,7 +23,7 @@ from rclpy.signals import SignalHandlerOptions
 from impact_rs_ros import parameters, presence
 from impact_rs_ros.qos import STREAM
 from impact_rs_ros.roots import below, scenario_below
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.spec import TrialSpec
@@ -31,6 +31,7 @@ from impact_rs_trials.spec import TrialSpec
 SUPERVISOR = "IMPACT_RS_SUPERVISOR"  # process id of the runner; a node does not outlive it
 OWN_SERVICES = ("impact_rs.", "std_srvs.")  # packages of the types of services that only our nodes have
 HARDWARE = "impact_rs"  # who tells, on /diagnostics
+THROTTLE = 5.0  # s, between two lines of the log that say the same
 IDLE = 0.05  # s, how long an idle node waits for work before it looks around
 
 
@@ -126,9 +127,24 @@ class NodeProgram:
         """
         return below(requested, self.parameter("data_root"), key, "data_root")
 
+    def serve(self, timeout: float) -> None:
+        """Serve one thing that came in, waiting for it for at most ``timeout`` [s].
+
+        No message and no request ends a node: the middleware raises where bytes are no message, and so may a service.
+        """
+        try:
+            self.executor.spin_once(timeout_sec=timeout)
+        except ExternalShutdownException:
+            raise
+        except Exception as error:
+            self.log.error(
+                f"what came in could not be served, and is left out: {full_traceback(error)}",
+                throttle_duration_sec=THROTTLE,
+            )
+
     def turn(self) -> None:
         """One turn of the main loop; must return within a fraction of a second."""
-        self.executor.spin_once(timeout_sec=IDLE)
+        self.serve(IDLE)
         self.diagnose()
 
     def status(self) -> tuple[str, Mapping[str, object]]:

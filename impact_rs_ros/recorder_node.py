@@ -17,12 +17,13 @@ from contextlib import ExitStack
 
 from diagnostic_msgs.msg import DiagnosticArray
 from impact_rs.srv import ConfigureTrial, FinishTrial
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.derived import DERIVED, DerivedMessages
 from impact_rs_ros.exchange import Inbox
+from impact_rs_ros.message_types import decoded
 from impact_rs_ros.names import resolved
 from impact_rs_ros.presence import Acquaintance, Presence
 from impact_rs_ros.process import HARDWARE, NodeProgram, run
@@ -30,16 +31,22 @@ from impact_rs_ros.qos import RECORD
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.cdr import Readable
 from impact_rs_trials.bags.outcome import ArmRecord, TrialRecord, Verdict, judge
 from impact_rs_trials.bags.reader import ControllerColumns, JointColumns, PoseColumns, columns_of
 from impact_rs_trials.bags.record import descriptions
 from impact_rs_trials.bags.trial_info import TrialInfo
+from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.bags.writer import BagWriter, partial_path
 from impact_rs_trials.spec import TrialSpec
 
 MATCHING = 2.0  # s, for publishers to be discovered; less than a caller waits for the answer before it asks again
 SAVING = 0.2  # s, how much of a trial is lost when the recorder is killed
 UNAWAITED = (topics.TF, topics.DIAGNOSTICS, topics.TRUTH_MODEL)  # of these some messages are as good as all
+JUDGED = (topics.joint_states, topics.controller_state)  # signals of an arm that reach the end of a trial
+EVERY_TICK = (*JUDGED, topics.joint_command)  # signals of an arm from tick 0 on
+ENDS_EARLY = ("DIVERGED", "LIMIT")  # a plant may stop for these
+ROUNDING = 1e-6  # s, of stamps; far less than a period
 _HEADER_FIRST = 4  # byte of the stamp behind the CDR encapsulation
 _SEQUENCE_FIRST = 8  # the same with the length of a sequence before it
 
@@ -51,13 +58,23 @@ class OpenTrial:
         name: Scenario and name of the trial.
         bag: Its bag, open.
         arms: Names of the arms.
+        duration: When the trial ends [s].
         plan: The trial, where it is one of ours.
         tracked: Whether somebody tells the pose of the object.
+
+    Attributes:
+        counts: Number of messages in the bag, by topic.
+        refused: Number of messages that are not in the bag, because they cannot be read or have a stamp from outside
+            the trial, by topic.
     """
 
-    def __init__(self, name: str, bag: BagWriter, arms: list[str], plan: TrialPlan | None, tracked: bool) -> None:
+    def __init__(
+        self, name: str, bag: BagWriter, arms: list[str], duration: float, plan: TrialPlan | None, tracked: bool
+    ) -> None:
         self.bag = bag
-        self._name = name
+        self.name = name
+        self._duration = duration
+        self._awaited = {name(arm) for arm in arms for name in EVERY_TICK}
         self.counts: Counter[str] = Counter()
         self._arms = arms
         self._plan = plan
@@ -67,8 +84,10 @@ class OpenTrial:
         }
         self._derived = None if plan is None else DerivedMessages(plan, tracked)
         self._last: dict[str, int] = {}
-        per_arm = (topics.joint_states, topics.controller_state)
-        judged = {topics.OBJECT_POSE, *(name(arm) for arm in arms for name in per_arm)}
+        kinds = topics.recorded(arms)
+        self._readable = {topic: Readable(typestore(), kind) for topic, kind in kinds.items()}
+        self.refused: Counter[str] = Counter()
+        judged = {topics.OBJECT_POSE, *(name(arm) for arm in arms for name in JUDGED)}
         self._kinds = {topic: kind for topic, kind in topics.recorded(arms).items() if topic in judged}
         self._judged: dict[str, list[bytes]] = defaultdict(list)  # messages of these topics
 
@@ -76,10 +95,15 @@ class OpenTrial:
         """Write a message, unless it is derived here, or was sent again because the answer to it was lost."""
         if self._derived is not None and topic in DERIVED:
             return
-        now = 0
-        if topic != topics.TRUTH_MODEL:  # said once, and without a stamp
-            seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_at[topic])
-            now = seconds * 1_000_000_000 + nanoseconds
+        if (now := self._time_of(topic, data)) is None:
+            self.refused[topic] += 1
+            return
+        if topic in self._awaited and self._plan is not None:
+            if now and topic not in self._last:  # of an abandoned trial, which may end after this one is configured
+                return
+            if 1e-9 * now > self._duration + ROUNDING:
+                self.refused[topic] += 1
+                return
         if topic != topics.DIAGNOSTICS:
             if self._last.get(topic) == now:
                 return
@@ -90,6 +114,27 @@ class OpenTrial:
             self._judged[topic].append(data)
         if self._derived is not None:
             self._write_derived(self._derived.receive(topic, now, data))
+
+    def has(self, topic: str) -> bool:
+        """Whether this is a topic of the trial."""
+        return topic in self._readable
+
+    def readable(self, topic: str, data: bytes) -> bool:
+        """Whether bytes are a message of this topic."""
+        return self._readable[topic](data)
+
+    def _time_of(self, topic: str, data: bytes) -> int | None:
+        """Trial time of a message [ns]; None: it is no message of this trial."""
+        if not self.readable(topic, data):
+            return None
+        if topic == topics.TRUTH_MODEL:  # said once, and without a stamp
+            return 0
+        try:
+            seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_at[topic])
+        except struct.error:  # a sequence without elements
+            return None
+        now = int(seconds * 1_000_000_000 + nanoseconds)
+        return None if now < 0 else now
 
     def complete(self) -> None:
         """Write what waited for a message that does not come any more."""
@@ -108,7 +153,7 @@ class OpenTrial:
 
     def said(self, outcome: str) -> str:
         """How it ended, for the log; a path follows."""
-        return f"{self._name}: {outcome} after {self.time:.3f} s, {self.bag.messages} messages in"
+        return f"{self.name}: {outcome} after {self.time:.3f} s, {self.bag.messages} messages in"
 
     def missing(self, expected: dict[str, int]) -> str:
         """Which of the expected numbers of messages are not reached yet, in words; empty: none."""
@@ -121,9 +166,31 @@ class OpenTrial:
     def verdict(self) -> Verdict:
         """How the trial ended, by what was recorded; of one that is not ours, no more than whether it hit."""
         if self._plan is not None:
-            return judge(self._plan, TrialRecord({arm: self._arm(arm) for arm in self._arms}, self._object()))
-        hit = all(self.counts[topics.impact_event(arm)] for arm in self._arms)
-        return Verdict("OK") if hit else Verdict("NO-IMPACT")
+            verdict = judge(self._plan, TrialRecord({arm: self._arm(arm) for arm in self._arms}, self._object()))
+        else:
+            hit = all(self.counts[topics.impact_event(arm)] for arm in self._arms)
+            verdict = Verdict("OK") if hit else Verdict("NO-IMPACT")
+        cut = "" if verdict.outcome in ENDS_EARLY else self.cut_off()
+        return Verdict("ABORTED", cut) if cut else verdict
+
+    def cut_off(self) -> str:
+        """Which signals do not reach the end of the trial; empty: all do."""
+        ends = {}
+        for topic in (name(arm) for arm in self._arms for name in JUDGED):
+            last, count = 1e-9 * self._last.get(topic, 0), self.counts[topic]
+            period = last / (count - 1) if self._plan is None and count > 1 else 0.0  # else the last tick has a stamp
+            if not last > self._duration - 1.5 * period - ROUNDING:
+                ends[topic] = f"{topic} ends at {last:.3f} s"
+        return f"{', '.join(ends.values())}; the trial ends at {self._duration:.3f} s" if ends else ""
+
+    def note(self) -> str:
+        """What is worth telling of a trial whatever its outcome, in one line; empty: nothing."""
+        told = ", ".join(f"{topic} {count}" for topic, count in self.refused.items())
+        return (
+            f"{self.refused.total()} messages are not in the bag, unreadable or not of this trial: {told}"
+            if told
+            else ""
+        )
 
     def _arm(self, arm: str) -> ArmRecord:
         commands = ControllerColumns.of(self._columns(topics.controller_state(arm)))
@@ -140,7 +207,10 @@ class OpenTrial:
         return PoseColumns.of(self._columns(topics.OBJECT_POSE))
 
     def _columns(self, topic: str) -> dict[str, Array]:
-        return columns_of(self._kinds[topic], self._judged[topic])
+        try:
+            return columns_of(self._kinds[topic], self._judged[topic])
+        except ValueError:
+            raise InputError(f"{topic} has messages of different lengths: who else publishes?") from None
 
 
 class RecorderNode(NodeProgram):
@@ -163,22 +233,27 @@ class RecorderNode(NodeProgram):
 
     def rehearse(self, spec: TrialSpec) -> None:
         DerivedMessages(spec.plan, tracked=True)
+        for kind in set(topics.recorded(list(spec.plan.arms)).values()):
+            Readable(typestore(), kind)(b"")  # the code that reads a type is made at its first message
 
     def offer(self) -> None:
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
         self.node.create_service(FinishTrial, "~/finish_trial", self._on_finish)
 
     def turn(self) -> None:
-        self.executor.spin_once(timeout_sec=self.parameter("drain_period"))
+        self.serve(self.parameter("drain_period"))
         self._drain()
         self._end_abandoned()
         self.diagnose()
 
     def status(self) -> tuple[str, dict[str, object]]:
-        return "ok", {"messages": self._messages}
+        refused = 0 if self._recording is None else self._recording.refused.total()
+        line = f"{refused} messages unreadable or not of this trial: who else publishes?" if refused else "ok"
+        return line, {"messages": self._messages, "refused_messages": refused, "subscriptions_of": self._inbox.name}
 
     def connect(self, arms: list[str]) -> None:
         if arms != self._arms:
+            self._arms = []  # until all of it is done: names of arms may be no names of topics
             recorded, said = topics.recorded(arms).items(), topics.latched(arms)
             self._inbox.connect({topic: kind for topic, kind in recorded if topic not in said})
             self._arms = arms
@@ -231,7 +306,7 @@ class RecorderNode(NodeProgram):
             return
         self._inbox.gather()
         for topic, data in self._inbox.take():
-            if topic == topics.DIAGNOSTICS and self._of_other_graph(data):
+            if topic == topics.DIAGNOSTICS and self._recording.readable(topic, data) and self._of_other_graph(data):
                 continue
             self._recording.store(topic, data)
         self._messages = self._recording.counts.total()
@@ -241,9 +316,10 @@ class RecorderNode(NodeProgram):
 
     def _of_other_graph(self, data: bytes) -> bool:
         """Whether diagnostics are those of a node like ours in another namespace."""
-        return any(
+        message = decoded(data, DiagnosticArray)
+        return message is not None and any(
             status.hardware_id == HARDWARE and status.name.rpartition("/")[0] != self.node.get_namespace().rstrip("/")
-            for status in deserialize_message(data, DiagnosticArray).status
+            for status in message.status
         )
 
     def _end_abandoned(self) -> None:
@@ -284,7 +360,12 @@ class RecorderNode(NodeProgram):
             for topic, urdf in (own if plan is None else descriptions(plan)).items():
                 bag.write_raw(topic, 0, serialize_message(String(data=urdf)))
             bag.save()
-            self._recording = OpenTrial(name, bag, self._arms, plan, tracked)
+            duration = (
+                info.duration
+                if plan is None
+                else plan.scene.scenario.timing.ticks * plan.scene.scenario.timing.control_period
+            )
+            self._recording = OpenTrial(name, bag, self._arms, duration, plan, tracked)
             self._configured = request
         except InputError as error:
             self.log.error(f"trial refused: {error}")
@@ -305,14 +386,25 @@ class RecorderNode(NodeProgram):
             response.message = "recorder: there is no bag to finish"
             return self._finished or response  # who asks again has not heard the answer
         bag = recording.bag
-        missing = self._complete(recording, dict(zip(request.topics, request.counts, strict=False)))
+        expected = {topic: count for topic, count in zip(request.topics, request.counts, strict=False) if count}
+        strangers = [topic for topic in expected if not recording.has(topic)]
+        if strangers and not request.aborted:
+            response.message = f"recorder: {', '.join(strangers)} is no topic of {recording.name}, which is recorded"
+            return response
+        missing = self._complete(recording, expected)
+        verdict = Verdict("ABORTED", request.reason or f"messages were published and not received: {missing}")
+        if not request.aborted and not missing:
+            verdict = self._verdict(recording)
+            if verdict.outcome == "ABORTED" and recording.cut_off():  # it may be meant for another trial
+                response.message = f"recorder: {recording.name} is not over: {verdict.reason}"
+                return response
         recording.complete()
-        if request.aborted or missing:
-            verdict = Verdict("ABORTED", request.reason or f"messages were published and not received: {missing}")
+        note = "; ".join(filter(None, (recording.note(), "" if request.aborted else request.reason)))
+        verdict = Verdict(verdict.outcome, "; ".join(filter(None, (verdict.reason, note))))
+        if verdict.outcome == "ABORTED":
             self._abort()
         else:
             try:
-                verdict = recording.verdict()
                 bag.finish(verdict.outcome, verdict.reason)
             except OSError as error:
                 verdict = Verdict("ABORTED", f"the bag cannot be closed: {error}")
@@ -320,7 +412,7 @@ class RecorderNode(NodeProgram):
             self._open.close()
         path = bag.path if verdict.outcome != "ABORTED" else partial_path(bag.path)
         text = f"{recording.said(verdict.outcome)} {path}"
-        if verdict.outcome == "OK":
+        if verdict == Verdict("OK"):
             self.log.info(text)
         else:
             self.log.warning(f"{text}: {verdict.reason}")
@@ -332,6 +424,16 @@ class RecorderNode(NodeProgram):
         response.counts = list(recording.counts.values())
         self._finished = response
         return response
+
+    def _verdict(self, recording: OpenTrial) -> Verdict:
+        """How the trial ended; ABORTED where that cannot be told."""
+        try:
+            return recording.verdict()
+        except InputError as error:
+            return Verdict("ABORTED", str(error))
+        except Exception as error:  # messages of a stranger among those that are judged
+            self.log.error(f"cannot judge the trial: {full_traceback(error)}")
+            return Verdict("ABORTED", f"what was recorded cannot be judged: {type(error).__name__}: {error}")
 
     def _complete(self, recording: OpenTrial, expected: dict[str, int]) -> str:
         """Receive until everything is there; returns what is missing."""

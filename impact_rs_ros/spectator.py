@@ -17,11 +17,10 @@ import numpy as np
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
 
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.joint_signals import joint_signals, names_of
-from impact_rs_ros.message_types import message_type
+from impact_rs_ros.message_types import decoded, message_type
 from impact_rs_ros.middleware import set_middleware
 from impact_rs_ros.names import full_namespace, resolved
 from impact_rs_ros.qos import LATCHED, WATCH
@@ -145,7 +144,7 @@ class Spectator:
         except InputError as error:
             self._stands(title=title, complaint=f"{topics.TRIAL_INFO}: {error}")
             return
-        arms = list(info.robots)
+        arms = list(spec.scenario.robots)  # whose names a topic can have
         self._arm_of = {topics.truth_contact_wrench(arm): arm for arm in arms}
         names = [*(topics.joint_states(arm) for arm in arms), topics.OBJECT_POSE, *self._arm_of]
         kinds = topics.recorded(arms)
@@ -153,12 +152,17 @@ class Spectator:
 
     def _hear_state(self, topic: str, data: bytes) -> None:
         if topic in self._arm_of:
-            wrench = deserialize_message(data, message_type(topics.WRENCH)).wrench.force
+            message = decoded(data, message_type(topics.WRENCH))
+            if message is None:
+                return
+            wrench = message.wrench.force
             force = -np.array([wrench.x, wrench.y, wrench.z])  # told is what the object does to the pad
             if np.isfinite(force).all():
                 self._with(forces=self._known.forces | {self._arm_of[topic]: force})
         elif topic == topics.OBJECT_POSE:
-            self._with(object=_seen(deserialize_message(data, message_type(topics.POSE)).pose))
+            message = decoded(data, message_type(topics.POSE))
+            if message is not None:
+                self._with(object=_seen(message.pose))
         else:
             signals = joint_signals(data)
             position = signals.values[0]

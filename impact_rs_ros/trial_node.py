@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.message_types import RosidlTypes
-from impact_rs_ros.process import NodeProgram
+from impact_rs_ros.process import THROTTLE, NodeProgram
 from impact_rs_ros.qos import AWAITED, STREAM
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_trials.bags.messages import MessageMaker
@@ -38,11 +38,13 @@ class LockstepTrial(ABC):
     Attributes:
         now: Trial time [ns].
         failure: Why it could not go on; empty: it did.
+        unreadable: Number of messages that were none, and counted as silence.
     """
 
     def __init__(self, plan: TrialPlan) -> None:
         self.now = 0
         self.failure = ""
+        self.unreadable = 0
         self._last = plan.scene.scenario.timing.ticks
         self._maker = MessageMaker(RosidlTypes(), plan)
         self._tick_times: list[float] = []
@@ -58,6 +60,10 @@ class LockstepTrial(ABC):
     @abstractmethod
     def status(self) -> tuple[str, dict[str, object]]:
         """A line and numbers for ``/diagnostics``."""
+
+    def note(self) -> str:
+        """What is worth telling of a trial that ended well, in one line; empty: nothing."""
+        return f"{self.unreadable} messages could not be read" if self.unreadable else ""
 
     def tick_statistics(self) -> dict[str, object]:
         """Wall-clock time per tick since the last time this was asked for."""
@@ -127,8 +133,14 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         if not self.running or self.trial is None:
             super().turn()
             return
+        unreadable = self.trial.unreadable
         self.work(self.trial, time.monotonic() + SLICE)
-        self.executor.spin_once(timeout_sec=0.0)
+        if self.trial.unreadable != unreadable:
+            self.log.warning(
+                f"{self.trial.note()} on {', '.join(self.received(self.arms))}: who else publishes?",
+                throttle_duration_sec=THROTTLE,
+            )
+        self.serve(0.0)
         self.diagnose()
 
     def work(self, trial: AnyTrial, until: float) -> None:
@@ -139,10 +151,17 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         return 0 if self.trial is None else self.trial.now
 
     def status(self) -> tuple[str, dict[str, object]]:
-        return ("ok", {"ticks": 0}) if self.trial is None else self.trial.status()
+        own = {"subscriptions_of": self.inbox.name}
+        if self.trial is None:
+            return "ok", {"ticks": 0, **own}
+        line, numbers = self.trial.status()
+        if line == "ok" and self.trial.unreadable:
+            line = f"{self.trial.note()}: who else publishes?"
+        return line, {**numbers, "unreadable_messages": self.trial.unreadable, **own}
 
     def connect(self, arms: list[str]) -> None:
         if arms != self.arms:
+            self.arms = []  # until all of it is done: names of arms may be no names of topics
             self.inbox.connect(self.received(arms))
             self.outbox.connect(self.published(arms))
             self.arms = arms
@@ -188,15 +207,15 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self.diagnose(now=True)
         outcome, failure = self._leave(), self.trial.failure
         response.success = not failure
-        response.message = failure
+        response.message = failure or (f"{self.kind}: {note}" if (note := self.trial.note()) else "")
         response.outcome = "ABORTED" if request.aborted or failure else outcome
         response.messages = sum(self.outbox.counts.values())
         response.topics = list(self.outbox.counts)
         response.counts = list(self.outbox.counts.values())
         after = f"after {1e-9 * self.trial.now:.3f} s, {response.messages} messages published"
         text = f"{self._name}: {response.outcome} {after}"
-        if response.outcome == "ABORTED":
-            self.log.warning(f"{text}: {failure or request.reason}")
+        if response.outcome == "ABORTED" or response.message:
+            self.log.warning(f"{text}: {response.message or request.reason}")
         else:
             self.log.info(text)
         self._finished = response
@@ -253,7 +272,7 @@ class LeadingNode(TrialNode[AnyLeadingTrial]):
 
     def wait(self) -> None:
         """Let some milliseconds pass before or after the ticks of a trial."""
-        self.executor.spin_once(timeout_sec=MATCHING)
+        self.serve(MATCHING)
 
     def work(self, trial: AnyLeadingTrial, until: float) -> None:
         if self._over is None:
@@ -265,7 +284,11 @@ class LeadingNode(TrialNode[AnyLeadingTrial]):
                 return
             self.log.debug("the trial begins")
             trial.begin()
-        trial.work(until)
+        try:
+            trial.work(until)
+        except Exception as error:  # a node outlives every trial
+            self.log.error(f"the trial cannot go on: {full_traceback(error)}")
+            trial.stop(f"{self.kind} at t = {1e-9 * trial.now:.3f} s: {type(error).__name__}: {error}")
         if trial.over:
             self._answer(self._over, trial)
 

@@ -118,6 +118,10 @@ class TrialSession:
                 inbox.connect({name(arm): kinds[name(arm)] for arm in arms})
             self._arms = arms
 
+    def describe(self, plan: TrialPlan) -> None:
+        """Publish what the arms and the object of a trial are, for viewers; nothing before is kept."""
+        self._describe(descriptions(plan))
+
     def close(self) -> None:
         """Follow nothing any more."""
         self._states.close()
@@ -163,7 +167,7 @@ class TrialSession:
             self._configure_all(plan, trial, maker.trial_info(secret), path)
             self._check_publishers()
             self._trial_info.publish(trial)
-            self._describe(descriptions(plan))
+            self.describe(plan)
             self._follow(progress, plan, feedback, cancelled)
             self._check_alone(wait=True)
             self._check_publishers()
@@ -338,6 +342,7 @@ class TrialSession:
                     raise TrialError("cancelled")
                 self._check_present(*MEMBERS)
                 self._check_alone()
+                self._check_publishers()
                 before = progress.time
                 self._look(progress)
                 if progress.time != before and not math.isnan(progress.time):
@@ -387,13 +392,14 @@ class TrialSession:
             reason = self._cause("; ".join(failures.values())) if failures else ""
         last = FinishTrial.Request(aborted=bool(reason), reason=reason)
         if not reason:
+            last.reason = "; ".join(answer.message for answer in answers.values() if answer.message)  # a note
             last.topics = [topic for answer in answers.values() for topic in answer.topics]
             last.counts = [count for answer in answers.values() for count in answer.counts]
-        # The recorder may wait for late messages; it is given the time to.
-        patience = FINISH if reason else parameters.value(self._node, "finish_timeout")
         try:
-            self._check_present("recorder")
-            closed = self._call("recorder", self._finish["recorder"], last, patience)
+            closed = self._close_bag(last)
+            if not reason and not (closed.success or closed.outcome):  # for the recorder the trial is not over
+                reason = self._cause(closed.message)
+                self._close_bag(FinishTrial.Request(aborted=True, reason=reason))
         except TrialError as error:
             return TrialResult("ABORTED", reason or str(error), partial_path(path), progress)
         if reason:
@@ -401,3 +407,15 @@ class TrialSession:
         if closed.outcome == "ABORTED" or not closed.success:
             return TrialResult("ABORTED", self._cause(closed.message), partial_path(path), progress)
         return TrialResult(closed.outcome, closed.message, path, progress)
+
+    def _close_bag(self, request: FinishTrial.Request) -> FinishTrial.Response:
+        """Let the recorder close the bag.
+
+        Raises:
+            TrialError: It does not answer.
+        """
+        # It may wait for late messages, and is given the time to.
+        patience = FINISH if request.aborted else parameters.value(self._node, "finish_timeout")
+        self._check_present("recorder")
+        answer: FinishTrial.Response = self._call("recorder", self._finish["recorder"], request, patience)
+        return answer

@@ -128,7 +128,7 @@ class WatchdogNode(NodeProgram):
                 self._braking.publish(Bool(data=True))
             if watchdog.braking:
                 watchdog.arms.rest()
-        self.executor.spin_once(timeout_sec=0.0)
+        self.serve(0.0)
         self.diagnose()
 
     def status(self) -> tuple[str, dict[str, object]]:

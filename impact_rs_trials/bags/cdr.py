@@ -257,6 +257,52 @@ def _decode_table(store: Typestore, kind: str, rows: Sequence[bytes | memoryview
     return {path: np.ascontiguousarray(table[path]) for path, _, _, _ in layout.numbers}
 
 
+class Readable:
+    """Tells bytes that are a message of one type from bytes that are none.
+
+    A message of the layout of the one before it, strings and array lengths included, needs no decoding: its numbers may
+    have any value.
+
+    Args:
+        store: Type definitions.
+        kind: ``package/msg/Name``.
+    """
+
+    def __init__(self, store: Typestore, kind: str) -> None:
+        self._store = store
+        self._kind = kind
+        self._size = -1
+        self._fixed_at = np.empty(0, np.intp)  # bytes that decide the layout
+        self._fixed = b""
+
+    def __call__(self, data: bytes) -> bool:
+        """Whether this is a message."""
+        if len(data) == self._size and self._fixed_of(data) == self._fixed:
+            return True
+        try:
+            self._store.deserialize_cdr(data, self._kind)
+        except Exception:  # whatever rosbags finds wrong with the bytes
+            return False
+        self._remember(data)
+        return True
+
+    def _fixed_of(self, data: bytes) -> bytes:
+        return np.frombuffer(data, np.uint8)[self._fixed_at].tobytes()
+
+    def _remember(self, data: bytes) -> None:
+        """Keep the layout of a message; none where it cannot be told from lengths and strings alone."""
+        self._size = -1
+        if data[:2] != LITTLE_ENDIAN:
+            return
+        try:
+            layout = _Walker(self._store, data).layout(self._kind)
+        except _NoColumnsError:
+            return
+        self._size = len(data)
+        self._fixed_at = np.concatenate([np.arange(2), *(np.arange(*part) for part in layout.fixed)]).astype(np.intp)
+        self._fixed = self._fixed_of(data)
+
+
 def number_paths(store: Typestore, kind: str, prefix: str = "") -> list[str]:
     """Paths of all numbers and arrays of numbers of a message type."""
     paths: list[str] = []

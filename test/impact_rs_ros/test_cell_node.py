@@ -58,7 +58,7 @@ def other(cell: CellNode) -> Iterator[rclpy.node.Node]:
 def eventually(cell: CellNode, condition: Callable[[], bool]) -> bool:
     until = time.monotonic() + PATIENCE
     while not condition() and time.monotonic() < until:
-        cell.executor.spin_once(timeout_sec=0.01)
+        cell.serve(0.01)
     return condition()
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -68,10 +69,13 @@ class Bench:
         nanoseconds = (self.tick if tick is None else tick) * PERIOD_NS
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(nanoseconds, 10**9)
         self.wires.waiting.append(bytes(serialize_message(message)))
-        for topic, data in self.wires.take():
-            arm = self.trial._arm_of[topic]
-            self.trial._answer(arm, self.trial._readers[arm].read(data))
         self.tick += 1
+        self.work()
+
+    def work(self) -> None:
+        """Until everything that waits was taken."""
+        while self.wires.waiting:
+            self.trial.work(time.monotonic() + 0.01)
 
 
 @pytest.mark.parametrize(
@@ -142,3 +146,28 @@ def test_a_state_from_outside_the_trial_is_left_alone_and_told() -> None:
     assert len(bench.wires.torques) == 2
     assert bench.trial.failure == ""
     assert "1 states with a stamp outside the trial" in bench.trial.status()[0]
+
+
+@pytest.mark.parametrize("data", [b"", b"\0\1\0\0abc", b"\0\1\0\0" + b"\xff" * 200])
+def test_bytes_that_are_no_state_are_silence_and_counted(data: bytes) -> None:
+    bench = Bench()
+    for _ in range(3):
+        bench.wires.waiting.append(data)
+        bench.send()
+    assert len(bench.wires.torques) == 3
+    assert bench.trial.failure == ""
+    assert (bench.trial.unreadable, bench.trial.note()) == (3, "3 messages could not be read")
+
+
+def test_a_controller_that_raises_holds_the_arms_and_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench()
+    bench.send()
+
+    def burst(tick: int, measured: object) -> object:
+        raise RuntimeError("burst")
+
+    monkeypatch.setattr(bench.trial._controller, "update", burst)
+    bench.send()
+    held = holding_torque(PLAN.scene.models["arm"], ARM.initial, np.zeros(7))
+    np.testing.assert_allclose(bench.wires.torques[1], held)
+    assert bench.trial.failure.startswith("the controller at t = 0.001 s: RuntimeError: burst")

@@ -127,3 +127,18 @@ def test_an_object_that_was_never_seen_has_no_frame(plan: TrialPlan, recorded: t
 
 def test_other_topics_change_nothing(plan: TrialPlan) -> None:
     assert list(DerivedMessages(plan).receive(topics.CLOCK, 0, b"")) == []
+
+
+def test_joints_in_another_order_are_at_the_same_place_and_wrong_ones_nowhere(
+    plan: TrialPlan, recorded: tuple[list, dict]
+) -> None:
+    def turned(data: bytes) -> bytes:
+        state = STORE.deserialize_cdr(data, topics.JOINT_STATE)
+        for field in ("name", "position", "velocity", "effort"):
+            setattr(state, field, getattr(state, field)[::-1].copy())
+        return bytes(STORE.serialize_cdr(state, topics.JOINT_STATE))
+
+    messages = [(topic, now, data if topic == topics.OBJECT_POSE else turned(data)) for topic, now, data in recorded[0]]
+    assert made_by(DerivedMessages(plan), messages) == recorded[1]
+    broken = [(topic, now, data if topic == topics.OBJECT_POSE else data[:-8]) for topic, now, data in messages]
+    assert made_by(DerivedMessages(plan), broken) == {}

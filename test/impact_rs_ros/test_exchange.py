@@ -86,6 +86,28 @@ def test_an_inbox_holds_everything_in_order_until_it_is_taken(domain_ids: Callab
         assert receive() == []
 
 
+def test_an_inbox_hands_out_messages_that_can_be_read_and_counts_the_others(domain_ids: Callable[[], int]) -> None:
+    with node_with("inbox", domain_ids(), "signal:=renamed") as (node, _):
+        inbox = Inbox(node, "messages", RECORD)
+        inbox.connect({"signal": topics.JOINT_STATE})
+        publisher = node.create_publisher(JointState, "/renamed", STREAM)
+        deadline = time.monotonic() + 30.0
+        while inbox.publishers() != {"signal": 1}:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        for data in (b"", b"\0\1\0\0abc", b"\0\1\0\0" + b"\xff" * 100):
+            publisher.publish(data)
+        publisher.publish(JointState(name=["a"]))
+        found: list[list[str]] = []
+        while not found:
+            assert time.monotonic() < deadline
+            inbox.wait(0.1)
+            found += [message.name for _, message in inbox.take()]
+        assert found == [["a"]]
+        assert inbox.unreadable == {"signal": 3}
+        inbox.close()
+
+
 def test_the_nodes_of_inboxes_are_hidden(domain_ids: Callable[[], int]) -> None:
     with node_with("inbox", domain_ids(), "signal:=renamed") as (node, _):
         assert set(node.get_node_names()) >= {"owner", "_owner_inbox"}

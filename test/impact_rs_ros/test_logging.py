@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import rclpy
 from impact_rs.action import RunCampaign, RunTrial
 from impact_rs.srv import ComputeImpactMap
 from rclpy.qos import qos_profile_sensor_data
@@ -18,6 +19,7 @@ from sensor_msgs.msg import JointState
 
 from impact_rs_ros.graph import Graph, run_trial
 from impact_rs_ros.node_processes import NODES
+from impact_rs_ros.qos import STREAM
 from impact_rs_sim.paths import config_directory
 from impact_rs_trials.bags import topics
 from impact_rs_trials.campaign import make_manifest
@@ -69,6 +71,7 @@ def test_the_table_of_log_lines_is_what_the_nodes_write(
         unheard = graph.node.create_publisher(JointState, topics.motor_states("arm"), qos_profile_sensor_data)
         graph.call_trial(RunTrial.Goal(**goal, output_directory="unheard"))
         graph.node.destroy_publisher(unheard)
+        _with_bytes_that_are_no_torque(graph, RunTrial.Goal(**goal, output_directory="bytes"))
         bad = RunTrial.Goal(**goal, output_directory="bad", plant_model="effects: [")
         assert "model_yaml" in graph.call_trial(bad).message
     lines = [found.groups() for found in WRITTEN.finditer("".join(capfd.readouterr()))]
@@ -116,6 +119,15 @@ def _cancelled(graph: Graph, goal: dict[str, object]) -> None:
         graph.spin(0.1)
     accepted.cancel_goal_async()
     assert _result(graph, accepted.get_result_async()).result.outcome == "ABORTED"
+
+
+def _with_bytes_that_are_no_torque(graph: Graph, goal: RunTrial.Goal) -> None:
+    other = rclpy.create_node("controller", context=graph.node.context, start_parameter_services=False)
+    publisher = other.create_publisher(JointState, topics.joint_command("arm"), STREAM)
+    result = graph.call_trial(goal, lambda _: publisher.publish(b"\0\1\0\0abc"))
+    other.destroy_node()
+    assert result.outcome == "OK", result.message
+    assert "plant: " in result.message
 
 
 def _result(graph: Graph, future: object) -> object:

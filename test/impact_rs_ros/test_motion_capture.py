@@ -53,3 +53,8 @@ def test_a_pose_in_another_frame_is_refused(frame: str) -> None:
 @pytest.mark.parametrize("pose", [np.full(7, np.nan), np.zeros(7), np.append(np.full(3, np.inf), SEEN[3:])])
 def test_what_a_tracker_says_of_an_object_out_of_sight_is_no_pose(pose: np.ndarray) -> None:
     assert TrackerPoses("tracker", PLACEMENT).read(told(pose)) is None
+
+
+@pytest.mark.parametrize("data", [b"", b"\0\1\0\0abc", told(SEEN)[:-1], b"\0\1\0\0" + b"\xff" * 80])
+def test_bytes_that_are_no_pose_are_an_object_out_of_sight(data: bytes) -> None:
+    assert TrackerPoses("tracker", PLACEMENT).read(data) is None

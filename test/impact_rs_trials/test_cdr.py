@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from impact_rs_trials.bags import topics
-from impact_rs_trials.bags.cdr import Template, decode, encode, number_paths
+from impact_rs_trials.bags.cdr import Readable, Template, decode, encode, number_paths
 from impact_rs_trials.bags.types import typestore
 
 STORE = typestore()
@@ -186,3 +186,24 @@ def test_fixed_and_growing_arrays_and_small_integers_lie_where_they_should() -> 
     columns = decode(STORE, topics.CONTROLLER_STATE, [bytes(row) for row in rows])
     for path in number_paths(STORE, topics.CONTROLLER_STATE)[2:]:
         np.testing.assert_array_equal(columns[path], [getattr(message, path) for message in messages], err_msg=path)
+
+
+@given(st.data())
+def test_bytes_are_readable_exactly_where_the_decoder_of_bags_reads_them(data: st.DataObject) -> None:
+    kind = data.draw(st.sampled_from([topics.JOINT_STATE, topics.POSE, topics.STRING]))
+    joints = joint_state("world", ["joint1", "joint22"], np.array([1.0, 2.0]))
+    pose = by_hand("world", ["a"], [1.0], 3)  # of another type: read where its bytes happen to be such a message
+    example = STORE.serialize_cdr(joints, topics.JOINT_STATE) if kind == topics.JOINT_STATE else pose
+    readable = Readable(STORE, kind)
+    readable(bytes(example))  # its layout is known from here on, where it is one
+    changed = bytearray(example)
+    for bit in data.draw(st.lists(st.integers(0, 8 * len(changed) - 1), max_size=6)):
+        changed[bit // 8] ^= 1 << bit % 8
+    sent = bytes(changed)[: data.draw(st.integers(0, len(changed)) | st.just(len(changed)))]
+    try:
+        STORE.deserialize_cdr(sent, kind)
+        expected = True
+    except Exception:
+        expected = False
+    assert readable(sent) == expected
+    assert readable(sent) == expected

@@ -250,9 +250,12 @@ def test_an_experiment_node_that_only_seemed_to_hang_does_not_go_on_with_its_tri
 def test_in_real_time_the_plant_does_not_wait_and_every_sample_is_recorded(graph: Graph, tmp_path: Path) -> None:
     def realtime(on: bool) -> None:
         value = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=on)
-        request = SetParameters.Request(parameters=[Parameter(name="realtime", value=value)])
-        (result,) = graph.call(SetParameters, "plant/set_parameters", request).results
-        assert result.successful, result.reason
+        limit = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=1.0 if on else 0.05)  # a busy machine
+        changed = [Parameter(name="realtime", value=value), Parameter(name="missed_ticks_limit", value=limit)]
+        for result in graph.call(
+            SetParameters, "plant/set_parameters", SetParameters.Request(parameters=changed)
+        ).results:
+            assert result.successful, result.reason
 
     realtime(True)
     try:
@@ -261,14 +264,16 @@ def test_in_real_time_the_plant_does_not_wait_and_every_sample_is_recorded(graph
         took = time.monotonic() - started
     finally:
         realtime(False)
-    assert result.success, result.message
+    assert result.outcome != "ABORTED", result.message
     bag = TrialBag.open(Path(result.bag_path))
     samples = bag.counts[topics.joint_states("arm")]
     assert samples == bag.counts[topics.truth_joint_states("arm")]
     assert took > bag.info.spec.scenario.timing.control_period * (samples - 1)
     # An arm that is led late on a busy machine may run away, which ends the trial.
     assert samples == 1801 or (result.outcome == "DIVERGED" and samples < 1801)
-    assert 1 <= bag.counts[topics.joint_command("arm")] <= 1801  # a busy machine misses ticks
+    missed = samples - bag.counts[topics.joint_command("arm")]  # a busy machine misses ticks
+    assert missed >= 0
+    assert missed == 0 or f" of {samples - 1} ticks without a torque in time" in bag.reason
 
 
 def test_an_excursion_ends_well_without_impact(graph: Graph, tmp_path: Path) -> None:

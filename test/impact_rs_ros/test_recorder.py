@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag is OK only if it reaches the end of its own trial, and holds nothing that is no message of it."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rclpy.serialization import serialize_message
+from rosbags.rosbag2 import Reader
+from sensor_msgs.msg import JointState
+
+from impact_rs_ros.derived import DERIVED
+from impact_rs_ros.recorder_node import OpenTrial
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.bags.writer import BagWriter
+
+END = 1.8  # s
+STATES, COMMANDS, CONTROLLER = topics.joint_states("arm"), topics.joint_command("arm"), topics.controller_state("arm")
+Message = tuple[str, bytes]
+
+
+@pytest.fixture(scope="module")
+def messages(push_campaign: Path) -> list[tuple[float, Message]]:
+    """What a recorder receives in a whole trial, with trial times [s]."""
+    bag = push_campaign / "cat_food__case_2__s1.000__r0"
+    left_out = {*topics.latched(["arm"]), *DERIVED}
+    with Reader(bag) as reader:
+        return [(1e-9 * at, (c.topic, bytes(data))) for c, at, data in reader.messages() if c.topic not in left_out]
+
+
+@pytest.fixture
+def opened(push_campaign: Path, tmp_path: Path) -> Iterator[Callable[[bool], OpenTrial]]:
+    """Begins to record that trial; one of somebody else has no plan."""
+    info = TrialBag.open(push_campaign / "cat_food__case_2__s1.000__r0").info
+    bags = []
+
+    def begin(ours: bool = True) -> OpenTrial:
+        bags.append(BagWriter.create(tmp_path / str(len(bags)), ["arm"]))
+        plan = info.spec.plan if ours else None
+        return OpenTrial("push/it", bags[-1], ["arm"], info.duration, plan, tracked=True)
+
+    yield begin
+    for bag in bags:
+        bag.__exit__(None, None, None)
+
+
+def joints(seconds: int, count: int = 7) -> bytes:
+    """A well-formed message, stamped ``seconds`` [s]."""
+    values = [0.0] * count
+    message = JointState(name=["a"] * 7, position=values, velocity=values, effort=values)
+    message.header.stamp.sec = seconds
+    return bytes(serialize_message(message))
+
+
+def stored(trial: OpenTrial, messages: list[tuple[float, Message]], until: float = END, but: str = "") -> OpenTrial:
+    for at, message in messages:
+        if at <= until + 1e-6 or (but and message[0] != but):
+            trial.store(*message)
+    return trial
+
+
+@pytest.mark.parametrize("ours", [True, False])
+def test_a_trial_that_was_recorded_to_its_end_is_ok(
+    opened: Callable[[bool], OpenTrial], messages: list[tuple[float, Message]], ours: bool
+) -> None:
+    trial = stored(opened(ours), messages)
+    assert trial.verdict().outcome == "OK"
+    assert trial.note() == ""
+
+
+@pytest.mark.parametrize("ours", [True, False])
+@pytest.mark.parametrize("until", [0.0, 0.001, 0.5, 1.2, END - 0.002])
+def test_a_trial_that_is_cut_off_is_never_ok(
+    opened: Callable[[bool], OpenTrial], messages: list[tuple[float, Message]], ours: bool, until: float
+) -> None:
+    verdict = stored(opened(ours), messages, until).verdict()
+    assert verdict.outcome == "ABORTED"
+    assert verdict.reason == (
+        f"{STATES} ends at {until:.3f} s, {CONTROLLER} ends at {until:.3f} s; the trial ends at 1.800 s"
+    )
+
+
+@pytest.mark.parametrize("topic", [STATES, CONTROLLER])
+def test_every_signal_that_is_judged_reaches_the_end(
+    opened: Callable[[], OpenTrial], messages: list[tuple[float, Message]], topic: str
+) -> None:
+    verdict = stored(opened(), messages, END - 0.001, but=topic).verdict()
+    assert verdict.outcome == "ABORTED"
+    assert verdict.reason == f"{topic} ends at 1.799 s; the trial ends at 1.800 s"
+
+
+def test_a_trial_without_any_message_is_aborted(opened: Callable[[bool], OpenTrial]) -> None:
+    assert opened(False).verdict().outcome == "ABORTED"
+
+
+def test_what_is_no_message_of_the_trial_is_not_in_the_bag_and_counted(
+    opened: Callable[[], OpenTrial], messages: list[tuple[float, Message]]
+) -> None:
+    trial = opened()
+    trial.store(STATES, b"\0\1\0\0abc")
+    for topic in topics.recorded(["arm"]):
+        if topic not in DERIVED:
+            trial.store(topic, b"")
+    assert trial.bag.messages == 0
+    trial.store(COMMANDS, joints(0))
+    trial.store(STATES, joints(-1))
+    trial.store(COMMANDS, joints(1_700_000_000))
+    assert trial.bag.messages == 1
+    assert trial.refused[STATES] == 3
+    assert trial.refused[COMMANDS] == 2
+    stored(trial, messages)
+    assert trial.verdict().outcome == "OK"
+    assert f"{STATES} 3" in trial.note()
+    assert trial.note().startswith(f"{trial.refused.total()} messages are not in the bag, unreadable or not of this")
+
+
+def test_what_an_abandoned_trial_still_publishes_is_not_in_the_bag_of_the_next(
+    opened: Callable[[], OpenTrial], messages: list[tuple[float, Message]]
+) -> None:
+    trial = opened()
+    for at, (topic, data) in messages:
+        if at > 1.0 and topic in (STATES, COMMANDS, CONTROLLER):
+            trial.store(topic, data)
+    assert trial.bag.messages == 0
+    stored(trial, messages)
+    assert (trial.verdict().outcome, trial.note()) == ("OK", "")
+    assert trial.counts[STATES] == 1801
+
+
+def test_a_large_message_with_too_many_joints_is_recorded_and_the_trial_is_not_judged(
+    opened: Callable[[], OpenTrial], messages: list[tuple[float, Message]]
+) -> None:
+    trial = opened()
+    trial.store(STATES, joints(0, 8_000))  # 200 kB
+    assert trial.counts[STATES] == 1
+    assert trial.counts[topics.TF] == 0
+    stored(trial, messages)
+    with pytest.raises(InputError, match="/arm/joint_states has messages of different lengths: who else publishes"):
+        trial.verdict()
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=50)
+@given(data=st.data())
+def test_whatever_comes_on_whatever_topic_is_stored_or_counted(
+    opened: Callable[[], OpenTrial], messages: list[tuple[float, Message]], data: st.DataObject
+) -> None:
+    trial = opened()
+    topic, whole = messages[data.draw(st.integers(0, len(messages) - 1))][1]
+    if data.draw(st.booleans()):
+        trial.store(topic, whole)  # its layout is known then
+        whole = whole[:4] + struct.pack("<i", 1) + whole[8:]  # another stamp
+    changed = bytearray(whole)
+    for bit in data.draw(st.lists(st.integers(0, 8 * len(whole) - 1), max_size=6)):
+        changed[bit // 8] ^= 1 << bit % 8
+    before, sent = trial.counts[topic] + trial.refused[topic], bytes(changed)
+    trial.store(topic, sent[: data.draw(st.integers(0, len(sent)))])
+    assert trial.counts[topic] + trial.refused[topic] - before in (0, 1)  # 0: it has the stamp of the last one
