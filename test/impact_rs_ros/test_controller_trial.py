@@ -168,6 +168,6 @@ def test_a_controller_that_raises_holds_the_arms_and_says_why(monkeypatch: pytes
 
     monkeypatch.setattr(bench.trial._controller, "update", burst)
     bench.send()
-    held = holding_torque(PLAN.scene.models["arm"], ARM.initial, np.zeros(7))
+    held = holding_torque(PLAN.scene.models["arm"], MOTORS, ARM.initial, np.zeros(7))
     np.testing.assert_allclose(bench.wires.torques[1], held)
     assert bench.trial.failure.startswith("the controller at t = 0.001 s: RuntimeError: burst")
