@@ -61,7 +61,10 @@ def add(parser: argparse.ArgumentParser) -> None:
         "-o", dest="output", type=Path, metavar="REPORT_DIR", help="folder for the report; default: DIR/report"
     )
     parser.add_argument(
-        "--experiment", type=Path, metavar="FILE.yaml", help="DIR holds somebody else's runs: experiment file"
+        "--experiment",
+        type=Path,
+        metavar="FILE.yaml",
+        help="DIR holds runs of a laboratory: experiment file, seen from the working directory, else from DIR",
     )
     add_contact(parser, "predictions that figures show, there is a table of each; with --experiment those of its table")
     add_jobs(parser)

@@ -10,7 +10,7 @@ from pathlib import Path
 from impact_rs_analysis.evidence.aligned import AlignedRun, align
 from impact_rs_analysis.report.trial import write_laboratory_run, write_trial
 from impact_rs_cli.arguments import add_jobs, started
-from impact_rs_cli.measurements import read_experiment
+from impact_rs_cli.measurements import experiment_file, read_experiment
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
@@ -54,7 +54,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--experiment", type=Path, metavar="FILE.yaml",
-        help="BAG is a folder of a laboratory's runs: experiment file that says what they are (docs/laboratory.md)",
+        help="BAG is a folder of a laboratory's runs: experiment file that says what they are (docs/laboratory.md); seen "
+        "from the working directory, else from BAG",
     )  # fmt: skip
     parser.add_argument(
         "--run", dest="run_name", metavar="NAME", help="with --experiment: which run, as its table calls it"
@@ -132,6 +133,7 @@ def _laboratory_page(args: argparse.Namespace, terminal: Terminal) -> Path:
     if args.run_name is None:
         raise InputError("--experiment names a folder of runs, of which one is shown; name it with --run")
     directory = args.path.absolute()
+    args.experiment = experiment_file(args.experiment, directory, terminal)
     experiment = load_experiment(args.experiment)
     with started(args) as map_tasks:
         item = read_one(directory, experiment, args.run_name, map_tasks)

@@ -15,6 +15,9 @@ import pytest
 from impact_rs_cli.arguments import on_local_runs
 from impact_rs_cli.main import main
 from impact_rs_cli.terminal import Terminal
+from impact_rs_sim.model import load_model
+
+CONSIDERED = ["support_friction"]  # what hidden_campaign hides
 
 
 @pytest.fixture(scope="module")
@@ -130,6 +133,24 @@ def test_a_formula_that_blows_up(
     arguments = ["diagnose", str(hidden_campaign), "-o", str(tmp_path / "d.json"), "--effects", "drag", "--formulas"]
     _refused(capfd, [*arguments, str(tmp_path / "f.yaml")], "blows up")
     assert not (tmp_path / "d.json").exists()
+
+
+def test_the_formula_of_the_manual_is_diagnosed_in_several_processes(
+    capfd: pytest.CaptureFixture, hidden_campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    manual = (Path(__file__).parents[2] / "docs" / "missing_effects.md").read_text()
+    cable, model = tmp_path / "cable.yaml", tmp_path / "model_2.yaml"
+    cable.write_text(manual.split("```yaml\n")[1].split("```")[0])
+    output = tmp_path / "diagnosis.json"
+    arguments = ["diagnose", str(hidden_campaign), "-o", str(output), "--formulas", str(cable), "--jobs", "2"]
+    document = _json(capfd, *arguments, "--effects", "cable_drag", *CONSIDERED)
+    found = {effect["name"]: effect for effect in document["effects"]}
+    low, high = found["cable_drag"]["parameters"]["drag"]["ci95"]
+    assert (document["named"], found["cable_drag"]["measured"]) == (CONSIDERED, True)
+    assert low == 0.0 < high  # there is no cable
+    assert main(["add", "cable_drag", "--from", str(output), "-o", str(model), "--force"]) == 0
+    assert load_model(model).formulas[0].end_effector_force == {"y": "-drag * vy"}
 
 
 def _formula(folder: Path, formula: str) -> None:
