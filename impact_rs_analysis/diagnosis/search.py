@@ -438,14 +438,16 @@ class Search:
         for name in chosen.candidate.names:
             if len(chosen.candidate.effects) == 1:
                 break
-            others = self._others(chosen, name)
-            reduced = evaluate_at(others, others.point, chosen.evidence)
-            if reduced is None:
-                continue
-            fitted = refine(reduced, chosen.evidence)
-            if fitted.score <= chosen.score:
+            fitted = self.without(chosen, name)
+            if fitted is not None and fitted.score <= chosen.score:
                 return self._without_the_superfluous(fitted)
         return chosen
+
+    def without(self, chosen: Fit, name: str) -> Fit | None:
+        """The other chosen effects, fitted again; None where they cannot be simulated."""
+        others = self._others(chosen, name)
+        reduced = evaluate_at(others, others.point, chosen.evidence)
+        return None if reduced is None else refine(reduced, chosen.evidence)
 
     @staticmethod
     def _others(chosen: Fit, name: str) -> Candidate:

@@ -151,6 +151,27 @@ def matters(fitted: Fit, name: str) -> bool:
     return moves_enough(fitted, fitted.candidate.part(name))
 
 
+def certain(fitted: Fit, name: str) -> bool:
+    """Whether the 95 % interval of some parameter of an effect leaves out the value at which it does nothing."""
+    candidate = fitted.candidate
+    distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale
+    own = np.array([not scalar.shape for scalar in candidate.scalars])
+    return bool(np.any(((distance > fitted.half_widths) & own)[candidate.part(name)]))
+
+
+def without_the_doubtful(search: Search, chosen: Fit) -> Fit | None:
+    """The chosen effects but those that neither matter nor are certain; None: none is left."""
+    for name in chosen.candidate.names:
+        if matters(chosen, name) or certain(chosen, name):
+            continue
+        if len(chosen.candidate.names) == 1:
+            return None
+        others = search.without(chosen, name)
+        if others is not None:
+            return without_the_doubtful(search, others)
+    return chosen
+
+
 def rests_of(evidence: Evidence, rest: Sequence[Array]) -> list[RestDocument]:
     """Where differences stay: phase x signal x index, by their share of what is left."""
     squares: dict[tuple[str, str, str], list[tuple[float, float, float]]] = {}
@@ -325,7 +346,9 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
     elif p < SIGNIFICANT and best is None:
         size = sizes_of(fitted, name)
         verdict, reason = NO_IMPROVEMENT, "significant, but what is left is not predicted much better with it"
-        if size and all(entry.value <= entry.floor for entry in size):
+        if not certain(fitted, name):
+            reason = "significant, but its interval contains the value at which it does nothing"
+        elif size and all(entry.value <= entry.floor for entry in size):
             verdict = SMALL
             reason = f"at most {size[0].value:.2g} {size[0].unit} of the {size[0].signal}"
     else:

@@ -23,6 +23,9 @@ from impact_rs_sim.scene import Scene
 from impact_rs_trials.map_table import answer_table, write_answers
 from impact_rs_trials.recordings.impact_table import read_impact_table
 
+MOST_SWITCHES = 3  # that are shown; all are in the JSON document
+LEAST_SWITCHES = 0.01  # share of the draws from which one is shown
+
 TEXT = """\
 Predict the velocities after the nominal impact of a scenario.
 
@@ -196,6 +199,7 @@ def _uncertainty(told: UncertainPrediction) -> dict[str, Any]:
         "level": LEVEL,
         "method": told.method,
         "switched": told.switched,
+        "switches": dict(told.switches),
         "draws": told.draws,
         "without_answer": told.without_answer,
         "interval": {
@@ -219,6 +223,8 @@ def _say_uncertainty(told: UncertainPrediction, terminal: Terminal) -> None:
         else f"{told.draws} draws, contacts switch in {told.switched:.0%}"
     )
     terminal.say(f"  {LEVEL:.0%} intervals from the stated uncertainties ({how}):")
+    for what, share in [one for one in told.switches.items() if one[1] >= LEAST_SWITCHES][:MOST_SWITCHES]:
+        terminal.say(f"    in {share:.0%} of the draws {what}")
     for index, name in enumerate(told.names):
         if ".velocity." not in name:
             continue

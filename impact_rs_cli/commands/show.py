@@ -54,8 +54,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--experiment", type=Path, metavar="FILE.yaml",
-        help="BAG is a folder of a laboratory's runs: experiment file that says what they are (docs/laboratory.md); seen "
-        "from the working directory, else from BAG",
+        help="BAG is a folder of a laboratory's runs: experiment file that says what they are (docs/laboratory.md); "
+        "seen from the working directory, else from BAG",
     )  # fmt: skip
     parser.add_argument(
         "--run", dest="run_name", metavar="NAME", help="with --experiment: which run, as its table calls it"
