@@ -397,6 +397,15 @@ class Search:
         left = self.evidence.lack_of_fit
         return left is None or left < SIGNIFICANT
 
+    def alone(self, name: str) -> Fit:
+        """Fit of one effect by itself: of where it is linearised and where its fit has ended, the better."""
+        fits = [self.beside(None, name)]
+        ended = self.ended.get((name,))
+        moved = None if ended is None else evaluate_at(replace(ended, origin=()), ended.point, self.evidence)
+        if moved is not None:
+            fits.append(Fit.of(moved, self.evidence))
+        return min(fits, key=lambda fitted: fitted.score)
+
     def beside(self, chosen: Fit | None, name: str) -> Fit:
         """Linear fit of one more effect."""
         if chosen is None:

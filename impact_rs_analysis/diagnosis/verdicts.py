@@ -319,6 +319,8 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
         parameters=_estimates(found, chosen, name),
         held_out_error_before=before,
         held_out_error_after=told(chosen.evidence, chosen.problem.left_out_rest),
+        held_out_error_alone=_error_alone(found, name),
+        held_out_error_others=_error_without(found, name),
         p_value=p_told(found.p_values[name]),
         sizes=tuple(sizes_of(chosen, name)),
         chosen_in_folds=folds,
@@ -365,9 +367,26 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
         parameters=_estimates(found, fitted, name),
         held_out_error_before=told(evidence, base),
         held_out_error_after=told(fitted.evidence, fitted.problem.left_out_rest),
+        held_out_error_alone=_error_alone(found, name),
+        held_out_error_others=told(evidence, base) if best is None else _error_without(found, best.instead_of),
         p_value=p_told(p),
         sizes=tuple(sizes_of(fitted, name)) if verdict != NO_IMPROVEMENT else (),
     )
+
+
+def _error_alone(found: Findings, name: str) -> float:
+    """Error on unseen clusters with one effect and no other; of a chosen one that stands alone its own."""
+    fitted = found.chosen if found.chosen is not None and found.names == (name,) else found.search.alone(name)
+    return told(fitted.evidence, fitted.problem.left_out_rest)
+
+
+def _error_without(found: Findings, name: str) -> float | None:
+    """Error on unseen clusters with the chosen effects but one; None where these cannot be simulated."""
+    assert found.chosen is not None
+    if found.names == (name,):
+        return told(found.evidence, [item.mean for item in found.evidence.clusters])
+    fitted = found.search.without(found.chosen, name)
+    return None if fitted is None else told(fitted.evidence, fitted.problem.left_out_rest)
 
 
 def _at_bound(fitted: Fit) -> Array:

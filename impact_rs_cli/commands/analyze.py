@@ -20,6 +20,7 @@ from impact_rs_cli.measurements import read_experiment
 from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import CONTACTS
+from impact_rs_sim.numbers import speed_text
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_trials.bags.checksums import unsealed_words
 from impact_rs_trials.campaign import MANIFEST
@@ -96,9 +97,10 @@ def _laboratory(args: argparse.Namespace, terminal: Terminal) -> int:
     for heading in ("runs", "before [m/s]", "after [m/s]", "B_θ", "B_ρ", "B = 0"):
         table.add_column(heading, justify="right")
     for jump in found.jumps:
-        half = "" if jump.interval is None else f" ± {(jump.interval[1] - jump.interval[0]) / 2.0:.3f}"
+        half = None if jump.interval is None else (jump.interval[1] - jump.interval[0]) / 2.0
         errors = [f"{jump.errors[name]:+.2f}" for name in MOTOR_INERTIA_MODELS]
-        table.add_row(jump.condition, str(jump.runs), f"{jump.before:.3f}", f"{jump.after:.3f}{half}", *errors)
+        after = " ± ".join(speed_text(jump.after, half))
+        table.add_row(jump.condition, str(jump.runs), f"{jump.before:.3f}", after, *errors)
     table.add_section()
     table.add_row("mean absolute", "", "", "", *(f"{found.errors[name]:.2f}" for name in MOTOR_INERTIA_MODELS))
     terminal.say(table)
@@ -179,9 +181,8 @@ def _arms_table(by_arm: dict[str, tuple[ArmRow, ...]]) -> Table:
         table.add_section()
         table.add_row(Text(title, "bold"))
         for row in rows:
-            half = "" if row.arm.half_interval is None else f" ± {row.arm.half_interval:.3f}"
             errors = [f"{row.arm.predictions[model].error:+.2f}" for model in MOTOR_INERTIA_MODELS]
-            table.add_row(row.label, f"{row.arm.speed:.3f}{half}", *errors)
+            table.add_row(row.label, " ± ".join(speed_text(row.arm.speed, row.arm.half_interval)), *errors)
     return table
 
 
@@ -206,9 +207,7 @@ def _table(rows: list[Row], contact: str) -> Table:
     if published:
         table.add_column("published B_θ", justify="right")
     for row in rows:
-        estimate = "" if row.estimate is None else f"{row.estimate:.3f}"
-        if row.half_interval is not None:
-            estimate += f" ± {row.half_interval:.3f}"
+        estimate = "" if row.estimate is None else " ± ".join(speed_text(row.estimate, row.half_interval))
         form = "{:+.2f}" if row.signed else "{:.2f}"
         cells = [form.format(error) for error in row.of_contact(contact).values()]
         if published:

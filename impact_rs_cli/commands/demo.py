@@ -15,7 +15,6 @@ from pydantic import Field
 from impact_rs_analysis.diagnosis.add import add_effect
 from impact_rs_analysis.diagnosis.document import write_document
 from impact_rs_analysis.diagnosis.history import history
-from impact_rs_analysis.diagnosis.words import estimate_in_line
 from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_cli.arguments import number
 from impact_rs_cli.commands.analyze import report_on
@@ -27,6 +26,7 @@ from impact_rs_cli.measurements import Measurements, read
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 from impact_rs_ros.graph import Graph, run_trial
 from impact_rs_sim.model import Model, load_model, save_model
+from impact_rs_sim.numbers import estimate_in_line
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.schema import Schema, load
 from impact_rs_trials.bags.trial_info import TrialKey

@@ -17,6 +17,7 @@ from impact_rs_sim.impact_map import ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.derivatives import Derivatives, differentiate_safely, velocity_names
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, predict
 from impact_rs_sim.impact_map.uniqueness import CHOICE, Uniqueness, uniqueness_of
+from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.physics import RESTITUTION_LAWS
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
@@ -231,7 +232,8 @@ def _say_uncertainty(told: UncertainPrediction, terminal: Terminal) -> None:
         shares = sorted(((float(share[index]), source) for source, share in told.budget.items()), reverse=True)[:3]
         most = ", ".join(f"{source} {share:.0%}" for share, source in shares if share >= 0.01)
         low, high = told.low[index], told.high[index]
-        terminal.say(f"    {name:<20} {told.nominal[index]:8.4f} m/s  [{low:.4f}, {high:.4f}]  {most}")
+        value, *ends = estimate_text(float(told.nominal[index]), (float(low), float(high)), least=4)
+        terminal.say(f"    {name:<20} {value:>8} m/s  [{', '.join(ends)}]  {most}")
 
 
 def _derivatives(found: Derivatives, problem: ImpactProblem) -> dict[str, Any]:

@@ -199,3 +199,24 @@ def test_what_is_small_and_certain_is_named_where_conditions_disagree_less() -> 
     effect = document.effect("straight")
     assert effect is not None and effect.parameters["a"].interval[0] > 0.0
     assert (effect.verdict, document.named) == ("PRESENT-BUT-SMALL", ("straight",))
+
+
+def test_errors_of_an_effect_alone_and_of_what_it_adds_are_given() -> None:
+    """Two that are there: alone each leaves the other, and what a third adds to both is nothing."""
+    document = said(AnalyticSource(1, (("straight", (9.0,)), ("one_sided", (5.0,)))), "straight", "one_sided", "bent")
+    straight, one_sided, bent = (document.effect(name) for name in ("straight", "one_sided", "bent"))
+    assert straight is not None and one_sided is not None and bent is not None
+    both = straight.held_out_error_after
+    assert both == one_sided.held_out_error_after and both is not None and both < 1.5
+    assert straight.held_out_error_alone == pytest.approx(one_sided.held_out_error_others, rel=1e-3)
+    assert one_sided.held_out_error_alone == pytest.approx(straight.held_out_error_others, rel=1e-3)
+    assert both < straight.held_out_error_alone / 3.0 < one_sided.held_out_error_alone / 3.0  # type: ignore[operator]
+    assert bent.held_out_error_others == pytest.approx(both)
+    assert bent.held_out_error_after == pytest.approx(both, rel=0.2)
+    assert bent.held_out_error_alone == pytest.approx(document.held_out_error_before, rel=0.2)
+
+
+def test_an_effect_that_explains_all_is_as_good_alone() -> None:
+    effect = said(AnalyticSource(1, (("straight", (5.0,)),))).effects[0]
+    assert effect.held_out_error_alone == effect.held_out_error_after
+    assert effect.held_out_error_others == effect.held_out_error_before
