@@ -12,14 +12,13 @@ from rich.text import Text
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
 from impact_rs_analysis.measure.far import far_words
 from impact_rs_analysis.measure.laboratory import jumps_of
-from impact_rs_analysis.measure.table import Row, result_table
+from impact_rs_analysis.measure.table import Row, result_table, shown_contacts
 from impact_rs_analysis.report import write_report
 from impact_rs_analysis.report.analysis import ArmRow, arm_rows, sensitivity_rows
 from impact_rs_cli.arguments import add_contact, add_jobs, started
 from impact_rs_cli.measurements import read_experiment
 from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import CONTACTS
 from impact_rs_sim.numbers import speed_text
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_trials.bags.checksums import unsealed_words
@@ -137,10 +136,15 @@ def publish(analysis: Analysis, directory: Path, terminal: Terminal, contact: st
 def _show(analysis: Analysis, terminal: Terminal) -> None:
     """Show the table of each contact, and what did not enter it."""
     rows = result_table(analysis)
-    for contact in CONTACTS if rows else ():
+    for contact in shown_contacts(rows) if rows else ():
         terminal.say(_table(rows, contact))
         count = analysis.nearest(contact)["reduced"]
         terminal.say(f"{contact} contact: B_θ predicts best in {count} of {len(analysis.sets)} sets")
+        if none_fit := [row for row in rows if not row.fits(contact)]:
+            labels = ", ".join(f"{row.label} (tolerance {row.tolerance:.1f} %)" for row in none_fit)
+            terminal.say(f"{contact} contact: no prediction agrees within the 95 % intervals of both: {labels}")
+    if rows and len(shown_contacts(rows)) == 1:
+        terminal.say("settled contact: the same errors as the first")
     if by_arm := arm_rows(analysis):
         terminal.say(_arms_table(by_arm))
     if told := far_words(analysis.jumps):

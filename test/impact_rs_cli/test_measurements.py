@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from impact_rs_analysis.measure.analyze import ExperimentSet
 from impact_rs_cli.main import main
 from impact_rs_cli.measurements import experiment_file
 from impact_rs_cli.terminal import Terminal
@@ -66,3 +67,19 @@ def test_every_command_reads_the_experiment_file_in_the_folder_of_the_runs(
     (runs / NAME).write_text("scenari: push\n")
     assert main([*command, str(runs), "--experiment", str(NAME), "--jobs", "1"]) == 2
     assert f"{runs / NAME}: scenari" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("tolerance", "fits"), [(50.0, True), (1e-6, False)])
+def test_analyze_says_where_no_prediction_fits_and_shows_equal_contacts_once(
+    push_campaign: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+    tolerance: float,
+    fits: bool,
+) -> None:
+    monkeypatch.setattr(ExperimentSet, "tolerance", property(lambda _: tolerance))
+    assert main(["analyze", str(push_campaign), "-o", str(tmp_path / "report"), "--jobs", "1"]) == 0
+    out = capsys.readouterr().out
+    assert ("first contact: no prediction agrees within the 95 % intervals of both: Cat food" in out) == (not fits)
+    assert out.count("Experimental estimate") == 1 and "settled contact: the same errors as the first" in out

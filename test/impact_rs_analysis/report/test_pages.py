@@ -385,6 +385,8 @@ def test_no_name_of_a_bag_can_leave_its_place(tmp_path: Path) -> None:
             arms=(),
             by_arm={text: ()},
             with_paper=False,
+            contacts=("first",),
+            none_fit=False,
             sensitivity=(),
             far=text,
             left_out=(listing,),
