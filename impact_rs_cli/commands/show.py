@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import webbrowser
+from itertools import islice
 from pathlib import Path
 
 from impact_rs_analysis.evidence.aligned import AlignedRun, align
@@ -17,6 +18,7 @@ from impact_rs_sim.model import load_model
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.recordings.laboratory import LaboratoryRun, read_one
+from impact_rs_trials.store import is_bag
 from impact_rs_trials.workers import Map
 
 TEXT = f"""\
@@ -40,6 +42,7 @@ The graph that runs now (up, a cell, nodes of your own), until Ctrl-C; serves th
 
 Units: s, m, m/s, N, joints in rad and rad/s (those that slide: m and m/s)."""
 
+MOST_LOOKED_AT = 1000  # folders of which one is named where another was given
 LIVE_ALONE = ("namespace", "port")  # options that only --live has
 LABORATORY_ALONE = ("run_name", "model", "jobs", "scheduler")  # and those of --experiment
 OF_PAGES = ("path", "output", "experiment", *LABORATORY_ALONE)  # and what --live has nothing for
@@ -121,7 +124,26 @@ def _output(args: argparse.Namespace, name: str) -> Path:
     return path
 
 
+def check_trial(path: Path) -> None:
+    """Check that a path is the folder of a trial, or of what is left of one.
+
+    Raises:
+        InputError: It is not; the message says what it is, and where trials are.
+    """
+    if not path.exists():
+        raise InputError("no such folder; expected the folder of a trial", file=path)
+    if not path.is_dir():
+        remedy = f"; the folder of its trial is {path.parent}" if is_bag(path.parent) else ""
+        raise InputError(f"a file; expected the folder of a trial, which holds metadata.yaml{remedy}", file=path)
+    if is_bag(path) or any(path.glob("*.mcap")):
+        return
+    found = [str(file.parent) for file in islice(path.rglob("metadata.yaml"), MOST_LOOKED_AT) if is_bag(file.parent)]
+    remedy = f"; there are trials below it, for example {min(found)}" if found else ", and there are none below it"
+    raise InputError(f"not the folder of a trial: it holds neither metadata.yaml nor an .mcap file{remedy}", file=path)
+
+
 def _trial_page(args: argparse.Namespace) -> Path:
+    check_trial(args.path)
     path = _output(args, f"{args.path.absolute().name}.html")
     try:
         return write_trial(TrialBag.open(args.path), path).resolve()

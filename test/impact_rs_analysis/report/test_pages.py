@@ -210,6 +210,16 @@ def test_a_comparison_shows_levels_places_and_units(
     assert json.loads((tmp_path / "compare.json").read_text()) == comparison.model_dump(mode="json")
 
 
+def test_pages_of_the_same_measurements_are_linked(
+    comparison: ComparisonDocument, tracks: Sequence[TrackSet], tmp_path: Path
+) -> None:
+    others = {"../compare.html": "the better model", "../diagnosis.html": "what it lacks"}
+    page = Page(write_comparison(comparison, tracks, None, tmp_path, others))
+    assert [facts["href"] for tag, facts in page.elements if tag == "a"] == list(others)
+    assert "The same measurements: the better model , what it lacks" in page.text
+    assert "The same measurements" not in Page(write_comparison(comparison, tracks, None, tmp_path)).text
+
+
 def test_two_arms_have_a_table_of_their_joints_each(
     diagnosis: DiagnosisDocument, comparison: ComparisonDocument, tmp_path: Path
 ) -> None:
