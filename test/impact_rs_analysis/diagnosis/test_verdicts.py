@@ -220,3 +220,12 @@ def test_an_effect_that_explains_all_is_as_good_alone() -> None:
     effect = said(AnalyticSource(1, (("straight", (5.0,)),))).effects[0]
     assert effect.held_out_error_alone == effect.held_out_error_after
     assert effect.held_out_error_others == effect.held_out_error_before
+
+
+def test_a_small_effect_beside_one_that_matters_does_not_make_the_whole_small() -> None:
+    document = said(changing(0, (0.12, 0.08, 0.03), (("one_sided", (5.0,)),)), "straight", "one_sided")
+    assert {effect.name: effect.verdict for effect in document.effects} == {
+        "one_sided": "CONFIRMED",
+        "straight": "PRESENT-BUT-SMALL",
+    }
+    assert document.verdict == "one_sided+straight"

@@ -37,6 +37,12 @@ def test_formula_means_what_it_says(a, b):
     assert value == pytest.approx(-(a**2) + 2 * math.sin(b) / (1 + abs(a)) - min(a, b) * math.tanh(b))
 
 
+@pytest.mark.parametrize(("value", "sign"), [(-0.3, -1.0), (0.0, 0.0), (0.3, 1.0)])
+def test_sign_is_zero_at_rest(value, sign):
+    """Dry friction written with it pushes nothing that stands still."""
+    assert Formula("sign(v)", {"v"})({"v": value}) == sign
+
+
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
@@ -79,6 +85,25 @@ def test_a_formula_effect_and_its_load_reach_a_worker_process_unchanged():
     assert there.identity == effect.identity
     np.testing.assert_array_equal(load_there.motor_torque(state), load.motor_torque(state))
     np.testing.assert_array_equal(load_there.end_effector_force(state), [0.0, 2.0, 0.0])
+
+
+def test_every_joint_has_its_own_position_and_speed():
+    number = {"c": {**PARAMETER, "unit": "-"}}
+    table = {f"joint{joint}": f"c * (q{joint} + 100 * dq{joint})" for joint in range(1, 8)}
+    effect = FormulaEffect(spec(end_effector_force={}, parameters=number, motor_torque=table, joint_torque=table))
+    load = effect.apply_vector(Physics.nominal(load_scenario("push"), "juice"), np.ones(1)).arms["arm"].loads[0]
+    position, velocity = np.arange(1.0, 8.0), np.arange(0.1, 0.75, 0.1)
+    state = LoadState(0.0, position, velocity, np.zeros(3), np.zeros(3), np.zeros(3))
+    np.testing.assert_allclose(load.motor_torque(state), position + 100.0 * velocity)
+    np.testing.assert_allclose(load.joint_torque(state), position + 100.0 * velocity)
+
+
+@pytest.mark.parametrize("text", ["exp(700) * exp(700) * c", "-exp(700) * exp(700) * c"])
+def test_a_force_that_is_not_finite_is_refused(text):
+    effect = FormulaEffect(spec(end_effector_force={"y": text}, parameters={"c": PARAMETER}))
+    load = effect.apply_vector(Physics.nominal(load_scenario("push"), "juice"), np.ones(1)).arms["arm"].loads[0]
+    with pytest.raises(InputError, match="'cable_drag' is not finite at t = 0.200 s"):
+        load.end_effector_force(LoadState(0.2, np.zeros(7), np.zeros(7), np.zeros(3), np.zeros(3), np.zeros(3)))
 
 
 def test_a_constant_torque_on_the_motor_is_a_torque_offset_and_one_on_the_link_is_not():
