@@ -12,15 +12,17 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy
-from analytic_world import EFFECTS, FEATURES, AnalyticSource
+from analytic_world import EFFECTS, FEATURES, TIPPING, AnalyticSource
 
-from impact_rs_analysis.diagnosis.diagnose import _identifiability
+from impact_rs_analysis.diagnosis.diagnose import _identifiability, diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, ModelIdentity, RunsIdentity
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut
 from impact_rs_analysis.diagnosis.scoring import held_against_truth
 from impact_rs_analysis.diagnosis.search import Search, consistent, noticeable
+from impact_rs_analysis.diagnosis.thresholds import UNSEEN
 from impact_rs_analysis.diagnosis.verdicts import Findings, _at_bound, certain, change_interval, sizes_of
+from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
 
 pytestmark = pytest.mark.usefixtures("few_draws")
@@ -124,3 +126,19 @@ def test_where_nothing_is_hidden_only_nothing_missing_is_right(tmp_path: Path, v
     )
     found = held_against_truth(tmp_path, document)
     assert (found.correct, found.headline) == (correct, correct)
+
+
+def test_an_effect_is_identified_where_one_of_its_parameters_is() -> None:
+    """How high the weight of a box lies hardly moves anything until it tips; that it is pushed is clear."""
+    source = AnalyticSource(1, (("tipping", (5.0, 0.0)),), design=(2,) * 3)
+
+    class Knowing(Model):
+        @property
+        def known_effects(self):  # noqa: ANN202
+            return {"tipping": TIPPING}
+
+    source.model = Knowing(name="nothing")
+    (effect,) = diagnose(source, source.model).effects
+    low, high = effect.parameters["height"].interval
+    assert (high - low) / 2.0 > UNSEEN > effect.parameters["g"].interval[1] - effect.parameters["g"].interval[0]
+    assert effect.verdict == "CONFIRMED"
