@@ -17,6 +17,7 @@ from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_analysis.evidence.runs import read_runs
 from impact_rs_analysis.evidence.store import ReplayStore
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
+from impact_rs_sim.numbers import estimate_in_line
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
@@ -45,8 +46,8 @@ def main(folder: Path, effects: list[str] = EFFECTS) -> DiagnosisDocument:
     print(f"{document.verdict}: {document.summary}")
     for effect in document.effects:
         for name, found in effect.parameters.items():
-            interval = "" if found.ci95 is None else f", 95 % interval {found.ci95[0]:.3f} to {found.ci95[1]:.3f}"
-            print(f"  {effect.name}: {effect.verdict}, {name} {found.estimate:.3f} {found.unit}{interval}")
+            estimate = estimate_in_line(found.estimate, found.ci95)
+            print(f"  {effect.name}: {effect.verdict}, {name} {estimate} {found.unit}")
     return document
 
 

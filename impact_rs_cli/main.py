@@ -94,6 +94,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     args = argparse.Namespace(debug=False, json=False, resumable=False)
     try:
+        if not (sys.argv[1:] if argv is None else argv):
+            parser().print_help(sys.stderr)
+            return 2
         parser().parse_args(argv, args)
         if args.debug:
             _show_log()

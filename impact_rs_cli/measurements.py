@@ -48,8 +48,8 @@ def add_source(parser: argparse.ArgumentParser) -> None:
         "--experiment",
         type=Path,
         metavar="FILE.yaml",
-        help="RUNS is a folder of somebody else's runs, made with a controller of their own: experiment file with "
-        "scenario, mapping and the table of runs (docs/laboratory.md)",
+        help="RUNS is a folder of runs of a laboratory with a controller of its own: experiment file with scenario, "
+        "mapping and the table of runs (docs/laboratory.md); seen from the working directory, else from RUNS",
     )
     parser.add_argument(
         "--impacts",
@@ -192,13 +192,44 @@ def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = Fals
         yield Measurements(map_tasks, terminal, trials, discrepancy=discrepancy, each_arm=each_arm)
 
 
+def experiment_file(given: Path, directory: Path, terminal: Terminal) -> Path:
+    """The experiment file that a path on the command line names.
+
+    As every path there it is seen from the working directory; where nothing is there, from the folder of the runs.
+
+    Args:
+        given: The path.
+        directory: Folder of the runs.
+        terminal: Where it is said which file was taken, if the path leaves that open.
+
+    Raises:
+        InputError: There is no such file in either folder.
+    """
+    beside = directory / given
+    if given.is_absolute() or beside.absolute() == given.absolute():
+        return given
+    if not given.exists() and not beside.exists():
+        raise InputError(f"no such file in {Path.cwd()} or in the folder of the runs, {directory}", file=given)
+    file = given if given.exists() else beside
+    terminal.say(f"experiment: {file.absolute()}")
+    if file is given and beside.exists() and not given.samefile(beside):
+        terminal.warn(f"there is another {given} in the folder of the runs, which was not read: {beside.absolute()}")
+    return file
+
+
 def read_experiment(directory: Path, file: Path, map_tasks: Map, terminal: Terminal) -> Runs:
     """Read the runs of an experiment file and tell what was left out.
+
+    Args:
+        directory: Folder of the runs.
+        file: The experiment file, see :func:`experiment_file`.
+        map_tasks: Parallel map.
+        terminal: Where it is told.
 
     Raises:
         InputError: The file, its table or a recording cannot be used.
     """
-    experiment = load_experiment(file)
+    experiment = load_experiment(experiment_file(file, directory, terminal))
     with terminal.progress("reading runs") as tell:
         runs = read_laboratory_runs(directory.absolute(), experiment, _counted(map_tasks, tell))
     warn_skipped(runs.skipped, terminal)

@@ -15,6 +15,7 @@ from impact_rs_analysis.report.labels import phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import number_text, p_text, quantity_text
 from impact_rs_analysis.report.plots import effects_plot
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.schema import validate
 from impact_rs_workbench.workspace import read_json
 
@@ -109,9 +110,17 @@ def diagnosis(path: Path) -> dict[str, Any]:
                 "reason": effect.reason,
                 "before": effect.held_out_error_before,
                 "after": effect.held_out_error_after,
+                "alone": effect.held_out_error_alone,
+                "others": effect.held_out_error_others,
                 "p": p_text(effect.p_value),
                 "parameters": [
-                    {"name": name, "estimate": value.estimate, "ci95": value.ci95, "unit": value.unit}
+                    {
+                        "name": name,
+                        "estimate": value.estimate,
+                        "ci95": value.ci95,
+                        "text": estimate_text(value.estimate, value.ci95),
+                        "unit": value.unit,
+                    }
                     for name, value in effect.parameters.items()
                 ],
             }

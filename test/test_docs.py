@@ -2,6 +2,7 @@
 """The manual leads somewhere: links exist, commands are those of the command line, pictures stay small."""
 
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -58,3 +59,15 @@ def test_every_claim_of_the_safety_argument_names_tests_that_exist() -> None:
     named = {name for row in rows for name in re.findall(r"`(test_\w+)`", row)}
     assert len(rows) >= 15
     assert named <= there
+
+
+def test_what_the_tutorial_writes_into_a_clone_is_ignored_by_git() -> None:
+    if not (ROOT / ".git").exists():
+        pytest.skip("not a clone")
+    commands = re.findall(r"^    \./run impact-rs (.*)$", (ROOT / "docs" / "tutorial.md").read_text(), re.MULTILINE)
+    written = {found for command in commands for found in re.findall(r"(?:-o|--report) (\S+)", command)}
+    assert {"trials", "campaigns/quick", "blind_7", "report_1", "diagnosis.json", "model_2.yaml"} <= written
+    # A name that ends in a slash is a folder to git, although it is not there.
+    paths = [path if Path(path).suffix else f"{path}/" for path in sorted(written)]
+    done = subprocess.run(["git", "-C", ROOT, "check-ignore", *paths], capture_output=True, text=True)
+    assert done.stdout.split() == paths, done.stderr

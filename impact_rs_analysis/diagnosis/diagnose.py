@@ -39,6 +39,7 @@ from impact_rs_analysis.diagnosis.verdicts import (
     rests_of,
     told,
     unit_told,
+    without_the_doubtful,
 )
 from impact_rs_analysis.diagnosis.words import summary_of
 from impact_rs_analysis.evidence.cluster import Source
@@ -81,6 +82,9 @@ def diagnose(
     held = None
     if chosen is not None:
         chosen, rivals = search.settle(chosen)
+        if (sure := without_the_doubtful(search, chosen)) is not chosen:
+            chosen, rivals = sure, () if sure is None else search.rivals(sure)
+    if chosen is not None:
         held = hold_out(source, effects, search.ended)
         if held is not None and not any(held.chosen) and not search.lacking:
             # Nothing is left to explain: significant by chance, where no five sixths of the conditions show it.

@@ -78,6 +78,14 @@ class EffectDocument(Schema):
     parameters: dict[str, EstimateDocument] = Field(description="estimates by name")
     held_out_error_before: float | None = Field(description="error on unseen clusters without it; null: not measured")
     held_out_error_after: float | None = Field(description="error on unseen clusters with it; null: not measured")
+    held_out_error_alone: float | None = Field(
+        None, description="error on unseen clusters of the model with this effect and no other; null: not measured"
+    )
+    held_out_error_others: float | None = Field(
+        None,
+        description="error on unseen clusters with the effects beside which the error after was taken, without this "
+        "one: what it adds is the difference; null: not measured",
+    )
     p_value: float | None = Field(description="adjusted for looking at all effects; null: not measured")
     sizes: tuple[SizeDocument, ...] = Field((), description="what it does to the signals, the most noticeable first")
     chosen_in_folds: int | None = Field(None, description="folds of the hold-out whose search found it, too")

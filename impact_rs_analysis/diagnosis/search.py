@@ -397,6 +397,15 @@ class Search:
         left = self.evidence.lack_of_fit
         return left is None or left < SIGNIFICANT
 
+    def alone(self, name: str) -> Fit:
+        """Fit of one effect by itself: of where it is linearised and where its fit has ended, the better."""
+        fits = [self.beside(None, name)]
+        ended = self.ended.get((name,))
+        moved = None if ended is None else evaluate_at(replace(ended, origin=()), ended.point, self.evidence)
+        if moved is not None:
+            fits.append(Fit.of(moved, self.evidence))
+        return min(fits, key=lambda fitted: fitted.score)
+
     def beside(self, chosen: Fit | None, name: str) -> Fit:
         """Linear fit of one more effect."""
         if chosen is None:
@@ -438,14 +447,16 @@ class Search:
         for name in chosen.candidate.names:
             if len(chosen.candidate.effects) == 1:
                 break
-            others = self._others(chosen, name)
-            reduced = evaluate_at(others, others.point, chosen.evidence)
-            if reduced is None:
-                continue
-            fitted = refine(reduced, chosen.evidence)
-            if fitted.score <= chosen.score:
+            fitted = self.without(chosen, name)
+            if fitted is not None and fitted.score <= chosen.score:
                 return self._without_the_superfluous(fitted)
         return chosen
+
+    def without(self, chosen: Fit, name: str) -> Fit | None:
+        """The other chosen effects, fitted again; None where they cannot be simulated."""
+        others = self._others(chosen, name)
+        reduced = evaluate_at(others, others.point, chosen.evidence)
+        return None if reduced is None else refine(reduced, chosen.evidence)
 
     @staticmethod
     def _others(chosen: Fit, name: str) -> Candidate:

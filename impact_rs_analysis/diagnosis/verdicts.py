@@ -151,6 +151,27 @@ def matters(fitted: Fit, name: str) -> bool:
     return moves_enough(fitted, fitted.candidate.part(name))
 
 
+def certain(fitted: Fit, name: str) -> bool:
+    """Whether the 95 % interval of some parameter of an effect leaves out the value at which it does nothing."""
+    candidate = fitted.candidate
+    distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale
+    own = np.array([not scalar.shape for scalar in candidate.scalars])
+    return bool(np.any(((distance > fitted.half_widths) & own)[candidate.part(name)]))
+
+
+def without_the_doubtful(search: Search, chosen: Fit) -> Fit | None:
+    """The chosen effects but those that neither matter nor are certain; None: none is left."""
+    for name in chosen.candidate.names:
+        if matters(chosen, name) or certain(chosen, name):
+            continue
+        if len(chosen.candidate.names) == 1:
+            return None
+        others = search.without(chosen, name)
+        if others is not None:
+            return without_the_doubtful(search, others)
+    return chosen
+
+
 def rests_of(evidence: Evidence, rest: Sequence[Array]) -> list[RestDocument]:
     """Where differences stay: phase x signal x index, by their share of what is left."""
     squares: dict[tuple[str, str, str], list[tuple[float, float, float]]] = {}
@@ -298,6 +319,8 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
         parameters=_estimates(found, chosen, name),
         held_out_error_before=before,
         held_out_error_after=told(chosen.evidence, chosen.problem.left_out_rest),
+        held_out_error_alone=_error_alone(found, name),
+        held_out_error_others=_error_without(found, name),
         p_value=p_told(found.p_values[name]),
         sizes=tuple(sizes_of(chosen, name)),
         chosen_in_folds=folds,
@@ -325,7 +348,9 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
     elif p < SIGNIFICANT and best is None:
         size = sizes_of(fitted, name)
         verdict, reason = NO_IMPROVEMENT, "significant, but what is left is not predicted much better with it"
-        if size and all(entry.value <= entry.floor for entry in size):
+        if not certain(fitted, name):
+            reason = "significant, but its interval contains the value at which it does nothing"
+        elif size and all(entry.value <= entry.floor for entry in size):
             verdict = SMALL
             reason = f"at most {size[0].value:.2g} {size[0].unit} of the {size[0].signal}"
     else:
@@ -342,9 +367,26 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
         parameters=_estimates(found, fitted, name),
         held_out_error_before=told(evidence, base),
         held_out_error_after=told(fitted.evidence, fitted.problem.left_out_rest),
+        held_out_error_alone=_error_alone(found, name),
+        held_out_error_others=told(evidence, base) if best is None else _error_without(found, best.instead_of),
         p_value=p_told(p),
         sizes=tuple(sizes_of(fitted, name)) if verdict != NO_IMPROVEMENT else (),
     )
+
+
+def _error_alone(found: Findings, name: str) -> float:
+    """Error on unseen clusters with one effect and no other; of a chosen one that stands alone its own."""
+    fitted = found.chosen if found.chosen is not None and found.names == (name,) else found.search.alone(name)
+    return told(fitted.evidence, fitted.problem.left_out_rest)
+
+
+def _error_without(found: Findings, name: str) -> float | None:
+    """Error on unseen clusters with the chosen effects but one; None where these cannot be simulated."""
+    assert found.chosen is not None
+    if found.names == (name,):
+        return told(found.evidence, [item.mean for item in found.evidence.clusters])
+    fitted = found.search.without(found.chosen, name)
+    return None if fitted is None else told(fitted.evidence, fitted.problem.left_out_rest)
 
 
 def _at_bound(fitted: Fit) -> Array:

@@ -3,29 +3,8 @@
 
 from __future__ import annotations
 
-import math
-
 from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TOO_FEW, DiagnosisDocument
 from impact_rs_analysis.evidence.cluster import TIMES
-
-
-def estimate_text(estimate: float, ci95: tuple[float, float] | None) -> tuple[str, ...]:
-    """An estimate and the ends of its interval, with two digits of the half width; alone with three where none is."""
-    if ci95 is None:
-        return (f"{estimate:.3g}",)
-    numbers = (estimate, *ci95)
-    half = (ci95[1] - ci95[0]) / 2.0
-    largest = max(abs(number) for number in numbers)
-    if not (0.0 < half < math.inf) or not 1e-4 <= largest < 1e6:
-        return tuple(f"{number:.3g}" for number in numbers)
-    decimals = min(max(1 - math.floor(math.log10(half)), 0), 8)
-    return tuple(f"{number:.{decimals}f}" for number in numbers)
-
-
-def estimate_in_line(estimate: float, ci95: tuple[float, float] | None) -> str:
-    """An estimate with its interval, as in ``1.15 [1.13, 1.17]``."""
-    told, *interval = estimate_text(estimate, ci95)
-    return f"{told} [{', '.join(interval)}]" if interval else told
 
 
 def summary_of(document: DiagnosisDocument) -> str:

@@ -170,6 +170,20 @@ class ExperimentSet:
         told = self._speeds(self.fit.interval)
         return None if told is None else (told[0], told[1])
 
+    @property
+    def tolerance(self) -> float | None:
+        """Error up to which a prediction agrees with the estimate [%]; None where the estimate has no interval.
+
+        The wider halves of the 95 % intervals of estimate and nominal prediction, added in squares. What the scenario
+        says of its uncertainties holds for every motor inertia and contact, so all predictions count as that uncertain.
+        """
+        if self.fit.interval is None:
+            return None
+        nominal = self.predictions["reduced"].velocity
+        halves = [max(abs(bound - self.fit.estimate) for bound in self.fit.interval)]
+        halves += [max(abs(bound - nominal) for bound in self.prediction_interval or (nominal,))]
+        return 100.0 * math.hypot(*halves) / abs(self.fit.estimate)
+
     def _speeds(self, interval: tuple[float, float] | None) -> list[float] | None:
         return None if interval is None else sorted(self.sign * bound for bound in interval)
 
@@ -186,6 +200,7 @@ class ExperimentSet:
             "trials": self.fit.count,
             "predictions": _told(self.predictions, self.sign),
             "prediction_ci95_m_s": self._speeds(self.prediction_interval),
+            "tolerance_percent": self.tolerance,
             "predictions_settled": _told(self.predictions_settled, self.sign),
             "arms": [arm.to_json() for arm in self.arms],
         }

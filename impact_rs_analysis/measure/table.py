@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from impact_rs_analysis.measure.analyze import Analysis, ExperimentSet
+from impact_rs_sim.impact_map import CONTACTS
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
+
+LEAST_DIFFERENCE = 0.005  # %; errors are shown in hundredths
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,8 @@ class Row:
         paper_estimate: The paper's estimate [m/s], if this row repeats one of it.
         paper_errors: The paper's mismatch by model [%], if this row repeats one of it.
         signed: Whether the mismatches have a sign; absolute errors have none.
+        tolerance: Mismatch up to which a prediction agrees with the estimate [%]; None: not known, or a row of
+            averages.
     """
 
     label: str
@@ -36,6 +42,16 @@ class Row:
     paper_estimate: float | None
     paper_errors: dict[str, float] | None
     signed: bool = True
+    tolerance: float | None = None
+
+    def nearest(self, contact: str) -> str:
+        """Motor-inertia model with the smallest mismatch for the ``first`` or the ``settled`` contact."""
+        errors = self.of_contact(contact)
+        return min(errors, key=lambda model: abs(errors[model]))
+
+    def fits(self, contact: str) -> bool:
+        """Whether the nearest prediction agrees with the estimate, as far as is known."""
+        return self.tolerance is None or abs(self.of_contact(contact)[self.nearest(contact)]) <= self.tolerance
 
     def of_contact(self, contact: str) -> dict[str, float]:
         """Mismatch by motor-inertia model for the ``first`` or the ``settled`` contact [%]."""
@@ -57,6 +73,14 @@ def result_table(analysis: Analysis) -> list[Row]:
     return [*table, *_averages([row for rows in groups.values() for row in rows], "All: ")] if table else []
 
 
+def shown_contacts(rows: Sequence[Row]) -> tuple[str, ...]:
+    """Contacts whose errors differ in the digits that are shown: a pad that hits flat is settled at once."""
+    differ = any(
+        abs(row.errors[model] - row.settled[model]) >= LEAST_DIFFERENCE for row in rows for model in row.errors
+    )
+    return CONTACTS if differ else CONTACTS[:1]
+
+
 def _row(entry: ExperimentSet, analysis: Analysis) -> Row:
     paper = entry.published
     return Row(
@@ -68,6 +92,7 @@ def _row(entry: ExperimentSet, analysis: Analysis) -> Row:
         settled={model: entry.predictions_settled[model].error for model in MOTOR_INERTIA_MODELS},
         paper_estimate=None if paper is None else paper.estimate,
         paper_errors=None if paper is None else paper.errors,
+        tolerance=entry.tolerance,
     )
 
 

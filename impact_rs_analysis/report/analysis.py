@@ -14,7 +14,7 @@ from impact_rs_analysis.measure.analyze import Analysis, ArmSet, ExperimentSet
 from impact_rs_analysis.measure.arms import ArmDocument
 from impact_rs_analysis.measure.far import far_words
 from impact_rs_analysis.measure.sensitivity import setting_words
-from impact_rs_analysis.measure.table import Row, result_table
+from impact_rs_analysis.measure.table import Row, result_table, shown_contacts
 from impact_rs_analysis.report.animation import ReplayPart
 from impact_rs_analysis.report.figures import Figure, figures_of
 from impact_rs_analysis.report.page import MOST_POINTS, Plot, render, write_files
@@ -34,13 +34,13 @@ class TableRow:
 
     Attributes:
         row: Its numbers.
-        best: Motor-inertia model with the smallest error, first contact.
-        best_settled: The same, settled contact.
+        best: Motor-inertia model with the smallest error by contact that is shown.
+        fits: Whether that prediction agrees with the estimate, by contact that is shown.
     """
 
     row: Row
-    best: str
-    best_settled: str
+    best: dict[str, str]
+    fits: dict[str, bool]
 
 
 @dataclass(frozen=True)
@@ -113,6 +113,8 @@ class AnalysisPage:
         arms: What the trials were run with.
         by_arm: The table of results of every arm by itself, by its title; empty: there is one arm.
         with_paper: Whether a row stands beside a published one.
+        contacts: Contacts whose errors are shown: the first alone where the settled has the same.
+        none_fit: Whether there is a row whose nearest prediction does not agree with the estimate.
         sensitivity: How far the estimates move with settings; no rows where none was varied.
         far: What is to be said of predictions far from what was measured; empty: nothing.
         left_out: What did not enter the fits.
@@ -128,6 +130,8 @@ class AnalysisPage:
     arms: tuple[ArmDocument, ...]
     by_arm: dict[str, tuple[ArmRow, ...]]
     with_paper: bool
+    contacts: tuple[str, ...]
+    none_fit: bool
     sensitivity: tuple[SensitivityRow, ...]
     far: str
     left_out: tuple[Listing, ...]
@@ -181,6 +185,7 @@ def write_analysis_report(
 
 def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure]]], contact: str) -> AnalysisPage:
     rows = result_table(analysis)
+    contacts = shown_contacts(rows)
     found = {number: _animation(entry) for number, entry in enumerate(analysis.sets)}
     animations = {number: animation for number, animation in found.items() if animation is not None}
     runs = {number: run for run, number in enumerate(animations)}
@@ -189,10 +194,12 @@ def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure
         title="Predicted and measured velocity jumps",
         campaign=analysis.directory.resolve().name,
         trials=sum(entry.fit.count for entry in analysis.sets),
-        rows=tuple(TableRow(row, _best(row.errors), _best(row.settled)) for row in rows),
+        rows=_table_rows(rows, contacts),
         arms=analysis.arms,
         by_arm=arm_rows(analysis),
         with_paper=any(row.paper_errors is not None for row in rows),
+        contacts=contacts,
+        none_fit=any(not row.fits(contact) for row in rows for contact in contacts),
         sensitivity=tuple(sensitivity_rows(analysis)),
         far=far_words(analysis.jumps),
         left_out=tuple(listing for listing in _left_out(analysis) if listing.items),
@@ -214,6 +221,19 @@ def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure
         ),
         contact=contact,
         replay=ReplayPart.of(list(animations.values())),
+    )
+
+
+def _table_rows(rows: Sequence[Row], contacts: Sequence[str]) -> tuple[TableRow, ...]:
+    """Rows with what is shaded; those of averages where some set fits."""
+    some = {contact: any(row.fits(contact) for row in rows if row.estimate is not None) for contact in contacts}
+    return tuple(
+        TableRow(
+            row,
+            {contact: row.nearest(contact) for contact in contacts},
+            {contact: row.fits(contact) if row.estimate is not None else some[contact] for contact in contacts},
+        )
+        for row in rows
     )
 
 

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from impact_rs_analysis.diagnosis.compare import Cell, ComparisonDocument, JumpLevel, SignalLevel
@@ -141,6 +142,7 @@ class ComparisonPage:
         where: Where the model fails.
         tracks: Measured against predicted over time.
         history: Of the model; None: it has none.
+        others: Pages of the same measurements, their titles by their paths seen from this one.
     """
 
     title: str
@@ -153,6 +155,7 @@ class ComparisonPage:
     where: WherePart
     tracks: TracksPart
     history: HistoryPart | None
+    others: Mapping[str, str]
 
 
 def write_comparison(
@@ -160,6 +163,7 @@ def write_comparison(
     tracks: Sequence[TrackSet],
     versions: Sequence[VersionError] | None,
     directory: Path,
+    others: Mapping[str, str] = MappingProxyType({}),
 ) -> Path:
     """Write ``compare.html`` and ``compare.json``.
 
@@ -168,6 +172,7 @@ def write_comparison(
         tracks: Measured and predicted signals to be looked at.
         versions: Errors of the model and its parents; None where it has none.
         directory: Folder of the report.
+        others: Pages of the same measurements to link, their titles by their paths seen from this one.
 
     Returns:
         The page.
@@ -186,6 +191,7 @@ def write_comparison(
         where=where_part(document),
         tracks=tracks_part(document, tracks),
         history=history_part(versions) if versions else None,
+        others=others,
     )
     data = json.dumps(document.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
     text = render("comparison.html.j2", page, replay=page.tracks.replay is not None)

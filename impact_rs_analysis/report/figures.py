@@ -15,6 +15,7 @@ import numpy as np
 
 from impact_rs_analysis.measure.analyze import ExperimentSet
 from impact_rs_analysis.measure.net_feedback import TrialFeedback
+from impact_rs_sim.numbers import estimate_text, speed_text
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.robot import Array
 
@@ -225,18 +226,19 @@ def fit_figure(entry: ExperimentSet, contact: str = "first", band: tuple[float, 
     depth = -0.08 * (np.max(y) - np.min(y)) * np.ones(2)
     if contact == "first" and entry.prediction_interval is not None:
         left, right = entry.prediction_interval
-        label = "B<sub>θ</sub>, 95 %: {:.3f} to {:.3f} m/s".format(*sorted((abs(left), abs(right))))
+        low, high = sorted((abs(left), abs(right)))
+        label = "B<sub>θ</sub>, 95 %: {} to {} m/s".format(*estimate_text(low, (low, high), least=3)[1:])
         curves.append(Curve(label, np.array([left, right]), depth, BLUE))
     if band is not None:
         label = f"Systematic band: {band[0]:+.1f} % to {band[1]:+.1f} %".replace("-", "−")
         curves.append(Curve(label, fit.estimate * (1.0 + np.array(band) / 100.0), 1.5 * depth, BLACK))
-    error, interval = None, "no 95 % interval"
+    error, estimate = None, f"{entry.estimate:.3f} no 95 % interval"
     if fit.interval is not None:
         error = (fit.estimate - fit.interval[0], fit.interval[1] - fit.estimate)
-        interval = f"± {max(error):.3f} m/s (95 %)"
+        estimate = " ± ".join(speed_text(entry.estimate, max(error))) + " m/s (95 %)"
     curves.append(
         Curve(
-            f"Experimental estimate: {entry.estimate:.3f} {interval}",
+            f"Experimental estimate: {estimate}",
             np.array([fit.estimate]),
             zero,
             BLACK,

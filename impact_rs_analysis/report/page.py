@@ -22,9 +22,9 @@ from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup, escape
 
 from impact_rs_analysis.diagnosis.thresholds import LEAST_P
-from impact_rs_analysis.diagnosis.words import estimate_in_line
 from impact_rs_analysis.evidence.tracks import TrackSet
 from impact_rs_sim.files import whole_folder
+from impact_rs_sim.numbers import estimate_in_line, speed_text
 from impact_rs_sim.robot import Array
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -188,6 +188,8 @@ def _environment() -> Environment:
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
     environment.filters |= {
         "estimate": lambda value: _minus(estimate_in_line(value.estimate, value.ci95)),
+        "interval": lambda value, ends, least=0: _minus(estimate_in_line(value, ends, least)),
+        "speed": speed_text,
         "figure_json": figure_json,
         "number": number_text,
         "p_value": p_text,

@@ -15,6 +15,7 @@ from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_analysis.report.png import write_png
 from impact_rs_sim.files import whole_folder
+from impact_rs_sim.numbers import estimate_in_line
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def paper_figure(study: PaperStudy) -> Figure:
         curves.append(Curve("", GRID[::10], error, colour))
         curves.append(
             Curve(
-                f"{name}: {fit.scale:.2f} [{low:.2f}, {high:.2f}], "
+                f"{name}: {estimate_in_line(fit.scale, fit.interval, least=2)}, "
                 f"{fit.error_nominal:.2f} % → {fit.error_fitted:.2f} %",
                 np.array([fit.scale]), np.array([fit.error_fitted]), colour, line="none", marker="circle",
                 error=(max(fit.scale - low, 0.0), max(high - fit.scale, 0.0)),

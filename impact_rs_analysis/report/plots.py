@@ -149,28 +149,54 @@ def _places(x: Array) -> dict[str, Any]:
 
 
 def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
-    """Held-out error of the best effects; None where nothing was measured of any."""
+    """Held-out error of the best effects, each alone and what it adds to others; None: nothing was measured of any."""
     shown = [
         (effect, effect.held_out_error_after) for effect in document.effects if effect.held_out_error_after is not None
     ][:MOST_EFFECTS]
     if not shown:
         return None
-    drawn = _figure(
-        go.Scatter(
-            y=[_plain(effect.name) for effect, _ in shown],
-            x=[error for _, error in shown],
-            mode="markers",
-            marker={"color": [TAG_COLOURS[tag_of(effect.verdict)] for effect, _ in shown], "size": 13},
-            hovertemplate="%{y}: %{x:.3g}<extra></extra>",
-            showlegend=False,
+    names = [_plain(effect.name) for effect, _ in shown]
+    colours = [TAG_COLOURS[tag_of(effect.verdict)] for effect, _ in shown]
+    # A document of an earlier version does not say what an effect does alone.
+    alone = [effect.held_out_error_alone for effect, _ in shown]
+    others = [
+        effect.held_out_error_before if effect.held_out_error_others is None else effect.held_out_error_others
+        for effect, _ in shown
+    ]
+    drawn = _figure()
+    # Where nothing was chosen every effect is alone.
+    beside = len(document.named) > 0 or not any(error is not None for error in alone)
+    if beside:
+        for name, colour, without, (_, error) in zip(names, colours, others, shown, strict=True):
+            drawn.add_trace(
+                go.Scatter(
+                    y=[name, name], x=[without, error], mode="lines", line={"color": colour, "width": 3},
+                    hoverinfo="skip", showlegend=False,
+                )
+            )  # fmt: skip
+    for label, errors, symbol, size in (
+        ("with the chosen effects", [error for _, error in shown] if beside else [], "line-ns", 12),
+        ("alone", alone if any(error is not None for error in alone) else [], "circle", 12),
+    ):
+        if not errors:
+            continue
+        drawn.add_trace(
+            go.Scatter(
+                y=names,
+                x=errors,
+                name=label,
+                mode="markers",
+                marker={"symbol": symbol, "color": colours, "size": size, "line": {"width": 2, "color": colours}},
+                hovertemplate=f"%{{y}}, {label}: %{{x:.3g}}<extra></extra>",
+            )
         )
-    )
-    marks = {"without": (document.held_out_error_before, "#555555", "dash")}
+    marks = {"model as it is": (document.held_out_error_before, "#555555", "dash")}
     marks["noise alone"] = (document.noise_floor, GREEN, "dot")
     for label, (value, colour, dash) in marks.items():
         line = {"color": colour, "width": 2, "dash": dash}
         drawn.add_shape(_vertical(value) | {"line": line}, name=label, showlegend=True)
     numbers = [document.held_out_error_before, document.noise_floor, *(error for _, error in shown)]
+    numbers += [error for error in (*alone, *others) if error is not None]
     unit = "× repetition" if document.error_unit == TIMES else document.error_unit
     return drawn.update_layout(
         height=130 + 24 * len(shown),

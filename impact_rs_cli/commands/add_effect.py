@@ -8,10 +8,10 @@ from pathlib import Path
 
 from impact_rs_analysis.diagnosis.add import add_effect
 from impact_rs_analysis.diagnosis.document import read_document
-from impact_rs_analysis.diagnosis.words import estimate_in_line
 from impact_rs_cli.arguments import add_model
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 from impact_rs_sim.model import load_model, save_model
+from impact_rs_sim.numbers import estimate_in_line
 
 TEXT = f"""\
 Write a new model file: the old model and one effect with the parameters of a diagnosis.

@@ -12,14 +12,14 @@ from rich.text import Text
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
 from impact_rs_analysis.measure.far import far_words
 from impact_rs_analysis.measure.laboratory import jumps_of
-from impact_rs_analysis.measure.table import Row, result_table
+from impact_rs_analysis.measure.table import Row, result_table, shown_contacts
 from impact_rs_analysis.report import write_report
 from impact_rs_analysis.report.analysis import ArmRow, arm_rows, sensitivity_rows
 from impact_rs_cli.arguments import add_contact, add_jobs, started
 from impact_rs_cli.measurements import read_experiment
 from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import CONTACTS
+from impact_rs_sim.numbers import speed_text
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_trials.bags.checksums import unsealed_words
 from impact_rs_trials.campaign import MANIFEST
@@ -61,7 +61,10 @@ def add(parser: argparse.ArgumentParser) -> None:
         "-o", dest="output", type=Path, metavar="REPORT_DIR", help="folder for the report; default: DIR/report"
     )
     parser.add_argument(
-        "--experiment", type=Path, metavar="FILE.yaml", help="DIR holds somebody else's runs: experiment file"
+        "--experiment",
+        type=Path,
+        metavar="FILE.yaml",
+        help="DIR holds runs of a laboratory: experiment file, seen from the working directory, else from DIR",
     )
     add_contact(parser, "predictions that figures show, there is a table of each; with --experiment those of its table")
     add_jobs(parser)
@@ -93,9 +96,10 @@ def _laboratory(args: argparse.Namespace, terminal: Terminal) -> int:
     for heading in ("runs", "before [m/s]", "after [m/s]", "B_θ", "B_ρ", "B = 0"):
         table.add_column(heading, justify="right")
     for jump in found.jumps:
-        half = "" if jump.interval is None else f" ± {(jump.interval[1] - jump.interval[0]) / 2.0:.3f}"
+        half = None if jump.interval is None else (jump.interval[1] - jump.interval[0]) / 2.0
         errors = [f"{jump.errors[name]:+.2f}" for name in MOTOR_INERTIA_MODELS]
-        table.add_row(jump.condition, str(jump.runs), f"{jump.before:.3f}", f"{jump.after:.3f}{half}", *errors)
+        after = " ± ".join(speed_text(jump.after, half))
+        table.add_row(jump.condition, str(jump.runs), f"{jump.before:.3f}", after, *errors)
     table.add_section()
     table.add_row("mean absolute", "", "", "", *(f"{found.errors[name]:.2f}" for name in MOTOR_INERTIA_MODELS))
     terminal.say(table)
@@ -132,10 +136,15 @@ def publish(analysis: Analysis, directory: Path, terminal: Terminal, contact: st
 def _show(analysis: Analysis, terminal: Terminal) -> None:
     """Show the table of each contact, and what did not enter it."""
     rows = result_table(analysis)
-    for contact in CONTACTS if rows else ():
+    for contact in shown_contacts(rows) if rows else ():
         terminal.say(_table(rows, contact))
         count = analysis.nearest(contact)["reduced"]
         terminal.say(f"{contact} contact: B_θ predicts best in {count} of {len(analysis.sets)} sets")
+        if none_fit := [row for row in rows if not row.fits(contact)]:
+            labels = ", ".join(f"{row.label} (tolerance {row.tolerance:.1f} %)" for row in none_fit)
+            terminal.say(f"{contact} contact: no prediction agrees within the 95 % intervals of both: {labels}")
+    if rows and len(shown_contacts(rows)) == 1:
+        terminal.say("settled contact: the same errors as the first")
     if by_arm := arm_rows(analysis):
         terminal.say(_arms_table(by_arm))
     if told := far_words(analysis.jumps):
@@ -176,9 +185,8 @@ def _arms_table(by_arm: dict[str, tuple[ArmRow, ...]]) -> Table:
         table.add_section()
         table.add_row(Text(title, "bold"))
         for row in rows:
-            half = "" if row.arm.half_interval is None else f" ± {row.arm.half_interval:.3f}"
             errors = [f"{row.arm.predictions[model].error:+.2f}" for model in MOTOR_INERTIA_MODELS]
-            table.add_row(row.label, f"{row.arm.speed:.3f}{half}", *errors)
+            table.add_row(row.label, " ± ".join(speed_text(row.arm.speed, row.arm.half_interval)), *errors)
     return table
 
 
@@ -203,9 +211,7 @@ def _table(rows: list[Row], contact: str) -> Table:
     if published:
         table.add_column("published B_θ", justify="right")
     for row in rows:
-        estimate = "" if row.estimate is None else f"{row.estimate:.3f}"
-        if row.half_interval is not None:
-            estimate += f" ± {row.half_interval:.3f}"
+        estimate = "" if row.estimate is None else " ± ".join(speed_text(row.estimate, row.half_interval))
         form = "{:+.2f}" if row.signed else "{:.2f}"
         cells = [form.format(error) for error in row.of_contact(contact).values()]
         if published:

@@ -15,7 +15,6 @@ from pydantic import Field
 from impact_rs_analysis.diagnosis.add import add_effect
 from impact_rs_analysis.diagnosis.document import write_document
 from impact_rs_analysis.diagnosis.history import history
-from impact_rs_analysis.diagnosis.words import estimate_in_line
 from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_cli.arguments import number
 from impact_rs_cli.commands.analyze import report_on
@@ -27,6 +26,7 @@ from impact_rs_cli.measurements import Measurements, read
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 from impact_rs_ros.graph import Graph, run_trial
 from impact_rs_sim.model import Model, load_model, save_model
+from impact_rs_sim.numbers import estimate_in_line
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.schema import Schema, load
 from impact_rs_trials.bags.trial_info import TrialKey
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     if args.quick:
         terminal.result({"report": str(report)})
         return 0
-    document = _walk_the_loop(demonstration, args.output, runs, terminal)
+    document = walk_the_loop(demonstration, args.output, runs, terminal)
     terminal.result({"report": str(report), **document})
     return 0 if document["correct"] else 1
 
@@ -133,17 +133,31 @@ def _through_nodes(todo: list[tuple[Path, Manifest, TrialKey]], hidden: Model | 
             yield run_trial(graph, directory, manifest, key, hidden)
 
 
-def _walk_the_loop(
+def walk_the_loop(
     demonstration: Demonstration, output: Path, runs_directory: Path, terminal: Terminal
 ) -> dict[str, Any]:
-    """Compare, diagnose, add, compare, history; what the story needs of them."""
+    """Compare, diagnose, add, compare, history.
+
+    Args:
+        demonstration: What is hidden, and which effects are considered.
+        output: Folder of diagnosis, model and reports.
+        runs_directory: Folder of the trials.
+        terminal: Where the story is shown.
+
+    Returns:
+        What was hidden and what was named, and where a diagnosis named something, errors, estimate and pages.
+    """
     diagnosis_file, model_file, reports = output / "diagnosis.json", output / "model_2.yaml", output / "report"
+    before_reports = reports / MODEL
     model, considered = load_model(MODEL), list(demonstration.considered)
     (hidden,) = demonstration.hidden.effects
     with workers(Workforce(min(2, os.cpu_count() or 1))) as map_tasks:
         measurements = Measurements(map_tasks, terminal, read(runs_directory, map_tasks, terminal))
         terminal.say("", "2. Where does the model fail?")
         before = comparison_of(measurements, model, terminal)
+        with measurements.progress():
+            links = {"../diagnosis.html": "what it lacks", "../compare.html": "the better model"}
+            write_comparison(before, measurements.tracks(model), None, before_reports, links)
         terminal.say("", f"3. Which effect is missing? Considered here: {', '.join(considered)}.")
         document = diagnosis_of(measurements, model, model, considered, terminal)
         write_document(document, diagnosis_file)
@@ -162,7 +176,8 @@ def _walk_the_loop(
         with measurements.progress():
             versions = history(model_file, measurements.against)
         show_history(versions, terminal)
-        write_comparison(after, measurements.tracks(child), versions, reports)
+        links = {f"{MODEL}/compare.html": f"model '{MODEL}'", "diagnosis.html": "what it lacks"}
+        write_comparison(after, measurements.tracks(child), versions, reports, links)
     found = document.effect(name)
     assert found is not None
     truth, estimate = next(iter(hidden.parameters.values())), next(iter(found.parameters.values()))
@@ -173,8 +188,10 @@ def _walk_the_loop(
         f"{estimate_in_line(estimate.estimate, estimate.ci95)}, "
         f"and the error of the model fell from {number(before.score)} to {number(after.score)} times what repetition "
         "alone gives.",
-        f"Reports: {(reports / 'diagnosis.html').resolve()}",
-        f"         {(reports / 'compare.html').resolve()}",
+        "Reports:",
+        f"  where the model fails   {(before_reports / 'compare.html').resolve()}",
+        f"  what it lacks           {(reports / 'diagnosis.html').resolve()}",
+        f"  the better model        {(reports / 'compare.html').resolve()}",
         "Type next:",
         f"  {PROGRAM} diagnose {folder} -o diagnosis.json",
         f"  {PROGRAM} effects",
@@ -187,5 +204,9 @@ def _walk_the_loop(
         "noise_floor": after.noise_floor,
         "estimate": estimate.model_dump(mode="json"),
         "history": [entry.to_json() for entry in versions],
-        "reports": [str(reports / "diagnosis.html"), str(reports / "compare.html")],
+        "reports": [
+            str(reports / "diagnosis.html"),
+            str(reports / "compare.html"),
+            str(before_reports / "compare.html"),
+        ],
     }

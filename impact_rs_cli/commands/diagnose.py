@@ -20,7 +20,6 @@ from impact_rs_analysis.diagnosis.document import (
 )
 from impact_rs_analysis.diagnosis.formulas import try_out
 from impact_rs_analysis.diagnosis.history import history
-from impact_rs_analysis.diagnosis.words import estimate_text
 from impact_rs_analysis.report.diagnosis import write_diagnosis
 from impact_rs_cli.arguments import add_jobs, add_runs, number, on_local_runs
 from impact_rs_cli.measurements import Measurements, add_source, added_of, measured
@@ -28,6 +27,7 @@ from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_
 from impact_rs_sim.effects.formula import load_formulas
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.model import Model, load_model
+from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.robot import told_units
 
 TEXT = f"""\
@@ -199,11 +199,14 @@ def _show(document: DiagnosisDocument, terminal: Terminal) -> None:
     table = Table(title=f"Effects, best first (error on unseen data, {document.error_unit})")
     table.add_column("effect", no_wrap=True)
     table.add_column("verdict", overflow="fold")
-    table.add_column("error", justify="right", no_wrap=True)
+    table.add_column("alone", justify="right", no_wrap=True)
+    table.add_column("without → with", justify="right", no_wrap=True)
     table.add_column("p", justify="right", no_wrap=True)
     for effect in shown[:MOST_SHOWN]:
-        error = f"{number(effect.held_out_error_before or 0.0)} → {number(effect.held_out_error_after or 0.0)}"
-        table.add_row(effect.name, effect.verdict, error, p_text(effect.p_value, document.design.least_p))
+        without = effect.held_out_error_before if effect.held_out_error_others is None else effect.held_out_error_others
+        error = f"{number(without or 0.0)} → {number(effect.held_out_error_after or 0.0)}"
+        alone = "–" if effect.held_out_error_alone is None else number(effect.held_out_error_alone)
+        table.add_row(effect.name, effect.verdict, alone, error, p_text(effect.p_value, document.design.least_p))
     terminal.say(table)
     for effect in shown:
         if effect.verdict not in (NO_IMPROVEMENT, UNIDENTIFIABLE, TOO_FEW):

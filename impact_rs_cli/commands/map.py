@@ -17,11 +17,15 @@ from impact_rs_sim.impact_map import ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.derivatives import Derivatives, differentiate_safely, velocity_names
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, predict
 from impact_rs_sim.impact_map.uniqueness import CHOICE, Uniqueness, uniqueness_of
+from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.physics import RESTITUTION_LAWS
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.map_table import answer_table, write_answers
 from impact_rs_trials.recordings.impact_table import read_impact_table
+
+MOST_SWITCHES = 3  # that are shown; all are in the JSON document
+LEAST_SWITCHES = 0.01  # share of the draws from which one is shown
 
 TEXT = """\
 Predict the velocities after the nominal impact of a scenario.
@@ -196,6 +200,7 @@ def _uncertainty(told: UncertainPrediction) -> dict[str, Any]:
         "level": LEVEL,
         "method": told.method,
         "switched": told.switched,
+        "switches": dict(told.switches),
         "draws": told.draws,
         "without_answer": told.without_answer,
         "interval": {
@@ -219,13 +224,16 @@ def _say_uncertainty(told: UncertainPrediction, terminal: Terminal) -> None:
         else f"{told.draws} draws, contacts switch in {told.switched:.0%}"
     )
     terminal.say(f"  {LEVEL:.0%} intervals from the stated uncertainties ({how}):")
+    for what, share in [one for one in told.switches.items() if one[1] >= LEAST_SWITCHES][:MOST_SWITCHES]:
+        terminal.say(f"    in {share:.0%} of the draws {what}")
     for index, name in enumerate(told.names):
         if ".velocity." not in name:
             continue
         shares = sorted(((float(share[index]), source) for source, share in told.budget.items()), reverse=True)[:3]
         most = ", ".join(f"{source} {share:.0%}" for share, source in shares if share >= 0.01)
         low, high = told.low[index], told.high[index]
-        terminal.say(f"    {name:<20} {told.nominal[index]:8.4f} m/s  [{low:.4f}, {high:.4f}]  {most}")
+        value, *ends = estimate_text(float(told.nominal[index]), (float(low), float(high)), least=4)
+        terminal.say(f"    {name:<20} {value:>8} m/s  [{', '.join(ends)}]  {most}")
 
 
 def _derivatives(found: Derivatives, problem: ImpactProblem) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from rich.table import Table
 from impact_rs_analysis.measure.paper import study_paper
 from impact_rs_analysis.report.paper import write_paper
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
+from impact_rs_sim.numbers import estimate_text
 
 TEXT = f"""\
 Take the 18 published rows (config/paper/tables.yaml) as a measurement: which motor inertia would explain them?
@@ -43,9 +44,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         table.add_column(heading, justify="left" if heading == "rows" else "right")
     fits = {"all": study.all_rows, **study.by_scenario, "all, hyperbolas": study.other_curve}
     for name, fit in fits.items():
-        low, high = fit.interval
+        scale, *interval = estimate_text(fit.scale, fit.interval, least=2)
         table.add_row(
-            name, f"{fit.scale:.2f}", f"{low:.2f} ... {high:.2f}", f"{fit.error_nominal:.2f}",
+            name, scale, " ... ".join(interval), f"{fit.error_nominal:.2f}",
             f"{fit.error_fitted:.2f}", f"{fit.error_held_out:.2f}",
         )  # fmt: skip
     terminal.say(table)

@@ -5,18 +5,20 @@ from __future__ import annotations
 
 import argparse
 import webbrowser
+from itertools import islice
 from pathlib import Path
 
 from impact_rs_analysis.evidence.aligned import AlignedRun, align
 from impact_rs_analysis.report.trial import write_laboratory_run, write_trial
 from impact_rs_cli.arguments import add_jobs, started
-from impact_rs_cli.measurements import read_experiment
+from impact_rs_cli.measurements import experiment_file, read_experiment
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.recordings.laboratory import LaboratoryRun, read_one
+from impact_rs_trials.store import is_bag
 from impact_rs_trials.workers import Map
 
 TEXT = f"""\
@@ -40,6 +42,7 @@ The graph that runs now (up, a cell, nodes of your own), until Ctrl-C; serves th
 
 Units: s, m, m/s, N, joints in rad and rad/s (those that slide: m and m/s)."""
 
+MOST_LOOKED_AT = 1000  # folders of which one is named where another was given
 LIVE_ALONE = ("namespace", "port")  # options that only --live has
 LABORATORY_ALONE = ("run_name", "model", "jobs", "scheduler")  # and those of --experiment
 OF_PAGES = ("path", "output", "experiment", *LABORATORY_ALONE)  # and what --live has nothing for
@@ -54,7 +57,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--experiment", type=Path, metavar="FILE.yaml",
-        help="BAG is a folder of a laboratory's runs: experiment file that says what they are (docs/laboratory.md)",
+        help="BAG is a folder of a laboratory's runs: experiment file that says what they are (docs/laboratory.md); "
+        "seen from the working directory, else from BAG",
     )  # fmt: skip
     parser.add_argument(
         "--run", dest="run_name", metavar="NAME", help="with --experiment: which run, as its table calls it"
@@ -120,7 +124,26 @@ def _output(args: argparse.Namespace, name: str) -> Path:
     return path
 
 
+def check_trial(path: Path) -> None:
+    """Check that a path is the folder of a trial, or of what is left of one.
+
+    Raises:
+        InputError: It is not; the message says what it is, and where trials are.
+    """
+    if not path.exists():
+        raise InputError("no such folder; expected the folder of a trial", file=path)
+    if not path.is_dir():
+        remedy = f"; the folder of its trial is {path.parent}" if is_bag(path.parent) else ""
+        raise InputError(f"a file; expected the folder of a trial, which holds metadata.yaml{remedy}", file=path)
+    if is_bag(path) or any(path.glob("*.mcap")):
+        return
+    found = [str(file.parent) for file in islice(path.rglob("metadata.yaml"), MOST_LOOKED_AT) if is_bag(file.parent)]
+    remedy = f"; there are trials below it, for example {min(found)}" if found else ", and there are none below it"
+    raise InputError(f"not the folder of a trial: it holds neither metadata.yaml nor an .mcap file{remedy}", file=path)
+
+
 def _trial_page(args: argparse.Namespace) -> Path:
+    check_trial(args.path)
     path = _output(args, f"{args.path.absolute().name}.html")
     try:
         return write_trial(TrialBag.open(args.path), path).resolve()
@@ -132,6 +155,7 @@ def _laboratory_page(args: argparse.Namespace, terminal: Terminal) -> Path:
     if args.run_name is None:
         raise InputError("--experiment names a folder of runs, of which one is shown; name it with --run")
     directory = args.path.absolute()
+    args.experiment = experiment_file(args.experiment, directory, terminal)
     experiment = load_experiment(args.experiment)
     with started(args) as map_tasks:
         item = read_one(directory, experiment, args.run_name, map_tasks)

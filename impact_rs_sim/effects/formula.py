@@ -23,7 +23,7 @@ import ast
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
@@ -67,12 +67,34 @@ Symbols = Mapping[str, float]
 Expression = Callable[[Symbols], float]
 
 
-def parse(text: str, symbols: set[str]) -> Expression:
-    """Turn a formula into a function of its symbols.
+class Formula:
+    """Arithmetic text as a function of its symbols.
+
+    It is pickled as its text, which worker processes parse again: functions made at run time cannot be pickled.
+
+    Args:
+        text: The formula.
+        symbols: Names that it may use.
 
     Raises:
         InputError: The text does not parse, names an unknown symbol or function, or is no arithmetic.
     """
+
+    def __init__(self, text: str, symbols: Iterable[str]) -> None:
+        self.text, self.symbols = text, frozenset(symbols)
+        self._function = _parse(text, self.symbols)
+
+    def __call__(self, values: Symbols) -> float:
+        """Value of the formula where its symbols have these values."""
+        return self._function(values)
+
+    def __reduce__(self) -> tuple[type[Formula], tuple[str, frozenset[str]]]:
+        """See the class."""
+        return Formula, (self.text, self.symbols)
+
+
+def _parse(text: str, symbols: frozenset[str]) -> Expression:
+    """See :class:`Formula`."""
     if len(text) > LONGEST:
         raise InputError(f"formula is longer than {LONGEST} characters")
     try:
@@ -86,7 +108,7 @@ def parse(text: str, symbols: set[str]) -> Expression:
         raise InputError(f"formula {text!r} does not parse") from None
 
 
-def _compile(node: ast.AST, symbols: set[str], text: str) -> Expression:
+def _compile(node: ast.AST, symbols: frozenset[str], text: str) -> Expression:
     if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not isinstance(node.value, bool):
         value = float(node.value)
         return lambda _: value
@@ -191,9 +213,9 @@ class FormulaEffect(Effect):
             raise InputError(f"effect {self.name!r}: unknown {key!r}; known: {', '.join(AXES)}")
         return AXES.index(key)
 
-    def _parse(self, text: str) -> Expression:
+    def _parse(self, text: str) -> Formula:
         named = {found[0] for found in JOINT_SYMBOL.finditer(text)}
-        return parse(text, {"t", "q1", "dq1", *AXES, *SPEEDS, *self.spec.parameters, *named})
+        return Formula(text, {"t", "q1", "dq1", *AXES, *SPEEDS, *self.spec.parameters, *named})
 
     def apply(self, physics: Physics, values: Values) -> Physics:
         """See :meth:`Effect.apply`.
@@ -234,12 +256,12 @@ class FormulaLoad(Load):
     """Formulas with numbers filled in."""
 
     name: str
-    torque: dict[int, Expression]
-    motor: dict[int, Expression]
-    force: dict[int, Expression]
+    torque: dict[int, Formula]
+    motor: dict[int, Formula]
+    force: dict[int, Formula]
     numbers: dict[str, float]
 
-    def _evaluate(self, table: dict[int, Expression], size: int, state: LoadState) -> Array:
+    def _evaluate(self, table: dict[int, Formula], size: int, state: LoadState) -> Array:
         values: dict[str, float] = {"t": state.time, **self.numbers}
         values |= {f"q{i + 1}": value for i, value in enumerate(state.joint_position.tolist())}
         values |= {f"dq{i + 1}": value for i, value in enumerate(state.joint_velocity.tolist())}

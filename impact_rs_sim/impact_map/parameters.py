@@ -25,7 +25,7 @@ Of a prismatic joint kg, m and m/s stand in the place of kg m^2, rad and rad/s.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -122,13 +122,13 @@ class Changed:
         system = self.system(models)
         return system, ContactTerms.of(system, self.contacts(models, found), self.problem.restitution)
 
-    def touching_terms(self, models: Mapping[str, RobotModel]) -> tuple[System, ContactTerms]:
-        """The same where every pad that can has come on, along the normal, until it touches."""
+    def touching_terms(self, models: Mapping[str, RobotModel], pads: Collection[str]) -> tuple[System, ContactTerms]:
+        """The same where the pads of some arms have come on, along the normal, until they touch; others stay."""
         placements = {name: models[name].placement(arm.position) for name, arm in self.problem.arms.items()}
         system, found = self.system(models), []
         positions = dict(system.end_effector_position)
         for meeting in meetings(self.problem.physics, self.problem.object, placements):
-            if meeting.partner in positions:
+            if meeting.partner in pads:
                 step = meeting.separation * meeting.normal
                 positions[meeting.partner] = positions[meeting.partner] + step
                 box = replace(meeting.box, centre=meeting.box.centre + step)

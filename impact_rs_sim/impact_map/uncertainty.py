@@ -8,7 +8,11 @@ With independent uncertainties of the standard deviations sigma_k and the Jacobi
 
 Draws from the stated uncertainties tell whether that holds. Where more than ``SWITCHES`` of them end in other contact
 states (or other contact points), the interval is that of the draws, and the budget the variance that is left when one
-source alone is drawn, over the sum of these.
+source alone is drawn, over the sum of these. Where most draws end in another contact state than the prediction, their
+quantiles can leave the prediction out; the interval is then extended to it, and ``switches`` says what else happens.
+
+In the draws a pad that touches in the prediction comes on until it touches: an impact comes later or sooner, but it
+comes. A pad that touches nothing in the prediction stays where the draw puts it.
 
 A scenario states half the width of a 95 % interval, 1.96 sigma. A source may have independent parts, such as the joints
 of B, or move several parameters together, such as a mass with its moments.
@@ -16,6 +20,7 @@ of B, or move several parameters together, such as a mass with its moments.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -23,6 +28,7 @@ import numpy as np
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.cones import solve_contacts
+from impact_rs_sim.impact_map.contacts import SUPPORT
 from impact_rs_sim.impact_map.derivatives import differentiate_safely, velocity_names
 from impact_rs_sim.impact_map.newton import states
 from impact_rs_sim.impact_map.parameters import AXES, change
@@ -34,6 +40,8 @@ from impact_rs_sim.scenario import Uncertainties
 SWITCHES = 0.02  # share of draws in other contact states from which the linear interval is not taken
 DRAWS = 200  # the ends of an interval scatter by about a tenth of its width
 LEVEL = 0.95
+HITS = ("hits the object", "does not hit the object")
+MEETS_SUPPORT = ("the object presses on its support", "the object does not press on its support")
 _TAILS = ((1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0)
 _NORMAL = 1.959964  # 97.5 % quantile of the normal distribution
 _LAWFUL = 1e-5  # m/s, residual of a draw that counts
@@ -65,6 +73,7 @@ class UncertainPrediction:
         budget: Share of the variance by source, ``(k,)`` each [-].
         method: ``linear`` or ``monte_carlo``.
         switched: Share of draws in other contact states [-].
+        switches: What is otherwise there than in the prediction, in words, and in which share of the draws [-].
         draws: Draws that have an answer.
         without_answer: Draws that have none.
         factors: What one standard deviation of every independent part does, ``(k, p)``.
@@ -79,6 +88,7 @@ class UncertainPrediction:
     budget: Mapping[str, Array]
     method: str
     switched: float
+    switches: Mapping[str, float]
     draws: int
     without_answer: int
     factors: Array
@@ -91,7 +101,7 @@ class UncertainPrediction:
             half = _NORMAL * float(np.linalg.norm(weight @ self.factors))
             value = float(weight @ self.nominal)
             return value - half, value + half
-        low, high = np.quantile(self.sample @ weight, _TAILS)
+        low, high = _ends(self.sample @ weight, weight @ self.nominal)
         return float(low), float(high)
 
 
@@ -200,7 +210,8 @@ def predict(
     nominal, usual = answer_of(problem, models, {})
     slopes = dict(zip((one.name for one in found.parameters), found.of_velocities().T, strict=True))
     rng = np.random.default_rng(seed)
-    sample, switched, lost = _sample(problem, models, sources, draws, rng, usual)
+    sample, states_of, lost = _sample(problem, models, sources, draws, rng)
+    switched = float(np.mean([one != usual for one in states_of])) if states_of else 0.0
     if len(sample) < 2:
         raise ImpactMapError(f"of {draws} draws from the stated uncertainties {lost} have no answer")
     parts = {
@@ -213,10 +224,10 @@ def predict(
         deviation = np.sqrt(np.sum(list(variances.values()), axis=0))
         low, high = nominal - _NORMAL * deviation, nominal + _NORMAL * deviation
     else:
-        low, high = np.quantile(sample, _TAILS, axis=0)
+        low, high = _ends(sample, nominal)
         deviation = np.std(sample, axis=0)
         for source in sources:
-            alone, _, _ = _sample(problem, models, (source,), max(draws // 4, 2), rng, usual)
+            alone, _, _ = _sample(problem, models, (source,), max(draws // 4, 2), rng)
             variances[source.name] = np.var(alone, axis=0) if len(alone) > 1 else np.zeros_like(nominal)
     total = np.maximum(np.sum(list(variances.values()), axis=0), 1e-300)
     return UncertainPrediction(
@@ -228,6 +239,7 @@ def predict(
         budget={name: variance / total for name, variance in variances.items()},
         method=method,
         switched=switched,
+        switches=_switches(usual, states_of),
         draws=len(sample),
         without_answer=lost,
         factors=np.concatenate([rows.reshape(-1, nominal.size) for rows in parts.values()]).T,
@@ -244,7 +256,8 @@ def interval_of_draws(
 ) -> tuple[tuple[str, ...], Array, Array]:
     """Names and ends of intervals from few draws alone, for those who cannot wait for :func:`predict`.
 
-    Quantiles of the draws: as skew as those of :func:`predict`, and of a few draws somewhat too narrow.
+    Quantiles of the draws, extended to the prediction: as skew as those of :func:`predict`, and of a few draws somewhat
+    too narrow.
 
     Args:
         problem: The question; Newton's law.
@@ -257,10 +270,11 @@ def interval_of_draws(
         ImpactMapError: Fewer than two draws have an answer.
     """
     rng = np.random.default_rng(seed)
-    sample, _, lost = _sample(problem, models, sources_of(problem, stated), draws, rng, ())
+    nominal, _ = answer_of(problem, models, {})
+    sample, _, lost = _sample(problem, models, sources_of(problem, stated), draws, rng)
     if len(sample) < 2:
         raise ImpactMapError(f"of {draws} draws from the stated uncertainties {lost} have no answer")
-    low, high = np.quantile(sample, _TAILS, axis=0)
+    low, high = _ends(sample, nominal)
     return velocity_names(problem), low, high
 
 
@@ -269,12 +283,13 @@ def answer_of(
 ) -> tuple[Array, tuple[str, ...]]:
     """All velocities ``(k,)`` with parameters changed, and the partner and state of every contact point.
 
-    Pads come on until they touch, wherever the changed poses leave them.
+    Pads that touch where nothing is changed come on until they touch, wherever the changed poses leave them.
 
     Raises:
         ImpactMapError: No answer was found.
     """
-    system, terms = change(problem, _possible(problem, amounts)).touching_terms(models)
+    pads = {contact.partner for contact in change(problem, {}).contacts(models)}
+    system, terms = change(problem, _possible(problem, amounts)).touching_terms(models, pads & problem.arms.keys())
     impulses, _ = solve_contacts(terms)
     velocity = system.velocity + terms.response @ impulses.ravel()
     if not terms.residual(impulses, velocity).largest <= _LAWFUL:
@@ -290,18 +305,50 @@ def _sample(
     sources: Sequence[UncertaintySource],
     count: int,
     rng: np.random.Generator,
-    usual: tuple[str, ...],
-) -> tuple[Array, float, int]:
-    """Velocities of draws ``(n, k)``, the share in other states than usual, and how many draws have no answer."""
-    sample, others = [], 0
+) -> tuple[Array, list[tuple[str, ...]], int]:
+    """Velocities of draws ``(n, k)``, partner and state of their contact points, and how many draws have no answer."""
+    sample, found = [], []
     for _ in range(count):
         try:
             velocities, there = answer_of(problem, models, draw(sources, rng))
         except ImpactMapError:
             continue
         sample.append(velocities)
-        others += there != usual
-    return np.array(sample), others / max(len(sample), 1), count - len(sample)
+        found.append(there)
+    return np.array(sample), found, count - len(sample)
+
+
+def _ends(sample: Array, nominal: Array) -> tuple[Array, Array]:
+    """Ends of the interval of draws at ``LEVEL``, extended to the prediction where that lies outside."""
+    low, high = np.quantile(sample, _TAILS, axis=0)
+    return np.minimum(low, nominal), np.maximum(high, nominal)
+
+
+def _switches(usual: tuple[str, ...], draws: Sequence[tuple[str, ...]]) -> dict[str, float]:
+    """What is otherwise in draws than in the prediction, in words, with the share of the draws, most frequent first."""
+    words = Counter(text for there in draws for text in _differences(usual, there))
+    return {text: count / len(draws) for text, count in words.most_common()}
+
+
+def _differences(usual: tuple[str, ...], there: tuple[str, ...]) -> list[str]:
+    """In what contacts of a draw differ from those of the prediction, in words; an open point transmits no impulse."""
+    found = []
+    for partner in dict.fromkeys(state.split()[0] for state in (*usual, *there)):
+        before, after = ([s.split()[1] for s in states_ if s.split()[0] == partner] for states_ in (usual, there))
+        loaded, now_loaded = ([state for state in one if state != "open"] for one in (before, after))
+        meets, not_meets = MEETS_SUPPORT if partner == SUPPORT else (f"{partner} {text}" for text in HITS)
+        if loaded and not now_loaded:
+            found.append(f"{not_meets}, in the prediction it does")
+        elif now_loaded and not loaded:
+            found.append(f"{meets}, in the prediction not")
+        elif len(loaded) != len(now_loaded):
+            points = "1 point" if len(now_loaded) == 1 else f"{len(now_loaded)} points"
+            found.append(f"{meets} at {points}, in the prediction at {len(loaded)}")
+        elif loaded != now_loaded:
+            found.append(f"{meets} and sticks or slides otherwise than in the prediction")
+        elif loaded and before != after:
+            found.append(f"{meets} at other points than in the prediction")
+    return found
 
 
 def _possible(problem: ImpactProblem, amounts: Mapping[str, float]) -> dict[str, float]:

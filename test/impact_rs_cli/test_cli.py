@@ -81,7 +81,7 @@ def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Pat
             "are for the first contact only",
         ),
         (["anlyze", "x"], "did you mean 'analyze'"),
-        ([], "required: COMMAND"),
+        (["--debug"], "required: COMMAND"),
         (["up", "pus"], "did you mean 'push'"),
         (["analyze", "/nowhere/at/all"], "no such folder"),
         (["trial", "push", "cat_food", "2", "--scale", "0", "-o", "{}/new/out"], "velocity scale = 0.0"),
@@ -113,7 +113,8 @@ def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Pat
         (["campaign", "push", "-o", "{}/new/out", "--objects", "juce"], "did you mean 'juice'"),
         (["campaign", "push", "-o", "{}/file/out"], "cannot be written"),
         (["analyze", "{}"], "holds no trials"),
-        (["show", "{}", "--no-browser"], "no metadata.yaml"),
+        (["show", "{}", "--no-browser"], "neither metadata.yaml nor an .mcap file, and there are none below it"),
+        (["show", "{}/file", "--no-browser"], "a file; expected the folder of a trial"),
         (["show"], "expected BAG, the folder of a trial, or --live"),
         (["show", "{}", "--live"], "leave BAG out"),
         (["show", "--live", "-o", "{}/new/page.html"], "leave -o out"),
@@ -123,7 +124,10 @@ def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Pat
         (["show", "{}", "--namespace", "cell_a"], "leave --namespace out"),
         (["show", "{}", "--run", "run_1"], "leave --run out"),
         (["show", "{}", "--experiment", "{}/file"], "name it with --run"),
-        (["show", "{}/nothing", "-o", "{}/new/page.html", "--no-browser"], "a bare file; a trial is a folder"),
+        (
+            ["show", "{}/nothing", "-o", "{}/new/page.html", "--no-browser"],
+            "no such folder; expected the folder of a trial",
+        ),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(
@@ -159,6 +163,28 @@ def _modules_after(*arguments: str) -> set[str]:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     return set(done.stdout.rpartition("MODULES")[2].split())
+
+
+def test_without_a_command_the_help_is_shown_as_for_a_mistake(
+    capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["impact-rs"])
+    assert main() == main([]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err == 2 * parser().format_help()
+
+
+def test_show_names_a_trial_where_a_folder_of_trials_or_a_file_of_one_is_given(
+    capsys: pytest.CaptureFixture, push_campaign: Path
+) -> None:
+    trial = push_campaign / "cat_food__case_2__s0.800__r0"
+    assert main(["show", str(push_campaign), "--no-browser"]) == 2
+    assert f"there are trials below it, for example {trial}" in capsys.readouterr().err
+    assert main(["show", str(next(trial.glob("*.mcap"))), "--no-browser"]) == 2
+    assert f"a file; expected the folder of a trial, which holds metadata.yaml; the folder of its trial is {trial}" in (
+        capsys.readouterr().err
+    )
+    assert not list(push_campaign.parent.glob("*.html"))
 
 
 @pytest.mark.parametrize("option", ["--help", "--version"])

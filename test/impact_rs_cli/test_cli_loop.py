@@ -3,6 +3,7 @@
 
 import argparse
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -13,8 +14,12 @@ import numpy as np
 import pytest
 
 from impact_rs_cli.arguments import on_local_runs
+from impact_rs_cli.commands.demo import Demonstration, walk_the_loop
 from impact_rs_cli.main import main
 from impact_rs_cli.terminal import Terminal
+from impact_rs_sim.model import Model, load_model
+
+CONSIDERED = ["support_friction"]  # what hidden_campaign hides
 
 
 @pytest.fixture(scope="module")
@@ -130,6 +135,44 @@ def test_a_formula_that_blows_up(
     arguments = ["diagnose", str(hidden_campaign), "-o", str(tmp_path / "d.json"), "--effects", "drag", "--formulas"]
     _refused(capfd, [*arguments, str(tmp_path / "f.yaml")], "blows up")
     assert not (tmp_path / "d.json").exists()
+
+
+def test_the_formula_of_the_manual_is_diagnosed_in_several_processes(
+    capfd: pytest.CaptureFixture, hidden_campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    manual = (Path(__file__).parents[2] / "docs" / "missing_effects.md").read_text()
+    cable, model = tmp_path / "cable.yaml", tmp_path / "model_2.yaml"
+    cable.write_text(manual.split("```yaml\n")[1].split("```")[0])
+    output = tmp_path / "diagnosis.json"
+    arguments = ["diagnose", str(hidden_campaign), "-o", str(output), "--formulas", str(cable), "--jobs", "2"]
+    document = _json(capfd, *arguments, "--effects", "cable_drag", *CONSIDERED)
+    found = {effect["name"]: effect for effect in document["effects"]}
+    low, high = found["cable_drag"]["parameters"]["drag"]["ci95"]
+    assert (document["named"], found["cable_drag"]["measured"]) == (CONSIDERED, True)
+    assert low == 0.0 < high  # there is no cable
+    assert main(["add", "cable_drag", "--from", str(output), "-o", str(model), "--force"]) == 0
+    assert load_model(model).formulas[0].end_effector_force == {"y": "-drag * vy"}
+
+
+def test_the_demonstration_keeps_the_page_that_shows_where_the_model_fails(
+    capsys: pytest.CaptureFixture, hidden_campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr("os.cpu_count", lambda: 1)  # more processes only start
+    hidden = {"name": "support_friction", "parameters": {"scale": {"estimate": 1.6, "unit": "-"}}}
+    demonstration = Demonstration(hidden=Model(name="hidden", effects=(hidden,)), considered=tuple(CONSIDERED))
+    story = walk_the_loop(demonstration, tmp_path, hidden_campaign, Terminal(as_json=False))
+    assert story["correct"]
+    lacks, better, fails = (Path(path) for path in story["reports"])
+    assert json.loads(fails.with_suffix(".json").read_text())["model"]["name"] == "nominal"
+    assert json.loads(better.with_suffix(".json").read_text())["model"]["name"] == "model_2"
+    out = capsys.readouterr().out
+    for page in (lacks, better, fails):
+        assert str(page.resolve()) in out
+    for page in (better, fails):
+        links = re.findall(r'<a href="(.*?)">', page.read_text(encoding="utf-8"))
+        assert {(page.parent / link).resolve() for link in links} == {lacks, better, fails} - {page}
 
 
 def _formula(folder: Path, formula: str) -> None:

@@ -11,6 +11,7 @@ from impact_rs_sim.impact_map.derivatives import differentiate
 from impact_rs_sim.impact_map.parameters import change
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.impact_map.uncertainty import (
+    _switches,
     answer_of,
     draw,
     interval_of_draws,
@@ -18,7 +19,8 @@ from impact_rs_sim.impact_map.uncertainty import (
     sources_of,
     velocity_names,
 )
-from impact_rs_sim.scenario import Uncertainties
+from impact_rs_sim.scenario import Uncertainties, load_scenario
+from impact_rs_sim.scene import Scene
 
 NONE = dict.fromkeys(Uncertainties.model_fields, 0.0)
 PROBLEM: ImpactProblem = nominal()
@@ -69,7 +71,7 @@ def test_where_contacts_switch_the_interval_is_that_of_the_draws() -> None:
 def test_pads_come_on_until_they_touch() -> None:
     for amount in (-0.004, 0.004):
         moved = change(PROBLEM, {"object.position.y": amount})
-        _, terms = moved.touching_terms(MODELS)
+        _, terms = moved.touching_terms(MODELS, {"arm"})
         pads = [contact for contact in terms.contacts if contact.partner == "arm"]
         assert len(pads) == 4
         velocities, states = answer_of(PROBLEM, MODELS, {"object.position.y": amount})
@@ -117,3 +119,55 @@ def test_few_draws_give_nearly_the_interval_of_many_and_the_same_every_time() ->
     again = interval_of_draws(PROBLEM, Uncertainties(), MODELS, 16)
     assert np.array_equal(low, again[1])
     assert np.array_equal(high, again[2])
+
+
+def at_impact(name: str, thing: str, case: str, **settings: float) -> tuple[ImpactProblem, Uncertainties]:
+    scenario = load_scenario(name).with_settings(settings)
+    return ImpactProblem.at_nominal_impact(Scene.resolve(scenario, thing, case), "reduced"), scenario.uncertainty
+
+
+def test_a_box_out_of_reach_is_hit_in_no_draw() -> None:
+    problem, stated = at_impact("excite", "none", "slow")
+    told = predict(problem, stated, draws=16)
+    before = problem.physics.robot_model("arm").jacobian(problem.arms["arm"].position) @ problem.arms["arm"].velocity
+    index = told.names.index("arm.velocity.y")
+    assert told.nominal[index] == pytest.approx(before[1])
+    assert (told.method, told.switched, dict(told.switches)) == ("linear", 0.0, {})
+    assert told.high[index] - told.low[index] < 0.02
+    np.testing.assert_array_equal(told.sample[:, -6:], 0.0)  # the box stays where it is
+
+
+def test_a_box_almost_in_reach_is_hit_in_some_draws_and_that_is_said() -> None:
+    """A gap of 2.5 mm, a position known to 2 mm, a millimetre at which contacts close."""
+    problem, stated = at_impact("excite", "none", "slow", object_gap=0.0025)
+    told = predict(problem, stated, draws=60)
+    share = told.switches["arm hits the object, in the prediction not"]
+    assert 0.05 < share < 0.5
+    index = told.names.index("object.velocity.y")
+    assert told.nominal[index] == told.high[index] == 0.0
+    assert np.mean(told.sample[:, index] < -0.1) == pytest.approx(share)
+
+
+@pytest.mark.parametrize("draws", [4, 24])
+def test_an_interval_contains_its_own_prediction(draws: int) -> None:
+    """Yaw of either sign lets an edge of the pad hit first: the prediction, a flat pad, is the end of all draws."""
+    stated = Uncertainties(**NONE | {"object_yaw": 0.012})
+    told = predict(PROBLEM, stated, MODELS, draws=draws)
+    _, low, high = interval_of_draws(PROBLEM, stated, MODELS, draws)
+    assert told.method == "monte_carlo"
+    assert np.all((told.low <= told.nominal) & (told.nominal <= told.high))
+    assert np.all((low <= told.nominal) & (told.nominal <= high))
+    for index, name in enumerate(told.names):
+        assert told.interval_of({name: 1.0}) == pytest.approx((told.low[index], told.high[index]))
+
+
+def test_contacts_that_switch_are_said_in_words() -> None:
+    usual = ("arm stick", "arm stick", "support open")
+    draws = [("arm open", "arm slide", "support open"), ("arm open", "support stick"), ("arm slide", "arm stick")]
+    assert _switches(usual, draws) == {
+        "arm hits the object at 1 point, in the prediction at 2": pytest.approx(1 / 3),
+        "arm does not hit the object, in the prediction it does": pytest.approx(1 / 3),
+        "the object presses on its support, in the prediction not": pytest.approx(1 / 3),
+        "arm hits the object and sticks or slides otherwise than in the prediction": pytest.approx(1 / 3),
+    }
+    assert _switches(usual, [usual] * 3) == {}

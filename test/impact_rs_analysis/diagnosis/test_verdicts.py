@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from analytic_world import EFFECTS, FEATURES, AnalyticSource
+from analytic_world import EFFECTS, FEATURES, AnalyticSource, direction
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
@@ -17,6 +17,7 @@ from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.diagnosis.verdicts import p_told, rests_of, told
+from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
@@ -155,3 +156,76 @@ def test_where_nothing_is_left_but_noise_next_to_nothing_is_told() -> None:
         evidence = Evidence.of(AnalyticSource(seed))
         told_values += [rest.value for rest in rests_of(evidence, [item.mean for item in evidence.clusters])]
     assert np.mean(told_values) < 0.15
+
+
+def changing(seed: int, sizes: Sequence[float], truth: Added = ()) -> AnalyticSource:
+    """A world in which ``straight`` has another size in every cluster, of 60 repeats each."""
+    source = AnalyticSource(seed, truth, design=(60,) * len(sizes))
+    source._measured = [
+        rows + size * direction(number, 0)
+        for number, (rows, size) in enumerate(zip(source._measured, sizes, strict=True))
+    ]
+    source.clusters = tuple(
+        replace(item, residuals=rows / item.sigma) for item, rows in zip(source.clusters, source._measured, strict=True)
+    )
+    return source
+
+
+@pytest.mark.parametrize("beside", [(), (("straight", (5.0,)),)])
+def test_what_is_significant_and_stops_where_it_does_nothing_is_no_improvement(beside: Added) -> None:
+    """A size below zero is seen clearly by its score; the estimate cannot follow, and is nothing at all."""
+    source = AnalyticSource(0, (("one_sided", (-0.06,)), *beside), design=(60,) * 8)
+    document = said(source, "one_sided", *(name for name, _ in beside))
+    effect = document.effect("one_sided")
+    assert effect is not None and effect.p_value is not None and effect.p_value < 0.01
+    assert effect.parameters["d"].interval[0] == effect.parameters["d"].estimate == 0.0
+    assert effect.verdict == "NO-IMPROVEMENT" and "contains the value at which it does nothing" in effect.reason
+
+
+@pytest.mark.parametrize("beside", [(), (("one_sided", (5.0,)),)])
+def test_what_is_small_and_may_as_well_be_nothing_is_not_named(beside: Added) -> None:
+    """Three conditions that disagree about its size: the search accepts it, its interval contains zero."""
+    document = said(changing(1, (0.12, 0.08, 0.03), beside), "straight", *(name for name, _ in beside))
+    effect = document.effect("straight")
+    assert effect is not None
+    low, high = effect.parameters["a"].interval
+    assert low < 0.0 < effect.parameters["a"].estimate < high
+    assert effect.verdict == "NO-IMPROVEMENT"
+    assert document.named == tuple(name for name, _ in beside)
+
+
+def test_what_is_small_and_certain_is_named_where_conditions_disagree_less() -> None:
+    document = said(changing(0, (0.12, 0.08, 0.03)), "straight")
+    effect = document.effect("straight")
+    assert effect is not None and effect.parameters["a"].interval[0] > 0.0
+    assert (effect.verdict, document.named) == ("PRESENT-BUT-SMALL", ("straight",))
+
+
+def test_errors_of_an_effect_alone_and_of_what_it_adds_are_given() -> None:
+    """Two that are there: alone each leaves the other, and what a third adds to both is nothing."""
+    document = said(AnalyticSource(1, (("straight", (9.0,)), ("one_sided", (5.0,)))), "straight", "one_sided", "bent")
+    straight, one_sided, bent = (document.effect(name) for name in ("straight", "one_sided", "bent"))
+    assert straight is not None and one_sided is not None and bent is not None
+    both = straight.held_out_error_after
+    assert both == one_sided.held_out_error_after and both is not None and both < 1.5
+    assert straight.held_out_error_alone == pytest.approx(one_sided.held_out_error_others, rel=1e-3)
+    assert one_sided.held_out_error_alone == pytest.approx(straight.held_out_error_others, rel=1e-3)
+    assert both < straight.held_out_error_alone / 3.0 < one_sided.held_out_error_alone / 3.0  # type: ignore[operator]
+    assert bent.held_out_error_others == pytest.approx(both)
+    assert bent.held_out_error_after == pytest.approx(both, rel=0.2)
+    assert bent.held_out_error_alone == pytest.approx(document.held_out_error_before, rel=0.2)
+
+
+def test_an_effect_that_explains_all_is_as_good_alone() -> None:
+    effect = said(AnalyticSource(1, (("straight", (5.0,)),))).effects[0]
+    assert effect.held_out_error_alone == effect.held_out_error_after
+    assert effect.held_out_error_others == effect.held_out_error_before
+
+
+def test_a_small_effect_beside_one_that_matters_does_not_make_the_whole_small() -> None:
+    document = said(changing(0, (0.12, 0.08, 0.03), (("one_sided", (5.0,)),)), "straight", "one_sided")
+    assert {effect.name: effect.verdict for effect in document.effects} == {
+        "one_sided": "CONFIRMED",
+        "straight": "PRESENT-BUT-SMALL",
+    }
+    assert document.verdict == "one_sided+straight"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from impact_rs_analysis.measure.analyze import analyze_campaign
+from impact_rs_analysis.measure.analyze import ExperimentSet, analyze_campaign
 from impact_rs_analysis.measure.published import paper_row, published
 from impact_rs_analysis.measure.table import result_table
 from impact_rs_analysis.report import write_report
@@ -179,6 +179,20 @@ def test_a_report_needs_no_joint_states_and_then_shows_nothing_in_3d(
     assert 'id="replay"' not in text
     assert "three.js" not in text
     assert "is not seen in 3D: /arm/joint_states has no joint positions" in caplog.text
+
+
+@pytest.mark.parametrize(("tolerance", "fits"), [(50.0, True), (1e-6, False)])
+def test_a_report_says_where_no_prediction_fits_and_repeats_nothing(
+    push_campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tolerance: float, fits: bool
+) -> None:
+    """A push is settled at once, and all its rows are published: neither may widen the table of results."""
+    monkeypatch.setattr(ExperimentSet, "tolerance", property(lambda _: tolerance))
+    text = write_report(analyze_campaign(push_campaign), tmp_path / "report")[0].read_text(encoding="utf-8")
+    first, published = re.findall(r"<thead>.*?</thead>", text, re.DOTALL)[:2]
+    assert "errors, first contact" in first and "settled" not in first
+    assert first.count("<th>") == 5 + 2 and "published" in published
+    assert (text.count('<td class="best">'), text.count('<td class="nearest">')) == ((3, 0) if fits else (0, 3))
+    assert ("<small>none fits</small>" in text) == ("none fits" in text) == (not fits)
 
 
 def test_html_and_png_are_drawn_from_the_same_numbers(push_campaign: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from impact_rs_analysis.measure.analyze import Analysis, ExperimentSet, Prediction
 from impact_rs_analysis.measure.fit import fit_zero_crossing
 from impact_rs_analysis.measure.published import paper_row
-from impact_rs_analysis.measure.table import result_table
+from impact_rs_analysis.measure.table import result_table, shown_contacts
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 
 
@@ -113,3 +113,34 @@ def test_a_set_that_repeats_nothing_published_has_no_published_number() -> None:
     row, bias, quality = result_table(analysis(replace(FIRST, published=None)))
     assert {entry.paper_errors is None for entry in (row, bias, quality)} == {True}
     assert row.paper_estimate is None
+
+
+def test_the_settled_contact_is_shown_only_where_its_errors_differ() -> None:
+    rows = result_table(analysis(FIRST, SECOND))
+    assert shown_contacts(rows) == ("first", "settled")
+    flat = replace(FIRST, predictions_settled=FIRST.predictions)
+    assert shown_contacts(result_table(analysis(flat))) == ("first",)
+    off = {name: Prediction(0.0, told.error + 0.006) for name, told in FIRST.predictions.items()}
+    assert shown_contacts(result_table(analysis(flat, replace(flat, predictions_settled=off)))) == ("first", "settled")
+    assert shown_contacts([]) == ("first",)
+
+
+def test_the_nearest_prediction_fits_only_within_the_intervals_of_both() -> None:
+    """Estimate 0.55 m/s; interval of the prediction 3 % of it to one side and 4 % to the other."""
+    (row, *averages) = result_table(analysis(FIRST))
+    assert FIRST.fit.interval is not None
+    own = 100.0 * max(abs(bound / FIRST.fit.estimate - 1.0) for bound in FIRST.fit.interval)
+    assert row.tolerance == pytest.approx(own)
+    assert (row.nearest("first"), row.fits("first")) == ("reduced", own > 2.0)
+    nominal, estimate = FIRST.predictions["reduced"].velocity, FIRST.fit.estimate
+    wide = replace(FIRST, prediction_interval=(nominal - 0.03 * abs(estimate), nominal + 0.04 * abs(estimate)))
+    (row, *_) = result_table(analysis(wide))
+    assert row.tolerance == pytest.approx(np.hypot(own, 4.0))
+    assert row.fits("first")
+    shift = 0.117 * estimate
+    far = {name: Prediction(told.velocity + shift, told.error + 11.7) for name, told in FIRST.predictions.items()}
+    moved = (wide.prediction_interval[0] + shift, wide.prediction_interval[1] + shift)  # type: ignore[index]
+    (row, *_) = result_table(analysis(replace(wide, predictions=far, prediction_interval=moved)))
+    assert row.tolerance == pytest.approx(np.hypot(own, 4.0))
+    assert (row.nearest("first"), row.fits("first")) == ("zero", False)  # +8.7 %, the others are farther
+    assert all(average.tolerance is None for average in averages)

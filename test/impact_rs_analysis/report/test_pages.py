@@ -26,6 +26,7 @@ from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_analysis.report.diagnosis import write_diagnosis
 from impact_rs_analysis.report.history import write_history
 from impact_rs_analysis.report.page import p_text, quantity_text, sentence_text, subscripts_text, track_data
+from impact_rs_analysis.report.plots import effects_plot
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 
@@ -93,19 +94,19 @@ def test_a_diagnosis_shows_everything_that_it_knows(diagnosed: Page) -> None:
         "12 trials of 2 conditions",
         "10 degrees of freedom of the noise",
         "1.0 is what repetition alone gives",
-        "61.8 → 1.6 times what repetition alone gives; change −60.2 [−71.2, −49.2]",
+        "61.8 → 1.6 times what repetition alone gives; change −60 [−71, −49]",
         "Held out: Conditions with all their repeats.",
         "p < 0.0005 before, p = 0.0031 after",
         "Model discrepancy is part of every number",
         "Two engines, 9 conditions.",
         "impact (first 80 ms): end-effector velocity 3 mm/s 2.2 mm/s",
         "No free motion was measured.",
-        "object_mass CONFIRMED 61.8 → 1.3 < 0.0005 5 of 6 Predicts unseen data.",
+        "object_mass CONFIRMED 1.4 61.8 → 1.3 < 0.0005 5 of 6 Predicts unseen data.",
         "mass = 1.101 [1.080, 1.120] kg",
         "moves end-effector velocity by up to 4 mm/s (impact; floor 3 mm/s)",
         "CONFUSABLE-WITH{joint_stribeck_friction}",
         "coulomb_joint4 joint4 0.310 [0.290, 0.330] N m AT-BOUND 0.004 0.44 → 0.12",
-        "base_tilt NO-IMPROVEMENT 61.8 → 60.2 0.42",
+        "base_tilt NO-IMPROVEMENT – 1.3 → 60.2 0.42",
         "Not measured: restitution.",
         "joint_coulomb_friction and joint_stribeck_friction",
         "7 % of what noise does not explain",
@@ -154,6 +155,35 @@ def test_errors_that_lie_decades_apart_are_all_seen(diagnosed: Page) -> None:
     assert low < 1.0 < 61.8 < high
 
 
+def test_effects_are_drawn_alone_and_beside_the_chosen_one(diagnosis: DiagnosisDocument) -> None:
+    """Beside the effect that explains all, all others do: only alone do they lie apart."""
+    errors = {"object_mass": (1.3, 61.8), "base_tilt": (58.0, 1.3), "pad_tilt": (40.0, 1.3)}
+    effects = [
+        diagnosis.effects[0].model_copy(
+            update={
+                "name": name,
+                "verdict": "CONFIRMED" if name == "object_mass" else "NO-IMPROVEMENT",
+                "held_out_error_alone": alone,
+                "held_out_error_others": others,
+                "held_out_error_after": 1.3,
+            }
+        )
+        for name, (alone, others) in errors.items()
+    ]
+    document = diagnosis.model_copy(update={"effects": tuple(effects), "named": ("object_mass",)})
+    drawn = effects_plot(document)
+    assert drawn is not None
+    traces = {trace.name: trace for trace in drawn.data if trace.name}
+    assert list(traces["alone"].x) == [1.3, 58.0, 40.0]
+    assert list(traces["with the chosen effects"].x) == [1.3, 1.3, 1.3]
+    assert [list(trace.x) for trace in drawn.data if trace.mode == "lines"] == [[61.8, 1.3], [1.3, 1.3], [1.3, 1.3]]
+    nothing = effects_plot(document.model_copy(update={"named": ()}))
+    assert nothing is not None and [trace.name for trace in nothing.data] == ["alone"]
+    older = tuple(effect.model_copy(update={"held_out_error_alone": None}) for effect in effects)
+    old = effects_plot(document.model_copy(update={"named": (), "effects": older}))
+    assert old is not None and [trace.name for trace in old.data if trace.name] == ["with the chosen effects"]
+
+
 def test_versions_of_one_name_are_not_drawn_on_top_of_each_other(diagnosed: Page) -> None:
     figure = diagnosed.data["history"]
     assert figure["layout"]["xaxis"]["ticktext"] == ["nominal", "nominal"]  # type: ignore[index]
@@ -178,6 +208,16 @@ def test_a_comparison_shows_levels_places_and_units(
     assert "History" not in page.text
     assert "Free motion —" not in page.text  # a level that holds nothing
     assert json.loads((tmp_path / "compare.json").read_text()) == comparison.model_dump(mode="json")
+
+
+def test_pages_of_the_same_measurements_are_linked(
+    comparison: ComparisonDocument, tracks: Sequence[TrackSet], tmp_path: Path
+) -> None:
+    others = {"../compare.html": "the better model", "../diagnosis.html": "what it lacks"}
+    page = Page(write_comparison(comparison, tracks, None, tmp_path, others))
+    assert [facts["href"] for tag, facts in page.elements if tag == "a"] == list(others)
+    assert "The same measurements: the better model , what it lacks" in page.text
+    assert "The same measurements" not in Page(write_comparison(comparison, tracks, None, tmp_path)).text
 
 
 def test_two_arms_have_a_table_of_their_joints_each(
@@ -355,6 +395,8 @@ def test_no_name_of_a_bag_can_leave_its_place(tmp_path: Path) -> None:
             arms=(),
             by_arm={text: ()},
             with_paper=False,
+            contacts=("first",),
+            none_fit=False,
             sensitivity=(),
             far=text,
             left_out=(listing,),

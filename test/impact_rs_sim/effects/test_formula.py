@@ -2,6 +2,7 @@
 """Formulas in YAML: arithmetic and nothing else."""
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from impact_rs_control.closed_loop import make_plant
 from impact_rs_control.plan import plan_trial
 from impact_rs_sim.effects import library
-from impact_rs_sim.effects.formula import FormulaEffect, FormulaParameter, FormulaSpec, load_formulas, parse
+from impact_rs_sim.effects.formula import Formula, FormulaEffect, FormulaParameter, FormulaSpec, load_formulas
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import LoadState, Physics
 from impact_rs_sim.scenario import load_scenario
@@ -32,8 +33,14 @@ def spec(**changes):
 
 @given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
 def test_formula_means_what_it_says(a, b):
-    value = parse("-a**2 + 2*sin(b) / (1 + abs(a)) - min(a, b) * tanh(b)", {"a", "b"})({"a": a, "b": b})
+    value = Formula("-a**2 + 2*sin(b) / (1 + abs(a)) - min(a, b) * tanh(b)", {"a", "b"})({"a": a, "b": b})
     assert value == pytest.approx(-(a**2) + 2 * math.sin(b) / (1 + abs(a)) - min(a, b) * math.tanh(b))
+
+
+@pytest.mark.parametrize(("value", "sign"), [(-0.3, -1.0), (0.0, 0.0), (0.3, 1.0)])
+def test_sign_is_zero_at_rest(value, sign):
+    """Dry friction written with it pushes nothing that stands still."""
+    assert Formula("sign(v)", {"v"})({"v": value}) == sign
 
 
 @pytest.mark.parametrize(
@@ -57,7 +64,7 @@ def test_formula_means_what_it_says(a, b):
 )
 def test_what_is_no_arithmetic_is_refused(text, complaint):
     with pytest.raises(InputError, match=complaint):
-        parse(text, {"a"})
+        Formula(text, {"a"})
 
 
 def test_formula_effect_acts_on_the_plant_as_a_force_and_as_a_torque():
@@ -68,6 +75,35 @@ def test_formula_effect_acts_on_the_plant_as_a_force_and_as_a_torque():
     state = LoadState(0.2, np.full(7, 0.3), np.zeros(7), np.zeros(3), velocity, np.zeros(3))
     np.testing.assert_allclose(load.end_effector_force(state), [0.0, 2.0, 0.0])
     np.testing.assert_allclose(load.joint_torque(state)[1], 4.0 * np.cos(0.3))
+
+
+def test_a_formula_effect_and_its_load_reach_a_worker_process_unchanged():
+    effect = FormulaEffect(spec(motor_torque={"joint2": "-drag * dq2 / (1 + abs(dq2))"}))
+    load = effect.apply_vector(Physics.nominal(load_scenario("push"), "juice"), np.array([4.0])).arms["arm"].loads[0]
+    there, load_there = pickle.loads(pickle.dumps((effect, load)))
+    state = LoadState(0.2, np.zeros(7), np.full(7, 0.3), np.zeros(3), np.array([0.1, -0.5, 0.0]), np.zeros(3))
+    assert there.identity == effect.identity
+    np.testing.assert_array_equal(load_there.motor_torque(state), load.motor_torque(state))
+    np.testing.assert_array_equal(load_there.end_effector_force(state), [0.0, 2.0, 0.0])
+
+
+def test_every_joint_has_its_own_position_and_speed():
+    number = {"c": {**PARAMETER, "unit": "-"}}
+    table = {f"joint{joint}": f"c * (q{joint} + 100 * dq{joint})" for joint in range(1, 8)}
+    effect = FormulaEffect(spec(end_effector_force={}, parameters=number, motor_torque=table, joint_torque=table))
+    load = effect.apply_vector(Physics.nominal(load_scenario("push"), "juice"), np.ones(1)).arms["arm"].loads[0]
+    position, velocity = np.arange(1.0, 8.0), np.arange(0.1, 0.75, 0.1)
+    state = LoadState(0.0, position, velocity, np.zeros(3), np.zeros(3), np.zeros(3))
+    np.testing.assert_allclose(load.motor_torque(state), position + 100.0 * velocity)
+    np.testing.assert_allclose(load.joint_torque(state), position + 100.0 * velocity)
+
+
+@pytest.mark.parametrize("text", ["exp(700) * exp(700) * c", "-exp(700) * exp(700) * c"])
+def test_a_force_that_is_not_finite_is_refused(text):
+    effect = FormulaEffect(spec(end_effector_force={"y": text}, parameters={"c": PARAMETER}))
+    load = effect.apply_vector(Physics.nominal(load_scenario("push"), "juice"), np.ones(1)).arms["arm"].loads[0]
+    with pytest.raises(InputError, match="'cable_drag' is not finite at t = 0.200 s"):
+        load.end_effector_force(LoadState(0.2, np.zeros(7), np.zeros(7), np.zeros(3), np.zeros(3), np.zeros(3)))
 
 
 def test_a_constant_torque_on_the_motor_is_a_torque_offset_and_one_on_the_link_is_not():

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Estimates with their intervals as people read them: as many digits as the width of the interval needs."""
+
+from __future__ import annotations
+
+import math
+
+PLAIN = (1e-4, 1e6)  # sizes that are written without an exponent
+MOST_DIGITS = 15  # a float has no more
+LEAST_DECIMALS = 3  # of a speed with its half interval, m/s
+
+
+def estimate_text(estimate: float, ci95: tuple[float, float] | None, least: int = 0) -> tuple[str, ...]:
+    """An estimate and the ends of its interval, with two digits of the half width; alone with three where none is.
+
+    Args:
+        estimate: The estimate.
+        ci95: Ends of its interval; None: it has none.
+        least: Decimals that are always written, where there is no exponent.
+    """
+    numbers = (estimate, *(ci95 or ()))
+    half = (ci95[1] - ci95[0]) / 2.0 if ci95 is not None else 0.0
+    largest = max(abs(number) for number in numbers)
+    plain = PLAIN[0] <= largest < PLAIN[1]
+    if not 0.0 < half < math.inf:
+        return tuple(
+            f"{number:.{least}f}" if least and (plain or not largest) else f"{number:.3g}" for number in numbers
+        )
+    exponent = _exponent(largest)
+    decimals = min(1 - _exponent(half), MOST_DIGITS - exponent)
+    if plain:
+        return tuple(f"{number:.{max(decimals, least, 0)}f}" for number in numbers)
+    return tuple(f"{number:.{max(exponent + decimals + 1, 3)}g}" for number in numbers)
+
+
+def estimate_in_line(estimate: float, ci95: tuple[float, float] | None, least: int = 0) -> str:
+    """An estimate with its interval, as in ``1.15 [1.13, 1.17]``; arguments as for :func:`estimate_text`."""
+    told, *interval = estimate_text(estimate, ci95, least)
+    return f"{told} [{', '.join(interval)}]" if interval else told
+
+
+def speed_text(speed: float, half: float | None) -> tuple[str, ...]:
+    """A speed and half its interval [m/s], to the millimetre per second, or as finely as the half interval needs."""
+    if half is None or not math.isfinite(half):
+        return (f"{speed:.{LEAST_DECIMALS}f}",)
+    needed = -_exponent(half) if half > 0.0 else LEAST_DECIMALS
+    decimals = min(max(LEAST_DECIMALS, needed), MOST_DIGITS)
+    return f"{speed:.{decimals}f}", f"{half:.{decimals}f}"
+
+
+def _exponent(number: float) -> int:
+    """Power of ten of the first digit; 0.1 less a rounding error counts as 0.1."""
+    return math.floor(math.log10(number) + 1e-9)

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rules that turn a fit into words, one by one."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy
+from analytic_world import EFFECTS, FEATURES, TIPPING, AnalyticSource
+
+from impact_rs_analysis.diagnosis.diagnose import _identifiability, diagnose
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, ModelIdentity, RunsIdentity
+from impact_rs_analysis.diagnosis.fit import Evidence, Fit
+from impact_rs_analysis.diagnosis.hold_out import HoldOut
+from impact_rs_analysis.diagnosis.scoring import held_against_truth
+from impact_rs_analysis.diagnosis.search import Search, consistent, noticeable
+from impact_rs_analysis.diagnosis.thresholds import UNSEEN
+from impact_rs_analysis.diagnosis.verdicts import Findings, _at_bound, certain, change_interval, sizes_of
+from impact_rs_sim.model import Model
+from impact_rs_sim.robot import Array
+
+pytestmark = pytest.mark.usefixtures("few_draws")
+
+
+def fitted(source: AnalyticSource, *names: str, change: Array | None = None) -> Fit:
+    """Effects together, linearised where they do nothing; with a change [parameter scales] in place of the best."""
+    search = Search.screened([EFFECTS[name] for name in names], Evidence.of(source))
+    found = search.beside(None, names[0])
+    for name in names[1:]:
+        found = search.beside(found, name)
+    return found if change is None else Fit(found.candidate, found.evidence, found.problem, change)
+
+
+def test_a_change_of_the_error_has_the_interval_of_a_mean_over_conditions() -> None:
+    """Errors of 1 plus something small in every condition: their root mean square is 1 plus the mean of that."""
+    source = AnalyticSource(1, design=(1,) * 6, repeated=False)
+    small = 1e-3 * np.array([1.0, -2.0, 3.0, 0.0, 2.0, 4.0])
+    nothing, after = np.zeros((6, FEATURES)), (1.0 + small)[:, None] * np.ones((6, FEATURES))
+    source.told_weight = lambda item: 1.0  # type: ignore[assignment, method-assign, misc]
+    found = change_interval(list(nothing), list(after), Evidence.of(source))
+    expected = scipy.stats.t.interval(0.95, 5, loc=1.0 + small.mean(), scale=scipy.stats.sem(small))
+    assert found == pytest.approx(expected, abs=1e-5)
+
+
+def test_an_estimate_at_the_value_where_it_does_nothing_is_at_no_bound() -> None:
+    at = {
+        value: _at_bound(fitted(AnalyticSource(1), "one_sided", change=np.array([value]))) for value in (0.0, 9.0, 50.0)
+    }
+    assert {value: bool(found[0]) for value, found in at.items()} == {0.0: False, 9.0: False, 50.0: True}
+
+
+def test_what_stops_at_a_bound_is_not_noticeable_for_its_interval_means_nothing_there() -> None:
+    source = AnalyticSource(1, repeated=False)
+    source.least_change = 0.1  # type: ignore[misc]
+    assert noticeable(fitted(source, "one_sided", change=np.array([49.0])))
+    assert not noticeable(fitted(source, "one_sided", change=np.array([50.0])))
+
+
+def test_one_of_many_parameters_needs_an_interval_of_the_significance_of_all() -> None:
+    source = AnalyticSource(1)
+    widths = [fitted(source, "of_joints").widths(level)[2] for level in (0.99, 1.0 - 0.01 / 7.0)]
+    one = np.arange(7) == 2
+    assert widths[0] < 0.8 * widths[1]
+    assert not consistent(fitted(source, "of_joints", change=one * 0.5 * sum(widths)))
+    assert consistent(fitted(source, "of_joints", change=one * 1.3 * widths[1]))
+
+
+def test_an_effect_is_certain_where_one_interval_leaves_out_nothing() -> None:
+    """The lever of a payload is a shape: it says where the payload is, not whether it is there."""
+    source = AnalyticSource(1, (("payload", (3.0, 0.5)),))
+    best = fitted(source, "payload")
+    half = best.half_widths
+    assert certain(best, "payload")
+    for mass, expected in ((1.1, True), (-1.1, True), (0.9, False)):
+        moved = Fit(best.candidate, best.evidence, best.problem, np.array([mass * half[0], 9.0]))
+        assert certain(moved, "payload") == expected
+
+
+def test_estimates_that_move_against_each_other_are_told_as_well() -> None:
+    """Two parameters do nearly the same: what one gets more, the other gets less."""
+    found = fitted(AnalyticSource(1), "twin_of_straight")
+    alike = tuple(np.stack((j[:, 0], j[:, 0] + 0.2 * j[:, 1]), axis=1) for j in found.candidate.jacobians)
+    (pair,) = _identifiability(Fit.of(replace(found.candidate, jacobians=alike), found.evidence)).correlated
+    assert {pair.first, pair.second} == {"c", "c_2"} and pair.correlation < -0.8
+
+
+def test_what_an_effect_moves_is_told_from_the_most_noticeable_on() -> None:
+    source = AnalyticSource(1)
+    found = fitted(source, "straight", change=np.array([5.0]))
+    floors = {f"signal {number}": floor for number, floor in enumerate((0.1, 3.0, 0.3, 1.0))}
+    labels = tuple(replace(feature, floor=floors[feature.signal]) for feature in source.clusters[0].features)
+    clusters = tuple(replace(item, features=labels) for item in found.evidence.clusters)
+    sizes = sizes_of(replace(found, evidence=replace(found.evidence, clusters=clusters)), "straight")
+    assert [size.value / size.floor for size in sizes] == sorted((s.value / s.floor for s in sizes), reverse=True)
+    assert sizes[0].signal == "signal 0"
+
+
+@pytest.mark.parametrize(("without", "tied"), [(0, ()), (3, ()), (4, ("bent",)), (6, ("bent",))])
+def test_an_effect_that_most_folds_replace_is_confusable_with_what_replaces_it(without: int, tied: tuple) -> None:
+    chosen = (("bent", "payload"),) * without + (("straight", "payload"),) * (6 - without)
+    hold_out = HoldOut((), np.zeros(0), (), chosen)
+    names: Any = SimpleNamespace(candidate=SimpleNamespace(names=("straight", "payload")))
+    nothing: Any = None
+    assert Findings(nothing, names, (), hold_out, {}).tied_with("straight") == tied
+
+
+@pytest.mark.parametrize(("verdict", "correct"), [("NOTHING-MISSING", True), ("PRESENT-BUT-SMALL", False)])
+def test_where_nothing_is_hidden_only_nothing_missing_is_right(tmp_path: Path, verdict: str, correct: bool) -> None:
+    (tmp_path / "truth.json").write_text(json.dumps({"kind": "null", "effects": []}))
+    document = DiagnosisDocument(
+        verdict=verdict,
+        effects=(),
+        confusable=(),
+        model=ModelIdentity(name="nominal", digest="0"),
+        runs=RunsIdentity(digest="0", trials=2, conditions=("push/juice/case_2",)),
+        error_unit="N m",
+        noise_floor=1.0,
+        held_out_error_before=1.0,
+        held_out_error_after=1.0,
+    )
+    found = held_against_truth(tmp_path, document)
+    assert (found.correct, found.headline) == (correct, correct)
+
+
+def test_an_effect_is_identified_where_one_of_its_parameters_is() -> None:
+    """How high the weight of a box lies hardly moves anything until it tips; that it is pushed is clear."""
+    source = AnalyticSource(1, (("tipping", (5.0, 0.0)),), design=(2,) * 3)
+
+    class Knowing(Model):
+        @property
+        def known_effects(self):  # noqa: ANN202
+            return {"tipping": TIPPING}
+
+    source.model = Knowing(name="nothing")
+    (effect,) = diagnose(source, source.model).effects
+    low, high = effect.parameters["height"].interval
+    assert (high - low) / 2.0 > UNSEEN > effect.parameters["g"].interval[1] - effect.parameters["g"].interval[0]
+    assert effect.verdict == "CONFIRMED"

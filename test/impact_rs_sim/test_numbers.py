@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How estimates with intervals are written."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from impact_rs_sim.numbers import estimate_in_line, estimate_text, speed_text
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ((1.08973, (1.08925, 1.09021)), "1.08973 [1.08925, 1.09021]"),
+        ((0.35487, (0.3524, 0.3573)), "0.3549 [0.3524, 0.3573]"),
+        ((1203.4, (1100.0, 1310.0)), "1203 [1100, 1310]"),
+        ((0.912, (-0.1, 1.9)), "0.9 [-0.1, 1.9]"),
+        ((2.5e-7, (2e-7, 3e-7)), "2.5e-07 [2e-07, 3e-07]"),
+        ((0.123456, None), "0.123"),
+        ((1.0902, (1.0901, 1.0903)), "1.09020 [1.09010, 1.09030]"),
+        ((1234567.0, (1234467.0, 1234667.0)), "1.23457e+06 [1.23447e+06, 1.23467e+06]"),
+        ((4e-20, (3.99e-20, 4.01e-20)), "4e-20 [3.99e-20, 4.01e-20]"),
+        ((0.0, (0.0, 0.0)), "0 [0, 0]"),
+    ],
+)
+def test_an_estimate_is_told_with_two_digits_of_its_half_width(value, told):
+    assert estimate_in_line(*value) == told
+
+
+@given(st.floats(-1e5, 1e5), st.floats(1e-6, 1e3))
+def test_an_interval_that_is_told_is_as_wide_as_it_is(value, half):
+    _, low, high = estimate_text(value, (value - half, value + half))
+    if max(abs(value - half), abs(value + half)) >= 1e-4:
+        assert math.isclose(float(high) - float(low), 2.0 * half, rel_tol=0.11)
+
+
+@given(st.floats(-1e9, 1e9), st.floats(1e-6, 1e3))
+def test_the_ends_of_an_interval_are_never_rounded_into_one(value, half):
+    _, low, high = estimate_text(value, (value - half, value + half))
+    assert float(low) < float(high)
+
+
+@pytest.mark.parametrize(
+    ("speed", "half", "told"),
+    [(0.5521, 0.0021, ["0.552", "0.002"]), (0.55213, 0.00042, ["0.5521", "0.0004"]), (0.5521, None, ["0.552"]),
+     (0.5521, 0.0, ["0.552", "0.000"]), (0.5521, 0.11, ["0.552", "0.110"])],
+)  # fmt: skip
+def test_half_an_interval_of_a_speed_is_never_rounded_to_nothing(speed, half, told):
+    assert list(speed_text(speed, half)) == told
+
+
+def test_decimals_that_are_asked_for_are_written_where_there_is_no_exponent():
+    assert estimate_text(0.5, (0.4, 0.6), least=4) == ("0.5000", "0.4000", "0.6000")
+    assert estimate_text(0.5, (0.49999, 0.50001), least=4) == ("0.500000", "0.499990", "0.500010")
+    assert estimate_text(0.0, (0.0, 0.0), least=4) == ("0.0000",) * 3
