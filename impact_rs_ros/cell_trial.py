@@ -104,7 +104,9 @@ class CellTrial(LeadingTrial):
             self._inbox.wait(min(left, self._limits.state_timeout, self._limits.answer_timeout))
             for topic, data in self._inbox.take():
                 if topic == STATES:
+                    before = self.arms.states.unreadable
                     self._measured(self.arms.states.read(data))
+                    self.unreadable += self.arms.states.unreadable - before
                 elif topic == MOCAP:
                     self._seen(data)
                 else:
@@ -132,7 +134,6 @@ class CellTrial(LeadingTrial):
             "missed_ticks": self._lost,
             "late_torques": sum(self._late),
             "rate_limited_torques": self.arms.limited,
-            "unreadable_messages": self.arms.states.unreadable,
         }
 
     @property
@@ -200,6 +201,7 @@ class CellTrial(LeadingTrial):
         """Take a torque of the controller, check it, and send it to the robot."""
         signals = self._readers[arm].read(data)
         if not signals.readable:
+            self.unreadable += 1
             return  # as if it had not come: answer_timeout ends the trial if it stays so
         tick = round(signals.stamp / self._period_ns)
         torque = signals.values[2]

@@ -231,7 +231,7 @@ def test_only_usable_states_are_a_sign_of_life() -> None:
     bench.waiting.append((STATES, b"no message"))
     bench.work()
     assert "no state of the robot for 0.01" in bench.trial.failure
-    assert bench.trial.status()[1]["unreadable_messages"] == 4
+    assert bench.trial.unreadable == 4
 
 
 @pytest.mark.parametrize("data", [b"", b"\0\1\0\0abc", b"\0\1\0\0" + b"\xff" * 60, b"x" * 200_000])
