@@ -21,6 +21,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from impact_rs_ros import parameters, presence
+from impact_rs_ros.middleware import set_middleware
 from impact_rs_ros.qos import STREAM
 from impact_rs_ros.roots import below, scenario_below
 from impact_rs_sim.errors import InputError
@@ -174,6 +175,7 @@ def run(program: type[NodeProgram]) -> None:
     if program.background and hasattr(os, "sched_setscheduler"):
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))  # before the middleware starts its threads
     supervisor = os.environ.get(SUPERVISOR)
+    set_middleware(os.environ)
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     try:
         try:

@@ -11,8 +11,7 @@ import pinocchio as pin
 import pytest
 from impact_map_cases import MODEL, nominal, one_point, with_velocity
 
-from impact_rs_sim.impact_map import ImpactProblem
-from impact_rs_sim.impact_map import cones
+from impact_rs_sim.impact_map import ImpactProblem, cones
 from impact_rs_sim.impact_map.cones import solve_cones, solve_contacts
 from impact_rs_sim.impact_map.contacts import find_contacts, meetings
 from impact_rs_sim.impact_map.residual import ContactTerms
