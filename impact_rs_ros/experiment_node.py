@@ -25,6 +25,8 @@ from impact_rs_trials.campaign import TrialReport, make_manifest, open_campaign,
 from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.store import open_store, owned
 
+FAILED = ("ABORTED", "DIVERGED", "LIMIT")  # outcomes that are errors on /diagnostics; all others but OK are warnings
+
 
 class ExperimentNode(NodeProgram):
     """Serves ``/run_trial`` and ``/run_campaign``, one goal at a time."""
@@ -38,6 +40,7 @@ class ExperimentNode(NodeProgram):
         self._cancelling = threading.Event()
         self._trials = 0
         self._aborted = 0
+        self._last: TrialResult | None = None
         self._servers: list[ActionServer] = []
 
     def rehearse(self, spec: TrialSpec) -> None:
@@ -71,7 +74,13 @@ class ExperimentNode(NodeProgram):
         return MultiThreadedExecutor(num_threads=4)
 
     def status(self) -> tuple[str, dict[str, object]]:
-        return "ok", {"trials": self._trials, "aborted": self._aborted}
+        last = self._last
+        line = "ok" if last is None or last.outcome == "OK" else f"last trial {last.outcome}: {last.message}"
+        return line, {"trials": self._trials, "aborted": self._aborted}
+
+    def failure(self) -> str:
+        failed = self._last is not None and self._last.outcome in FAILED
+        return self.status()[0] if failed else ""
 
     def close(self) -> None:
         self._cancelling.set()
@@ -107,6 +116,7 @@ class ExperimentNode(NodeProgram):
         started = time.monotonic()
         result = self._session.run(plan, key, seed, directory, feedback, cancelled, plant_model)
         self._trials += 1
+        self._last = result
         if result.outcome == "ABORTED":
             self._aborted += 1
         text = f"{name}: {result.outcome} after {time.monotonic() - started:.1f} s of wall time"

@@ -39,7 +39,8 @@ from impact_rs_trials.spec import TrialSpec
 
 MATCHING = 2.0  # s, for publishers to be discovered; less than a caller waits for the answer before it asks again
 SAVING = 0.2  # s, how much of a trial is lost when the recorder is killed
-UNAWAITED = (topics.TF, topics.DIAGNOSTICS, topics.TRUTH_MODEL)  # of these some messages are as good as all
+# Topics of which some messages are as good as all.
+UNAWAITED = (topics.TF, topics.TF_STATIC, topics.DIAGNOSTICS, topics.TRUTH_MODEL)
 _HEADER_FIRST = 4  # byte of the stamp behind the CDR encapsulation
 _SEQUENCE_FIRST = 8  # the same with the length of a sequence before it
 
@@ -66,6 +67,8 @@ class OpenTrial:
             for topic, kind in topics.recorded(arms).items()
         }
         self._derived = None if plan is None else DerivedMessages(plan, tracked)
+        if self._derived is not None:
+            bag.write_raw(topics.TF_STATIC, 0, self._derived.static())
         self._last: dict[str, int] = {}
         per_arm = (topics.joint_states, topics.controller_state)
         judged = {topics.OBJECT_POSE, *(name(arm) for arm in arms for name in per_arm)}
@@ -77,7 +80,9 @@ class OpenTrial:
         if self._derived is not None and topic in DERIVED:
             return
         now = 0
-        if topic != topics.TRUTH_MODEL:  # said once, and without a stamp
+        if topic == topics.DIAGNOSTICS:  # its stamp is no trial time
+            now = max(self._last.values(), default=0)
+        elif topic != topics.TRUTH_MODEL:  # said once, and without a stamp
             seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_at[topic])
             now = seconds * 1_000_000_000 + nanoseconds
         if topic != topics.DIAGNOSTICS:
@@ -157,6 +162,7 @@ class RecorderNode(NodeProgram):
         self._configured: ConfigureTrial.Request | None = None  # the trial that is recorded
         self._finished: FinishTrial.Response | None = None  # what was answered of the trial before
         self._messages = 0
+        self._failure = ""  # why the last bag is no whole trial
         self._saved = 0.0  # when the bag was put on the disk, on the monotonic clock [s]
         self._presence = Presence(self.node, ["experiment"])
         self._acquaintance = Acquaintance(self.node, ["plant", "controller"])
@@ -176,6 +182,9 @@ class RecorderNode(NodeProgram):
 
     def status(self) -> tuple[str, dict[str, object]]:
         return "ok", {"messages": self._messages}
+
+    def failure(self) -> str:
+        return self._failure
 
     def connect(self, arms: list[str]) -> None:
         if arms != self._arms:
@@ -251,6 +260,7 @@ class RecorderNode(NodeProgram):
         recording = self._recording
         if recording is not None and self._presence.gone("experiment"):
             self._abort()
+            self._failure = "the experiment node was killed or froze in a trial"
             self.log.warning(
                 f"{recording.said('ABORTED')} {partial_path(recording.bag.path)}: the experiment node was "
                 "killed or froze"
@@ -265,6 +275,7 @@ class RecorderNode(NodeProgram):
             return response
         self._abort()
         self._configured = self._finished = None
+        self._failure = ""
         self._presence.forget_absent()  # somebody asks, whether or not it has been met again
         try:
             info = TrialInfo.from_message(request.trial)
@@ -288,12 +299,12 @@ class RecorderNode(NodeProgram):
             self._configured = request
         except InputError as error:
             self.log.error(f"trial refused: {error}")
-            response.message = str(error)
+            response.message = self._failure = str(error)
             return response
         except Exception as error:  # a node outlives every trial
             self._open.close()
             self.log.error(f"cannot open the bag: {full_traceback(error)}")
-            response.message = f"recorder: {type(error).__name__}: {error}"
+            response.message = self._failure = f"recorder: {type(error).__name__}: {error}"
             return response
         self.log.debug(f"recording {path}")
         response.success = True
@@ -318,6 +329,7 @@ class RecorderNode(NodeProgram):
                 verdict = Verdict("ABORTED", f"the bag cannot be closed: {error}")
             self._recording = None
             self._open.close()
+        self._failure = verdict.reason if verdict.outcome == "ABORTED" else ""
         path = bag.path if verdict.outcome != "ABORTED" else partial_path(bag.path)
         text = f"{recording.said(verdict.outcome)} {path}"
         if verdict.outcome == "OK":
