@@ -19,9 +19,11 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.process import IDLE, NodeProgram, run
 from impact_rs_ros.trial_session import Progress, TrialResult, TrialSession
 from impact_rs_sim.errors import InputError, full_traceback
+from impact_rs_sim.model import parse_model
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.scenario import Scenario
 from impact_rs_trials.bags.trial_info import TrialKey
-from impact_rs_trials.campaign import TrialReport, make_manifest, open_campaign, wrong_outcomes
+from impact_rs_trials.campaign import Manifest, TrialReport, make_manifest, open_campaign, wrong_outcomes
 from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.store import open_store, owned
 
@@ -92,11 +94,48 @@ class ExperimentNode(NodeProgram):
         self._session.close()
 
     def _on_goal(self, goal: Any) -> GoalResponse:
-        del goal
         if self._busy.locked() or self._cancelling.is_set():
             self.log.warning("goal rejected: another trial or campaign is running; wait for its end, or cancel it")
             return GoalResponse.REJECT
+        try:
+            self._check(goal)
+        except InputError as error:
+            self.log.error(f"goal rejected: {error}")
+            return GoalResponse.REJECT
         return GoalResponse.ACCEPT
+
+    def _check(self, goal: Any) -> None:
+        """Nothing, where a goal can be run.
+
+        Raises:
+            InputError: It asks for what there is not.
+        """
+        self.output(goal.output_directory, "output_directory")
+        if isinstance(goal, RunCampaign.Goal):
+            self._manifest(goal)
+            return
+        _planned(goal, self.scenario(goal.scenario))
+        if goal.plant_model:
+            parse_model(goal.plant_model, "plant_model")
+
+    def _manifest(self, goal: RunCampaign.Goal) -> Manifest:
+        """The campaign of a goal, with the scenario's own values where it has none.
+
+        Raises:
+            InputError: There is no such campaign.
+        """
+        inertia = goal.motor_inertia or "reduced"
+        if inertia not in MOTOR_INERTIA_MODELS:
+            known = f"expected one of {', '.join(MOTOR_INERTIA_MODELS)}"
+            raise InputError(f"no motor-inertia model {inertia!r}; {known}", key="motor_inertia")
+        return make_manifest(
+            self.scenario_name(goal.scenario),
+            list(goal.objects) or None,
+            list(goal.cases) or None,
+            list(goal.velocity_scales) or None,
+            goal.trials or None,
+            goal.seed,
+        ).model_copy(update={"motor_inertia": inertia})
 
     def _one(
         self,
@@ -157,14 +196,7 @@ class ExperimentNode(NodeProgram):
         reports = []
         with self._busy, ExitStack() as held:
             try:
-                manifest = make_manifest(
-                    self.scenario_name(goal.scenario),
-                    list(goal.objects) or None,
-                    list(goal.cases) or None,
-                    list(goal.velocity_scales) or None,
-                    goal.trials or None,
-                    goal.seed,
-                ).model_copy(update={"motor_inertia": goal.motor_inertia or "reduced"})
+                manifest = self._manifest(goal)
                 directory = self.output(goal.output_directory, "output_directory")
                 held.enter_context(owned(open_store(directory)))
                 todo = open_campaign(directory, manifest)

@@ -62,6 +62,9 @@ def test_package_xml_is_valid_for_ament() -> None:
     assert package.get_build_type() == "ament_cmake"
     assert [g.name for g in package.member_of_groups] == ["rosidl_interface_packages"]
     assert all("@" in maintainer.email for maintainer in package.maintainers)
+    assert [author.email for author in package.authors] == [
+        author["email"] for author in pyproject()["project"]["authors"]
+    ]
     assert package.licenses == [pyproject()["project"]["license"]]
 
 
