@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock
 
+from impact_rs_ros.experiment_node import ExperimentNode
 from impact_rs_ros.process import NodeProgram
+from impact_rs_ros.trial_session import Progress, TrialResult
 
 
 class Offline(NodeProgram):
@@ -61,3 +64,32 @@ def test_a_failed_trial_is_an_error_and_a_poor_one_a_warning(
 ) -> None:
     (status,) = diagnosed(line, failure).status
     assert (status.level, status.message) == (level, message)
+
+
+class Experiment(Offline):
+    """An experiment node after a trial."""
+
+    status, failure = ExperimentNode.status, ExperimentNode.failure
+
+    def __init__(self, outcome: str, message: str) -> None:
+        super().__init__()
+        self._trials, self._aborted = 1, 0
+        self._last = TrialResult(outcome, message, Path("bag"), Progress())  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("outcome", "level"),
+    [
+        ("OK", DiagnosticStatus.OK),
+        ("NO-IMPACT", DiagnosticStatus.WARN),
+        ("DIVERGED", DiagnosticStatus.ERROR),
+        ("LIMIT", DiagnosticStatus.ERROR),
+        ("ABORTED", DiagnosticStatus.ERROR),
+    ],
+)
+def test_the_experiment_node_tells_how_bad_the_last_trial_was(outcome: str, level: bytes) -> None:
+    node = Experiment(outcome, "for a reason")
+    node.diagnose(now=True)
+    (status,) = node.sent[0].status
+    assert status.level == level
+    assert status.message == ("ok" if outcome == "OK" else f"last trial {outcome}: for a reason")
