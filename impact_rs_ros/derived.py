@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``/tf`` and ``/clock`` for the bag, worked out from what was measured.
+"""``/tf``, ``/tf_static`` and ``/clock`` for the bag, worked out from what was measured.
 
-Several graphs share these topics, nobody can publish the first where ``tf2_msgs`` is not installed (it is not on PyPI),
-and somebody else's plant need not publish either. Both follow from measured joint positions and the tracked object:
+Several graphs share the first two, nobody can publish them where ``tf2_msgs`` is not installed (it is not on PyPI), and
+somebody else's plant need not publish any. They follow from measured joint positions and the tracked object:
 from the recorded messages the recorder works out the same ones that the plant publishes.
 """
 
@@ -21,7 +21,7 @@ from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
 from impact_rs_trials.bags.record import FrameSource
 from impact_rs_trials.bags.types import typestore
 
-DERIVED = frozenset({topics.TF, topics.CLOCK})
+DERIVED = frozenset({topics.TF, topics.TF_STATIC, topics.CLOCK})
 
 
 class DerivedMessages:
@@ -42,6 +42,11 @@ class DerivedMessages:
         self._readers = {arm: JointReader(names, ("position",)) for arm, names in self._maker.joints.items()}
         self._known: dict[int, dict[str, Array]] = {}  # joint positions by arm, of ticks that are not told yet
         self._seen: list[tuple[int, bytes]] = []  # when [ns], and poses of the object
+
+    def static(self) -> bytes:
+        """The serialized message of ``/tf_static``, for the begin of the trial."""
+        transforms = self._maker.transforms(0, self._frames.static)
+        return bytes(self._store.serialize_cdr(transforms, topics.TF_MESSAGE))
 
     def receive(self, topic: str, nanoseconds: int, data: bytes) -> Iterator[tuple[str, int, bytes]]:
         """Take a recorded message; hands out topics with times [ns] and serialized messages as soon as they are known.

@@ -24,6 +24,7 @@ from rclpy.task import Future
 
 from impact_rs_ros.message_types import available, decoded, message_type
 from impact_rs_ros.names import on_network, resolved
+from impact_rs_ros.qos import offered
 from impact_rs_trials.bags.streams import Stream
 
 BURST = 40  # samples that wait for each other, some ten ticks
@@ -123,12 +124,10 @@ class Outbox:
 
     Args:
         node: Node that publishes.
-        qos: Quality of service of all publishers.
     """
 
-    def __init__(self, node: Node, qos: QoSProfile) -> None:
+    def __init__(self, node: Node) -> None:
         self._node = node
-        self._qos = qos
         self._publishers: dict[str, Publisher] = {}
         self.counts: dict[str, int] = {}
         self._waiting: list[tuple[str, Any]] = []
@@ -141,7 +140,7 @@ class Outbox:
         for publisher in self._publishers.values():
             self._node.destroy_publisher(publisher)
         self._publishers = {
-            topic: self._node.create_publisher(message_type(kind), on_network(topic), self._qos)
+            topic: self._node.create_publisher(message_type(kind), on_network(topic), offered(topic))
             for topic, kind in topics.items()
             if available(kind)
         }

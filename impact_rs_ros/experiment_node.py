@@ -20,13 +20,15 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.process import IDLE, NodeProgram, run
 from impact_rs_ros.trial_session import Progress, TrialResult, TrialSession
 from impact_rs_sim.errors import InputError, full_traceback
+from impact_rs_sim.model import parse_model
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.scenario import Scenario
 from impact_rs_trials.bags.trial_info import TrialKey
-from impact_rs_trials.campaign import TrialReport, make_manifest, open_campaign, wrong_outcomes
+from impact_rs_trials.campaign import Manifest, TrialReport, make_manifest, open_campaign, wrong_outcomes
 from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.store import open_store, owned
 
-FAILED = ("ABORTED", "DIVERGED", "LIMIT")  # outcomes of which no trial is a success
+FAILED = ("ABORTED", "DIVERGED", "LIMIT")  # outcomes that are no success, and errors on /diagnostics
 
 
 class ExperimentNode(NodeProgram):
@@ -41,6 +43,7 @@ class ExperimentNode(NodeProgram):
         self._cancelling = threading.Event()
         self._trials = 0
         self._aborted = 0
+        self._last: TrialResult | None = None
         self._servers: list[ActionServer] = []
 
     def rehearse(self, spec: TrialSpec) -> None:
@@ -74,7 +77,13 @@ class ExperimentNode(NodeProgram):
         return MultiThreadedExecutor(num_threads=4)
 
     def status(self) -> tuple[str, dict[str, object]]:
-        return "ok", {"trials": self._trials, "aborted": self._aborted}
+        last = self._last
+        line = "ok" if last is None or last.outcome == "OK" else f"last trial {last.outcome}: {last.message}"
+        return line, {"trials": self._trials, "aborted": self._aborted}
+
+    def failure(self) -> str:
+        failed = self._last is not None and self._last.outcome in FAILED
+        return self.status()[0] if failed else ""
 
     def close(self) -> None:
         self._cancelling.set()
@@ -86,15 +95,52 @@ class ExperimentNode(NodeProgram):
         self._session.close()
 
     def _on_goal(self, goal: Any) -> GoalResponse:
-        del goal
         if self._busy.locked() or self._cancelling.is_set():
             self.log.warning("goal rejected: another trial or campaign is running; wait for its end, or cancel it")
+            return GoalResponse.REJECT
+        try:
+            self._check(goal)
+        except InputError as error:
+            self.log.error(f"goal rejected: {error}")
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
 
     def _cancelled(self, handle: Any) -> bool:
         """Whether a goal shall come to its end now."""
         return bool(handle.is_cancel_requested or self._cancelling.is_set())
+
+    def _check(self, goal: Any) -> None:
+        """Nothing, where a goal can be run.
+
+        Raises:
+            InputError: It asks for what there is not.
+        """
+        self.output(goal.output_directory, "output_directory")
+        if isinstance(goal, RunCampaign.Goal):
+            self._manifest(goal)
+            return
+        _planned(goal, self.scenario(goal.scenario))
+        if goal.plant_model:
+            parse_model(goal.plant_model, "plant_model")
+
+    def _manifest(self, goal: RunCampaign.Goal) -> Manifest:
+        """The campaign of a goal, with the scenario's own values where it has none.
+
+        Raises:
+            InputError: There is no such campaign.
+        """
+        inertia = goal.motor_inertia or "reduced"
+        if inertia not in MOTOR_INERTIA_MODELS:
+            known = f"expected one of {', '.join(MOTOR_INERTIA_MODELS)}"
+            raise InputError(f"no motor-inertia model {inertia!r}; {known}", key="motor_inertia")
+        return make_manifest(
+            self.scenario_name(goal.scenario),
+            list(goal.objects) or None,
+            list(goal.cases) or None,
+            list(goal.velocity_scales) or None,
+            goal.trials or None,
+            goal.seed,
+        ).model_copy(update={"motor_inertia": inertia})
 
     def _one(
         self,
@@ -111,6 +157,7 @@ class ExperimentNode(NodeProgram):
         started = time.monotonic()
         result = self._session.run(plan, key, seed, directory, feedback, partial(self._cancelled, handle), plant_model)
         self._trials += 1
+        self._last = result
         if result.outcome == "ABORTED" and not self._cancelled(handle):
             self._aborted += 1
         text = f"{name}: {result.outcome} after {time.monotonic() - started:.1f} s of wall time"
@@ -151,14 +198,7 @@ class ExperimentNode(NodeProgram):
         reports = []
         with self._busy, ExitStack() as held:
             try:
-                manifest = make_manifest(
-                    self.scenario_name(goal.scenario),
-                    list(goal.objects) or None,
-                    list(goal.cases) or None,
-                    list(goal.velocity_scales) or None,
-                    goal.trials or None,
-                    goal.seed,
-                ).model_copy(update={"motor_inertia": goal.motor_inertia or "reduced"})
+                manifest = self._manifest(goal)
                 directory = self.output(goal.output_directory, "output_directory")
                 held.enter_context(owned(open_store(directory)))
                 todo = open_campaign(directory, manifest)

@@ -302,7 +302,7 @@ class Graph:
 
         handle = self._wait(self.run_trial.send_goal_async(goal, feedback_callback=hear), RESULT_TIMEOUT)
         if not handle.accepted:
-            raise GraphError("the experiment node rejected the trial: another one is running")
+            raise GraphError(f"the experiment node rejected the trial: {self.nodes.last_words('experiment')}")
         ended = handle.get_result_async()
         try:
             answer: RunTrial.Result = self._wait(ended, None, ("experiment", "recorder"), heard).result

@@ -16,8 +16,12 @@ from impact_rs_trials.bags import topics
 
 NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")  # of ROS 2, the root aside
 
-SHARED = frozenset({topics.TF, topics.TF_STATIC, topics.CLOCK, topics.DIAGNOSTICS})
-"""Topics that every graph publishes under the same name."""
+SHARED = frozenset({topics.TF, topics.TF_STATIC, topics.DIAGNOSTICS})
+"""Topics that every graph publishes under the same name, for all of ROS reads them together.
+
+``/clock`` is none of them: it has one publisher, or time jumps. In the namespace ``/cell_a`` it is ``/cell_a/clock``,
+and a node of yours that uses its time is started with ``-r /clock:=/cell_a/clock``.
+"""
 
 
 def on_network(topic: str) -> str:

@@ -17,6 +17,7 @@ from impact_rs_control.closed_loop import make_plant, ran_away
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.joint_signals import JointReader
+from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.names import frame_prefix
 from impact_rs_ros.process import run
 from impact_rs_ros.trial_node import CONNECTING, LeadingNode, LeadingTrial
@@ -25,6 +26,7 @@ from impact_rs_sim.model import parse_model
 from impact_rs_sim.plant import Plant
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.messages import MessageMaker
 from impact_rs_trials.bags.record import FrameSource, occasional_messages
 from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
@@ -216,7 +218,7 @@ class PlantNode(LeadingNode[PlantTrial]):
         return {topics.joint_command(arm): topics.JOINT_STATE for arm in arms}
 
     def published(self, arms: list[str]) -> dict[str, str]:
-        names = [topics.CLOCK, topics.TF, topics.OBJECT_POSE]
+        names = [topics.CLOCK, topics.TF, topics.TF_STATIC, topics.OBJECT_POSE]
         names += [topics.TRUTH_MODEL, topics.TRUTH_OBJECT_POSE, topics.TRUTH_OBJECT_TWIST]
         for arm in arms:
             names += [topics.joint_states(arm), topics.motor_states(arm)]
@@ -239,6 +241,8 @@ class PlantNode(LeadingNode[PlantTrial]):
             answer_timeout=self.parameter("answer_timeout"),
         )
         frames = FrameSource(plan.scene, frame_prefix(self.node.get_namespace()))
+        maker = MessageMaker(RosidlTypes(), plan)
+        self.outbox.later(topics.TF_STATIC, maker.transforms(0, frames.static))
         return PlantTrial(plan, make_plant(plan, info.seed, physics), pace, self.inbox, self.outbox, frames)
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import rclpy
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
@@ -21,7 +20,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from impact_rs_ros import parameters, presence
-from impact_rs_ros.qos import STREAM
+from impact_rs_ros.middleware import set_middleware
+from impact_rs_ros.qos import offered
 from impact_rs_ros.roots import below, scenario_below
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.scenario import Scenario, load_scenario
@@ -51,7 +51,7 @@ class NodeProgram:
         self.executor = self.make_executor()
         self.executor.add_node(self.node)
         self._alive = presence.announce(self.node)
-        self._diagnostics = self.node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, STREAM)
+        self._diagnostics = self.node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, offered(topics.DIAGNOSTICS))
         self._diagnosed = time.monotonic()
 
     def make_executor(self) -> Executor:
@@ -96,7 +96,7 @@ class NodeProgram:
         return [self.node.resolve_service_name(service.srv_name) for service in own]
 
     def trial_time(self) -> int:
-        """Trial time for ``/diagnostics`` [ns]."""
+        """Trial time [ns], one of the numbers on ``/diagnostics``."""
         return 0
 
     def parameter(self, name: str) -> Any:
@@ -151,6 +151,10 @@ class NodeProgram:
         """A line and numbers for ``/diagnostics``; a line that does not begin with ``ok`` is a warning."""
         return "ok", {}
 
+    def failure(self) -> str:
+        """Why the present trial, or the last one, failed or was aborted: an error on ``/diagnostics``; empty: none."""
+        return ""
+
     def diagnose(self, now: bool = False) -> None:
         """Publish diagnostics when they are due, or at once."""
         clock = time.monotonic()
@@ -158,12 +162,15 @@ class NodeProgram:
             return
         self._diagnosed = clock
         line, numbers = self.status()
+        numbers = {**numbers, "trial_time [s]": 1e-9 * self.trial_time()}
+        level = DiagnosticStatus.OK if line.startswith("ok") else DiagnosticStatus.WARN
+        if failure := self.failure():
+            level, line = DiagnosticStatus.ERROR, failure
         message = DiagnosticArray()
-        seconds, nanoseconds = divmod(self.trial_time(), 1_000_000_000)
-        message.header.stamp = Time(sec=seconds, nanosec=nanoseconds)
+        message.header.stamp = self.node.get_clock().now().to_msg()  # aggregators drop what is old
         message.status = [
             DiagnosticStatus(
-                level=DiagnosticStatus.OK if line.startswith("ok") else DiagnosticStatus.WARN,
+                level=level,
                 name=self.node.get_fully_qualified_name(),
                 message=line,
                 hardware_id=HARDWARE,
@@ -190,6 +197,7 @@ def run(program: type[NodeProgram]) -> None:
     if program.background and hasattr(os, "sched_setscheduler"):
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))  # before the middleware starts its threads
     supervisor = os.environ.get(SUPERVISOR)
+    set_middleware(os.environ)
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     try:
         try:

@@ -6,15 +6,28 @@ from __future__ import annotations
 from rclpy.duration import Duration
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSLivelinessPolicy, QoSProfile, QoSReliabilityPolicy
 
-STREAM = QoSProfile(
-    reliability=QoSReliabilityPolicy.RELIABLE,
-    durability=QoSDurabilityPolicy.VOLATILE,
-    history=QoSHistoryPolicy.KEEP_LAST,
-    depth=4000,
-)
-"""Publishers of signals. Reliable, because the recorder must not lose a sample. Deep, so that a recorder that is late
-by some seconds still gets every sample; yet bounded, because a publisher that keeps all blocks as soon as one of its
-subscribers has died, until the middleware notices that (20 s)."""
+from impact_rs_trials.bags import topics
+
+
+def offered(topic: str) -> QoSProfile:
+    """What the publisher of a recorded topic offers, as :func:`impact_rs_trials.bags.topics.offer` has it.
+
+    Reliable, because the recorder must not lose a sample.
+
+    Args:
+        topic: Its name in the root namespace.
+    """
+    offer = topics.offer(topic)
+    return QoSProfile(
+        reliability=QoSReliabilityPolicy.RELIABLE,
+        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if offer.latched else QoSDurabilityPolicy.VOLATILE,
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=offer.depth,
+    )
+
+
+STREAM = offered(topics.joint_states("arm"))
+"""Publishers of signals: deep, for the recorder."""
 
 AWAITED = QoSProfile(
     reliability=QoSReliabilityPolicy.BEST_EFFORT,
@@ -58,12 +71,7 @@ EVENT = QoSProfile(
 )
 """Subscribers of what is said once (``/impact_event``)."""
 
-LATCHED = QoSProfile(
-    reliability=QoSReliabilityPolicy.RELIABLE,
-    durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
-    history=QoSHistoryPolicy.KEEP_LAST,
-    depth=1,
-)
+LATCHED = offered(topics.TRIAL_INFO)
 """What is said once per trial (``/trial_info``, ``/robot_description`` and the like): who comes late still hears it."""
 
 

@@ -42,7 +42,8 @@ from impact_rs_trials.spec import TrialSpec
 
 MATCHING = 2.0  # s, for publishers to be discovered; less than a caller waits for the answer before it asks again
 SAVING = 0.2  # s, how much of a trial is lost when the recorder is killed
-UNAWAITED = (topics.TF, topics.DIAGNOSTICS, topics.TRUTH_MODEL)  # of these some messages are as good as all
+# Topics of which some messages are as good as all.
+UNAWAITED = (topics.TF, topics.TF_STATIC, topics.DIAGNOSTICS, topics.TRUTH_MODEL)
 JUDGED = (topics.joint_states, topics.controller_state)  # signals of an arm that reach the end of a trial
 EVERY_TICK = (*JUDGED, topics.joint_command)  # signals of an arm from tick 0 on
 ENDS_EARLY = ("DIVERGED", "LIMIT")  # a plant may stop for these
@@ -83,6 +84,8 @@ class OpenTrial:
             for topic, kind in topics.recorded(arms).items()
         }
         self._derived = None if plan is None else DerivedMessages(plan, tracked)
+        if self._derived is not None:
+            bag.write_raw(topics.TF_STATIC, 0, self._derived.static())
         self._last: dict[str, int] = {}
         kinds = topics.recorded(arms)
         self._readable = {topic: Readable(typestore(), kind) for topic, kind in kinds.items()}
@@ -129,6 +132,8 @@ class OpenTrial:
             return None
         if topic == topics.TRUTH_MODEL:  # said once, and without a stamp
             return 0
+        if topic == topics.DIAGNOSTICS:  # its stamp is no trial time
+            return max(self._last.values(), default=0)
         try:
             seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_at[topic])
         except struct.error:  # a sequence without elements
@@ -227,6 +232,7 @@ class RecorderNode(NodeProgram):
         self._configured: ConfigureTrial.Request | None = None  # the trial that is recorded
         self._finished: FinishTrial.Response | None = None  # what was answered of the trial before
         self._messages = 0
+        self._failure = ""  # why the last bag is no whole trial
         self._saved = 0.0  # when the bag was put on the disk, on the monotonic clock [s]
         self._presence = Presence(self.node, ["experiment"])
         self._acquaintance = Acquaintance(self.node, ["plant", "controller"])
@@ -250,6 +256,9 @@ class RecorderNode(NodeProgram):
         refused = 0 if self._recording is None else self._recording.refused.total()
         line = f"{refused} messages unreadable or not of this trial: who else publishes?" if refused else "ok"
         return line, {"messages": self._messages, "refused_messages": refused, "subscriptions_of": self._inbox.name}
+
+    def failure(self) -> str:
+        return self._failure
 
     def connect(self, arms: list[str]) -> None:
         if arms != self._arms:
@@ -327,6 +336,7 @@ class RecorderNode(NodeProgram):
         recording = self._recording
         if recording is not None and self._presence.gone("experiment"):
             self._abort()
+            self._failure = "the experiment node was killed or froze in a trial"
             self.log.warning(
                 f"{recording.said('ABORTED')} {partial_path(recording.bag.path)}: the experiment node was "
                 "killed or froze"
@@ -341,6 +351,7 @@ class RecorderNode(NodeProgram):
             return response
         self._abort()
         self._configured = self._finished = None
+        self._failure = ""
         self._presence.forget_absent()  # somebody asks, whether or not it has been met again
         try:
             info = TrialInfo.from_message(request.trial)
@@ -369,12 +380,12 @@ class RecorderNode(NodeProgram):
             self._configured = request
         except InputError as error:
             self.log.error(f"trial refused: {error}")
-            response.message = str(error)
+            response.message = self._failure = str(error)
             return response
         except Exception as error:  # a node outlives every trial
             self._open.close()
             self.log.error(f"cannot open the bag: {full_traceback(error)}")
-            response.message = f"recorder: {type(error).__name__}: {error}"
+            response.message = self._failure = f"recorder: {type(error).__name__}: {error}"
             return response
         self.log.debug(f"recording {path}")
         response.success = True
@@ -410,6 +421,7 @@ class RecorderNode(NodeProgram):
                 verdict = Verdict("ABORTED", f"the bag cannot be closed: {error}")
             self._recording = None
             self._open.close()
+        self._failure = verdict.reason if verdict.outcome == "ABORTED" else ""
         path = bag.path if verdict.outcome != "ABORTED" else partial_path(bag.path)
         text = f"{recording.said(verdict.outcome)} {path}"
         if verdict == Verdict("OK"):

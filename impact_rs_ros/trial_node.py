@@ -17,7 +17,7 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.process import THROTTLE, NodeProgram
-from impact_rs_ros.qos import AWAITED, STREAM
+from impact_rs_ros.qos import AWAITED
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_trials.bags.messages import MessageMaker
 from impact_rs_trials.bags.streams import Stream, StreamMaker
@@ -99,7 +99,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self._configured: ConfigureTrial.Request | None = None  # the trial that runs
         self._finished: FinishTrial.Response | None = None  # what was answered of the trial before
         self.inbox = Inbox(self.node, "inbox", AWAITED, raw=True)
-        self.outbox = Outbox(self.node, STREAM)
+        self.outbox = Outbox(self.node)
 
     @abstractmethod
     def received(self, arms: list[str]) -> dict[str, str]:
@@ -158,6 +158,9 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         if line == "ok" and self.trial.unreadable:
             line = f"{self.trial.note()}: who else publishes?"
         return line, {**numbers, "unreadable_messages": self.trial.unreadable, **own}
+
+    def failure(self) -> str:
+        return "" if self.trial is None else self.trial.failure
 
     def connect(self, arms: list[str]) -> None:
         if arms != self.arms:

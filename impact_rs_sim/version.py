@@ -12,13 +12,34 @@ from pathlib import Path
 logger = logging.getLogger(__name__)
 
 
+RECORDED = "git_revision.txt"  # beside this file in an installation; CMakeLists.txt writes it
+
+
 @functools.cache
 def git_revision() -> str:
-    """Revision of the source tree this runs from, with ``+`` where it has uncommitted changes; empty if none."""
+    """Revision of the sources, with ``+`` where they have uncommitted changes; empty if it is not known.
+
+    That of the source tree this runs from, or, installed by colcon or pip, what was noted when it was built.
+    """
+    here = Path(__file__).resolve().parent
+    return described_by_git(here) if (here.parent / ".git").exists() else recorded_revision(here)
+
+
+def recorded_revision(folder: Path) -> str:
+    """Revision that the build noted in a folder; empty if it noted none."""
+    try:
+        return (folder / RECORDED).read_text(encoding="utf-8").strip()
+    except OSError as error:
+        logger.debug("no git revision: %s", error)
+        return ""
+
+
+def described_by_git(folder: Path) -> str:
+    """Revision of the repository that a folder lies in, with ``+`` where it has uncommitted changes; empty if none."""
     try:
         described = subprocess.run(
             ["git", "describe", "--always", "--dirty=+", "--abbrev=12"],
-            cwd=Path(__file__).parent,
+            cwd=folder,
             capture_output=True,
             text=True,
             timeout=5.0,

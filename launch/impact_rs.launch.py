@@ -2,23 +2,33 @@
 """Starts the five nodes: ``ros2 launch impact_rs impact_rs.launch.py scenario:=push namespace:=cell_a``.
 
 ``without:=plant`` leaves one out, or several (``without:="plant controller"``), because you provide it yourself.
-One that dies is started again.
+A node that dies is started again, ``RESPAWNS`` times; one that refuses its parameters (exit code 2) is not.
+How nodes find each other is decided by the nodes themselves, from the environment, as everywhere in impact_rs.
 """
 
-from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from pathlib import Path
+
+from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
+from launch.actions import DeclareLaunchArgument, EmitEvent, LogInfo, OpaqueFunction, RegisterEventHandler
+from launch.event_handlers import OnProcessExit
+from launch.events import matches_action
+from launch.events.process import ProcessExited, ShutdownProcess
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
+LEVELS = ["debug", "info", "warn", "error", "fatal"]
+REFUSED = 2  # exit code of a node that cannot work with its parameters: starting it again changes nothing
+RESPAWNS = 5  # of each node
+VIEWED = ("/robot_description", "/object/robot_description", "/object/pose", "/clock")  # topics of impact_rs.rviz
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return the five nodes, or those that are wanted of them, all with the same parameter file and scenario."""
+    share = FindPackageShare("impact_rs")
     return LaunchDescription(
         [
-            OpaqueFunction(function=over_the_loopback),
             DeclareLaunchArgument("scenario", default_value="push", description="Name or path of the scenario."),
             DeclareLaunchArgument("namespace", default_value="", description="Namespace of the nodes."),
             DeclareLaunchArgument(
@@ -26,49 +36,95 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "params_file",
-                default_value=PathJoinSubstitution([FindPackageShare("impact_rs"), "config", "nodes.yaml"]),
-                description="Parameters of the nodes.",
+                default_value=PathJoinSubstitution([share, "config", "nodes.yaml"]),
+                description="Parameters of the nodes; must exist.",
+            ),
+            DeclareLaunchArgument(
+                "use_sim_time",
+                default_value="false",
+                choices=["true", "false"],
+                description="The nodes take their time from /clock, the plant aside, which publishes it.",
+            ),
+            DeclareLaunchArgument(
+                "log_level", default_value="info", choices=LEVELS, description="Least severity that the nodes log."
+            ),
+            DeclareLaunchArgument(
+                "respawn",
+                default_value="true",
+                choices=["true", "false"],
+                description=f"Start a node that died again, {RESPAWNS} times at most.",
+            ),
+            DeclareLaunchArgument(
+                "rviz",
+                default_value="false",
+                choices=["true", "false"],
+                description="Open RViz with config/viewers/impact_rs.rviz; needs the package rviz2.",
             ),
             OpaqueFunction(function=wanted_nodes),
         ]
     )
 
 
-def over_the_loopback(context: LaunchContext) -> list[SetEnvironmentVariable]:
-    """Return how the nodes talk, as ``impact_rs_ros.middleware`` says; ``ros2 launch`` may not be able to import it."""
-    chosen = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
-    within = context.environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST") == "LOCALHOST"
-    fast = context.environment.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp").startswith("rmw_fastrtps")
-    if not within or not fast or any(name in context.environment for name in chosen):
-        return []
-    profile = PathJoinSubstitution([FindPackageShare("impact_rs"), "config", "loopback.xml"])
-    return [
-        SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", "SYSTEM_DEFAULT"),
-        SetEnvironmentVariable("FASTRTPS_DEFAULT_PROFILES_FILE", profile),
-    ]
-
-
-def wanted_nodes(context: LaunchContext) -> list[Node]:
-    """Return the nodes that ``without`` does not name.
+def wanted_nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+    """Return the nodes that ``without`` does not name, and RViz where it is wanted.
 
     Raises:
-        RuntimeError: It names one that there is not; ``ros2 launch`` tells it and starts nothing.
+        RuntimeError: ``without`` names a node that there is not, or there is no parameter file; ``ros2 launch`` says so
+            and starts nothing.
     """
     without = LaunchConfiguration("without").perform(context).split()
     for name in without:
         if name not in NODES:
             raise RuntimeError(f"without: no node {name!r}; expected one or more of {', '.join(NODES)}")
-    return [
-        Node(
-            package="impact_rs",
-            executable=node,
-            name=node,
-            namespace=LaunchConfiguration("namespace"),
-            output="screen",
-            respawn=True,
-            respawn_delay=1.0,
-            parameters=[LaunchConfiguration("params_file"), {"scenario": LaunchConfiguration("scenario")}],
-        )
-        for node in NODES
-        if node not in without
-    ]
+    file = LaunchConfiguration("params_file").perform(context)
+    if not Path(file).is_file():
+        raise RuntimeError(f"params_file: there is no file {file!r}; expected a YAML file of node parameters")
+    sim_time = LaunchConfiguration("use_sim_time").perform(context) == "true"
+    started: list[LaunchDescriptionEntity] = []
+    for name in NODES:
+        if name not in without:
+            node = Node(
+                package="impact_rs",
+                executable=name,
+                name=name,
+                namespace=LaunchConfiguration("namespace"),
+                output="screen",
+                respawn=LaunchConfiguration("respawn"),
+                respawn_delay=1.0,
+                respawn_max_retries=RESPAWNS,
+                parameters=[
+                    file,
+                    {
+                        "scenario": LaunchConfiguration("scenario"),
+                        "use_sim_time": sim_time and name != "plant",
+                    },
+                ],
+                remappings=[("/clock", "clock")],  # that of its own namespace
+                ros_arguments=["--log-level", LaunchConfiguration("log_level")],
+            )
+            started += [node, RegisterEventHandler(OnProcessExit(target_action=node, on_exit=stay_down_if_refused))]
+    if LaunchConfiguration("rviz").perform(context) == "true":
+        started.append(viewer())
+    return started
+
+
+def stay_down_if_refused(event: ProcessExited, context: LaunchContext) -> list[LaunchDescriptionEntity] | None:
+    """Do not start a node again that refused its parameters."""
+    del context
+    if event.returncode != REFUSED:
+        return None
+    text = f"{event.process_name}: its parameters were refused (see above), so it is not started again"
+    return [LogInfo(msg=text), EmitEvent(event=ShutdownProcess(process_matcher=matches_action(event.action)))]
+
+
+def viewer() -> Node:
+    """Return RViz on the topics of this namespace; stamps are trial time, so it takes its time from the clock."""
+    layout = PathJoinSubstitution([FindPackageShare("impact_rs"), "config", "viewers", "impact_rs.rviz"])
+    return Node(
+        package="rviz2",
+        executable="rviz2",
+        namespace=LaunchConfiguration("namespace"),
+        arguments=["-d", layout],
+        parameters=[{"use_sim_time": True}],
+        remappings=[(topic, topic.removeprefix("/")) for topic in VIEWED],
+    )

@@ -7,6 +7,7 @@ import importlib.metadata
 import os
 import re
 import runpy
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -17,7 +18,7 @@ from xml.etree import ElementTree
 import pytest
 from catkin_pkg.package import parse_package
 
-from impact_rs_ros.middleware import set_middleware
+from impact_rs_ros.middleware import CHOICES, PROFILE, set_middleware
 from impact_rs_ros.node_processes import NODES
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -61,6 +62,9 @@ def test_package_xml_is_valid_for_ament() -> None:
     assert package.get_build_type() == "ament_cmake"
     assert [g.name for g in package.member_of_groups] == ["rosidl_interface_packages"]
     assert all("@" in maintainer.email for maintainer in package.maintainers)
+    assert [author.email for author in package.authors] == [
+        author["email"] for author in pyproject()["project"]["authors"]
+    ]
     assert package.licenses == [pyproject()["project"]["license"]]
 
 
@@ -138,16 +142,22 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         def perform(self, context: dict[str, str]) -> str:
             return context[self.name]
 
-    stand_ins = {
-        "launch": {"LaunchContext": dict, "LaunchDescription": list},
-        "launch.actions": dict.fromkeys(("DeclareLaunchArgument", "OpaqueFunction"), SimpleNamespace)
-        | {"SetEnvironmentVariable": lambda name, value: (name, value)},
+    actions = ("DeclareLaunchArgument", "EmitEvent", "LogInfo", "OpaqueFunction", "RegisterEventHandler")
+    stand_ins: dict[str, dict[str, Any]] = {
+        "launch": {"LaunchContext": dict, "LaunchDescription": list, "LaunchDescriptionEntity": object},
+        "launch.actions": {
+            name: lambda *inputs, kind=name, **keys: SimpleNamespace(kind=kind, inputs=inputs, **keys)
+            for name in actions
+        },
+        "launch.event_handlers": {"OnProcessExit": SimpleNamespace},
+        "launch.events": {"matches_action": lambda action: action},
+        "launch.events.process": {"ProcessExited": SimpleNamespace, "ShutdownProcess": SimpleNamespace},
         "launch.substitutions": {
             "LaunchConfiguration": lambda name: Configuration(name=name),
             "PathJoinSubstitution": "/".join,
         },
         "launch_ros": {},
-        "launch_ros.actions": {"Node": SimpleNamespace},
+        "launch_ros.actions": {"Node": lambda **keys: SimpleNamespace(kind="Node", **keys)},
         "launch_ros.substitutions": {"FindPackageShare": str},
     }
     for name, content in stand_ins.items():
@@ -157,9 +167,22 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return runpy.run_path(str(ROOT / "launch" / "impact_rs.launch.py"))
 
 
+CHOSEN = {
+    "without": "",
+    "params_file": str(ROOT / "config" / "nodes.yaml"),
+    "use_sim_time": "false",
+    "rviz": "false",
+}
+
+
+def launched(launch_file: dict[str, Any], **chosen: str) -> list[Any]:
+    """The nodes that the launch file starts."""
+    return [entity for entity in launch_file["wanted_nodes"](CHOSEN | chosen) if entity.kind == "Node"]
+
+
 def test_the_launch_file_leaves_out_what_others_provide_and_knows_no_other_names(launch_file: dict[str, Any]) -> None:
     def started(without: str) -> list[str]:
-        return [node.executable for node in launch_file["wanted_nodes"]({"without": without})]
+        return [node.executable for node in launched(launch_file, without=without)]
 
     assert started("") == list(NODES)
     assert started("plant recorder") == ["impact_map", "controller", "experiment"]
@@ -167,27 +190,62 @@ def test_the_launch_file_leaves_out_what_others_provide_and_knows_no_other_names
         started("plant wall")
 
 
-@pytest.mark.parametrize(
-    "chosen",
-    [
-        {},
-        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"},
-        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},
-        {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"},
-        {"FASTDDS_BUILTIN_TRANSPORTS": "SHM"},
-        {"FASTRTPS_DEFAULT_PROFILES_FILE": "own.xml"},
-    ],
-)
-def test_the_launch_file_sets_the_middleware_as_the_runner_does(
-    launch_file: dict[str, Any], chosen: dict[str, str]
+def test_the_launch_file_refuses_a_parameter_file_that_is_not_there(launch_file: dict[str, Any]) -> None:
+    with pytest.raises(RuntimeError, match=r"params_file: there is no file '/nope\.yaml'"):
+        launched(launch_file, params_file="/nope.yaml")
+
+
+def test_the_launch_file_starts_a_node_again_that_dies_some_times_and_none_that_refuses_its_parameters(
+    launch_file: dict[str, Any],
 ) -> None:
-    environment = dict(chosen)
+    for node in launched(launch_file):
+        assert node.respawn.name == "respawn"
+        assert 0 < node.respawn_max_retries < 100
+    handlers = [one.inputs[0] for one in launch_file["wanted_nodes"](CHOSEN) if one.kind == "RegisterEventHandler"]
+    assert [handler.target_action.executable for handler in handlers] == list(NODES)
+    for handler in handlers:
+        for code in (0, 1, -9):
+            died = SimpleNamespace(returncode=code, process_name="plant-1", action=handler.target_action)
+            assert handler.on_exit(died, {}) is None
+        died.returncode = 2
+        said, stopped = handler.on_exit(died, {})
+        assert "plant-1: its parameters were refused" in said.msg
+        assert stopped.event.process_matcher is handler.target_action
+
+
+def test_the_plant_has_its_own_time_and_rviz_that_of_the_clock_of_its_namespace(launch_file: dict[str, Any]) -> None:
+    nodes = {node.executable: node for node in launched(launch_file, use_sim_time="true", rviz="true")}
+    on_clock = {name for name, node in nodes.items() if node.parameters[-1]["use_sim_time"]}
+    assert on_clock == {*NODES, "rviz2"} - {"plant"}
+    assert all(("/clock", "clock") in node.remappings for node in nodes.values())
+    layout = (ROOT / "config" / "viewers" / "impact_rs.rviz").read_text()
+    viewed = {topic for topic, _ in nodes["rviz2"].remappings} - {"/clock"}
+    assert viewed == set(re.findall(r"^ +Value: (/\S+)$", layout, re.MULTILINE))
+    assert nodes["rviz2"].arguments == ["-d", "impact_rs/config/viewers/impact_rs.rviz"]
+
+
+def test_the_launch_file_has_the_arguments_that_one_expects(launch_file: dict[str, Any]) -> None:
+    arguments = [one.inputs[0] for one in launch_file["generate_launch_description"]() if one.inputs]
+    expected = ["scenario", "namespace", "without", "params_file", "use_sim_time", "log_level", "respawn", "rviz"]
+    assert arguments == expected
+
+
+@pytest.mark.parametrize("rmw", [{}, {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}], ids=["fast", "cyclone"])
+@pytest.mark.parametrize("chosen", [{}, *({name: "x"} for name in CHOICES)], ids=["", *CHOICES])
+def test_run_sets_the_middleware_as_the_nodes_do(rmw: dict[str, str], chosen: dict[str, str]) -> None:
+    environment = rmw | chosen
     set_middleware(environment)
-    launched = dict(launch_file["over_the_loopback"](SimpleNamespace(environment=chosen)))
-    if launched:
-        assert launched.pop("FASTRTPS_DEFAULT_PROFILES_FILE") == "impact_rs/config/loopback.xml"
-        assert Path(environment.pop("FASTRTPS_DEFAULT_PROFILES_FILE")).samefile(ROOT / "config" / "loopback.xml")
-    assert {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"} | chosen | launched == environment
+    block = re.search(
+        r"^if \[ -z .*?^fi$", (ROOT / "run").read_text().partition("# Nodes find each other")[2], re.M | re.S
+    )
+    assert block is not None
+    script = f"set -eu\nroot={ROOT}\n{block[0]}\nenv -0"
+    told = subprocess.run(["/bin/sh", "-c", script], env=rmw | chosen, capture_output=True, text=True, check=True)
+    found = dict(line.split("=", 1) for line in told.stdout.split("\0") if line)
+    found = {name: value for name, value in found.items() if name in (*CHOICES, *rmw)}
+    if PROFILE in environment and PROFILE not in chosen:
+        assert Path(environment.pop(PROFILE)).read_text() == Path(found.pop(PROFILE)).read_text()
+    assert found == environment
 
 
 def test_launch_files_compile() -> None:
@@ -195,15 +253,6 @@ def test_launch_files_compile() -> None:
     assert launch_files
     for path in launch_files:
         compile(path.read_text(), str(path), "exec")
-
-
-def test_launch_files_start_every_node_again_that_dies() -> None:
-    for path in (ROOT / "launch").glob("*.launch.py"):
-        calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
-        nodes = [call for call in calls if isinstance(call.func, ast.Name) and call.func.id == "Node"]
-        assert nodes
-        for node in nodes:
-            assert ast.unparse(next(word.value for word in node.keywords if word.arg == "respawn")) == "True"
 
 
 def test_every_source_file_begins_with_the_licence() -> None:

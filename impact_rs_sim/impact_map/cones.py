@@ -9,6 +9,8 @@ percent of the ante-impact speed. Newton's method (:mod:`impact_rs_sim.impact_ma
 that is told. Mostly it gets there without ADMM, on a way of its own (``src/laws.cpp``): points that yield as much as a
 tenth of their own inverse mass have one answer, which shares loads evenly and is found from some sweeps of Gauss and
 Seidel; from there they yield less and less.
+
+The solver came with Pinocchio 4. ROS 2 Jazzy has 3.9, with which the compiled Newton's method stands alone.
 """
 
 from __future__ import annotations
@@ -27,7 +29,12 @@ COARSE = 1e-5  # m/s, what ADMM is asked for as a first guess of Newton's method
 FEASIBILITY = 1e-8  # m/s, what it is asked for where that did not do
 GOOD_ENOUGH = 1e-6  # m/s; no other update rule is tried below
 ITERATIONS = 3000  # per update rule; a face contact takes some hundred
-UPDATE_RULES = (pin.ADMMUpdateRule.OSQP, pin.ADMMUpdateRule.SPECTRAL, pin.ADMMUpdateRule.LINEAR)
+UPDATE_RULES = ("OSQP", "SPECTRAL", "LINEAR")  # of pin.ADMMUpdateRule
+
+
+def has_admm() -> bool:
+    """Whether the installed Pinocchio has the conic solver (version 4 or newer)."""
+    return hasattr(pin, "ADMMConstraintSolver")
 
 
 def solve_contacts(terms: ContactTerms) -> tuple[Array, int]:
@@ -38,11 +45,11 @@ def solve_contacts(terms: ContactTerms) -> tuple[Array, int]:
 
     Returns:
         Impulses on the object ``(m, 3)`` [N s], and the number of sweeps, steps of Newton's method, and iterations of
-        ADMM. Where Newton's method does not converge, the impulses are those of ADMM; how well they obey the laws is
-        for the caller to judge.
+        ADMM. Where Newton's method does not converge, the impulses are those of ADMM (without it those of Newton's
+        method); how well they obey the laws is for the caller to judge.
     """
     impulses, converged, total = terms.kernel.solve(COMPLIANCE)
-    if converged:
+    if converged or not has_admm():
         return impulses, total
     guess = impulses
     for feasibility in (COARSE, FEASIBILITY):
@@ -55,7 +62,7 @@ def solve_contacts(terms: ContactTerms) -> tuple[Array, int]:
 
 
 def solve_cones(terms: ContactTerms, feasibility: float = FEASIBILITY) -> tuple[Array, int]:
-    """Solve the conic problem by ADMM alone, which ends at any of its answers.
+    """Solve the conic problem by ADMM alone, which ends at any of its answers; needs Pinocchio 4 (:func:`has_admm`).
 
     Args:
         terms: The problem at its m contact points.
@@ -84,7 +91,7 @@ def solve_cones(terms: ContactTerms, feasibility: float = FEASIBILITY) -> tuple[
     iterations = 0
     best, impulse = np.inf, np.zeros(3 * count)
     for rule in UPDATE_RULES:
-        settings.admm_update_rule = rule
+        settings.admm_update_rule = getattr(pin.ADMMUpdateRule, rule)
         solver, result = pin.ADMMConstraintSolver(3 * count), pin.ADMMSolverResult()
         converged = solver.solve(operator, drift, constraints, data, settings, result)
         iterations += result.iterations
@@ -101,17 +108,15 @@ def _cones(friction: tuple[float, ...]) -> tuple[pin.StdVec_ConstraintModel, pin
     """Coulomb's cones; the solver takes nothing else from a constraint: geometry and inertia are in the operator."""
     constraints, data = pin.StdVec_ConstraintModel(), pin.StdVec_ConstraintData()
     for coefficient in friction:
-        constraint = pin.PointContactConstraintModel(_ANY_MODEL, 1, pin.SE3.Identity())
+        constraint = pin.PointContactConstraintModel(_any_model(), 1, pin.SE3.Identity())
         constraint.setFriction(coefficient)
         constraints.append(pin.ConstraintModel(constraint))
         data.append(pin.ConstraintData(constraint.createData()))
     return constraints, data
 
 
+@lru_cache(maxsize=1)
 def _any_model() -> pin.Model:
     model = pin.Model()
     model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
     return model
-
-
-_ANY_MODEL = _any_model()

@@ -5,8 +5,8 @@ A face that touches with more than three points can share a load among them in m
 slide without friction, all ways give one u^+; where they slide, each point's friction follows its own load, and u^+ is
 one of a family. The loads of a family form a polytope, whose corners leave at most three points of a face loaded. So
 every choice of three points of every such face is solved by itself, and those answers that obey the laws of the whole
-problem span the **spread**. Answers are solved from the map's own and from ADMM's first guess, so that an answer with
-other contact states is found where there is one.
+problem span the **spread**. Answers are solved from the map's own and, with Pinocchio 4, from ADMM's first guess, so
+that an answer with other contact states is found where there is one.
 
 Which one the map tells is a matter of choice (:mod:`impact_rs_sim.impact_map.newton`): points of equal compliance.
 """
@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impact_rs_sim.impact_map.cones import solve_cones, solve_contacts
+from impact_rs_sim.impact_map.cones import has_admm, solve_cones, solve_contacts
 from impact_rs_sim.impact_map.contacts import find_contacts
 from impact_rs_sim.impact_map.newton import settle
 from impact_rs_sim.impact_map.problem import ImpactProblem, check_problem
@@ -91,7 +91,7 @@ def lawful_answers(terms: ContactTerms) -> list[Array]:
     """u^+ of every answer that was found, the told one first, ``(nv,)`` each."""
     told, _ = solve_contacts(terms)
     answers = [terms.before + terms.response @ told.ravel()]
-    guesses = [told, solve_cones(terms)[0]]
+    guesses = [told, *([solve_cones(terms)[0]] if has_admm() else [])]
     for points in itertools.islice(_choices([contact.partner for contact in terms.contacts]), MOST):
         some = _of_points(terms, points)
         for guess in guesses:

@@ -156,6 +156,8 @@ class MessageMaker:
             qp_status=int(command.qp_status),
             qp_iterations=int(command.qp_iterations),
             qp_solve_time=float(command.qp_solve_time),
+            end_effector_twist=self._twist(command.twist),
+            end_effector_wrench=self._wrench(command.wrench),
         )
 
     def impact_event(self, tick: int, arm: str, detection: ImpactDetection) -> Any:
@@ -168,7 +170,19 @@ class MessageMaker:
             threshold=float(detection.threshold),
             external_wrench=detection.wrench,
             twist=detection.twist,
+            end_effector_twist=self._twist(detection.twist),
+            end_effector_wrench=self._wrench(detection.wrench),
         )
+
+    def _twist(self, values: Array) -> Any:
+        """Linear [m/s], then angular [rad/s]."""
+        linear, angular = self._vector(**_xyz(values[:3])), self._vector(**_xyz(values[3:]))
+        return self._types.type("geometry_msgs/msg/Twist")(linear=linear, angular=angular)
+
+    def _wrench(self, values: Array) -> Any:
+        """Force [N], then torque [N m]."""
+        force, torque = self._vector(**_xyz(values[:3])), self._vector(**_xyz(values[3:]))
+        return self._types.type("geometry_msgs/msg/Wrench")(force=force, torque=torque)
 
     def _pose(self, tick: int, position: Array, quaternion: Array) -> Any:
         x, y, z, w = quaternion.tolist()
@@ -187,16 +201,11 @@ class MessageMaker:
 
     def truth_object_twist(self, tick: int, state: BodyState) -> Any:
         """True twist of the object."""
-        twist = self._types.type("geometry_msgs/msg/Twist")(
-            linear=self._vector(**_xyz(state.twist[:3])), angular=self._vector(**_xyz(state.twist[3:]))
-        )
-        return self._types.type(topics.TWIST)(header=self.header(tick), twist=twist)
+        return self._types.type(topics.TWIST)(header=self.header(tick), twist=self._twist(state.twist))
 
     def truth_contact_wrench(self, tick: int, truth: ArmTruth) -> Any:
         """True force of the object on the pad."""
-        wrench = self._types.type("geometry_msgs/msg/Wrench")(
-            force=self._vector(**_xyz(truth.pad_force)), torque=self._vector(x=0.0, y=0.0, z=0.0)
-        )
+        wrench = self._wrench(np.append(truth.pad_force, np.zeros(3)))
         return self._types.type(topics.WRENCH)(header=self.header(tick), wrench=wrench)
 
     def trial_info(self, info: TrialInfo) -> Any:

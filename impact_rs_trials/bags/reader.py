@@ -13,7 +13,9 @@ from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 import numpy as np
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
+from rosbags.typesys.store import Typestore
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
@@ -21,7 +23,7 @@ from impact_rs_trials.bags import checksums, topics
 from impact_rs_trials.bags.cdr import decode
 from impact_rs_trials.bags.recovery import recover
 from impact_rs_trials.bags.trial_info import OUTCOMES, TrialInfo
-from impact_rs_trials.bags.types import typestore
+from impact_rs_trials.bags.types import typestore, typestore_of
 
 
 class BagError(Exception):
@@ -225,9 +227,9 @@ class TrialBag:
 
     def _columns(self, topic: str, of: Callable[[dict[str, Array]], Columns]) -> Columns:
         """All numbers of a topic, and ``time`` from the header stamps [s], as columns of a kind."""
-        kind, rows = _raw(self.path, self._reader, topic)
+        connection, rows = _raw(self.path, self._reader, topic)
         try:
-            return of(columns_of(kind, rows))
+            return of({} if connection is None else columns_of(connection.msgtype, rows, typestore_of(connection)))
         except Exception as error:  # damaged, or a topic of another type
             raise BagError(self.path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
 
@@ -249,19 +251,25 @@ class TrialBag:
         return float(found[0].detected_time) if found else math.nan
 
 
-def columns_of(kind: str, rows: Sequence[bytes]) -> dict[str, Array]:
-    """All numbers of serialized messages of a stamped type by field path, and ``time`` from the stamps [s]."""
-    columns = decode(typestore(), kind, rows)
+def columns_of(kind: str, rows: Sequence[bytes], store: Typestore | None = None) -> dict[str, Array]:
+    """All numbers of serialized messages of a stamped type by field path, and ``time`` from the stamps [s].
+
+    Args:
+        kind: ``package/msg/Name`` of all of them.
+        rows: The messages.
+        store: Type definitions by which they were written; None: those of this version.
+    """
+    columns = decode(store or typestore(), kind, rows)
     if columns:
         columns["time"] = columns["header.stamp.sec"] + 1e-9 * columns["header.stamp.nanosec"]
     return columns
 
 
-def _raw(path: Path, reader: Reader, topic: str) -> tuple[str, list[bytes]]:
-    """Type and serialized messages of a topic."""
+def _raw(path: Path, reader: Reader, topic: str) -> tuple[Connection | None, list[bytes]]:
+    """Connection and serialized messages of a topic; None where the bag lacks it."""
     connections = [c for c in reader.connections if c.topic == topic]
     if not connections:
-        return "", []
+        return None, []
     try:
         rows = [data for _, _, data in reader.messages(connections=connections)]
     except Exception as error:  # a damaged file can fail anywhere inside the library
@@ -271,13 +279,16 @@ def _raw(path: Path, reader: Reader, topic: str) -> tuple[str, list[bytes]]:
         raise BagError(path, f"{topic}: damaged (metadata.yaml counts {expected!r} messages)")
     if len(rows) < expected:
         raise BagError(path, f"{topic}: damaged ({len(rows)} of {expected} messages are left)")
-    return connections[0].msgtype, rows
+    return connections[0], rows
 
 
 def _messages(path: Path, reader: Reader, topic: str) -> list[Any]:
-    kind, rows = _raw(path, reader, topic)
+    connection, rows = _raw(path, reader, topic)
+    if connection is None:
+        return []
     try:
-        return [typestore().deserialize_cdr(data, kind) for data in rows]
+        store = typestore_of(connection)
+        return [store.deserialize_cdr(data, connection.msgtype) for data in rows]
     except Exception as error:
         raise BagError(path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
 

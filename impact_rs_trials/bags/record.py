@@ -24,6 +24,8 @@ from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.writer import BagWriter
 
+FIXED = 1e-9  # [-], m; how far a placement may differ between two joint positions and still be the same
+
 
 def descriptions(plan: TrialPlan) -> dict[str, str]:
     """URDFs by topic: the arms beside the support, every arm alone, and the object."""
@@ -39,12 +41,15 @@ def descriptions(plan: TrialPlan) -> dict[str, str]:
 
 
 class FrameSource:
-    """Frames for ``/tf``, from measurements alone: the links of every arm one after the other, object and support.
+    """Frames for ``/tf`` and ``/tf_static``, from measurements alone: links one after the other, object and support.
 
     Args:
         scene: The scene.
         prefix: Prefix of every frame, ``cell_a/``, where other graphs are on the same ``/tf``; its ``world`` then is
             a child of the ``world`` of all, at the same place.
+
+    Attributes:
+        static: Frames that never move in their parent: support, bases, what is fixed to a link.
     """
 
     def __init__(self, scene: Scene, prefix: str = "") -> None:
@@ -53,13 +58,22 @@ class FrameSource:
         self._supported = scene.physics.support_height is not None
         self._every = max(1, round(TF_PERIOD / scene.scenario.timing.control_period))
         self._object = pin.SE3(scene.object.rotation, scene.object.position)
+        self._fixed: set[str] = set()
+        at_rest, moved = (
+            self._named({name: np.full(model.joint_count, q) for name, model in self._models.items()})
+            for q in (0.0, 1.0)
+        )
+        self.static = [
+            one for one, other in zip(at_rest, moved, strict=True) if one.placement.isApprox(other.placement, FIXED)
+        ]
+        self._fixed = {one.name for one in self.static}
 
     def due(self, tick: int) -> bool:
         """Whether transforms are published in this tick."""
         return tick % self._every == 0
 
     def frames(self, measurement: Measurement) -> list[Frame]:
-        """Every frame at a measurement."""
+        """Every frame that moves, at a measurement."""
         seen = measurement.object
         return self.at(
             {name: arm.position for name, arm in measurement.arms.items()},
@@ -68,6 +82,14 @@ class FrameSource:
 
     def at(self, arms: dict[str, Array], seen: tuple[Array, Array] | None) -> list[Frame]:
         """The same from joint positions by arm, and position and quaternion of the object where it was seen."""
+        if seen is not None:
+            position, quaternion = seen
+            self._object = pin.SE3(pin.Quaternion(quaternion).matrix(), position)
+        thing = Frame(self._prefix + WORLD, self._prefix + "object", self._object)
+        return [*(frame for frame in self._named(arms) if frame.name not in self._fixed), thing]
+
+    def _named(self, arms: dict[str, Array]) -> list[Frame]:
+        """Every frame but the object's, with its prefix."""
         frames = [Frame(WORLD, "support", pin.SE3.Identity())] if self._supported else []
         for name, model in self._models.items():
             parent, before = WORLD, pin.SE3.Identity()
@@ -75,10 +97,6 @@ class FrameSource:
                 child = f"{name}_{link}"
                 frames.append(Frame(parent, child, before.actInv(placement)))
                 parent, before = child, placement
-        if seen is not None:
-            position, quaternion = seen
-            self._object = pin.SE3(pin.Quaternion(quaternion).matrix(), position)
-        frames.append(Frame(WORLD, "object", self._object))
         if not self._prefix:
             return frames
         named = [Frame(self._prefix + one.parent, self._prefix + one.name, one.placement) for one in frames]
@@ -163,6 +181,7 @@ def record_cell(
             bag.write(topics.TRIAL_INFO, 0, maker.trial_info(info))
             for topic, urdf in descriptions(plan).items():
                 bag.write(topic, 0, maker.robot_description(urdf))
+            bag.write(topics.TF_STATIC, 0, maker.transforms(0, frames.static))
             witness, streaming = Witness(plan), StreamMaker(plan)
             streams = {**streaming.of_plant(), **streaming.of_controller()}
             tick: Tick

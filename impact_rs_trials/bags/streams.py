@@ -8,6 +8,7 @@ sample is put aside when it is measured, and a whole burst becomes bytes by colu
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
 from operator import attrgetter
 from typing import Any
@@ -27,9 +28,19 @@ from impact_rs_trials.bags.types import typestore
 
 SECOND = 1_000_000_000  # ns
 
+
+def _component(name: str, index: int) -> Callable[[Any], float]:
+    """Reads one entry of a vector of a sample."""
+
+    def get(sample: Any) -> float:
+        return float(getattr(sample, name)[index])
+
+    return get
+
+
 _STATE = {"position": "position", "velocity": "velocity", "effort": "torque"}
 _MOTOR = {"position": "motor_position", "velocity": "motor_velocity"}
-_COMMAND = {
+_COMMAND: dict[str, str | Callable[[Any], Any]] = {
     "mode": "mode",
     "gamma": "gamma",
     "position": "position",
@@ -41,6 +52,11 @@ _COMMAND = {
     "qp_status": "qp_status",
     "qp_iterations": "qp_iterations",
     "qp_solve_time": "qp_solve_time",
+    **{
+        f"end_effector_{name}.{part}.{axis}": _component(name, index)
+        for name, parts in (("twist", ("linear", "angular")), ("wrench", ("force", "torque")))
+        for index, (part, axis) in enumerate(itertools.product(parts, "xyz"))
+    },
 }
 
 
@@ -146,7 +162,7 @@ class StreamMaker:
         """Of truth."""
         q = self._joints(arm)
         example = self._maker.truth_contact_wrench(0, ArmTruth(q, q, q, q, q, np.zeros(3)))
-        fields = {f"wrench.force.{axis}": _component(index) for index, axis in enumerate("xyz")}
+        fields = {f"wrench.force.{axis}": _component("pad_force", index) for index, axis in enumerate("xyz")}
         return Stream(topics.WRENCH, example, self._period_ns, fields)
 
     def joint_command(self, arm: str) -> Stream:
@@ -174,10 +190,3 @@ class StreamMaker:
         example = self._maker.controller_state(0, arm, command)
         tables = reference_columns(self._plan.arms[arm])
         return Stream(topics.CONTROLLER_STATE, example, self._period_ns, _COMMAND, tables)
-
-
-def _component(index: int) -> Callable[[ArmTruth], float]:
-    def get(sample: ArmTruth) -> float:
-        return float(sample.pad_force[index])
-
-    return get

@@ -7,6 +7,7 @@ Per arm: ``/ARM/...``. Everything below ``/truth`` comes from the plant and is n
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
 
 CLOCK = "/clock"
 TRIAL_INFO = "/trial_info"
@@ -80,6 +81,43 @@ def latched(arms: list[str]) -> list[str]:
     return [TRIAL_INFO, ROBOT_DESCRIPTION, OBJECT_DESCRIPTION, *(robot_description(arm) for arm in arms)]
 
 
+@dataclass(frozen=True)
+class Offer:
+    """Quality of service that the publisher of a topic offers; all are reliable and keep the last samples.
+
+    Attributes:
+        depth: How many samples are kept.
+        latched: Whether a late subscriber receives the last one (durability transient local).
+    """
+
+    depth: int
+    latched: bool = False
+
+
+SIGNAL = Offer(4000)
+"""A signal of every tick or every camera frame: four seconds at 1 kHz, so that a recorder which is late by some seconds
+still receives every sample; yet bounded, because a publisher that keeps all blocks as soon as one of its subscribers
+has died, until the middleware notices that (20 s)."""
+
+SPORADIC = Offer(10)
+"""What comes seldom (an impact, diagnostics), or of which the newest is enough (the clock)."""
+
+TRANSFORMS = Offer(100)
+"""``/tf``, as tf2 offers it."""
+
+LATCHED = Offer(1, latched=True)
+"""What is published once per trial."""
+
+
+def offer(topic: str) -> Offer:
+    """Quality of service that the publisher of a topic offers, on the network and in the metadata of bags."""
+    if topic in (TRIAL_INFO, TF_STATIC) or topic.endswith(ROBOT_DESCRIPTION):
+        return LATCHED
+    if topic in (CLOCK, DIAGNOSTICS, TRUTH_MODEL) or topic.endswith("/impact_event"):
+        return SPORADIC
+    return TRANSFORMS if topic == TF else SIGNAL
+
+
 def recorded(arms: list[str], truth: bool = True) -> dict[str, str]:
     """Every recorded topic of a trial with its type; those below ``/truth`` only where there is somebody to tell it."""
     topics = {
@@ -88,6 +126,7 @@ def recorded(arms: list[str], truth: bool = True) -> dict[str, str]:
         ROBOT_DESCRIPTION: STRING,
         OBJECT_DESCRIPTION: STRING,
         TF: TF_MESSAGE,
+        TF_STATIC: TF_MESSAGE,
         DIAGNOSTICS: DIAGNOSTIC_ARRAY,
         OBJECT_POSE: POSE,
         TRUTH_MODEL: STRING,
@@ -120,7 +159,8 @@ def lacking(arms: list[str], present: Collection[str]) -> list[str]:
         arms: Names of the arms.
         present: Topics with messages.
     """
-    occasional = {DIAGNOSTICS, TRUTH_MODEL, *(impact_event(arm) for arm in arms)}
+    # Up to version 0.1.0 all frames are on /tf.
+    occasional = {TF_STATIC, DIAGNOSTICS, TRUTH_MODEL, *(impact_event(arm) for arm in arms)}
     absent = [topic for topic in recorded(arms) if topic not in present and topic not in occasional]
     if any(_is_truth(topic) for topic in present):
         return absent

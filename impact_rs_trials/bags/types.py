@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -23,4 +24,22 @@ def typestore() -> Typestore:
     for path in sorted((Path(spec.origin).parent / "msg").glob("*.msg")):
         types |= get_types_from_msg(path.read_text(encoding="utf-8"), f"impact_rs/msg/{path.stem}")
     store.register(types)
+    return store
+
+
+def typestore_of(connection: Connection) -> Typestore:
+    """The typestore by which a recorded topic is read: types of ours as their bag defines them.
+
+    Messages of ours grow fields from version to version, and a serialized message does not tell which it has.
+    """
+    definition = connection.msgdef
+    own = connection.msgtype.startswith("impact_rs/") and definition.format == MessageDefinitionFormat.MSG
+    return _typestore_with(connection.msgtype, definition.data) if own else typestore()
+
+
+@functools.lru_cache(maxsize=64)
+def _typestore_with(kind: str, definition: str) -> Typestore:
+    """Standard messages, and a type by a definition with all that it is made of."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(definition, kind))
     return store

@@ -12,6 +12,7 @@ import struct
 from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import suppress
+from datetime import UTC, datetime
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
@@ -31,6 +32,7 @@ from impact_rs_trials.bags.trial_info import Outcome, TrialInfo
 from impact_rs_trials.bags.types import typestore
 
 MISSING = "missing"  # key of the metadata: topics without a message
+RECORDED = "recorded"  # key of the metadata: date and time (UTC) of the recording; stamps are trial time, from 0
 FILES = ("scenario_json", "model_yaml")  # with a friction compensation 200 kB, which YAML takes a second for
 LARGEST_BLOCK = 100_000  # messages kept in memory; several trials' worth
 LARGEST_CHUNK = 2**20  # bytes of a chunk before it is compressed, as in rosbags
@@ -39,14 +41,15 @@ COMPRESSION = 1  # level of zstd; 3, its default, takes twice the time for a bag
 _RECORD = struct.Struct("<BQHIQQ")  # of a message: kind, size, channel, sequence, time, time of publication
 
 
-def _latched() -> Qos:
-    """Quality of service of topics that late subscribers need; all others are played back with ROS's default."""
+def _offered(topic: str) -> Qos:
+    """Quality of service of a topic's publisher, with which ``ros2 bag play`` publishes it again."""
     infinite = QosTime(sec=2147483647, nsec=4294967295)
+    offer = topics.offer(topic)
     return Qos(
         history=QosHistory.KEEP_LAST,
-        depth=1,
+        depth=offer.depth,
         reliability=QosReliability.RELIABLE,
-        durability=QosDurability.TRANSIENT_LOCAL,
+        durability=QosDurability.TRANSIENT_LOCAL if offer.latched else QosDurability.VOLATILE,
         deadline=infinite,
         lifespan=infinite,
         liveliness=QosLiveliness.AUTOMATIC,
@@ -160,15 +163,13 @@ class BagWriter:
             writer = _Writer(hidden, version=9, storage_plugin=StoragePlugin.MCAP)
             writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             writer.open()
+            writer.set_custom_data(RECORDED, datetime.now(UTC).isoformat(timespec="seconds"))
         except OSError as error:
             shutil.rmtree(hidden, ignore_errors=True)
             raise InputError(f"cannot be written: {error.strerror}", file=path) from None
         store = typestore()
-        latched = topics.latched(arms)
         connections = {
-            topic: writer.add_connection(
-                topic, kind, typestore=store, offered_qos_profiles=[_latched()] if topic in latched else []
-            )
+            topic: writer.add_connection(topic, kind, typestore=store, offered_qos_profiles=[_offered(topic)])
             for topic, kind in topics.recorded(arms, truth).items()
         }
         return cls(path, writer, arms, connections, store)

@@ -17,7 +17,7 @@ from impact_rs.srv import ComputeImpactMap
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 
-from impact_rs_ros.graph import Graph, run_trial
+from impact_rs_ros.graph import Graph, GraphError, run_trial
 from impact_rs_ros.node_processes import NODES
 from impact_rs_ros.qos import STREAM
 from impact_rs_sim.paths import config_directory
@@ -60,7 +60,8 @@ def test_the_table_of_log_lines_is_what_the_nodes_write(
     with Graph.running("push", domain_id, quiet=False, root=tmp_path) as graph:
         assert run_trial(graph, tmp_path, manifest, key).outcome == "OK"
         assert run_trial(graph, tmp_path / "light", runs_away, runs_away.keys[0]).outcome == "DIVERGED"
-        assert graph.call_trial(RunTrial.Goal(scenario="push", object_name="dog_food", case_name="1")).message
+        with pytest.raises(GraphError, match="rejected the trial"):
+            graph.call_trial(RunTrial.Goal(scenario="push", object_name="dog_food", case_name="1"))
         assert "exists already" in graph.call_trial(RunTrial.Goal(**goal, seed=7, output_directory=".")).message
         _campaign_and_another_goal(graph, tmp_path, goal)
         _cancelled(graph, goal)
@@ -73,7 +74,8 @@ def test_the_table_of_log_lines_is_what_the_nodes_write(
         graph.node.destroy_publisher(unheard)
         _with_bytes_that_are_no_torque(graph, RunTrial.Goal(**goal, output_directory="bytes"))
         bad = RunTrial.Goal(**goal, output_directory="bad", plant_model="effects: [")
-        assert "model_yaml" in graph.call_trial(bad).message
+        with pytest.raises(GraphError, match="rejected the trial"):
+            graph.call_trial(bad)
     lines = [found.groups() for found in WRITTEN.finditer("".join(capfd.readouterr()))]
     refused = subprocess.run(
         [sys.executable, "-m", "impact_rs_ros.plant_node", "--ros-args", "-p", "scenario:=nonsense"],

@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from impact_rs_ros.middleware import PROFILE, RANGE, set_middleware
+from impact_rs_ros import process
+from impact_rs_ros.impact_map_node import ImpactMapNode
+from impact_rs_ros.middleware import CHOICES, LOCALHOST, PROFILE, RANGE, set_middleware
 
 TELL = """
 import os, sys, rclpy
@@ -38,16 +40,44 @@ def test_a_node_listens_on_the_loopback_alone_and_shares_no_memory(domain_ids: C
     assert shared == "0"
 
 
-def test_who_has_chosen_keeps_it() -> None:
-    for chosen in (
-        {RANGE: "SUBNET"},
-        {PROFILE: "/own.xml"},
-        {"FASTDDS_BUILTIN_TRANSPORTS": "SHM"},
-        {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"},
-    ):
-        environment = dict(chosen)
-        set_middleware(environment)
-        assert environment == {RANGE: "LOCALHOST"} | chosen
+@pytest.mark.parametrize("name", CHOICES)
+def test_who_has_chosen_anything_keeps_it_and_nothing_is_added(name: str) -> None:
+    chosen = {name: LOCALHOST if name == RANGE else "own"}
+    environment = dict(chosen)
+    set_middleware(environment)
+    assert environment == chosen
+
+
+def test_a_variable_that_is_empty_chooses_nothing() -> None:
+    environment = dict.fromkeys(CHOICES, "")
+    set_middleware(environment)
+    assert (environment[RANGE], Path(environment[PROFILE]).name) == ("SYSTEM_DEFAULT", "loopback.xml")
+
+
+def test_another_middleware_stays_within_this_machine_by_its_own_means() -> None:
+    environment = {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}
+    set_middleware(environment)
+    assert environment == {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp", RANGE: LOCALHOST}
+
+
+def test_a_node_that_is_run_by_itself_keeps_to_this_machine_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As ``ros2 run`` and the launch file do: the rule is the node's own."""
+    for name in CHOICES:
+        monkeypatch.delenv(name, raising=False)
+    met: dict[str, str] = {}
+
+    def init(**arguments: object) -> None:
+        met.update(os.environ)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(process.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(process.os, "sched_setscheduler", lambda *_: None)
+    monkeypatch.setattr(process.rclpy, "init", init)
+    with pytest.raises(KeyboardInterrupt):
+        process.run(ImpactMapNode)
+    assert Path(met[PROFILE]).name == "loopback.xml"
+    for name in (RANGE, PROFILE):  # what the node set
+        os.environ.pop(name)
 
 
 def test_without_the_profile_the_nodes_stay_within_this_machine(

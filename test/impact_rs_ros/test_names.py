@@ -10,11 +10,15 @@ from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags import topics
 
 
-def test_every_recorded_topic_is_in_the_namespace_of_its_graph_but_tf_clock_and_diagnostics() -> None:
+def test_every_recorded_topic_is_in_the_namespace_of_its_graph_but_tf_and_diagnostics() -> None:
     absolute = {topic for topic in topics.recorded(["left", "right"]) if on_network(topic).startswith("/")}
-    assert absolute == {"/tf", "/clock", "/diagnostics"}
-    assert "/tf_static" in SHARED
+    assert absolute == SHARED == {"/tf", "/tf_static", "/diagnostics"}
     assert on_network("/left/joint_states") == "left/joint_states"
+
+
+def test_two_plants_in_namespaces_do_not_publish_to_one_clock() -> None:
+    """Time would jump to and fro for whoever uses it."""
+    assert on_network(topics.CLOCK) == "clock"
 
 
 @pytest.mark.parametrize(

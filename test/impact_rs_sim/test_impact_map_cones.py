@@ -3,17 +3,20 @@
 
 from __future__ import annotations
 
+import runpy
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from impact_map_cases import MODEL, nominal, one_point, with_velocity
 
-from impact_rs_sim.impact_map import ImpactProblem
-from impact_rs_sim.impact_map.cones import solve_cones
+from impact_rs_sim.impact_map import ImpactProblem, cones
+from impact_rs_sim.impact_map.cones import solve_cones, solve_contacts
 from impact_rs_sim.impact_map.contacts import find_contacts, meetings
 from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import build_system
+from impact_rs_sim.impact_map.uniqueness import lawful_answers
 
 
 def sliding(**physics: object) -> ImpactProblem:
@@ -40,3 +43,15 @@ def test_impulses_of_admm_obey_every_law(case, restitution: float) -> None:
     residual = terms.residual(impulses, terms.before + terms.response @ impulses.ravel())
     assert np.abs(impulses).max() > 0.1  # N s
     assert residual.largest < 1e-5  # m/s
+
+
+def test_the_map_works_with_the_pinocchio_of_ros_2_jazzy_which_has_no_such_solver(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    terms = terms_of(sliding())
+    impulses, _ = solve_contacts(terms)
+    for name in ("ADMMConstraintSolver", "ADMMSolverResult", "ADMMSolverSettings", "ADMMUpdateRule"):
+        monkeypatch.delattr(pin, name)
+    runpy.run_path(cones.__file__)  # as a first import would
+    np.testing.assert_array_equal(solve_contacts(terms)[0], impulses)
+    np.testing.assert_allclose(lawful_answers(terms)[0], terms.before + terms.response @ impulses.ravel())

@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+import impact_msgs_py
 from impact_rs_sim.scenario import Scenario
 from impact_rs_trials.bags import cdr, topics
 from impact_rs_trials.bags.reader import BagError, TrialBag
@@ -127,6 +129,32 @@ def test_a_trial_read_by_the_definition_that_an_old_bag_carries_is_the_same() ->
     (message,) = (m.ros_msg for m in read_ros2_messages(str(path), topics=[topics.TRIAL_INFO]))
     assert not hasattr(message, "scenario_json")
     assert TrialInfo.from_message(message) == TrialBag.open(OLD_BAG).info
+
+
+def test_a_bag_whose_messages_have_fewer_fields_than_today_is_read_by_its_own_definitions(
+    push_campaign: Path, tmp_path: Path
+) -> None:
+    """As written before ``end_effector_twist`` and ``end_effector_wrench``."""
+    bag = TrialBag.open(sorted(push_campaign.glob("cat_food*"))[0])
+    topic, kind = topics.controller_state("arm"), topics.CONTROLLER_STATE
+    lines = (Path(impact_msgs_py.__file__).parent / "msg" / "ControllerState.msg").read_text().splitlines()
+    definition = "\n".join(line for line in lines if " end_effector_" not in line)
+    before = get_typestore(Stores.ROS2_JAZZY)
+    before.register(get_types_from_msg(definition, kind))
+    fields = [name for name, _ in before.fielddefs[kind][1]]
+    assert 0 < len(typestore().fielddefs[kind][1]) - len(fields) < 5
+    shorter = [before.types[kind](**{name: getattr(one, name) for name in fields}) for one in bag.messages(topic)]
+    with Writer(tmp_path / "old", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        told = writer.add_connection(topics.TRIAL_INFO, topics.TRIAL_INFO_TYPE, typestore=typestore())
+        writer.write(told, 0, bag.serialized(topics.TRIAL_INFO)[0])
+        states = writer.add_connection(topic, kind, typestore=before)
+        for number, state in enumerate(shorter):
+            writer.write(states, number, before.serialize_cdr(state, kind))
+    old = TrialBag.open(tmp_path / "old")
+    for name, column in vars(bag.controller("arm")).items():
+        np.testing.assert_array_equal(getattr(old.controller("arm"), name), column)
+    np.testing.assert_array_equal(old.messages(topic)[7].twist, bag.messages(topic)[7].twist)
+    assert not hasattr(old.messages(topic)[7], "end_effector_twist")
 
 
 def test_a_trial_without_its_scenario_says_which_field_is_missing() -> None:

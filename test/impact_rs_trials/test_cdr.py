@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import struct
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 import pytest
@@ -168,10 +170,16 @@ def test_fixed_and_growing_arrays_and_small_integers_lie_where_they_should() -> 
                  "post_acceleration", "ante_posture", "post_posture", "position", "feedback_acceleration",
                  "net_feedback"), 6: ("twist", "external_wrench")}  # fmt: skip
     rng = np.random.default_rng(0)
+
+    def vector() -> Any:
+        return TYPES["geometry_msgs/msg/Vector3"](*rng.standard_normal(3).tolist())
+
     messages = [
         store_type(
             header=header("world", tick, 0),
             robot="arm",
+            end_effector_twist=TYPES["geometry_msgs/msg/Twist"](vector(), vector()),
+            end_effector_wrench=TYPES["geometry_msgs/msg/Wrench"](vector(), vector()),
             mode=tick % 3,
             gamma=0.1 * tick,
             commanded_torque=rng.standard_normal(7),
@@ -185,7 +193,7 @@ def test_fixed_and_growing_arrays_and_small_integers_lie_where_they_should() -> 
     rows = encode(STORE, topics.CONTROLLER_STATE, messages)
     columns = decode(STORE, topics.CONTROLLER_STATE, [bytes(row) for row in rows])
     for path in number_paths(STORE, topics.CONTROLLER_STATE)[2:]:
-        np.testing.assert_array_equal(columns[path], [getattr(message, path) for message in messages], err_msg=path)
+        np.testing.assert_array_equal(columns[path], [attrgetter(path)(message) for message in messages], err_msg=path)
 
 
 @given(st.data())

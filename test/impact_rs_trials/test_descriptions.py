@@ -53,9 +53,10 @@ def urdf(bag: TrialBag, topic: str) -> str:
 
 def transforms(bag: TrialBag) -> Iterator[tuple[int, dict[str, tuple[str, pin.SE3]]]]:
     """Time [ns]; parent and placement in it by frame."""
+    (static,) = (message.transforms for _, message in messages(bag, topics.TF_STATIC))
     for time, message in messages(bag, topics.TF):
         found = {}
-        for item in message.transforms:
+        for item in (*static, *message.transforms):
             at, turn = item.transform.translation, item.transform.rotation
             rotation = pin.Quaternion(turn.w, turn.x, turn.y, turn.z).matrix()
             placement = pin.SE3(rotation, np.array([at.x, at.y, at.z]))

@@ -62,6 +62,7 @@ def test_every_topic_has_its_rate(bag: TrialBag) -> None:
         topics.OBJECT_POSE: TICKS // 4 + 1,
         topics.TRUTH_OBJECT_POSE: TICKS // 4 + 1,
         topics.TF: TICKS // 20 + 1,
+        topics.TF_STATIC: 1,
         topics.CLOCK: TICKS // 20 + 1,
         topics.impact_event("arm"): 1,
         topics.TRIAL_INFO: 1,
@@ -105,13 +106,13 @@ def test_frames_follow_the_measured_joints_and_the_last_sight_of_the_object(plan
     q = plan.scene.arms["arm"].position
     place, turn = np.array([0.4, -0.3, 0.5]), pin.rpy.rpyToMatrix(0.0, 0.0, 0.4)
     quaternion = np.array(pin.Quaternion(turn).coeffs())
-    first = in_world(frames.at({"arm": q}, None))
+    first = in_world([*frames.static, *frames.at({"arm": q}, None)])
     np.testing.assert_allclose(first["object"].translation, plan.scene.object.position)
     np.testing.assert_allclose(
         first["arm_end_effector"].homogeneous, plan.scene.models["arm"].placement(q).homogeneous, atol=1e-12
     )
     frames.at({"arm": q}, (place, quaternion))
-    later = in_world(frames.at({"arm": q}, None))
+    later = in_world([*frames.static, *frames.at({"arm": q}, None)])
     np.testing.assert_allclose(later["object"].translation, place)
     np.testing.assert_allclose(later["object"].rotation, turn, atol=1e-12)
     assert [tick for tick in range(45) if frames.due(tick)] == [0, 20, 40]
@@ -119,12 +120,25 @@ def test_frames_follow_the_measured_joints_and_the_last_sight_of_the_object(plan
 
 def test_frames_of_a_graph_in_a_namespace_have_its_prefix_and_are_where_they_are_without(plan: TrialPlan) -> None:
     q = {"arm": plan.scene.arms["arm"].position}
-    alone, beside = FrameSource(plan.scene).at(q, None), FrameSource(plan.scene, "cell_a/").at(q, None)
+    sources = FrameSource(plan.scene), FrameSource(plan.scene, "cell_a/")
+    alone, beside = ([*source.static, *source.at(q, None)] for source in sources)
     assert [(frame.parent, frame.name) for frame in beside if frame.parent == "world"] == [("world", "cell_a/world")]
     expected, found = in_world(alone), in_world(beside)
     assert set(found) - {"cell_a/world"} == {f"cell_a/{name}" for name in expected}
     for name, placement in expected.items():
         np.testing.assert_array_equal(found[f"cell_a/{name}"].homogeneous, placement.homogeneous)
+
+
+def test_frames_that_never_move_are_static_and_no_others(plan: TrialPlan, bag: TrialBag) -> None:
+    frames = FrameSource(plan.scene)
+    assert [frame.name for frame in frames.static] == ["support", "arm_base", "arm_end_effector"]
+    moving = frames.at({"arm": plan.scene.arms["arm"].position}, None)
+    assert [frame.name for frame in moving] == [*(f"arm_link{number}" for number in range(1, 8)), "object"]
+    beside = FrameSource(plan.scene, "cell_a/")
+    assert [frame.name for frame in beside.static[:2]] == ["cell_a/world", "cell_a/support"]
+    (recorded,) = bag.messages(topics.TF_STATIC)
+    assert [one.child_frame_id for one in recorded.transforms] == [frame.name for frame in frames.static]
+    assert {one.child_frame_id for one in bag.messages(topics.TF)[0].transforms} == {frame.name for frame in moving}
 
 
 def in_world(frames: list[Frame]) -> dict[str, pin.SE3]:

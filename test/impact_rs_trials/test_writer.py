@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import errno
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 
@@ -146,7 +148,7 @@ def test_what_is_said_once_is_latched_when_it_is_played_back(tmp_path: Path) -> 
         for connection in reader.connections:
             profiles = connection.ext.offered_qos_profiles
             latched = [profile.durability for profile in profiles] == [QosDurability.TRANSIENT_LOCAL]
-            assert latched == (connection.topic in topics.latched(["arm"])), connection.topic
+            assert latched == (connection.topic in (topics.TF_STATIC, *topics.latched(["arm"]))), connection.topic
 
 
 @pytest.mark.parametrize("truth", [True, False])
@@ -158,3 +160,22 @@ def test_a_bag_has_every_topic_of_its_arms_and_the_truth_only_where_it_is_known(
         found = {connection.topic for connection in reader.connections}
     assert {topics.joint_states("left"), topics.controller_state("right"), topics.OBJECT_POSE} <= found
     assert any(name.startswith(topics.TRUTH) for name in found) == truth
+
+
+def test_a_bag_offers_every_topic_as_its_publisher_does_and_says_when_it_was_recorded(tmp_path: Path) -> None:
+    before = datetime.now(UTC).replace(microsecond=0)
+    with BagWriter.create(tmp_path / "trial", ["arm"]) as bag:
+        bag.write(TOPIC, 0, message(0))
+        bag.finish("OK")
+    metadata = yaml.safe_load((tmp_path / "trial" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert before <= datetime.fromisoformat(metadata["custom_data"]["recorded"]) <= datetime.now(UTC)
+    described = [entry["topic_metadata"] for entry in metadata["topics_with_message_count"]]
+    offered = {entry["name"]: entry["offered_qos_profiles"] for entry in described}
+    assert offered.keys() == topics.recorded(["arm"]).keys()
+    assert all(len(profiles) == 1 for profiles in offered.values())
+    found = {topic: (profiles[0]["depth"], profiles[0]["durability"]) for topic, profiles in offered.items()}
+    assert found[TOPIC] == (4000, "volatile")
+    assert found[topics.TF] == (100, "volatile")
+    assert found[topics.CLOCK] == found[topics.DIAGNOSTICS] == found[topics.impact_event("arm")] == (10, "volatile")
+    assert found[topics.TF_STATIC] == found[topics.OBJECT_DESCRIPTION] == (1, "transient_local")
+    assert {profiles[0]["reliability"] for profiles in offered.values()} == {"reliable"}

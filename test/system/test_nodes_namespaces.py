@@ -107,14 +107,14 @@ def test_only_what_all_of_ros_agrees_on_is_outside_of_the_namespaces(cells: dict
     node = cells["cell_a"].node
     inside = tuple(f"/{cell}/" for cell in CELLS)
     outside = {name for name, _ in node.get_topic_names_and_types() if not name.startswith(inside)}
-    assert outside <= {"/clock", "/diagnostics", "/tf", "/tf_static", "/parameter_events", "/rosout"}
+    assert outside <= {"/diagnostics", "/tf", "/tf_static", "/parameter_events", "/rosout"}
     assert all(name.startswith(inside) for name, _ in node.get_service_names_and_types())
 
 
 def frames(bag: TrialBag) -> set[tuple[str, str]]:
-    """Every parent and child on ``/tf``."""
+    """Every parent and child on ``/tf`` and ``/tf_static``."""
     with AnyReader([bag.path], default_typestore=typestore()) as reader:
-        connections = [c for c in reader.connections if c.topic == topics.TF]
+        connections = [c for c in reader.connections if c.topic in (topics.TF, topics.TF_STATIC)]
         return {
             (transform.header.frame_id, transform.child_frame_id)
             for connection, _, data in reader.messages(connections)

@@ -37,7 +37,8 @@ class FirstMessages:
                 if connection.topic not in self.messages:
                     self.messages[connection.topic] = reader.deserialize(data, connection.msgtype)
                     self.kinds[connection.topic] = connection.msgtype
-        self.frames |= {transform.child_frame_id for transform in self.messages[topics.TF].transforms}
+        for topic in (topics.TF, topics.TF_STATIC):
+            self.frames |= {transform.child_frame_id for transform in self.messages[topic].transforms}
 
     def number(self, topic: str, path: list[str | int]) -> float:
         """What stands in a message at attributes and indices."""
