@@ -181,8 +181,10 @@ class Workspace:
         """
         try:
             path = (self.root / name).resolve()
-        except (OSError, ValueError):
-            raise InputError(f"{shortened(name)!r} is no path") from None
+            path.exists()  # which fails where the system has no names of this length
+        except (OSError, ValueError) as error:
+            why = error.strerror if isinstance(error, OSError) else error
+            raise InputError(f"{shortened(name)!r} is no path: {why}") from None
         if not name or not path.is_relative_to(self.root) or "\0" in name:
             raise InputError(f"{shortened(name)!r} is not in the folder of this workbench, {self.root}")
         if path.relative_to(self.root).parts[:1] == (HIDDEN,):
