@@ -63,10 +63,10 @@ class CampaignStep(Step):
     step: Literal["campaign"]
     scenario: PathName = Field(description="scenario")
     output: PathName = Field(description="folder of the campaign")
-    objects: tuple[Plain, ...] | None = Field(None, min_length=1, description="objects; null: all")
-    cases: tuple[Plain, ...] | None = Field(None, min_length=1, description="cases; null: all")
+    objects: tuple[Plain, ...] | None = Field(None, min_length=1, description="objects; absent: all")
+    cases: tuple[Plain, ...] | None = Field(None, min_length=1, description="cases; absent: all")
     scales: tuple[float, ...] | None = Field(
-        None, min_length=1, description="post-impact references over the prediction [-]; null: the scenario's"
+        None, min_length=1, description="post-impact references over the prediction [-]; absent: the scenario's"
     )
     trials: int | None = Field(None, le=1000, description="repeats")
     seed: int = Field(0, description="seed")
