@@ -132,7 +132,7 @@ function draw(node, figure, config = {}) {
 
 const ABOUT = {
   predict: {title: 'Impact map', text: 'The velocities just after an impact, from those just before: rigid bodies, one ' +
-    'instant, forces that are not impulsive drop out. B is the inertia that the motors have meanwhile.',
+    'instant, forces that are not impulsive drop out. B is the motor inertia during the impact: B_θ is what the torque loop leaves of it, B_ρ that of the whole rotor.',
     equation: '(M + B)(v⁺ − v⁻) = J_cᵀ Λ\n0 ≤ Λₙ ⊥ Jₙ v⁺ + e Jₙ v⁻ ≥ 0\n|Λₜ| ≤ µ Λₙ, against sliding',
     units: 'm/s, rad/s; impulses in N s; axes of the world frame', page: 'physics.md'},
   measure: {title: 'Trials', text: 'A trial is one hit and the push after it, recorded as one bag. A campaign repeats it for ' +
@@ -233,7 +233,7 @@ const predict = {
     this.object = h('select', {id: 'predict-object', onchange: () => this.objectChosen()});
     this.case = h('select', {id: 'predict-case', onchange: () => this.anew()});
     this.inertia = h('select', {id: 'predict-inertia', onchange: () => this.anew()},
-      new Option('B_θ: what the torque loop leaves', 'reduced'), new Option('B_ρ: the whole rotor', 'rotor'), new Option('none', 'zero'));
+      new Option('B_θ (reduced)', 'reduced'), new Option('B_ρ (whole rotor)', 'rotor'), new Option('B = 0 (none)', 'zero'));
     this.arm = h('select', {id: 'predict-arm', onchange: () => this.anew()});
     this.sliders = h('div', {class: 'sliders', id: 'sliders'});
     this.known = h('div', {class: 'sliders'});
@@ -380,7 +380,7 @@ const predict = {
         h('td', {}, fixed(row.after)), h('td', {}, row.low === null ? '–' : `${fixed(row.low)} … ${fixed(row.high)}`))));
     const impulses = Object.entries(answer.impulses), several = impulses.length > 1;
     const pushed = impulses.map(([arm, values]) => `${several ? `${arm} ` : ''}[${values.map((value) => fixed(value)).join(', ')}]`).join(', ');
-    const told = answer.moving ? '; interval from few draws while a slider moves' : answer.interval ? `; interval ${answer.interval.method.replace('_', ' ')}, ${answer.interval.draws} draws` : '';
+    const told = answer.moving ? '; interval from few draws while a slider moves' : answer.interval ? `; interval ${({monte_carlo: 'Monte Carlo'}[answer.interval.method] ?? answer.interval.method.replace('_', ' '))}, ${answer.interval.draws} draws` : '';
     this.facts.textContent = `m/s. Impulse of the pad${several ? 's' : ''} on the object ${pushed} N s${told}. ${answer.note}`;
     this.numbers.removeAttribute('aria-busy');
     this.plot.style.minHeight = '';
@@ -473,14 +473,14 @@ const measure = {
     const trials = h('input', {type: 'number', min: 1, max: 100, value: 2});
     const seed = h('input', {type: 'number', min: 0, value: 0});
     const output = h('input', {id: 'campaign-output', value: 'campaigns/push', oninput: () => { this.typed = output.value !== ''; }});
-    const via = h('select', {}, new Option('in one program, in parallel', 'inprocess'), new Option('through the ROS 2 nodes', 'nodes'),
-      new Option('on a dask cluster', 'scheduler'));
+    const via = h('select', {}, new Option('in parallel', 'inprocess'), new Option('ROS 2 nodes', 'nodes'),
+      new Option('dask cluster', 'scheduler'));
     const address = h('input', {placeholder: 'tcp://10.0.0.1:8786'});
     const addressField = labelled('address of the scheduler', address, {hidden: true});
     via.addEventListener('change', () => { addressField.hidden = via.value !== 'scheduler'; });
     const ticked = (box) => [...box.querySelectorAll('input:checked')].map((input) => input.value);
     const made = orderForm([labelled('scenario', scenario), labelled('repeats of each', trials), labelled('seed', seed),
-      labelled('folder of the campaign', output), labelled('how', via), addressField, objects, cases, scales],
+      labelled('folder of the campaign', output, {class: 'long'}), labelled('how', via), addressField, objects, cases, scales],
     () => this.scenarioFound && {step: 'campaign', scenario: scenario.value, output: output.value, objects: ticked(objects),
       cases: ticked(cases), scales: ticked(scales).map(Number), trials: Number(trials.value), seed: Number(seed.value),
       via: via.value === 'nodes' ? 'nodes' : 'inprocess', scheduler: via.value === 'scheduler' ? address.value : null},
@@ -606,7 +606,7 @@ function runsForm(step, label, {extraFields = [], extra = () => ({}), only = () 
   const named = () => { if (!typed) output.value = `reports/${step}_${slug(runs.value)}_${slug(stem(model.value || 'nominal'))}`; };
   runs.addEventListener('change', named);
   model.addEventListener('change', () => { chosen = true; named(); });
-  const made = orderForm([labelled('measurements', runs), labelled('model', model), labelled('folder of the report', output), ...extraFields],
+  const made = orderForm([labelled('measurements', runs), labelled('model', model), labelled('folder of the report', output, {class: 'long'}), ...extraFields],
     () => runs.value && model.value ? {step, runs: runs.value, model: model.value, experiment: experimentOf(runs.value), output: output.value,
       ...extra()} : null, label);
   return {...made, runs, model, output, wanted: null, update() { // wanted: runs that show up soon
@@ -787,9 +787,9 @@ const diagnose = {
         ...effect.parameters.map((one) => h('tr', {}, h('td', {}, one.name), h('td', {}, number(one.estimate)),
           h('td', {}, one.ci95 ? `${number(one.ci95[0])} … ${number(one.ci95[1])}` : '–'), h('td', {}, unit(one.unit)))))))),
       h('h3', {}, 'Ranking'), h('p', {class: 'note'}, `Error on data that the fit has not seen, without the effect and with it, ${found.unit}.`), plot, h('div', {class: 'scroll'}, h('table', {id: 'ranking'}, h('thead', {}, h('tr', {},
-        ...['effect', 'verdict', 'error', 'p', 'into the model'].map((text) => h('th', {scope: 'col'}, text)))), h('tbody', {}, ...rows))),
+        ...['effect', 'verdict', 'error', 'p', 'into the model'].map((text) => h('th', {scope: 'col', class: text === 'verdict' ? 'text' : null}, text)))), h('tbody', {}, ...rows))),
       found.left.length ? h('div', {}, h('h3', {}, 'What is left'), h('ul', {}, ...found.left.map((one) => h('li', {},
-        `${one.what} (${one.phase}): ${one.value}, ${one.times} × repetition; nobody cares below ${one.floor}`)))) : '',
+        `${one.what} (${one.phase}): ${one.value}, ${one.times} × repetition; relevance limit ${one.floor}`)))) : '',
       found.next ? this.next(found.next) : '',
       ...wholeReport(this.opened.replace(/[^/]*$/, 'diagnosis.html'), false),
       ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
@@ -828,8 +828,8 @@ const add = {
     this.effect = h('select', {id: 'add-effect', onchange: () => this.named()});
     this.output = h('input', {id: 'add-output'});
     this.force = h('input', {type: 'checkbox'});
-    this.form = orderForm([labelled('diagnosis', this.file), labelled('effect', this.effect), labelled('new model', this.output),
-      h('fieldset', {class: 'checks'}, h('legend', {}, 'although it improves nothing'), h('label', {}, this.force, 'all the same'))],
+    this.form = orderForm([labelled('diagnosis', this.file, {class: 'long'}), labelled('effect', this.effect, {class: 'long'}), labelled('new model', this.output),
+      h('label', {class: 'tick wide'}, this.force, ' add it although it improves nothing')],
     () => this.file.value && this.effect.value && this.parent ? {step: 'add', effect: this.effect.value, source: this.file.value,
       model: this.parent, output: this.output.value, force: this.force.checked} : null, 'Add the effect');
     this.note = h('p', {class: 'note'});
@@ -998,7 +998,7 @@ const laboratory = {
     const several = Object.keys(this.found.arms).length > 1;
     const own = {name, given, several, label: several ? ` of ${name}` : ''};
     const named = this.found.streams.some((stream) => stream.joints.length);
-    own.names = h('textarea', {class: 'names', rows: several ? 3 : 1, onchange: () => { for (const one of own.signals) one.show(); }}, given.joints.join(', '));
+    own.names = h('textarea', {class: 'names', rows: several ? 3 : 2, onchange: () => { for (const one of own.signals) one.show(); }}, given.joints.join(', '));
     own.joints = () => own.names.value.split(/[\s,]+/).filter(Boolean);
     own.gravity = h('input', {type: 'checkbox', checked: true, onchange: () => own.signals.at(-1).show()});
     own.signals = ARM_SIGNALS.map((signal) => this.signal(signal, own, given.signals[signal.name]));
@@ -1111,7 +1111,7 @@ function showFolder() {
   const branch = (parent) => models.filter((one) => one.parent === parent && one.path !== parent).map((one) => {
     const children = branch(one.path);
     const item = entry(`model ${one.path}`, one.name, [one.error || one.effects.join(' + ') || 'nothing added',
-      ...(one.score ? [scoreText(one.score)] : [])], () => chooseModel(newest('models', one.path)));
+      ...(one.score ? [scoreText(one.score), `in ${one.score.report}`] : [])], () => chooseModel(newest('models', one.path)));
     if (children.length) item.append(h('ul', {class: 'tree'}, ...children));
     return item;
   });

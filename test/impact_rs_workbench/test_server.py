@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import pytest
@@ -13,6 +15,8 @@ from starlette.testclient import TestClient
 
 from impact_rs_cli.main import main
 from impact_rs_trials.store import Folder, owned
+from impact_rs_workbench import prediction
+from impact_rs_workbench.prediction import Question
 from impact_rs_workbench.server import Workbench, application
 
 PORT, TOKEN = 8123, "the-key-of-the-tests"
@@ -48,8 +52,20 @@ def test_nobody_without_the_key_is_told_anything(stranger: TestClient, path: str
     assert answer.text == "Open the address that impact-rs workbench has printed: it holds the key."
 
 
-def test_another_name_for_this_machine_is_refused_with_the_key(client: TestClient) -> None:
-    answer = client.get("/api/workspace", headers={"host": f"attacker.example:{PORT}"})
+@pytest.mark.parametrize(
+    "host",
+    [
+        f"attacker.example:{PORT}",
+        f"127.0.0.1.attacker.example:{PORT}",
+        f"localhost.attacker.example:{PORT}",
+        f"evil{HOST}",
+        f"127.0.0.1:{PORT + 1}",
+        "127.0.0.1",
+        "",
+    ],
+)
+def test_another_name_for_this_machine_is_refused_with_the_key(client: TestClient, host: str) -> None:
+    answer = client.get("/api/workspace", headers={"host": host})
     assert (answer.status_code, answer.text) == (403, "impact-rs workbench answers on its own machine only.")
 
 
@@ -115,6 +131,42 @@ def test_a_report_is_shown_as_if_from_another_site(client: TestClient, tmp_path:
     assert answer.text == "<p>a report</p>"
     assert answer.headers["content-security-policy"].startswith("sandbox allow-scripts")
     assert "allow-same-origin" not in answer.headers["content-security-policy"]
+
+
+def test_files_that_no_page_shows_are_not_given_out(client: TestClient, tmp_path: Path) -> None:
+    (tmp_path / "trial.mcap").write_bytes(b"bag")
+    (tmp_path / "folder.html").mkdir()
+    for name in ("trial.mcap", "folder.html"):
+        answer = client.get(f"/files/{name}")
+        assert (answer.status_code, answer.text) == (404, f"{name} is nothing that a page shows.")
+
+
+def test_a_figure_gives_way_to_a_slider_that_has_moved_meanwhile(
+    workbench: Workbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    question = Question.model_validate(QUESTION | {"moving": True})
+    whole = prediction.sweep
+
+    def moved(*given: Any) -> Iterator[prediction.SweepPoint]:
+        for point in whole(*given):
+            yield point
+            workbench._asked += 1  # as a prediction does before it waits for its turn
+
+    assert len(workbench.sweep(question, "speed")["x"]) == prediction.SWEEP_POINTS
+    monkeypatch.setattr(prediction, "sweep", moved)
+    assert workbench.sweep(question, "speed") == {"superseded": True}
+
+
+def test_formulas_replace_formulas_and_nothing_else(client: TestClient, tmp_path: Path) -> None:
+    (tmp_path / "model.yaml").write_text("name: mine\neffects: []\n")
+    answer = client.post("/api/formulas", json={"path": "model.yaml", "text": FORMULA})
+    assert (answer.status_code, answer.json()) == (
+        400, {"error": "model.yaml: there is a file of another kind; choose another name"},
+    )  # fmt: skip
+    assert (tmp_path / "model.yaml").read_text() == "name: mine\neffects: []\n"
+    for text in (FORMULA, FORMULA.replace("50", "60")):
+        assert client.post("/api/formulas", json={"path": "mine.yaml", "text": text}).status_code == 200
+        assert (tmp_path / "mine.yaml").read_text() == text
 
 
 MISTAKES = {

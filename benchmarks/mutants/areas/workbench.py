@@ -16,11 +16,12 @@ RESULTS = "impact_rs_workbench/results.py"
 PAGE = "impact_rs_workbench/static/workbench.js"
 TESTS = "test/impact_rs_workbench/test_"
 SERVER_TESTS = (f"{TESTS}server.py",)
+STEPS_TESTS = (f"{TESTS}steps.py",)
 JOBS_TESTS = (f"{TESTS}jobs.py",)
 WORKSPACE_TESTS = (f"{TESTS}workspace.py",)
 LABORATORY_TESTS = (f"{TESTS}laboratory.py",)
 PREDICTION_TESTS = (f"{TESTS}prediction.py",)
-PAGE_TESTS = (f"{TESTS}page.py",)
+PAGE_TESTS = f"{TESTS}page.py"
 
 MUTANTS = [
     Mutant(
@@ -90,8 +91,8 @@ MUTANTS = [
     Mutant(
         name="oldest_error_of_a_model",
         file=WORKSPACE,
-        original='newest = sorted(own, key=lambda item: -item["when"])',
-        mutated='newest = sorted(own, key=lambda item: item["when"])',
+        original='sorted(found, key=lambda item: -item["when"])',
+        mutated='sorted(found, key=lambda item: item["when"])',
         wrong="A model is shown with the oldest of its errors.",
         tests=WORKSPACE_TESTS,
     ),
@@ -141,7 +142,7 @@ MUTANTS = [
         original='return f"./{name}" if name.startswith("-") else name  # no option',
         mutated="return name",
         wrong="A folder called --help becomes an option of the command.",
-        tests=SERVER_TESTS,
+        tests=STEPS_TESTS,
     ),
     Mutant(
         name="a_scenario_as_an_option",
@@ -149,7 +150,7 @@ MUTANTS = [
         original='    if name.startswith("-"):\n        raise InputError("expected the name of a scenario"',
         mutated='    if name.startswith("--x"):\n        raise InputError("expected the name of a scenario"',
         wrong="A scenario called --help becomes an option of the command.",
-        tests=SERVER_TESTS,
+        tests=STEPS_TESTS,
     ),
     Mutant(
         name="force_turned_round",
@@ -157,7 +158,7 @@ MUTANTS = [
         original='(["--force"] if self.force else [])',
         mutated='([] if self.force else ["--force"])',
         wrong="Effects that improve nothing are added unasked.",
-        tests=SERVER_TESTS,
+        tests=STEPS_TESTS,
     ),
     Mutant(
         name="experiment_of_runs_forgotten",
@@ -165,7 +166,7 @@ MUTANTS = [
         original='return ["--experiment", seen(workspace.existing(self.experiment))] if self.experiment else []',
         mutated="return []",
         wrong="Recordings of a laboratory are read as trials of our own.",
-        tests=SERVER_TESTS,
+        tests=STEPS_TESTS,
     ),
     Mutant(
         name="first_run_instead_of_first_hit",
@@ -229,7 +230,7 @@ MUTANTS = [
         original='what = "velocity" if "velocity" in cell.signal else "torque"',
         mutated='what = "torque" if "velocity" in cell.signal else "velocity"',
         wrong="A click on a joint's velocity opens its torque.",
-        tests=SERVER_TESTS,
+        tests=(f"{TESTS}results.py",),
     ),
     Mutant(
         name="page_forgets_the_experiment",
@@ -237,7 +238,7 @@ MUTANTS = [
         original="find((lab) => lab.path === runs)?.experiment ?? ''",
         mutated="find((lab) => lab.path !== runs)?.experiment ?? ''",
         wrong="Comparing a laboratory's folder asks for trials of our own.",
-        tests=PAGE_TESTS,
+        tests=(f"{PAGE_TESTS}::test_a_folder_of_recordings_is_described_from_lists_and_compared",),
     ),
     Mutant(
         name="page_reads_text_as_markup",
@@ -246,7 +247,7 @@ MUTANTS = [
         mutated="  node.innerHTML = children.flat().filter((child) => typeof child === 'string').join('');\n"
         "  node.append(...children.flat().filter((child) => child instanceof Node).filter(",
         wrong="Names of files and notes of models are markup on the page.",
-        tests=PAGE_TESTS,
+        tests=(f"{PAGE_TESTS}::test_names_and_notes_are_text_and_no_markup",),
     ),
     Mutant(
         name="page_shows_answers_that_come_late",
@@ -254,7 +255,7 @@ MUTANTS = [
         original="const content = body(), number = ++asked;",
         mutated="const content = body(), number = asked;",
         wrong="The command of an earlier form stays where its answer comes last.",
-        tests=PAGE_TESTS,
+        tests=(f"{PAGE_TESTS}::test_an_earlier_command_that_is_answered_last_is_not_shown",),
     ),
     Mutant(
         name="page_keeps_the_first_model_file",
@@ -262,6 +263,6 @@ MUTANTS = [
         original="if (!this.output.value || used.has(this.output.value)) {",
         mutated="if (!this.output.value) {",
         wrong="The next model is to be written over the last one.",
-        tests=PAGE_TESTS,
+        tests=(f"{PAGE_TESTS}::test_the_whole_loop_by_mouse_names_the_hidden_effect_and_the_error_falls",),
     ),
 ]
