@@ -58,15 +58,15 @@ class Step(Schema):
 
 
 class CampaignStep(Step):
-    """Many trials."""
+    """Many trials; where nothing is said, all that the scenario has."""
 
     step: Literal["campaign"]
     scenario: PathName = Field(description="scenario")
     output: PathName = Field(description="folder of the campaign")
-    objects: tuple[Plain, ...] | None = Field(None, min_length=1, description="objects; absent: all")
-    cases: tuple[Plain, ...] | None = Field(None, min_length=1, description="cases; absent: all")
+    objects: tuple[Plain, ...] | None = Field(None, min_length=1, description="objects")
+    cases: tuple[Plain, ...] | None = Field(None, min_length=1, description="cases")
     scales: tuple[float, ...] | None = Field(
-        None, min_length=1, description="post-impact references over the prediction [-]; absent: the scenario's"
+        None, min_length=1, description="post-impact references over the prediction [-]"
     )
     trials: int | None = Field(None, le=1000, description="repeats")
     seed: int = Field(0, description="seed")

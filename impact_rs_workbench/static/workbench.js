@@ -853,7 +853,7 @@ const add = {
 
   async choose() {
     const path = this.opened = this.file.value;
-    if (!path) return;
+    if (!path) { this.named(); return; }
     this.stamp = state.workspace.stamps[path];
     this.parent = null; // what was read of another diagnosis is not added
     this.effect.replaceChildren();

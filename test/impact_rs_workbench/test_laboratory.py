@@ -170,6 +170,15 @@ def test_a_mistake_in_the_description_leaves_nothing_behind(client: TestClient, 
     assert sorted(path.name for path in lab.iterdir()) == ["run_1", "run_2"]
 
 
+def test_a_description_is_tried_on_a_hit_wherever_it_stands_in_the_table(client: TestClient, lab: Path) -> None:
+    runs = list(reversed(description(looked(client))["runs"]))
+    assert [run["kind"] for run in runs] == ["free motion", "hit"]
+    in_millimetres = {"topic": "/mocap/parcel/pose", "unit": "mm"}
+    answer = client.post("/api/laboratory", json=description(looked(client), runs=runs, object_pose=in_millimetres))
+    assert "run_1" in answer.json()["error"]
+    assert "on the support" in answer.json()["error"]
+
+
 def test_a_folder_that_is_described_is_not_overwritten(client: TestClient, lab: Path) -> None:
     (lab / "runs.csv").write_text("mine")
     answer = client.post("/api/laboratory", json=description(looked(client)))

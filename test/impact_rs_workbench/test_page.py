@@ -335,6 +335,18 @@ def test_history_opens_on_the_newest_model(page: Page, address: tuple[str, Path]
     shutil.rmtree(folder)
 
 
+def test_the_next_model_is_not_written_over_an_earlier_one(page: Page, address: tuple[str, Path]) -> None:
+    page.locator("[data-step=add]").click()
+    output = page.locator("#add-output")
+    expect(output).to_have_value(re.compile("^models/model_[0-9]+.yaml$"))
+    name = output.input_value()
+    (address[1] / "models").mkdir(exist_ok=True)
+    (address[1] / name).write_text("name: earlier\neffects: []\n")
+    expect(output).not_to_have_value(name)
+    expect(output).to_have_value(re.compile("^models/model_[0-9]+.yaml$"))
+    (address[1] / name).unlink()
+
+
 def test_names_and_notes_are_text_and_no_markup(page: Page, address: tuple[str, Path]) -> None:
     name = "<img src=x>&amp;"
     (address[1] / "m.yaml").write_text(json.dumps({"name": name, "effects": [], "note": "<b>bold</b>"}))

@@ -17,7 +17,7 @@ PAGE = "impact_rs_workbench/static/workbench.js"
 TESTS = "test/impact_rs_workbench/test_"
 SERVER_TESTS = (f"{TESTS}server.py",)
 STEPS_TESTS = (f"{TESTS}steps.py",)
-JOBS_TESTS = (f"{TESTS}jobs.py",)
+JOBS_TESTS = f"{TESTS}jobs.py"
 WORKSPACE_TESTS = (f"{TESTS}workspace.py",)
 LABORATORY_TESTS = (f"{TESTS}laboratory.py",)
 PREDICTION_TESTS = (f"{TESTS}prediction.py",)
@@ -110,7 +110,7 @@ MUTANTS = [
         original="if path == other or path in other.parents or other in path.parents:",
         mutated="if path == other or path in other.parents:",
         wrong="A job may write into a folder that another one is writing.",
-        tests=JOBS_TESTS,
+        tests=(f"{JOBS_TESTS}::test_two_tabs_see_the_same_jobs_and_one_folder_has_one_job_at_a_time",),
     ),
     Mutant(
         name="job_number_by_their_count",
@@ -118,7 +118,7 @@ MUTANTS = [
         original="number = max(taken, default=0) + 1",
         mutated="number = len(taken) + 1",
         wrong="After a record was removed a new job takes the number of an old one.",
-        tests=JOBS_TESTS,
+        tests=(f"{JOBS_TESTS}::test_a_number_that_was_given_is_not_given_again",),
     ),
     Mutant(
         name="a_lost_job_runs_for_ever",
@@ -126,7 +126,7 @@ MUTANTS = [
         original="replace(job, ended=path.stat().st_mtime, exit_code=130, line=LOST)",
         mutated="replace(job, exit_code=130, line=LOST)",
         wrong="A job of an earlier workbench runs for ever.",
-        tests=JOBS_TESTS,
+        tests=(f"{JOBS_TESTS}::test_records_outlive_the_workbench_and_what_ran_when_it_died_is_told_as_ended",),
     ),
     Mutant(
         name="exit_code_of_a_signal",
@@ -134,7 +134,7 @@ MUTANTS = [
         original="code = 128 - code if code < 0 else code",
         mutated="code = 128 + code if code < 0 else code",
         wrong="A job that was killed has another exit code than in a shell.",
-        tests=JOBS_TESTS,
+        tests=(f"{JOBS_TESTS}::test_a_job_killed_by_a_signal_has_the_exit_code_of_a_shell",),
     ),
     Mutant(
         name="a_path_as_an_option",
@@ -263,6 +263,6 @@ MUTANTS = [
         original="if (!this.output.value || used.has(this.output.value)) {",
         mutated="if (!this.output.value) {",
         wrong="The next model is to be written over the last one.",
-        tests=(f"{PAGE_TESTS}::test_the_whole_loop_by_mouse_names_the_hidden_effect_and_the_error_falls",),
+        tests=(f"{PAGE_TESTS}::test_the_next_model_is_not_written_over_an_earlier_one",),
     ),
 ]
