@@ -70,7 +70,7 @@ MUTANTS = [
         original="while self._asked == asked:",
         mutated="while True:",
         wrong="A figure is finished before a moved slider is answered.",
-        tests=PREDICTION_TESTS,
+        tests=(f"{TESTS}server.py::test_a_figure_gives_way_to_a_slider_that_has_moved_meanwhile",),
     ),
     Mutant(
         name="own_records_are_in_reach",
