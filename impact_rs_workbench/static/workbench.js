@@ -1091,7 +1091,7 @@ function entry(key, text, small, chosen) {
 
 function scoreText(score) {
   const held = score.held_out === null || score.held_out === undefined ? '' : `, held out ${number(score.held_out)}`;
-  return `error ${number(score.fit)}${unit(score.unit === 'times repetition' ? '' : score.unit)}${held}` +
+  return `error ${number(score.fit)}${unit(score.unit.startsWith('times ') ? '' : score.unit)}${held}` +
     (score.floor ? ` (noise ${number(score.floor)})` : '');
 }
 
@@ -1111,7 +1111,7 @@ function showFolder() {
   const branch = (parent) => models.filter((one) => one.parent === parent && one.path !== parent).map((one) => {
     const children = branch(one.path);
     const item = entry(`model ${one.path}`, one.name, [one.error || one.effects.join(' + ') || 'nothing added',
-      ...(one.score ? [scoreText(one.score), `in ${one.score.report}`] : [])], () => chooseModel(newest('models', one.path)));
+      ...(one.score ? [`${scoreText(one.score)}, in ${one.score.report}`] : [])], () => chooseModel(newest('models', one.path)));
     if (children.length) item.append(h('ul', {class: 'tree'}, ...children));
     return item;
   });
