@@ -121,6 +121,16 @@ class TrialPlan:
         return self.velocity_scale * self.predicted_post_velocity
 
 
+def check_scale(velocity_scale: float) -> None:
+    """Check a post-impact reference velocity over the predicted velocity [-].
+
+    Raises:
+        InputError: It is not positive, or beyond ``LARGEST_SCALE``.
+    """
+    if not 0.0 < velocity_scale <= LARGEST_SCALE:
+        raise InputError(f"velocity scale = {velocity_scale!r}: expected a number > 0 and <= {LARGEST_SCALE:g} [-]")
+
+
 def plan_trial(
     scene: Scene, velocity_scale: float = 1.0, motor_inertia: str = "reduced", engine: str = REFERENCE_ENGINE
 ) -> TrialPlan:
@@ -137,8 +147,7 @@ def plan_trial(
             compensation that was not identified for this object and case.
         Infeasible: A start that cannot be reached, or arms that collide.
     """
-    if not 0.0 < velocity_scale <= LARGEST_SCALE:
-        raise InputError(f"velocity scale = {velocity_scale!r}: expected a number > 0 and <= {LARGEST_SCALE:g} [-]")
+    check_scale(velocity_scale)
     if motor_inertia not in MOTOR_INERTIA_MODELS:
         raise InputError(f"no motor-inertia model {motor_inertia!r}; known: {', '.join(MOTOR_INERTIA_MODELS)}")
     check_joint_counts(scene.scenario)

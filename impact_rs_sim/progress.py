@@ -2,8 +2,9 @@
 """Progress for programs: with ``IMPACT_RS_PROGRESS=FILE`` a command keeps in that file how far it is.
 
 The file holds one JSON document, replaced as a whole: ``what`` is under way, how much of it is ``done`` of which
-``total``, and when this stage began and was last heard of (``since``, ``at``, seconds of the wall clock). Where
-explanations are weighed, ``ranking`` holds them with the error that they leave, the smallest first.
+``total``, and when this stage began and was last heard of (``since``, ``at``, seconds of the wall clock); what an
+earlier run of the command had done is ``first``. Where explanations are weighed, ``ranking`` holds them with the error
+that they leave, the smallest first.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ class ProgressFile:
         self._path = None if not name else Path(name)
         self._what: str | None = None
         self._since = self._at = 0.0
+        self._first = 0
         self._ranking: dict[str, float] = {}
 
     def rank(self, name: str, error: float) -> None:
@@ -47,11 +49,12 @@ class ProgressFile:
             return
         now = time.time()
         if what != self._what:
-            self._what, self._since = what, now
+            self._what, self._since, self._first = what, now, done
         elif done != total and now - self._at < PERIOD:
             return
         self._at = now
         ranking = sorted(self._ranking.items(), key=lambda entry: entry[1])
-        document = {"what": what, "done": done, "total": total, "since": self._since, "at": now, "ranking": ranking}
+        document = {"what": what, "done": done, "total": total, "first": self._first, "since": self._since, "at": now}
+        document["ranking"] = ranking
         with suppress(InputError):  # a full disk stops no command that only wants to say how far it is
             write_whole(self._path, json.dumps(document))

@@ -213,15 +213,13 @@ def read_text(path: str | Path, most: int = LARGEST_TEXT) -> str:
     return text
 
 
-def validate(
-    schema: type[SchemaType], data: dict[str, Any], file: str | Path, context: str | None = None
-) -> SchemaType:
+def validate(schema: type[SchemaType], data: Any, file: str | Path | None, context: str | None = None) -> SchemaType:
     """Validate parsed data against ``schema``; ``file`` only names the place in errors.
 
     Args:
         schema: What the data should be.
         data: As :func:`parse_yaml` returns them.
-        file: Where they are from.
+        file: Where they are from; None: not from a file.
         context: ``RECORDED`` for what an earlier version may have written.
 
     Raises:
@@ -236,7 +234,23 @@ def validate(
         raise InputError(shortened(f"cannot be used ({type(error).__name__}: {error})"), file=file) from None
 
 
-def _input_error(schema: type[Schema], error: ValidationError, file: str | Path) -> InputError:
+# Mistakes that pydantic explains in the terms of a programmer, by its name for them.
+IN_WORDS = {
+    "too_short": "expected at least {min_length} of them, found {actual_length}",
+    "too_long": "expected at most {max_length} of them, found {actual_length}",
+    "string_too_short": "expected a text of at least {min_length} characters",
+    "string_too_long": "expected a text of at most {max_length} characters",
+    "int_parsing": "expected a whole number",
+    "int_type": "expected a whole number",
+    "int_from_float": "expected a whole number",
+    "float_parsing": "expected a number",
+    "float_type": "expected a number",
+    "model_type": "expected names with their values",
+    "model_attributes_type": "expected names with their values",
+}
+
+
+def _input_error(schema: type[Schema], error: ValidationError, file: str | Path | None) -> InputError:
     mistakes = error.errors(include_url=False)
     # A misspelt key is unknown and also missing; the unknown one tells what was meant.
     first = next((mistake for mistake in mistakes if mistake["type"] == "extra_forbidden"), mistakes[0])
@@ -251,7 +265,8 @@ def _input_error(schema: type[Schema], error: ValidationError, file: str | Path)
         message = f"unknown key{_did_you_mean(schema, location)}"
         meaning = ""
     else:
-        message = first["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
+        words = IN_WORDS[kind].format_map(first.get("ctx", {})) if kind in IN_WORDS else first["msg"]
+        message = words.removeprefix("Value error, ").removeprefix("Assertion failed, ")
         message = shortened(message.replace("Input should be", "expected").replace("Field required", "missing"), 600)
         value = first["input"] if not isinstance(first["input"], dict) else None
     if meaning:

@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import functools
 import logging
-import math
 import shutil
 import socket
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -22,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Self
 import yaml
 from pydantic import Field, model_validator
 
+from impact_rs_control.plan import check_scale
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import PositiveVector, Schema, parse_yaml, validate
@@ -127,9 +127,9 @@ class TrialReport:
 
 def make_manifest(
     scenario_name: str,
-    objects: list[str] | None = None,
-    cases: list[str] | None = None,
-    scales: list[float] | None = None,
+    objects: Sequence[str] | None = None,
+    cases: Sequence[str] | None = None,
+    scales: Sequence[float] | None = None,
     trials: int | None = None,
     seed: int = 0,
     settings: Mapping[str, Any] | None = None,
@@ -138,15 +138,14 @@ def make_manifest(
 
     Raises:
         InputError: Unknown scenario, object, case or setting, a pose that cannot be reached, a set without friction
-            compensation where the scenario has one, a scale that is not positive, fewer than one trial,
+            compensation where the scenario has one, a scale out of range, fewer than one trial,
             or two trials of one name.
     """
     scenario = load_scenario(scenario_name).with_settings(settings or {})
     for name in objects or []:
         scenario.object(name)
     for scale in scales or []:
-        if not 0.0 < scale < math.inf:
-            raise InputError(f"velocity scale = {scale!r}: expected a number > 0 [-]")
+        check_scale(scale)
     if trials is not None and trials < 1:
         raise InputError(f"trials = {trials}: expected at least 1")
     if seed < 0:

@@ -249,7 +249,8 @@ class Jobs:
         except (OSError, ValueError):
             return None
         done, total, spent = found["done"], found["total"], found["at"] - found["since"]
-        left = None if not total or not done else spent / done * (total - done)
+        own = done - found["first"]  # what an earlier run of the command had done took no time of this one
+        left = None if not total or own <= 0 else spent / own * (total - done)
         return {"what": found["what"], "done": done, "total": total, "left": left, "ranking": found["ranking"][:MOST]}
 
 

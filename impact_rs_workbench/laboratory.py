@@ -25,7 +25,14 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import Name, Schema, load_mapping, validate
-from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, read_runs
+from impact_rs_trials.recordings.experiment import (
+    FREE_MOTION,
+    HIT,
+    NO_OBJECT,
+    Experiment,
+    MotionCapture,
+    read_runs,
+)
 from impact_rs_trials.recordings.laboratory import IMPACT_SHARE, Laboratory, placed, read_run
 from impact_rs_trials.recordings.mapping import (
     JOINT_SIGNALS,
@@ -89,7 +96,9 @@ class Description(Schema):
     arms: dict[str, ArmDescription] = Field(description="what was recorded of each arm")
     object_pose: SignalSource | None = Field(None, description="where the pose of the object is")
     world_from_hits: bool = Field(False, description="whether the tracker's world is found from contact in the hits")
-    runs: tuple[RunEntry, ...] = Field(min_length=1, description="the runs")
+    runs: tuple[RunEntry, ...] | None = Field(
+        None, min_length=1, description="the runs; null: runs.csv of the folder says what they are"
+    )
 
 
 def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any]:
@@ -108,9 +117,11 @@ def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any
         raise InputError("nothing in it looks like the signals of a robot", file=path)
     scenario = load_scenario(workspace.scenario_path(scenario_name))
     robots = scenario.robots
+    own = _own_table(directory, scenario_name, scenario)
     proposals = propose(found, {arm: robot.robot_facts.joint_count for arm, robot in robots.items()})
     return {
         "recording": lab.recordings[0],
+        "table": own,
         "path": workspace.name(path),
         "streams": [asdict(stream) for stream in found],
         "arms": {
@@ -123,6 +134,22 @@ def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any
         },
         "object_pose": next((number for number, one in enumerate(found) if one.guess == OBJECT_POSE), None),
     }
+
+
+def _own_table(folder: Path, scenario_name: str, scenario: Scenario) -> dict[str, Any] | None:
+    """What the table of runs says that the user has written into the folder; None: there is none."""
+    if not (folder / RUN_TABLE).is_file():
+        return None
+    try:
+        rows = read_runs(folder, Experiment(scenario=scenario_name), scenario)
+    except InputError as error:
+        return {"name": RUN_TABLE, "rows": [], "error": str(error)}
+    told = [
+        {"bag": row.name, "object": row.object or NO_OBJECT, "kind": HIT if row.hit else FREE_MOTION}
+        | {"condition": row.condition}
+        for row in rows
+    ]
+    return {"name": RUN_TABLE, "rows": told, "error": ""}
 
 
 def preview(workspace: Workspace, request: PreviewRequest) -> dict[str, Any]:
@@ -218,6 +245,8 @@ def _short(values: Array) -> list[float | None]:
 def describe(workspace: Workspace, description: Description) -> tuple[list[str], tuple[str, ...]]:
     """Write experiment file, mappings and table of runs beside the recordings, all of them or none.
 
+    A table of runs that the user has written is used as it is.
+
     Returns:
         The files as they are seen from the folder, the experiment file first; and what the user should know of how the
         first run was read.
@@ -230,7 +259,8 @@ def describe(workspace: Workspace, description: Description) -> tuple[list[str],
     scenario_name = workspace.scenario_path(description.scenario)
     scenario = load_scenario(scenario_name)
     files = _mapping_files(scenario)
-    for name in (*files.values(), RUN_TABLE, EXPERIMENT):
+    new = [EXPERIMENT, *files.values(), *([] if description.runs is None else [RUN_TABLE])]
+    for name in new:
         if (folder / name).exists():
             raise InputError("this file exists already; take it away to describe the folder anew", file=folder / name)
     mappings = {arm: _mapping_of(workspace, description, scenario, arm, folder / file) for arm, file in files.items()}
@@ -242,16 +272,18 @@ def describe(workspace: Workspace, description: Description) -> tuple[list[str],
     if motion_capture.estimate:
         experiment["motion_capture"] = {"estimate": True}
     texts = {file: _yaml(_seen_from(folder, mappings[arm])) for arm, file in files.items()}
-    texts |= {EXPERIMENT: _yaml(experiment), RUN_TABLE: _table(description.runs)}
+    texts[EXPERIMENT] = _yaml(experiment)
+    if description.runs is not None:
+        texts[RUN_TABLE] = _table(description.runs)
     with whole_folder(folder) as aside:
         for name, text in texts.items():
             (aside / name).write_text(text, encoding="utf-8")
-        table = (aside / RUN_TABLE).relative_to(folder)
-        rows = read_runs(folder, Experiment(scenario=scenario_name, runs=str(table)), scenario)
+        table = (folder if description.runs is None else aside) / RUN_TABLE
+        rows = read_runs(folder, Experiment(scenario=scenario_name, runs=str(table.relative_to(folder))), scenario)
         laboratory = Laboratory.checked(scenario, mappings, motion_capture, lambda arm: {"key": arm})
         first = next((row for row in rows if row.hit), rows[0])
         remarks = read_run(placed(laboratory, rows, map), first).remarks
-    written = [workspace.name(folder / name) for name in (EXPERIMENT, *files.values(), RUN_TABLE)]
+    written = [workspace.name(folder / name) for name in new]
     return written, tuple(f"{first.name}: {remark}" for remark in remarks)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from impact_rs_analysis.report.figures import MODEL_STYLE
+from impact_rs_control.plan import LARGEST_SCALE
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, interval_of_draws, predict
@@ -309,6 +310,7 @@ def describe(name: str, path: str) -> dict[str, Any]:
         "arms": arms,
         "hits": scenario.excursion is None,
         "scales": list(scenario.velocity_scales),
+        "largest_scale": LARGEST_SCALE,
         "trials": scenario.trials,
         "objects": {key: {"label": thing.label, "mass": thing.mass} for key, thing in scenario.objects.items()},
         "cases": {key: case.label for key, case in scenario.cases.items()},

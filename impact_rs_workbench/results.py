@@ -70,7 +70,7 @@ def nearest_signal(cell: Cell) -> str:
         what = "velocity" if "velocity" in cell.signal else "torque"
         return f"{before}{what} of joint {joint[1]}"
     if cell.signal.startswith("object"):
-        return "object yaw" if "rotation" in cell.signal else f"object position {index}"
+        return "object yaw rate" if "rotation" in cell.signal else f"object velocity {index}"
     return f"{before}end-effector velocity {index}"
 
 

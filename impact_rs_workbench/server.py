@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
@@ -13,7 +14,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -22,9 +22,10 @@ from starlette.routing import Route
 from starlette.types import ASGIApp
 
 from impact_rs_analysis.report.page import PLOTLY
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.impact_map import ImpactMapError
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.schema import validate
 from impact_rs_trials.store import Folder, owned
 from impact_rs_workbench import formulas, laboratory, manual, prediction, results
 from impact_rs_workbench.formulas import FormulaText
@@ -125,10 +126,10 @@ def _routes(workbench: Workbench) -> list[Route]:
         return workbench.sweep(_question(data), str(key))
 
     def preview(data: Any) -> Any:
-        return laboratory.preview(workspace, checked(PreviewRequest, data))
+        return laboratory.preview(workspace, validate(PreviewRequest, data, None))
 
     def check(data: Any) -> Any:
-        return formulas.check(checked(FormulaText, data).text)
+        return formulas.check(validate(FormulaText, data, None).text)
 
     return [
         Route("/", _page),
@@ -145,7 +146,7 @@ def _routes(workbench: Workbench) -> list[Route]:
             _got(lambda given: laboratory.look(workspace, given.get("path", ""), given.get("scenario", ""))),
         ),
         Route("/api/jobs", _got(lambda _: jobs.all())),
-        Route("/api/jobs/{number:int}/log", _got(lambda given: {"log": jobs.log(given["number"])})),
+        Route("/api/jobs/{number}/log", _got(lambda given: {"log": jobs.log(_job(given))})),
         Route("/api/events", _events(workbench)),
         Route("/api/predict", _posted(lambda data: workbench.predict(_question(data))), methods=["POST"]),
         Route("/api/sweep", _posted(sweep), methods=["POST"]),
@@ -155,8 +156,8 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/formulas", _posted(lambda data: _kept(workbench, data)), methods=["POST"]),
         Route("/api/command", _posted(lambda data: _command(workbench, data)), methods=["POST"]),
         Route("/api/jobs", _posted(lambda data: asdict(jobs.start(order_of(data, workspace)))), methods=["POST"]),
-        Route("/api/jobs/{number:int}/stop", _done(jobs.stop), methods=["POST"]),
-        Route("/api/jobs/{number:int}/again", _done(jobs.again), methods=["POST"]),
+        Route("/api/jobs/{number}/stop", _done(jobs.stop), methods=["POST"]),
+        Route("/api/jobs/{number}/again", _done(jobs.again), methods=["POST"]),
     ]
 
 
@@ -165,7 +166,7 @@ def _command(workbench: Workbench, data: Any) -> dict[str, str]:
 
 
 def _described(workbench: Workbench, data: Any) -> dict[str, Any]:
-    description: Description = checked(Description, data)
+    description = validate(Description, data, None)
     written, remarks = laboratory.describe(workbench.workspace, description)
     name = description.path.strip("./") or "lab"
     step = {"step": "compare", "runs": description.path, "experiment": written[0], "output": f"reports/compare_{name}"}
@@ -173,25 +174,12 @@ def _described(workbench: Workbench, data: Any) -> dict[str, Any]:
 
 
 def _kept(workbench: Workbench, data: Any) -> dict[str, str]:
-    path = formulas.keep(workbench.workspace, checked(FormulaText, data))
+    path = formulas.keep(workbench.workspace, validate(FormulaText, data, None))
     return {"command": workbench.command(["effects", "--formulas", seen(workbench.workspace.existing(path))])}
 
 
 def _question(data: Any) -> Question:
-    return checked(Question, data)
-
-
-def checked(schema: type[Any], data: Any) -> Any:
-    """What a request says, checked against its schema.
-
-    Raises:
-        InputError: It breaks the schema.
-    """
-    try:
-        return TypeAdapter(schema).validate_python(data)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        raise InputError(first["msg"], key=".".join(map(str, first["loc"])) or "request") from None
+    return validate(Question, data, None)
 
 
 def _got(work: Work) -> Endpoint:
@@ -221,11 +209,23 @@ def _posted(work: Work) -> Endpoint:
     return endpoint
 
 
+def _job(given: dict[str, str]) -> int:
+    """The number of a job that an address names.
+
+    Raises:
+        InputError: It is no number that a job can have.
+    """
+    text = given["number"]
+    if re.fullmatch(r"[0-9]{1,9}", text) is None:
+        raise InputError(f"no job {shortened(text)!r}")
+    return int(text)
+
+
 def _done(work: Callable[[int], Any]) -> Endpoint:
     """An endpoint that does something to a job."""
 
     async def endpoint(request: Request) -> Response:
-        return await _answered(lambda number: asdict(work(number)), request.path_params["number"])
+        return await _answered(lambda given: asdict(work(_job(given))), request.path_params)
 
     return endpoint
 

@@ -8,20 +8,40 @@ folder of the workbench, and go into the command as the terminal sees them from 
 from __future__ import annotations
 
 import os
+import re
 from abc import abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, Field
 
-from impact_rs_sim.errors import InputError
-from impact_rs_sim.schema import Schema
+from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.schema import Schema, validate
+from impact_rs_trials.campaign import make_manifest
 from impact_rs_workbench.jobs import Order
 from impact_rs_workbench.workspace import Workspace
 
-# What no command can take for an option.
-Plain = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$", max_length=200)]
-Address = Annotated[str, Field(pattern=r"^(tcp|tls|ucx|ws)://[A-Za-z0-9_.:\[\]-]+$", max_length=200)]
+
+def _like(pattern: str, expected: str) -> AfterValidator:
+    """A text of a form that no command takes for an option."""
+
+    def checked(value: str) -> str:
+        if re.fullmatch(pattern, value) is None:
+            raise ValueError(f"expected {expected}")
+        return value
+
+    return AfterValidator(checked)
+
+
+Plain = Annotated[
+    str, Field(max_length=200), _like(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", "a name of letters, digits, _, - and .")
+]
+Address = Annotated[
+    str,
+    Field(max_length=200),
+    _like(r"(tcp|tls|ucx|ws)://[A-Za-z0-9_.:\[\]-]+", "an address such as tcp://10.0.0.1:8786"),
+]
 PathName = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
@@ -38,16 +58,18 @@ class Step(Schema):
 
 
 class CampaignStep(Step):
-    """Many trials."""
+    """Many trials; where nothing is said, all that the scenario has."""
 
     step: Literal["campaign"]
     scenario: PathName = Field(description="scenario")
     output: PathName = Field(description="folder of the campaign")
-    objects: tuple[Plain, ...] = Field((), description="objects; none: all")
-    cases: tuple[Plain, ...] = Field((), description="cases; none: all")
-    scales: tuple[Annotated[float, Field(gt=0.0, le=10.0)], ...] = Field((), description="scales [-]; none: all")
-    trials: int | None = Field(None, ge=1, le=1000, description="repeats")
-    seed: int = Field(0, ge=0, description="seed")
+    objects: tuple[Plain, ...] | None = Field(None, min_length=1, description="objects")
+    cases: tuple[Plain, ...] | None = Field(None, min_length=1, description="cases")
+    scales: tuple[float, ...] | None = Field(
+        None, min_length=1, description="post-impact references over the prediction [-]"
+    )
+    trials: int | None = Field(None, le=1000, description="repeats")
+    seed: int = Field(0, description="seed")
     via: Literal["inprocess", "nodes"] = Field("inprocess", description="in the program, or through the nodes")
     scheduler: Address | None = Field(None, description="address of a dask scheduler")
 
@@ -55,8 +77,10 @@ class CampaignStep(Step):
         """See :meth:`Step.order`."""
         target = workspace.inside(self.output)
         words = ["campaign", scenario_argument(workspace, self.scenario), "-o", seen(target)]
+        scenario = workspace.scenario_path(self.scenario)
+        make_manifest(scenario, self.objects, self.cases, self.scales, self.trials, self.seed)  # as the command does
         words += _several("--objects", self.objects) + _several("--cases", self.cases)
-        words += _several("--scales", [f"{scale:g}" for scale in self.scales])
+        words += _several("--scales", [f"{scale:g}" for scale in self.scales or ()])
         words += [] if self.trials is None else ["--trials", str(self.trials)]
         words += [] if self.seed == 0 else ["--seed", str(self.seed)]
         words += [] if self.via == "inprocess" else ["--via", self.via]
@@ -71,14 +95,16 @@ class TrialStep(Step):
     scenario: PathName = Field(description="scenario")
     object: Plain = Field(description="object")
     case: Plain = Field(description="case")
-    scale: float = Field(1.0, gt=0.0, le=10.0, description="post-impact reference over prediction [-]")
-    seed: int = Field(0, ge=0, description="seed")
+    scale: float = Field(1.0, description="post-impact reference over prediction [-]")
+    seed: int = Field(0, description="seed")
     output: PathName = Field(description="folder for the bag")
 
     def order(self, workspace: Workspace) -> Order:
         """See :meth:`Step.order`."""
         target = workspace.inside(self.output)
         words = ["trial", scenario_argument(workspace, self.scenario), self.object, self.case, "-o", seen(target)]
+        scenario = workspace.scenario_path(self.scenario)
+        make_manifest(scenario, [self.object], [self.case], [self.scale], 1, self.seed)  # as the command does
         words += [] if self.scale == 1.0 else ["--scale", f"{self.scale:g}"]
         words += [] if self.seed == 0 else ["--seed", str(self.seed)]
         return Order("measure", tuple(words), (target,))
@@ -187,11 +213,16 @@ class HistoryStep(RunsStep):
         return Order("history", tuple(words), (target,))
 
 
-AnyStep = Annotated[
-    CampaignStep | TrialStep | BlindStep | AnalyzeStep | CompareStep | DiagnoseStep | AddStep | HistoryStep,
-    Field(discriminator="step"),
-]
-_STEPS: TypeAdapter[Step] = TypeAdapter(AnyStep)
+STEPS: dict[str, type[Step]] = {
+    "campaign": CampaignStep,
+    "trial": TrialStep,
+    "blind": BlindStep,
+    "analyze": AnalyzeStep,
+    "compare": CompareStep,
+    "diagnose": DiagnoseStep,
+    "add": AddStep,
+    "history": HistoryStep,
+}
 
 
 def order_of(data: Any, workspace: Workspace) -> Order:
@@ -200,13 +231,11 @@ def order_of(data: Any, workspace: Workspace) -> Order:
     Raises:
         InputError: A value is missing or cannot be; or a path leads out of the folder, or to nothing.
     """
-    try:
-        step = _STEPS.validate_python(data)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(str(part) for part in first["loc"][1:] or first["loc"])
-        raise InputError(first["msg"], key=key or "step", value=first["input"] if key else None) from None
-    return step.order(workspace)
+    name = data.get("step") if isinstance(data, dict) else None
+    if not isinstance(name, str) or name not in STEPS:
+        near = did_you_mean(name, STEPS) if isinstance(name, str) else ""
+        raise InputError(f"expected one of {', '.join(STEPS)}{near}", key="step", value=name)
+    return validate(STEPS[name], data, None).order(workspace)
 
 
 def seen(path: Path) -> str:
@@ -233,5 +262,5 @@ def _model(workspace: Workspace, name: str) -> str:
     return name if name == "nominal" else seen(workspace.existing(name))
 
 
-def _several(option: str, values: Any) -> list[str]:
+def _several(option: str, values: Sequence[str] | None) -> list[str]:
     return [option, *values] if values else []

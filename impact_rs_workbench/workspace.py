@@ -12,7 +12,8 @@ import json
 import os
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -104,6 +105,7 @@ class ModelNode:
         effects: Names of its effects.
         note: Why it was made.
         scores: Errors of the model, and what repetition alone would give, from the newest comparisons and histories.
+        score: The one of them that may be compared with those of the other models; None: there is none.
         error: What is wrong with the file; empty: nothing.
     """
 
@@ -114,6 +116,7 @@ class ModelNode:
     effects: tuple[str, ...]
     note: str
     scores: tuple[dict[str, Any], ...] = ()
+    score: dict[str, Any] | None = None
     error: str = ""
 
 
@@ -149,7 +152,7 @@ class Contents:
         reports: Pages of reports.
         scenarios: Scenarios, those that come with impact_rs first.
         formulas: Files of effects as formulas.
-        stamps: When diagnoses and reports were written [s of the wall clock].
+        stamps: When models, diagnoses and reports were written [s of the wall clock].
     """
 
     campaigns: tuple[Campaign, ...]
@@ -181,8 +184,10 @@ class Workspace:
         """
         try:
             path = (self.root / name).resolve()
-        except (OSError, ValueError):
-            raise InputError(f"{shortened(name)!r} is no path") from None
+            path.exists()  # which fails where the system has no names of this length
+        except (OSError, ValueError) as error:
+            why = error.strerror if isinstance(error, OSError) else error
+            raise InputError(f"{shortened(name)!r} is no path: {why}") from None
         if not name or not path.is_relative_to(self.root) or "\0" in name:
             raise InputError(f"{shortened(name)!r} is not in the folder of this workbench, {self.root}")
         if path.relative_to(self.root).parts[:1] == (HIDDEN,):
@@ -251,8 +256,16 @@ class Workspace:
             reports=tuple(reports),
             scenarios=(*sorted(file.stem for file in shipped.glob("*.yaml")), *scenarios),
             formulas=tuple(formulas),
-            stamps={name: (self.root / name).stat().st_mtime for name in [*reports, *(one.path for one in diagnoses)]},
+            stamps=self._stamps([*reports, *(one.path for one in diagnoses), *(one.path for one in models)]),
         )
+
+    def _stamps(self, names: list[str]) -> dict[str, float]:
+        """When files were written; those that have just gone are left out."""
+        found = {}
+        for name in names:
+            with suppress(OSError):
+                found[name] = (self.root / name).stat().st_mtime
+        return found
 
     def _folders(self) -> Iterator[tuple[Path, list[str], list[str]]]:
         """Folders with their files and bags, in order; hidden ones are left out, and bags not looked into."""
@@ -389,21 +402,44 @@ def _scores(path: Path) -> list[dict[str, Any]]:
     when = path.stat().st_mtime
     try:
         if path.name == "compare.json":
-            entry = {"digest": document["model"]["digest"], "fit": document["score"], "held_out": None}
-            found.append(entry | {"floor": document["noise_floor"], "unit": document["score_unit"]})
+            entry = {"name": "", "digest": document["model"]["digest"], "fit": document["score"], "held_out": None}
+            measured = [document["source"], *sorted((one["name"], one["repeats"]) for one in document["conditions"])]
+            found.append(
+                entry | {"floor": document["noise_floor"], "unit": document["score_unit"], "data": str(measured)}
+            )
         else:
             for item in document["history"]:
-                entry = {"name": item["model"], "fit": item["error_fit"], "held_out": item["error_held_out"]}
-                found.append(entry | {"floor": item["noise_floor"], "unit": ""})
+                entry = {"name": item["model"], "digest": item.get("digest"), "fit": item["error_fit"]}
+                entry |= {
+                    "held_out": item["error_held_out"],
+                    "floor": item["noise_floor"],
+                    "unit": "",
+                    "data": str(path),
+                }
+                found.append(entry)
     except (KeyError, TypeError):
         return []
     return [item | {"report": path.parent.name, "when": when} for item in found]
 
 
 def _with_scores(models: list[ModelNode], scores: list[dict[str, Any]]) -> Iterator[ModelNode]:
-    """Models with what was found of them; the newest first."""
+    """Models with what was found of them, the newest first; ``score`` of all of them is of the same measurements."""
+    own: dict[str, list[dict[str, Any]]] = {}
+    latest: dict[str, float] = {}  # by measurements
     for model in models:
-        own = [item for item in scores if item.get("digest") == model.digest or item.get("name") == model.name]
-        newest = sorted(own, key=lambda item: -item["when"])
-        shown = ({key: item[key] for key in ("report", "fit", "held_out", "floor", "unit")} for item in newest[:3])
-        yield ModelNode(**(vars(model) | {"scores": tuple(shown)}))
+        found = [item for item in scores if _is_of(item, model)]
+        newest = own[model.path] = sorted(found, key=lambda item: -item["when"])
+        for item in newest:
+            latest[item["data"]] = max(item["when"], latest.get(item["data"], 0.0))
+    known = {data: sum(any(item["data"] == data for item in items) for items in own.values()) for data in latest}
+    common = max(latest, key=lambda data: (known[data], latest[data]), default=None)  # of most models, then the newest
+    for model in models:
+        shown = [{key: item[key] for key in ("report", "fit", "held_out", "floor", "unit")} for item in own[model.path]]
+        told = next((one for one, item in zip(shown, own[model.path], strict=True) if item["data"] == common), None)
+        yield replace(model, scores=tuple(shown[:3]), score=told)
+
+
+def _is_of(score: dict[str, Any], model: ModelNode) -> bool:
+    """Whether an error is that of a model: by its digest, or by its name where an older history has none."""
+    digest = score["digest"]
+    return bool(model.digest) and (score["name"] == model.name if digest is None else digest == model.digest)

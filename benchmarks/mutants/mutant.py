@@ -40,9 +40,11 @@ class Mutant:
 
     @property
     def module(self) -> str:
-        """Name under which Python imports the file; all of C++ is one module."""
+        """Name under which Python imports the file; all of C++ is one module, and a page is that of its server."""
         if self.compiled:
             return "impact_rs_sim._kernel"
+        if not self.file.endswith(".py"):
+            return "impact_rs_workbench.server"
         return self.file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
     def text(self, root: Path) -> str:

@@ -56,6 +56,7 @@ class VersionError:
         """One entry of ``history --json``."""
         return {
             "model": self.version.model.name,
+            "digest": self.version.model.digest,
             "file": self.version.file,
             "effect_added": self.version.effect_added,
             "error_fit": self.error_fit,

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -137,7 +138,19 @@ def _signals(item: AlignedRun) -> list[TrackSignal]:
     if np.isfinite(a.object_yaw).any():
         plane = [(axis, AXES[axis], "m") for axis in range(2)]
         found += _columns("object position", a.object_position, b.object_position, plane)
+        speeds = [(axis, AXES[axis], "m/s") for axis in range(2)]
+        found += _columns("object velocity", _rate(item, a.object_position), _rate(item, b.object_position), speeds)
         found.append(TrackSignal("object yaw", "rad", a.object_yaw, b.object_yaw))
+        found.append(TrackSignal("object yaw rate", "rad/s", _rate(item, a.object_yaw), _rate(item, b.object_yaw)))
+    return found
+
+
+def _rate(item: AlignedRun, values: Array) -> Array:
+    """Derivative over time, window by window, of what is measured as a position; NaN where a window is one sample."""
+    found = np.full(values.shape, np.nan)
+    for start, end in pairwise([*item.starts, len(values)]):
+        if end - start > 1:
+            found[start:end] = np.gradient(values[start:end], item.time[start:end], axis=0)
     return found
 
 

@@ -119,8 +119,16 @@ def report_on(
         analysis = analyze_campaign(directory, tell, map_tasks)
     report = publish(analysis, output or directory / "report", terminal, contact)
     if not analysis.sets:
-        terminal.warn("no set has enough trials for an estimate; see above what is missing")
+        terminal.warn(f"no estimate for any set{_first_reason(analysis)}")
     return (0 if analysis.sets else 1), report
+
+
+def _first_reason(analysis: Analysis) -> str:
+    """Why the first of the sets has no estimate, for those who read this line alone; all reasons stand above it."""
+    if not analysis.incomplete:
+        return ": there is no trial that could be used"
+    first = analysis.incomplete[0]
+    return f"; {first.object} {first.case}: {first.reason}"
 
 
 def publish(analysis: Analysis, directory: Path, terminal: Terminal, contact: str = "first") -> Path:

@@ -203,10 +203,11 @@ def follow(
 ) -> list[TrialReport]:
     """Show progress while trials run, and which ones fail; returns their reports."""
     ran = []
-    total = sum(len(still_to_run(store, manifest)) for store, manifest in campaigns.items())
+    total = sum(len(manifest.keys) for manifest in campaigns.values())
+    there = total - sum(len(still_to_run(store, manifest)) for store, manifest in campaigns.items())
     with terminal.progress(what) as tell:
-        tell(0, total)
-        for number, (store, report) in enumerate(reports, start=1):
+        tell(there, total)
+        for number, (store, report) in enumerate(reports, start=there + 1):
             ran.append(report)
             if report.outcome == "ABORTED":
                 terminal.warn(f"{report.key.name}: {report.message or 'aborted'}")

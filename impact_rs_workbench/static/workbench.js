@@ -82,8 +82,11 @@ function teller() {
   const node = h('div', {class: 'told', 'aria-live': 'polite'});
   return {
     node,
-    command(text) { node.replaceChildren(commandLine(text)); },
-    error(text) { node.replaceChildren(h('p', {class: 'error', role: 'alert'}, text)); },
+    // What stands there is of an earlier question: it stays where it is, so that nothing jumps, and looks like it.
+    wait() { node.setAttribute('aria-busy', 'true'); },
+    show(...items) { node.removeAttribute('aria-busy'); node.replaceChildren(...items); },
+    command(text) { this.show(commandLine(text)); },
+    error(text) { this.show(h('p', {class: 'error', role: 'alert'}, text)); },
   };
 }
 
@@ -97,6 +100,15 @@ function seen(colour) {
   return darkScheme.matches && typeof colour === 'string' ? IN_THE_DARK[colour.toLowerCase()] ?? colour : colour;
 }
 
+// A figure follows the width of its place and keeps its height: Plotly's own `responsive` forgets the height that a
+// figure asks for, and what stands below it is covered.
+const widths = new ResizeObserver((seen_) => {
+  for (const {target: node, contentRect: {width}} of seen_) {
+    if (!node.data || width <= 0 || Math.abs(width - node.layout.width) < 1) continue;
+    if (node.redrawn) node.redrawn(); else Plotly.relayout(node, {width}); // what else changes with the width
+  }
+});
+
 // A figure of the reports in the colours of this page.
 function draw(node, figure, config = {}) {
   const style = getComputedStyle(document.documentElement);
@@ -109,16 +121,18 @@ function draw(node, figure, config = {}) {
   }));
   const axes = Object.fromEntries(['xaxis', 'yaxis', 'xaxis2', 'yaxis2'].filter((name) => figure.layout[name] || !name.endsWith('2'))
     .map((name) => [name, {...figure.layout[name], gridcolor: grid, zerolinecolor: grid, color: ink}]));
-  const layout = {...figure.layout, ...axes, paper_bgcolor: 'rgba(0,0,0,0)', plot_bgcolor: 'rgba(0,0,0,0)',
+  const layout = {...figure.layout, ...axes, paper_bgcolor: 'rgba(0,0,0,0)', plot_bgcolor: 'rgba(0,0,0,0)', autosize: false,
+    width: node.clientWidth || 600, height: figure.layout.height ?? 450, // hidden, it has no width yet
     font: {...figure.layout.font, color: ink, family: 'system-ui, sans-serif'}};
-  return Plotly.react(node, data, layout, {responsive: true, displaylogo: false, displayModeBar: false, ...config});
+  widths.observe(node);
+  return Plotly.react(node, data, layout, {displaylogo: false, displayModeBar: false, ...config});
 }
 
 // ---- what a thing is ------------------------------------------------------------------------------------------------
 
 const ABOUT = {
   predict: {title: 'Impact map', text: 'The velocities just after an impact, from those just before: rigid bodies, one ' +
-    'instant, forces that are not impulsive drop out. B is the inertia that the motors have meanwhile.',
+    'instant, forces that are not impulsive drop out. B is the motor inertia during the impact: B_θ is what the torque loop leaves of it, B_ρ that of the whole rotor.',
     equation: '(M + B)(v⁺ − v⁻) = J_cᵀ Λ\n0 ≤ Λₙ ⊥ Jₙ v⁺ + e Jₙ v⁻ ≥ 0\n|Λₜ| ≤ µ Λₙ, against sliding',
     units: 'm/s, rad/s; impulses in N s; axes of the world frame', page: 'physics.md'},
   measure: {title: 'Trials', text: 'A trial is one hit and the push after it, recorded as one bag. A campaign repeats it for ' +
@@ -180,9 +194,9 @@ function orderForm(fields, body, label, extra = []) {
   const told = teller();
   const button = h('button', {class: 'primary', type: 'submit'}, label);
   let asked = 0; // what was asked before may be answered later, and is of no interest then
-  const tell = later(150, async () => {
+  const ask_ = later(150, async () => {
     const content = body(), number = ++asked;
-    if (content === null) { told.node.replaceChildren(); button.disabled = true; return; }
+    if (!content) { told.show(); button.disabled = true; return; }
     try {
       const {command} = await ask('/api/command', content);
       if (number !== asked) return;
@@ -190,12 +204,19 @@ function orderForm(fields, body, label, extra = []) {
       button.disabled = false;
     } catch (error) { if (number === asked) { told.error(error.message); button.disabled = true; } }
   });
-  const node = h('form', {onsubmit: async (event) => {
+  let before = null;
+  const tell = () => {
+    const content = JSON.stringify(body() ?? null);
+    if (content !== before) told.wait();
+    before = content;
+    ask_();
+  };
+  const node = h('form', {novalidate: true, onsubmit: async (event) => {
     event.preventDefault();
     try { keepJob(await ask('/api/jobs', body())); } catch (error) { told.error(error.message); }
   }, oninput: tell, onchange: tell}, h('div', {class: 'fields'}, ...fields),
   h('div', {class: 'actions'}, button, ...extra), told.node); // below the button, which it must not move from under a click
-  return {node, tell};
+  return {node, tell, told};
 }
 
 function keepJob(job) {
@@ -210,10 +231,10 @@ const predict = {
   build() {
     this.scenario = h('select', {id: 'predict-scenario', onchange: () => this.choose()});
     this.object = h('select', {id: 'predict-object', onchange: () => this.objectChosen()});
-    this.case = h('select', {id: 'predict-case', onchange: () => this.again()});
-    this.inertia = h('select', {id: 'predict-inertia', onchange: () => this.again()},
-      new Option('B_θ: what the torque loop leaves', 'reduced'), new Option('B_ρ: the whole rotor', 'rotor'), new Option('none', 'zero'));
-    this.arm = h('select', {id: 'predict-arm', onchange: () => { this.sweep = null; this.again(); }});
+    this.case = h('select', {id: 'predict-case', onchange: () => this.anew()});
+    this.inertia = h('select', {id: 'predict-inertia', onchange: () => this.anew()},
+      new Option('B_θ (reduced)', 'reduced'), new Option('B_ρ (whole rotor)', 'rotor'), new Option('B = 0 (none)', 'zero'));
+    this.arm = h('select', {id: 'predict-arm', onchange: () => this.anew()});
     this.sliders = h('div', {class: 'sliders', id: 'sliders'});
     this.known = h('div', {class: 'sliders'});
     this.plot = h('div', {class: 'plot', id: 'predict-plot', role: 'img', 'aria-label': 'Velocity after the impact'});
@@ -221,30 +242,34 @@ const predict = {
     this.facts = h('p', {class: 'note', id: 'predict-facts'});
     this.budget = h('ul', {class: 'bars'});
     this.told = teller();
+    this.numbers = h('div', {class: 'two', id: 'predict-numbers'},
+      h('div', {}, h('div', {class: 'scroll'}, h('table', {id: 'predict-table'}, h('thead', {}, h('tr', {},
+        ...['body, axis', 'before', 'after', '95 % interval'].map((text) => h('th', {scope: 'col'}, text)))), this.table)),
+      this.facts),
+      h('div', {}, h('h3', {}, 'Who contributes to the interval'), this.budget));
+    this.plot.redrawn = () => { if (this.answer) this.paint(); };
     return h('section', {},
       h('h2', {}, 'Predict the velocities just after the impact'),
       h('div', {class: 'fields'}, labelled('scenario', this.scenario), labelled('object', this.object),
         labelled('case', this.case), labelled('motor inertia', this.inertia), labelled('arm in the figure', this.arm, {hidden: true})),
       this.sliders,
       h('details', {}, h('summary', {}, 'How well numbers are known (95 %, relative)'), this.known),
-      this.plot, this.told.node,
-      h('div', {class: 'two'},
-        h('div', {}, h('div', {class: 'scroll'}, h('table', {id: 'predict-table'}, h('thead', {}, h('tr', {},
-          ...['body, axis', 'before', 'after', '95 % interval'].map((text) => h('th', {scope: 'col'}, text)))), this.table)),
-        this.facts),
-        h('div', {}, h('h3', {}, 'Who contributes to the interval'), this.budget)),
+      this.plot, this.told.node, this.numbers,
       h('div', {class: 'actions'}, h('button', {type: 'button', onclick: () => this.reset()}, 'Sliders back'),
         h('button', {type: 'button', onclick: () => this.measure()}, 'Measure this')));
   },
 
   async update() {
     fill(this.scenario, plain(state.workspace.scenarios), this.scenario.value || 'push');
-    if (!this.question) await this.choose();
+    if (!this.chosen) await this.choose();
   },
 
   async choose() {
+    const name = this.chosen = this.scenario.value;
+    this.clear();
     try {
-      const found = await ask(`/api/scenario?${query({name: this.scenario.value})}`);
+      const found = await ask(`/api/scenario?${query({name})}`);
+      if (name !== this.scenario.value) return; // another one was chosen meanwhile
       this.found = found;
       fill(this.object, Object.entries(found.objects).map(([value, one]) => ({value, text: `${one.label}, ${one.mass} kg`})),
         this.object.value || 'cat_food');
@@ -252,8 +277,24 @@ const predict = {
       fill(this.arm, plain(Object.keys(found.arms)));
       this.arm.parentElement.hidden = this.arm.options.length < 2;
       this.objectChosen();
-    } catch (error) { this.told.error(error.message); }
+    } catch (error) { if (name === this.scenario.value) this.told.error(error.message); }
   },
+
+  // Something else is asked about: nothing that was told of the thing before stays under the new headings.
+  clear() {
+    this.sweep = this.answer = this.question = null;
+    this.sweepNumber += 1;
+    this.told.show();
+    this.table.replaceChildren();
+    this.budget.replaceChildren();
+    this.facts.textContent = 'Being worked out …';
+    delete this.plot.dataset.shown;
+    delete this.plot.dataset.over;
+    this.plot.style.minHeight = `${this.plot.offsetHeight}px`; // what is below stays where it is
+    if (this.plot.data) { Plotly.purge(this.plot); this.plot.replaceChildren(); }
+  },
+
+  anew() { this.clear(); this.again(); },
 
   objectChosen() {
     this.values = {};
@@ -270,6 +311,7 @@ const predict = {
         this.values[slider.key] = value;
         label.classList.add('moved');
         output.textContent = `${number(value)}${unit(slider.unit)}`;
+        if (slider.known && this.sweep) { this.sweep = {...this.sweep, low: [], high: []}; this.plot.dataset.over = ''; }
         if (this.over !== slider.key && !slider.known) { this.over = slider.key; this.sweep = null; }
         this.again(moving);
       };
@@ -281,7 +323,7 @@ const predict = {
     };
     this.sliders.replaceChildren(...all.filter((one) => !one.known).map(made));
     this.known.replaceChildren(...all.filter((one) => one.known).map(made));
-    this.again();
+    this.anew();
   },
 
   reset() { this.objectChosen(); },
@@ -290,6 +332,8 @@ const predict = {
   async again(moving = false) {
     this.wanted = {scenario: this.scenario.value, object: this.object.value, case: this.case.value, arm: this.arm.value,
       motor_inertia: this.inertia.value, values: {...this.values}, moving};
+    this.told.wait();
+    this.numbers.setAttribute('aria-busy', 'true');
     if (this.busy) return;
     this.busy = true;
     while (this.wanted) {
@@ -297,12 +341,24 @@ const predict = {
       this.wanted = null;
       try {
         const answer = await ask('/api/predict', question);
+        if (this.wanted && !this.same(question, this.wanted)) continue; // of something that is looked at no more
         this.question = question;
         this.show(answer, question);
-      } catch (error) { this.told.error(error.message); }
+      } catch (error) {
+        if (this.wanted) continue;
+        this.clear();
+        this.numbers.removeAttribute('aria-busy');
+        this.facts.textContent = '';
+        this.told.error(error.message);
+      }
     }
     this.busy = false;
-    if (!this.question?.moving) this.sweepAgain();
+    if (this.question && !this.question.moving) this.sweepAgain();
+  },
+
+  // Whether two questions differ in sliders alone.
+  same(one, other) {
+    return ['scenario', 'object', 'case', 'arm', 'motor_inertia'].every((name) => one[name] === other[name]);
   },
 
   async sweepAgain() {
@@ -324,8 +380,11 @@ const predict = {
         h('td', {}, fixed(row.after)), h('td', {}, row.low === null ? '–' : `${fixed(row.low)} … ${fixed(row.high)}`))));
     const impulses = Object.entries(answer.impulses), several = impulses.length > 1;
     const pushed = impulses.map(([arm, values]) => `${several ? `${arm} ` : ''}[${values.map((value) => fixed(value)).join(', ')}]`).join(', ');
-    const told = answer.moving ? '; interval from few draws while a slider moves' : answer.interval ? `; interval ${answer.interval.method.replace('_', ' ')}, ${answer.interval.draws} draws` : '';
+    const told = answer.moving ? '; interval from few draws while a slider moves' : answer.interval ? `; interval ${({monte_carlo: 'Monte Carlo'}[answer.interval.method] ?? answer.interval.method.replace('_', ' '))}, ${answer.interval.draws} draws` : '';
     this.facts.textContent = `m/s. Impulse of the pad${several ? 's' : ''} on the object ${pushed} N s${told}. ${answer.note}`;
+    this.numbers.removeAttribute('aria-busy');
+    this.plot.style.minHeight = '';
+    this.budget.classList.toggle('stale', answer.moving); // few draws tell no shares
     if (!answer.moving) this.budget.replaceChildren(...answer.budget.slice(0, 7).map((one) => h('li', {}, h('span', {}, one.source),
       h('i', {style: `width: ${(100 * one.share).toFixed(1)}%`}), h('span', {}, `${Math.round(100 * one.share)} %`))));
     this.place(question.moving);
@@ -379,7 +438,8 @@ const predict = {
   },
 
   measure() {
-    measure.start(this.scenario.value, this.object.value, this.case.value);
+    measure.wanted = {scenario: this.scenario.value, object: this.object.value, case: this.case.value};
+    measure.show('campaign');
     go('measure');
   },
 };
@@ -413,34 +473,43 @@ const measure = {
     const trials = h('input', {type: 'number', min: 1, max: 100, value: 2});
     const seed = h('input', {type: 'number', min: 0, value: 0});
     const output = h('input', {id: 'campaign-output', value: 'campaigns/push', oninput: () => { this.typed = output.value !== ''; }});
-    const via = h('select', {}, new Option('in one program, in parallel', 'inprocess'), new Option('through the ROS 2 nodes', 'nodes'),
-      new Option('on a dask cluster', 'scheduler'));
+    const via = h('select', {}, new Option('in parallel', 'inprocess'), new Option('ROS 2 nodes', 'nodes'),
+      new Option('dask cluster', 'scheduler'));
     const address = h('input', {placeholder: 'tcp://10.0.0.1:8786'});
     const addressField = labelled('address of the scheduler', address, {hidden: true});
     via.addEventListener('change', () => { addressField.hidden = via.value !== 'scheduler'; });
     const ticked = (box) => [...box.querySelectorAll('input:checked')].map((input) => input.value);
     const made = orderForm([labelled('scenario', scenario), labelled('repeats of each', trials), labelled('seed', seed),
-      labelled('folder of the campaign', output), labelled('how', via), addressField, objects, cases, scales],
+      labelled('folder of the campaign', output, {class: 'long'}), labelled('how', via), addressField, objects, cases, scales],
     () => this.scenarioFound && {step: 'campaign', scenario: scenario.value, output: output.value, objects: ticked(objects),
       cases: ticked(cases), scales: ticked(scales).map(Number), trials: Number(trials.value), seed: Number(seed.value),
       via: via.value === 'nodes' ? 'nodes' : 'inprocess', scheduler: via.value === 'scheduler' ? address.value : null},
     'Start the campaign');
-    Object.assign(this, {scenario, objects, cases, scales, output, tellCampaign: made.tell});
-    return made.node;
+    // How much that is, and what an analysis will miss.
+    const count = h('p', {class: 'note', id: 'campaign-count', 'aria-live': 'polite'});
+    this.counted = () => {
+      const [some, ways, levels] = [objects, cases, scales].map((box) => ticked(box).length), all = some * ways * levels * trials.value;
+      const few = this.scenarioFound?.hits && all && (levels < 2 || levels * trials.value < 3);
+      count.textContent = all ? `${all} trial${all === 1 ? '' : 's'}.${few ? ' Analyze needs at least two references over the prediction, ' +
+        'and three trials of each object and case; Compare and Diagnose do not.' : ''}` : '';
+    };
+    for (const event of ['input', 'change']) made.node.addEventListener(event, this.counted);
+    Object.assign(this, {scenario, objects, cases, scales, output, tellCampaign: made.tell, campaignTold: made.told});
+    return h('div', {}, made.node, count);
   },
 
   trial() {
     this.trialScenario = h('select', {onchange: () => this.chooseTrial()});
     this.trialObject = h('select');
     this.trialCase = h('select');
-    const scale = h('input', {type: 'number', step: 0.05, min: 0.1, max: 3, value: 1});
+    const scale = this.trialScale = h('input', {type: 'number', step: 0.05, min: 0.1, value: 1, id: 'trial-scale'});
     const seed = h('input', {type: 'number', min: 0, value: 0});
     const output = h('input', {value: 'trials'});
     const made = orderForm([labelled('scenario', this.trialScenario), labelled('object', this.trialObject),
       labelled('case', this.trialCase), labelled('reference over prediction', scale), labelled('seed', seed), labelled('folder', output)],
     () => this.trialObject.value && {step: 'trial', scenario: this.trialScenario.value, object: this.trialObject.value,
       case: this.trialCase.value, scale: Number(scale.value), seed: Number(seed.value), output: output.value}, 'Run the trial');
-    this.tellTrial = made.tell;
+    Object.assign(this, {tellTrial: made.tell, trialTold: made.told});
     return made.node;
   },
 
@@ -460,37 +529,51 @@ const measure = {
     fill(this.scenario, options, this.scenario.value || 'push');
     fill(this.trialScenario, options, this.trialScenario.value || 'push');
     laboratory.update();
-    if (!this.scenarioFound) { await this.choose(); await this.chooseTrial(); this.tellBlind(); }
+    const wanted = this.wanted, first = !this.asked;
+    this.wanted = null;
+    this.asked = true;
+    if (wanted) this.scenario.value = wanted.scenario;
+    if (first || wanted) this.choose(wanted ?? {});
+    if (first) { this.chooseTrial(); this.tellBlind(); }
   },
 
   async choose(only = {}) {
-    const found = await ask(`/api/scenario?${query({name: this.scenario.value})}`);
+    const mine = this.choices = (this.choices ?? 0) + 1;
+    let found = null;
+    this.scenarioFound = null;
+    this.tellCampaign();
+    try { found = await ask(`/api/scenario?${query({name: this.scenario.value})}`); } catch (error) {
+      if (mine === this.choices) this.campaignTold.error(error.message);
+      return;
+    }
+    if (mine !== this.choices) return; // another one was chosen meanwhile
     this.scenarioFound = found;
     const boxes = (box, options) => {
       const legend = box.querySelector('legend');
       box.replaceChildren(legend, ...options.map(({value, text, on}) => h('label', {}, h('input', {type: 'checkbox', value, checked: on}),
         text)));
     };
-    const chosen = (all, one, few) => all.map(([value, text], index) => ({value, text, on: one ? value === one : index < few}));
-    boxes(this.objects, chosen(Object.entries(found.objects).map(([key, thing]) => [key, thing.label]), only.object, 2));
-    boxes(this.cases, chosen(Object.entries(found.cases), only.case, 2));
-    boxes(this.scales, found.scales.map((scale) => ({value: scale, text: `${scale}`, on: only.object ? true : scale === 1})));
+    const chosen = (all, one) => all.map(([value, text], index) => ({value, text, on: one ? value === one : index < 1}));
+    boxes(this.objects, chosen(Object.entries(found.objects).map(([key, thing]) => [key, thing.label]), only.object));
+    boxes(this.cases, chosen(Object.entries(found.cases), only.case));
+    boxes(this.scales, found.scales.map((scale) => ({value: scale, text: `${scale}`, on: true}))); // an estimate needs several
     if (!this.typed) this.output.value = `campaigns/${stem(this.scenario.value)}${only.object ? `_${only.object}` : ''}`;
+    this.counted();
     this.tellCampaign();
   },
 
   async chooseTrial() {
-    const found = await ask(`/api/scenario?${query({name: this.trialScenario.value})}`);
+    const name = this.trialScenario.value;
+    this.trialObject.replaceChildren();
+    let found = null;
+    try { found = await ask(`/api/scenario?${query({name})}`); } catch (error) { this.trialTold.error(error.message); return; }
+    if (name !== this.trialScenario.value) return;
+    this.trialScale.max = found.largest_scale;
     fill(this.trialObject, Object.entries(found.objects).map(([value, one]) => ({value, text: one.label})));
     fill(this.trialCase, Object.entries(found.cases).map(([value, text]) => ({value, text})));
     this.tellTrial();
   },
 
-  async start(scenario, object, case_) {
-    this.scenario.value = scenario;
-    this.show('campaign');
-    await this.choose({object, case: case_});
-  },
 };
 
 // ---- compare ------------------------------------------------------------------------------------------------------------
@@ -506,32 +589,37 @@ const experimentOf = (runs) => state.workspace.laboratories.find((lab) => lab.pa
 const modelChoices = () => state.workspace.models.filter((model) => !model.error)
   .map((model) => ({value: model.path, text: model.name}));
 
+// The model that was written last; the nominal one has no file.
+const newestModel = () => [...state.workspace.models].filter((model) => !model.error)
+  .sort((a, b) => (state.workspace.stamps[b.path] ?? 0) - (state.workspace.stamps[a.path] ?? 0))[0].path;
+
 // Numbers of a report, as its own script reads them.
 function floats(text) {
   return new Float32Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
 }
 
 // RUNS, model and folder of a step, whose name follows both until somebody types another one.
-function runsForm(step, label, {extraFields = [], extra = () => ({}), only = () => true} = {}) {
+function runsForm(step, label, {extraFields = [], extra = () => ({}), only = () => true, newest = false} = {}) {
   const runs = h('select', {id: `${step}-runs`}), model = h('select', {id: `${step}-model`}), output = h('input', {id: `${step}-output`});
-  let typed = false;
+  let typed = false, chosen = false;
   output.addEventListener('input', () => { typed = output.value !== ''; });
   const named = () => { if (!typed) output.value = `reports/${step}_${slug(runs.value)}_${slug(stem(model.value || 'nominal'))}`; };
   runs.addEventListener('change', named);
-  model.addEventListener('change', named);
-  const made = orderForm([labelled('measurements', runs), labelled('model', model), labelled('folder of the report', output), ...extraFields],
+  model.addEventListener('change', () => { chosen = true; named(); });
+  const made = orderForm([labelled('measurements', runs), labelled('model', model), labelled('folder of the report', output, {class: 'long'}), ...extraFields],
     () => runs.value && model.value ? {step, runs: runs.value, model: model.value, experiment: experimentOf(runs.value), output: output.value,
       ...extra()} : null, label);
   return {...made, runs, model, output, wanted: null, update() { // wanted: runs that show up soon
     const choices = runsChoices(), there = choices.some((one) => one.value === this.wanted);
     fill(runs, choices, there ? this.wanted : undefined);
     if (there) this.wanted = null;
-    fill(model, modelChoices().filter((one) => only(one.value)));
+    fill(model, modelChoices().filter((one) => only(one.value)), newest && !chosen ? newestModel() : undefined);
     named();
     made.tell();
   }};
 }
 
+const reading = (path) => h('p', {class: 'note', role: 'status'}, `Reading ${path} …`);
 const emptyNote = (text) => h('p', {class: 'note'}, text);
 
 const compare = {
@@ -558,12 +646,13 @@ const compare = {
   async open() {
     const path = this.opened = this.report.value;
     this.stamp = state.workspace.stamps[path];
+    this.result.replaceChildren(reading(path));
     if (path.endsWith('report.html')) { this.result.replaceChildren(...wholeReport(path, true)); return; }
     try {
       const folder = path.replace(/\/?compare\.html$/, '') || '.';
       const found = await ask(`/api/comparison?${query({path: folder})}`);
-      this.show(found, path);
-    } catch (error) { this.result.replaceChildren(h('p', {class: 'error', role: 'alert'}, error.message)); }
+      if (path === this.opened) this.show(found, path);
+    } catch (error) { if (path === this.opened) this.result.replaceChildren(h('p', {class: 'error', role: 'alert'}, error.message)); }
   },
 
   show(found, path) {
@@ -674,10 +763,14 @@ const diagnose = {
   },
 
   async open() {
-    this.opened = this.file.value;
-    this.stamp = state.workspace.stamps[this.opened];
-    try { this.show(await ask(`/api/diagnosis?${query({path: this.opened})}`)); } catch (error) {
-      this.result.replaceChildren(h('p', {class: 'error', role: 'alert'}, error.message));
+    const path = this.opened = this.file.value;
+    this.stamp = state.workspace.stamps[path];
+    this.result.replaceChildren(reading(path));
+    try {
+      const found = await ask(`/api/diagnosis?${query({path})}`);
+      if (path === this.opened) this.show(found);
+    } catch (error) {
+      if (path === this.opened) this.result.replaceChildren(h('p', {class: 'error', role: 'alert'}, error.message));
     }
   },
 
@@ -694,9 +787,9 @@ const diagnose = {
         ...effect.parameters.map((one) => h('tr', {}, h('td', {}, one.name), h('td', {}, one.text[0]),
           h('td', {}, one.text.slice(1).join(' … ') || '–'), h('td', {}, unit(one.unit)))))))),
       h('h3', {}, 'Ranking'), h('p', {class: 'note'}, `Error on data that the fit has not seen, without the effect and with it, ${found.unit}.`), plot, h('div', {class: 'scroll'}, h('table', {id: 'ranking'}, h('thead', {}, h('tr', {},
-        ...['effect', 'verdict', 'error', 'p', 'into the model'].map((text) => h('th', {scope: 'col'}, text)))), h('tbody', {}, ...rows))),
+        ...['effect', 'verdict', 'error', 'p', 'into the model'].map((text) => h('th', {scope: 'col', class: text === 'verdict' ? 'text' : null}, text)))), h('tbody', {}, ...rows))),
       found.left.length ? h('div', {}, h('h3', {}, 'What is left'), h('ul', {}, ...found.left.map((one) => h('li', {},
-        `${one.what} (${one.phase}): ${one.value}, ${one.times} × repetition; nobody cares below ${one.floor}`)))) : '',
+        `${one.what} (${one.phase}): ${one.value}, ${one.times} × repetition; relevance limit ${one.floor}`)))) : '',
       found.next ? this.next(found.next) : '',
       ...wholeReport(this.opened.replace(/[^/]*$/, 'diagnosis.html'), false),
       ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
@@ -708,7 +801,7 @@ const diagnose = {
       try {
         keepJob(await ask('/api/jobs', {step: 'campaign', scenario: experiment.scenario,
           output: `${nextFolder(this.form.runs.value)}/next_${slug(experiment.scenario)}_${slug(experiment.object ?? '')}`,
-          objects: experiment.object ? [experiment.object] : [], cases: experiment.case ? [experiment.case] : [], scales: [1], trials: 3}));
+          objects: experiment.object ? [experiment.object] : null, cases: experiment.case ? [experiment.case] : null, scales: [1], trials: 3}));
       } catch (error) { showAbout({title: 'Next experiment', text: error.message}); }
     }}, 'Run it')] : [];
     return h('div', {class: 'answer'}, h('b', {}, 'Next experiment'), h('p', {}, experiment.advice), h('div', {class: 'actions'}, ...run));
@@ -735,8 +828,8 @@ const add = {
     this.effect = h('select', {id: 'add-effect', onchange: () => this.named()});
     this.output = h('input', {id: 'add-output'});
     this.force = h('input', {type: 'checkbox'});
-    this.form = orderForm([labelled('diagnosis', this.file), labelled('effect', this.effect), labelled('new model', this.output),
-      h('fieldset', {class: 'checks'}, h('legend', {}, 'although it improves nothing'), h('label', {}, this.force, 'all the same'))],
+    this.form = orderForm([labelled('diagnosis', this.file, {class: 'long'}), labelled('effect', this.effect, {class: 'long'}), labelled('new model', this.output),
+      h('label', {class: 'tick wide'}, this.force, ' add it although it improves nothing')],
     () => this.file.value && this.effect.value && this.parent ? {step: 'add', effect: this.effect.value, source: this.file.value,
       model: this.parent, output: this.output.value, force: this.force.checked} : null, 'Add the effect');
     this.note = h('p', {class: 'note'});
@@ -754,15 +847,21 @@ const add = {
     const files = state.workspace.diagnoses;
     fill(this.file, files.map(({path, verdict, model}) => ({value: path, text: `${path}: ${model}, ${verdict}`})), this.wanted?.file);
     this.note.textContent = files.length ? '' : 'Nothing is diagnosed yet.';
-    if (this.file.value !== this.opened || this.wanted) this.choose(); else this.named();
+    if (this.file.value !== this.opened || this.wanted || state.workspace.stamps[this.file.value] !== this.stamp) this.choose(); else this.named();
     if (!this.wasChecked) { this.wasChecked = true; this.check(); }
   },
 
   async choose() {
-    this.opened = this.file.value;
-    if (!this.opened) return;
+    const path = this.opened = this.file.value;
+    if (!path) { this.named(); return; }
+    this.stamp = state.workspace.stamps[path];
+    this.parent = null; // what was read of another diagnosis is not added
+    this.effect.replaceChildren();
+    this.note.textContent = `Reading ${path} …`;
+    this.form.tell();
     try {
-      const found = await ask(`/api/diagnosis?${query({path: this.opened})}`);
+      const found = await ask(`/api/diagnosis?${query({path})}`);
+      if (path !== this.opened) return;
       this.parent = state.workspace.models.find((model) => model.digest === found.digest)?.path ?? null;
       this.note.textContent = this.parent ? `Diagnosis of ${found.model}: ${found.summary}` : `The diagnosed model ${found.model} is not in this folder.`;
       const order = [...found.effects].sort((a, b) => found.named.includes(b.name) - found.named.includes(a.name));
@@ -808,7 +907,7 @@ const add = {
 
 const history_ = {
   build() {
-    this.form = runsForm('history', 'Show the history');
+    this.form = runsForm('history', 'Show the history', {newest: true});
     this.result = h('div', {id: 'history-result'});
     return h('section', {}, h('h2', {}, 'How the error fell'), this.form.node, this.result);
   },
@@ -861,7 +960,8 @@ const laboratory = {
   async look() {
     const folder = this.looked = this.folder.value;
     this.lab = state.workspace.laboratories.find((lab) => lab.path === folder);
-    this.told.node.replaceChildren();
+    this.told.show();
+    this.body.replaceChildren(reading(folder));
     if (this.lab.error) this.told.error(this.lab.error);
     try {
       const name = this.scenario.value;
@@ -872,18 +972,25 @@ const laboratory = {
       this.arms = Object.entries(found.arms).map(([arm, given]) => this.arm(arm, given));
       this.pose = this.signal(OBJECT_POSE, this.arms[0], found.object_pose);
       this.world = h('input', {type: 'checkbox', id: 'lab-world'});
-      this.rows = h('tbody', {}, ...this.lab.recordings.map((recording) => this.row(recording, objects)));
+      this.rows = h('tbody', {}, ...(found.table ? found.table.rows.map((one) => h('tr', {}, ...[one.bag, one.object, one.kind, one.condition]
+        .map((text) => h('td', {class: 'text'}, text)))) : this.lab.recordings.map((recording) => this.row(recording, objects))));
+      const told = found.table && (found.table.error ? h('p', {class: 'error'}, found.table.error) :
+        h('p', {class: 'note', id: 'lab-table'}, `As ${found.table.name} of the folder says; it is used as it is, and changed in an editor.`));
       this.body.replaceChildren(
         h('h3', {}, `Signals, as ${found.recording} has them`), h('p', {class: 'note'}, 'Choose where each signal is and in which unit, and look at it: are its numbers right?'),
         h('div', {class: this.arms.length > 1 ? 'arms' : ''}, ...this.arms.map((one) => one.node)),
         this.pose.node,
         h('label', {class: 'tick'}, this.world, ' the tracker’s world is not the robot’s: find it from the contact in the hits'),
-        h('h3', {}, 'Runs'), h('div', {class: 'scroll'}, h('table', {}, h('thead', {}, h('tr', {}, ...['recording', 'object', 'kind', 'condition']
+        h('h3', {}, 'Runs'), told, h('div', {class: 'scroll'}, h('table', {}, h('thead', {}, h('tr', {}, ...['recording', 'object', 'kind', 'condition']
           .map((text) => h('th', {scope: 'col', class: 'text'}, text)))), this.rows)),
         h('div', {class: 'actions'}, h('button', {type: 'button', class: 'primary', id: 'lab-save', onclick: () => this.keep()},
           'Write experiment.yaml and mapping')));
       for (const one of [...this.arms.flatMap((arm) => arm.signals), this.pose]) one.show();
-    } catch (error) { this.told.error(error.message); this.body.replaceChildren(); }
+    } catch (error) {
+      if (this.looked !== folder) return;
+      this.told.error(error.message);
+      this.body.replaceChildren();
+    }
   },
 
   // Joints, signals and gravity of one arm; a heading where there are several.
@@ -891,7 +998,7 @@ const laboratory = {
     const several = Object.keys(this.found.arms).length > 1;
     const own = {name, given, several, label: several ? ` of ${name}` : ''};
     const named = this.found.streams.some((stream) => stream.joints.length);
-    own.names = h('textarea', {class: 'names', rows: several ? 3 : 1, onchange: () => { for (const one of own.signals) one.show(); }}, given.joints.join(', '));
+    own.names = h('textarea', {class: 'names', rows: several ? 3 : 2, onchange: () => { for (const one of own.signals) one.show(); }}, given.joints.join(', '));
     own.joints = () => own.names.value.split(/[\s,]+/).filter(Boolean);
     own.gravity = h('input', {type: 'checkbox', checked: true, onchange: () => own.signals.at(-1).show()});
     own.signals = ARM_SIGNALS.map((signal) => this.signal(signal, own, given.signals[signal.name]));
@@ -957,7 +1064,7 @@ const laboratory = {
   },
 
   async keep() {
-    const runs = [...this.rows.children].map((row) => {
+    const runs = this.found.table ? null : [...this.rows.children].map((row) => {
       const [object, kind] = row.querySelectorAll('select');
       return {bag: row.dataset.recording, object: kind.value === 'hit' ? object.value : 'none', kind: kind.value, condition: row.querySelector('input').value};
     }).filter((run) => run.kind);
@@ -967,7 +1074,7 @@ const laboratory = {
       const done = await ask('/api/laboratory', {path: folder, scenario: this.scenario.value, object_pose: this.pose.value(),
         world_from_hits: this.world.checked, runs, arms: Object.fromEntries(this.arms.map((arm) => [arm.name,
           {joints: arm.joints(), command_includes_gravity: arm.gravity.checked, signals: chosen(arm)}]))});
-      this.told.node.replaceChildren(h('p', {class: 'good', id: 'lab-written'}, `Written: ${done.written.join(', ')}.`),
+      this.told.show(h('p', {class: 'good', id: 'lab-written'}, `Written: ${done.written.join(', ')}.`),
         ...done.remarks.map((remark) => h('p', {class: 'note'}, `Note: ${remark}`)), h('p', {}, 'Next:'), commandLine(done.command),
         h('div', {class: 'actions'}, h('button', {type: 'button', onclick: () => { compare.form.wanted = folder; go('compare'); }}, 'Compare')));
     } catch (error) { this.told.error(error.message); }
@@ -984,7 +1091,7 @@ function entry(key, text, small, chosen) {
 
 function scoreText(score) {
   const held = score.held_out === null || score.held_out === undefined ? '' : `, held out ${number(score.held_out)}`;
-  return `error ${number(score.fit)}${unit(score.unit === 'times repetition' ? '' : score.unit)}${held}` +
+  return `error ${number(score.fit)}${unit(score.unit.startsWith('times ') ? '' : score.unit)}${held}` +
     (score.floor ? ` (noise ${number(score.floor)})` : '');
 }
 
@@ -1004,7 +1111,7 @@ function showFolder() {
   const branch = (parent) => models.filter((one) => one.parent === parent && one.path !== parent).map((one) => {
     const children = branch(one.path);
     const item = entry(`model ${one.path}`, one.name, [one.error || one.effects.join(' + ') || 'nothing added',
-      ...one.scores.slice(0, 1).map(scoreText)], () => chooseModel(newest('models', one.path)));
+      ...(one.score ? [`${scoreText(one.score)}, in ${one.score.report}`] : [])], () => chooseModel(newest('models', one.path)));
     if (children.length) item.append(h('ul', {class: 'tree'}, ...children));
     return item;
   });
@@ -1139,7 +1246,6 @@ function go(step) {
   }
   showAbout(ABOUT[step]);
   if (state.workspace) STEPS[step][1].update();
-  dispatchEvent(new Event('resize')); // figures that were hidden have had no width
 }
 
 function listen() {

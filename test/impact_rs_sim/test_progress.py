@@ -24,7 +24,11 @@ def test_a_stage_is_told_from_its_first_step_to_its_last(tmp_path: Path, monkeyp
     last = json.loads(path.read_text())
     assert (last["done"], last["since"]) == (3, first["since"])
     assert last["ranking"] == [["first", 1.0], ["second", 2.0]]
-    progress.tell("other trials", 0, None)
+    assert last["first"] == 0
+    progress.tell("other trials", 2, 8)  # some were done by an earlier run
+    progress.tell("other trials", 8, 8)
+    assert json.loads(path.read_text())["first"] == 2
+    progress.tell("more trials", 0, None)
     assert json.loads(path.read_text())["since"] >= last["at"]
 
 

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from known_recordings import JOINTS, BagFormat, Signals
 
+from impact_rs_workbench import candidates
 from impact_rs_workbench.candidates import SignalCandidate, candidates_of, joints_of, propose
 
 NUMBERED = tuple(f"joint{number}" for number in range(1, 8))
@@ -86,3 +88,10 @@ def test_joints_that_are_named_after_parts_of_the_arm_go_from_base_to_tip(tmp_pa
     assert [name.removesuffix("_joint") for name in found[0].joints] == [
         "shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3",
     ]  # fmt: skip
+
+
+def test_joints_are_in_the_order_of_their_numbers_and_not_of_their_letters() -> None:
+    names = [f"joint{number}" for number in (10, 2, 1, 9)]
+    message = SimpleNamespace(name=names, position=np.zeros(4))
+    (found,) = candidates._in_message("/joint_states", "sensor_msgs/msg/JointState", message)
+    assert found.joints == ("joint1", "joint2", "joint9", "joint10")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +15,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from impact_rs_sim.errors import InputError
-from impact_rs_workbench.jobs import LOST, Jobs, Order
+from impact_rs_workbench.jobs import LOST, Job, Jobs, Order
 from impact_rs_workbench.server import Workbench
 
 LONG = 120.0  # s, after which a condition that was waited for counts as missed
@@ -54,6 +55,7 @@ def test_a_job_that_fails_tells_its_one_line(jobs: Jobs) -> None:
     assert (job.exit_code, job.line) == (2, "unrecognized arguments: --nonsense (see impact-rs --help)")
 
 
+@pytest.mark.timeout(600)
 def test_a_campaign_tells_how_far_it_is_stops_as_ctrl_c_does_and_goes_on(
     client: TestClient, workbench: Workbench, tmp_path: Path
 ) -> None:
@@ -77,6 +79,8 @@ def test_a_campaign_tells_how_far_it_is_stops_as_ctrl_c_does_and_goes_on(
     assert 1 <= len(bags) < trials
     stamps = {name: (tmp_path / "campaigns" / "push" / name / "metadata.yaml").stat().st_mtime_ns for name in bags}
     again = client.post(f"/api/jobs/{number}/again").json()
+    counted = until(lambda: first()["progress"] or {} if not first()["ended"] else {"total": trials, "done": trials})
+    assert (counted["total"], counted["done"] >= len(bags)) == (trials, True)  # those that are there count
     assert workbench.jobs.wait(again["number"]).exit_code == 0
     (campaign,) = client.get("/api/workspace").json()["campaigns"]
     assert (campaign["present"], campaign["trials"]) == (trials, trials)
@@ -103,6 +107,29 @@ def test_jobs_that_are_not_there_are_told_in_one_line(client: TestClient) -> Non
     for path in ("stop", "again"):
         assert client.post(f"/api/jobs/7/{path}").json() == {"error": "no job 7; there are 0"}
     assert client.get("/api/jobs/7/log").json() == {"error": "no job 7; there are 0"}
+
+
+def test_the_time_left_of_a_resumed_job_is_that_of_what_it_does_itself(jobs: Jobs) -> None:
+    jobs.folder.mkdir()
+    job = Job(1, "measure", "impact-rs campaign", ("campaign",), (), 0.0)
+    (jobs.folder / "0001").mkdir()
+    told = {"what": "trials", "done": 7, "total": 10, "first": 6, "since": 100.0, "at": 105.0, "ranking": []}
+    (jobs.folder / "0001" / "progress.json").write_text(json.dumps(told))
+    assert jobs._progress(job) == {"what": "trials", "done": 7, "total": 10, "left": 15.0, "ranking": []}
+    (jobs.folder / "0001" / "progress.json").write_text(json.dumps(told | {"done": 6}))
+    assert (jobs._progress(job) or {})["left"] is None
+
+
+def test_a_job_killed_by_a_signal_has_the_exit_code_of_a_shell(jobs: Jobs, tmp_path: Path) -> None:
+    number = jobs.start(order("blind", "make", "1", "-o", str(tmp_path / "blind"), writes=(tmp_path / "blind",))).number
+    os.killpg(jobs._processes[number].pid, signal.SIGKILL)
+    assert jobs.wait(number).exit_code == 137
+
+
+def test_a_number_that_was_given_is_not_given_again(jobs: Jobs) -> None:
+    for name in ("0002", "0005"):
+        (jobs.folder / name).mkdir(parents=True)
+    assert jobs.wait(jobs.start(order("effects", "object_mass")).number).number == 6
 
 
 def test_records_outlive_the_workbench_and_what_ran_when_it_died_is_told_as_ended(jobs: Jobs) -> None:

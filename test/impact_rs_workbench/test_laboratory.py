@@ -170,11 +170,59 @@ def test_a_mistake_in_the_description_leaves_nothing_behind(client: TestClient, 
     assert sorted(path.name for path in lab.iterdir()) == ["run_1", "run_2"]
 
 
+def test_a_description_is_tried_on_a_hit_wherever_it_stands_in_the_table(client: TestClient, lab: Path) -> None:
+    runs = list(reversed(description(looked(client))["runs"]))
+    assert [run["kind"] for run in runs] == ["free motion", "hit"]
+    in_millimetres = {"topic": "/mocap/parcel/pose", "unit": "mm"}
+    answer = client.post("/api/laboratory", json=description(looked(client), runs=runs, object_pose=in_millimetres))
+    assert "run_1" in answer.json()["error"]
+    assert "on the support" in answer.json()["error"]
+
+
 def test_a_folder_that_is_described_is_not_overwritten(client: TestClient, lab: Path) -> None:
     (lab / "runs.csv").write_text("mine")
     answer = client.post("/api/laboratory", json=description(looked(client)))
     assert "this file exists already" in answer.json()["error"]
     assert (lab / "runs.csv").read_text() == "mine"
+
+
+RUNS = "bag,object,kind,condition\nrun_1,parcel,hit,pose_a\nrun_2,none,free motion,slow\n"
+
+
+def test_the_users_own_table_of_runs_is_read_shown_and_kept(client: TestClient, lab: Path) -> None:
+    (lab / "runs.csv").write_text(RUNS)
+    found = looked(client)
+    assert found["table"] == {
+        "name": "runs.csv",
+        "rows": [
+            {"bag": "run_1", "object": "parcel", "kind": "hit", "condition": "pose_a"},
+            {"bag": "run_2", "object": "none", "kind": "free motion", "condition": "slow"},
+        ],
+        "error": "",
+    }
+    answer = client.post("/api/laboratory", json=description(found, runs=None))
+    assert answer.status_code == 200, answer.text
+    assert answer.json()["written"] == ["lab/experiment.yaml", "lab/mapping.yaml"]
+    assert (lab / "runs.csv").read_text() == RUNS
+    experiment = load_experiment(lab / "experiment.yaml")
+    assert [row.condition for row in read_runs(lab, experiment, experiment.load_scenario())] == ["pose_a", "slow"]
+
+
+def test_what_is_wrong_in_the_users_own_table_is_told_with_its_line(client: TestClient, lab: Path) -> None:
+    (lab / "runs.csv").write_text(RUNS.replace("parcel", "percel"))
+    assert "line 2, object = 'percel': expected an object of scenario 'push'" in looked(client)["table"]["error"]
+    answer = client.post("/api/laboratory", json=description(looked(client), runs=None))
+    assert "line 2, object = 'percel'" in answer.json()["error"]
+    assert not (lab / "experiment.yaml").exists()
+
+
+def test_without_a_table_somebody_has_to_say_what_the_runs_are(client: TestClient, lab: Path) -> None:
+    assert looked(client)["table"] is None
+    assert (
+        "no table of runs 'runs.csv'"
+        in client.post("/api/laboratory", json=description(looked(client), runs=None)).json()["error"]
+    )
+    assert sorted(path.name for path in lab.iterdir()) == ["run_1", "run_2"]
 
 
 def told_run(folder: Path) -> LaboratoryRun:

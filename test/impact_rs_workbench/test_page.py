@@ -19,8 +19,9 @@ import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from mixed_grab import FILE
-from playwright.sync_api import Browser, Page, ViewportSize, expect, sync_playwright
+from playwright.sync_api import Browser, Page, Route, ViewportSize, expect, sync_playwright
 
+from impact_rs_cli.main import main
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 
@@ -180,6 +181,203 @@ def test_the_whole_loop_by_mouse_names_the_hidden_effect_and_the_error_falls(
     history = json.loads((address[1] / "reports" / "history" / "history.json").read_text())["history"]
     assert history[1]["error_fit"] < 0.5 * history[0]["error_fit"]
     expect(page.locator("#models .tree small").last).to_contain_text("held out")
+
+
+def figures(page: Page) -> list[list[float]]:
+    """Of every figure that is seen: width and height that it is drawn with, and those of its place."""
+    found: list[list[float]] = page.evaluate(
+        """() => [...document.querySelectorAll('.js-plotly-plot')].filter((node) => node.offsetWidth > 0)
+            .map((node) => [node._fullLayout.width, node._fullLayout.height, node.clientWidth, node.clientHeight])"""
+    )
+    return found
+
+
+@pytest.fixture(scope="module")
+def reported(address: tuple[str, Path], diagnosed: Path, hidden_campaign: Path) -> Path:
+    """The folder with a comparison and a diagnosis in it, of 'nominal' and of one more model."""
+    folder = address[1]
+    told = main(["compare", str(hidden_campaign), "-o", str(folder / "reports" / "seen"), "--jobs", "1"])
+    assert told == 0
+    (folder / "reports" / "diagnosed").mkdir()
+    shutil.copy(diagnosed, folder / "reports" / "diagnosed" / "diagnosis.json")
+    return folder
+
+
+@pytest.mark.parametrize(("step", "count"), [("compare", 2), ("diagnose", 1)])
+def test_a_figure_keeps_its_height_and_covers_nothing_when_the_window_is_resized(
+    page: Page, reported: Path, step: str, count: int
+) -> None:
+    page.locator(f"[data-step={step}]").click()
+    chosen = {"compare": "reports/seen/compare.html", "diagnose": "reports/diagnosed/diagnosis.json"}[step]
+    page.select_option({"compare": "#compare-report", "diagnose": "#diagnose-file"}[step], chosen)
+    expect(page.locator(f"#{step}-result .js-plotly-plot .main-svg").first).to_be_visible()
+    before = [height for _, height, *_ in figures(page)]
+    assert len(before) >= count
+    for width in (820, 400, 1280):
+        page.set_viewport_size({"width": width, "height": 800})
+        page.wait_for_function(
+            """() => [...document.querySelectorAll('.js-plotly-plot')].filter((node) => node.offsetWidth > 0)
+                .every((node) => Math.abs(node._fullLayout.width - node.clientWidth) < 1.5)"""
+        )
+        for (drawn_width, drawn, place_width, place), height in zip(figures(page), before, strict=True):
+            assert abs(drawn_width - place_width) < 1.5
+            assert drawn == height
+            assert place >= drawn - 1
+    if step == "diagnose":
+        page.locator("#ranking button").first.click()  # nothing lies on it
+        expect(page.locator("[data-step=add]")).to_have_attribute("aria-current", "step")
+
+
+def test_measure_this_opens_a_campaign_of_what_was_predicted_at_the_first_click(page: Page) -> None:
+    page.select_option("#predict-object", "juice")
+    page.select_option("#predict-case", "case_3")
+    page.get_by_role("button", name="Measure this").click()
+    told = page.locator("#part-campaign .command code")
+    expect(told).to_contain_text("--objects juice --cases case_3")
+    expect(told).to_contain_text("campaign push -o")
+    expect(told).to_contain_text("push_juice")
+
+
+def test_a_campaign_as_it_is_offered_can_be_analysed_and_says_how_much_it_is(page: Page) -> None:
+    page.locator("[data-step=measure]").click()
+    told = page.locator("#part-campaign .command code")
+    expect(told).to_contain_text("--scales 0.8 0.9 1 1.1 1.2 --trials 2")
+    expect(page.locator("#campaign-count")).to_have_text("10 trials.")
+    for scale in ("0.8", "0.9", "1.1", "1.2"):
+        page.locator("#part-campaign").get_by_label(scale, exact=True).uncheck()
+    expect(page.locator("#campaign-count")).to_contain_text("2 trials. Analyze needs at least two references")
+
+
+def test_a_campaign_without_an_object_is_refused_on_the_page(page: Page) -> None:
+    page.locator("[data-step=measure]").click()
+    button = page.get_by_role("button", name="Start the campaign")
+    expect(button).to_be_enabled()
+    for box in page.locator("#part-campaign fieldset").first.locator("input:checked").all():
+        box.uncheck()
+    expect(page.locator("#part-campaign .told .error")).to_contain_text("objects = []: expected at least 1 of them")
+    expect(button).to_be_disabled()
+    expect(page.locator("#part-campaign .command")).to_have_count(0)
+
+
+def test_a_scale_beyond_the_limit_of_trials_is_refused_on_the_page(page: Page) -> None:
+    page.locator("[data-step=measure]").click()
+    page.get_by_role("tab", name="Single trial").click()
+    expect(page.locator("#part-trial .command code")).to_contain_text("impact-rs trial push")
+    page.locator("#trial-scale").fill("9")
+    expect(page.locator("#part-trial .told .error")).to_contain_text("expected a number > 0 and <= 3 [-]")
+    expect(page.get_by_role("button", name="Run the trial")).to_be_disabled()
+    page.locator("#trial-scale").fill("0.93")  # between two steps of the arrows
+    expect(page.locator("#part-trial .command code")).to_contain_text("--scale 0.93")
+
+
+class Held:
+    """Answers of the server that are kept back until somebody lets them go."""
+
+    def __init__(self, page: Page, pattern: str) -> None:
+        self._routes: list[Route] = []
+        page.route(pattern, lambda route: self._routes.append(route))
+        self._page, self._pattern = page, pattern
+
+    def let_go(self) -> None:
+        """Answer what was asked."""
+        for route in self._routes:
+            route.continue_()
+        self._routes.clear()
+        self._page.unroute(self._pattern)
+
+    def answer_last_of(self, count: int) -> None:
+        """Answer the last question alone, once so many were asked."""
+        while len(self._routes) < count:
+            self._page.evaluate("1")  # hears of requests meanwhile
+        self._routes.pop().continue_()
+
+
+def test_what_is_asked_anew_shows_no_numbers_and_no_command_of_what_was_asked_before(page: Page) -> None:
+    table, command = page.locator("#predict-table tbody tr"), page.locator("main > section:visible .command")
+    expect(command).to_contain_text("cat_food")
+    held = Held(page, "**/api/predict")
+    page.select_option("#predict-object", "juice")
+    expect(table).to_have_count(0)
+    expect(command).to_have_count(0)
+    expect(page.locator("#predict-facts")).to_have_text("Being worked out …")
+    expect(page.locator("#predict-plot .scatterlayer")).to_have_count(0)
+    held.let_go()
+    expect(command).to_contain_text("juice")
+    expect(table.first).to_be_visible()
+    held = Held(page, "**/api/predict")
+    page.locator("[data-key='contact.restitution']").focus()
+    page.keyboard.press("ArrowRight")
+    expect(page.locator("#predict-numbers")).to_be_hidden()  # of the slider as it was
+    held.let_go()
+    expect(page.locator("#predict-numbers")).to_be_visible()
+    expect(command).to_contain_text("contact.restitution")
+
+
+def test_a_form_that_changes_hides_the_command_of_the_form_as_it_was(page: Page) -> None:
+    page.locator("[data-step=measure]").click()
+    told = page.locator("#part-campaign .command code")
+    expect(told).to_contain_text("--trials 2")
+    held = Held(page, "**/api/command")
+    page.get_by_label("repeats of each").fill("7")
+    expect(told).to_be_hidden()
+    held.let_go()
+    expect(told).to_contain_text("--trials 7")
+    expect(told).to_be_visible()
+
+
+def test_history_opens_on_the_newest_model(page: Page, address: tuple[str, Path]) -> None:
+    folder = address[1] / "family"
+    folder.mkdir()
+    for name, when in (("new", 4e9), ("old", 1e9)):
+        (folder / f"{name}.yaml").write_text(f"name: {name}\neffects: []\n")
+        os.utime(folder / f"{name}.yaml", (when, when))
+    page.locator("[data-step=history]").click()
+    expect(page.locator("#history-model")).to_have_value("family/new.yaml")
+    page.select_option("#history-model", "nominal")
+    (folder / "newer.yaml").write_text("name: newer\neffects: []\n")
+    os.utime(folder / "newer.yaml", (4.1e9, 4.1e9))
+    expect(page.locator("#history-model option[value='family/newer.yaml']")).to_be_attached()
+    expect(page.locator("#history-model")).to_have_value("nominal")  # which somebody has chosen
+    shutil.rmtree(folder)
+
+
+def test_the_next_model_is_not_written_over_an_earlier_one(page: Page, address: tuple[str, Path]) -> None:
+    page.locator("[data-step=add]").click()
+    output = page.locator("#add-output")
+    expect(output).to_have_value(re.compile("^models/model_[0-9]+.yaml$"))
+    name = output.input_value()
+    (address[1] / "models").mkdir(exist_ok=True)
+    (address[1] / name).write_text("name: earlier\neffects: []\n")
+    expect(output).not_to_have_value(name)
+    expect(output).to_have_value(re.compile("^models/model_[0-9]+.yaml$"))
+    (address[1] / name).unlink()
+
+
+def test_names_and_notes_are_text_and_no_markup(page: Page, address: tuple[str, Path]) -> None:
+    name = "<img src=x>&amp;"
+    (address[1] / "m.yaml").write_text(json.dumps({"name": name, "effects": [], "note": "<b>bold</b>"}))
+    button = page.locator("[data-entry='model m.yaml']")
+    expect(button).to_contain_text(name)
+    button.click()
+    expect(page.locator("#right")).to_contain_text("<b>bold</b>")
+    expect(page.locator("#right h2")).to_have_text(name)
+    (address[1] / "m.yaml").unlink()
+
+
+def test_an_earlier_command_that_is_answered_last_is_not_shown(page: Page) -> None:
+    page.locator("[data-step=measure]").click()
+    told = page.locator("#part-campaign .command code")
+    expect(told).to_contain_text("--trials 2")
+    held = Held(page, "**/api/command")
+    for trials in ("7", "8"):
+        with page.expect_request("**/api/command"):
+            page.get_by_label("repeats of each").fill(trials)
+    held.answer_last_of(2)
+    expect(told).to_contain_text("--trials 8")
+    with page.expect_response("**/api/command"):
+        held.let_go()
+    page.evaluate("() => fetch('/api/jobs').then((answer) => answer.json())")  # behind it in the queue
+    assert "--trials 8" in told.inner_text()
 
 
 def shown(page: Page, arm: str, signal: str) -> np.ndarray:

@@ -100,3 +100,20 @@ def test_each_of_two_arms_has_its_figure_its_budget_and_its_impulse() -> None:
     assert abs(places["left"] - places["right"]) > 0.01
     with pytest.raises(InputError, match="scenario 'grab' has no arm 'lefd'; known: left, right"):
         answer(grab, question(scenario="grab", arm="lefd"))
+
+
+def test_who_contributes_most_to_the_interval_stands_first() -> None:
+    budget = answer(PUSH, question(moving=False))["budget"]
+    shares = [entry["share"] for entry in budget]
+    assert len(shares) > 1
+    assert shares == sorted(shares, reverse=True)
+
+
+def test_a_figure_over_one_slider_is_that_of_the_other_sliders_as_they_stand() -> None:
+    asked = question(values={"contact.restitution": 0.4})
+    point = next(sweep(PUSH, asked, slider_of(PUSH, "cat_food", "speed")))
+    same = answer(PUSH, question(values={"contact.restitution": 0.4, "speed": point.value}))
+    (row,) = [row for row in same["rows"] if row["main"] and row["body"] == "arm"]
+    assert point.arms["reduced"] == pytest.approx(row["after"])
+    untouched = next(sweep(PUSH, question(), slider_of(PUSH, "cat_food", "speed")))
+    assert point.arms["reduced"] != pytest.approx(untouched.arms["reduced"])

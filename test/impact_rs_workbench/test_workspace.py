@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
 import pytest
+import yaml
 
 from impact_rs_cli.main import main
 from impact_rs_sim.errors import InputError
@@ -53,10 +55,68 @@ def test_models_are_a_family_with_their_errors(workspace: Workspace, diagnosed: 
     digest = workspace.contents().models[1].digest
     (workspace.root / "report").mkdir()
     document = {"model": {"name": "model_2", "digest": digest}, "score": 1.2, "noise_floor": 1.0, "score_unit": "x"}
+    document |= {"source": "trials", "conditions": []}
     (workspace.root / "report" / "compare.json").write_text(json.dumps(document))
     child = workspace.contents().models[1]
     assert (child.path, child.parent, child.effects) == ("models/model_2.yaml", "nominal", diagnosis.named)
     assert child.scores[0] == {"report": "report", "fit": 1.2, "held_out": None, "floor": 1.0, "unit": "x"}
+    assert child.score == child.scores[0]
+
+
+def scored(workspace: Workspace, report: str, *, digest: str, score: float, condition: str, when: float) -> None:
+    """A comparison of a model with one condition, written at some time."""
+    folder = workspace.root / report
+    folder.mkdir()
+    model = {"name": "m", "digest": digest}
+    document = {"model": model, "score": score, "noise_floor": 1.0, "score_unit": "", "source": "trials"}
+    document["conditions"] = [{"name": condition, "repeats": 3, "score": score}]
+    (folder / "compare.json").write_text(json.dumps(document))
+    os.utime(folder / "compare.json", (when, when))
+
+
+def test_the_tree_of_models_shows_errors_on_the_same_measurements(workspace: Workspace) -> None:
+    for name, mass in (("first", 0.1), ("second", 0.2)):
+        estimate = {"scale": {"estimate": 1.0 + mass, "unit": "-"}}
+        effects = [{"name": "object_mass", "parameters": estimate}]
+        (workspace.root / f"{name}.yaml").write_text(yaml.safe_dump({"name": name, "effects": effects}))
+    _, first, second = workspace.contents().models
+    assert not first.error
+    scored(workspace, "old", digest=first.digest, score=9.0, condition="push", when=1.0)
+    scored(workspace, "push_1", digest=first.digest, score=4.0, condition="push", when=2.0)
+    scored(workspace, "push_2", digest=second.digest, score=3.0, condition="push", when=3.0)
+    scored(workspace, "other", digest=second.digest, score=0.5, condition="grab", when=4.0)
+    nominal, first, second = workspace.contents().models
+    assert nominal.score is None
+    assert first.score is not None
+    assert second.score is not None
+    assert (first.score["fit"], first.score["report"]) == (4.0, "push_1")  # the newest on these measurements
+    assert (second.score["fit"], second.score["report"]) == (3.0, "push_2")  # and not 0.5, of other measurements
+    assert [one["report"] for one in second.scores] == ["other", "push_2"]
+    assert [one["report"] for one in first.scores] == ["push_1", "old"]
+
+
+def test_errors_of_a_history_are_those_of_the_model_as_it_was(workspace: Workspace) -> None:
+    (workspace.root / "m.yaml").write_text("name: m\neffects: []\nnote: a\n")
+    (workspace.root / "history").mkdir()
+    entry = {"model": "nominal", "error_fit": 7.0, "error_held_out": None, "noise_floor": 1.0}
+    (workspace.root / "history" / "history.json").write_text(
+        json.dumps({"history": [entry, entry | {"model": "m", "digest": "of another text", "error_fit": 2.0}]})
+    )
+    nominal, changed = workspace.contents().models
+    assert nominal.score is not None  # an older history has names alone
+    assert nominal.score["fit"] == 7.0
+    assert changed.score is None
+
+
+def test_a_parent_outside_of_the_folder_is_none_here(workspace: Workspace) -> None:
+    (workspace.root.parent / "outside.yaml").write_text("name: outside\neffects: []\n")
+    (workspace.root / "m.yaml").write_text("name: m\nparent: ../outside.yaml\neffects: []\n")
+    assert [model.parent for model in workspace.contents().models] == [None, None]
+
+
+def test_one_campaign_is_offered_once(workspace: Workspace, push_campaign: Path) -> None:
+    shutil.copytree(push_campaign, workspace.root / "a" / "b" / "push")
+    assert workspace.contents().runs == ("a/b/push",)
 
 
 def test_broken_files_are_told_with_their_line_and_hide_no_others(workspace: Workspace, push_campaign: Path) -> None:

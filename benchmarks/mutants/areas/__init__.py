@@ -17,6 +17,7 @@ from areas import (
     references,
     replay,
     robots,
+    workbench,
 )
 
 AREAS: dict[str, list[Mutant]] = {
@@ -33,4 +34,5 @@ AREAS: dict[str, list[Mutant]] = {
     "diagnosis": diagnosis.MUTANTS,
     "replay": replay.MUTANTS,
     "robots": robots.MUTANTS,
+    "workbench": workbench.MUTANTS,
 }

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -71,7 +72,7 @@ def test_conditions_of_a_laboratory_have_no_scenario_in_front() -> None:
 def test_signals_have_their_column_their_unit_and_their_side() -> None:
     (found,) = tracks_of_runs([aligned(hit=True)])
     signals = {signal.name: signal for signal in found.signals}
-    assert len(signals) == len(found.signals) == 3 + 6 + 6 + 3
+    assert len(signals) == len(found.signals) == 3 + 6 + 6 + 6
     assert found.signals[0].name == "end-effector velocity y"  # the direction of motion is what one wants to see
     rows = np.isfinite(found.time)
     for name, unit, column in (
@@ -85,6 +86,20 @@ def test_signals_have_their_column_their_unit_and_their_side() -> None:
         assert signals[name].predicted[rows] == pytest.approx(200.0 + column)
 
 
+def test_velocities_of_the_object_are_the_slope_of_its_position_window_by_window() -> None:
+    run = aligned(hit=True)
+    moving = replace(run.measured, object_position=run.measured.object_position + np.outer(TIME, [3.0, -2.0, 0.0]))
+    moving.object_position[SECOND:] += 5.0  # a step between two windows is no speed
+    (found,) = tracks_of_runs([replace(run, measured=moving)])
+    signals = {signal.name: signal for signal in found.signals}
+    rows = np.isfinite(found.time)
+    for axis, speed in (("x", 3.0), ("y", -2.0)):
+        assert signals[f"object velocity {axis}"].unit == "m/s"
+        assert signals[f"object velocity {axis}"].measured[rows] == pytest.approx(speed)
+        assert signals[f"object velocity {axis}"].predicted[rows] == pytest.approx(0.0)
+    assert signals["object yaw rate"].unit == "rad/s"
+
+
 def test_a_line_breaks_between_two_windows_and_nowhere_else() -> None:
     (found,) = tracks_of_runs([aligned(hit=True)])
     for values in (found.time, *(signal.measured for signal in found.signals)):
@@ -96,7 +111,7 @@ def test_a_line_breaks_between_two_windows_and_nowhere_else() -> None:
 def test_of_two_arms_every_signal_says_whose_it_is() -> None:
     (found,) = tracks_of_runs([aligned(hit=True, arms=("left", "right"))])
     names = [signal.name for signal in found.signals]
-    assert len(set(names)) == len(names) == 2 * 15 + 3
+    assert len(set(names)) == len(names) == 2 * 15 + 6
     assert "left: torque of joint 1" in names
     assert "right: torque of joint 1" in names
 
