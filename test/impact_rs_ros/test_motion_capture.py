@@ -55,6 +55,10 @@ def test_what_a_tracker_says_of_an_object_out_of_sight_is_no_pose(pose: np.ndarr
     assert TrackerPoses("tracker", PLACEMENT).read(told(pose)) is None
 
 
-@pytest.mark.parametrize("data", [b"", b"\0\1\0\0abc", told(SEEN)[:-1], b"\0\1\0\0" + b"\xff" * 80])
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"\0\1\0\0abc", told(SEEN)[:-1], b"\0\1\0\0" + b"\xff" * 80],
+    ids=["nothing", "short", "cut off", "endless"],
+)
 def test_bytes_that_are_no_pose_are_an_object_out_of_sight(data: bytes) -> None:
     assert TrackerPoses("tracker", PLACEMENT).read(data) is None

@@ -58,7 +58,9 @@ def test_its_first_torque_follows_the_last_one_of_the_cell() -> None:
     np.testing.assert_allclose(bench.robot.sent[-1], 5.0 - RATE * PERIOD, atol=1e-9)  # the brake is on the other side
 
 
-@pytest.mark.parametrize("data", [b"\0\1\0\0", command(np.zeros(3)), command(np.full(7, np.nan))])
+@pytest.mark.parametrize(
+    "data", [b"\0\1\0\0", command(np.zeros(3)), command(np.full(7, np.nan))], ids=["cut off", "three", "nan"]
+)
 def test_a_last_command_that_is_none_does_not_keep_it_from_braking(data: bytes) -> None:
     bench = Bench()
     bench.watchdog.heard("arm", data, bench.robot.clock())
