@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NoReturn
 from xml.etree import ElementTree as Xml
 
+from impact_rs_sim.decimals import decimal
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.robot import JointType
 
@@ -23,6 +24,13 @@ MOVES_AS: dict[str, JointType] = {"revolute": "revolute", "continuous": "revolut
 TYPES = (*MOVES_AS, "fixed", "planar", "floating")
 XACRO = "xacro {file} > robot.urdf"
 KEPT = ("origin", "parent", "child", "axis", "inertial")  # what rigid-body dynamics need; no meshes
+ONCE = {  # elements that may stand once in an element; of two a reader would take either
+    "link": ("inertial",),
+    "inertial": ("origin", "mass", "inertia"),
+    "visual": ("origin", "geometry"),
+    "collision": ("origin", "geometry"),
+    "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
+}
 
 
 @dataclass(frozen=True)
@@ -67,6 +75,9 @@ class UrdfTree:
         joints = self._named(robot, "joint")
         if not self.links:
             self._fail("there is no link in it")
+        for kind, elements in (("link", self.links), ("joint", joints)):
+            for name, element in elements.items():
+                self._check_once(element, f"{kind} {name}")
         self.above: dict[str, Xml.Element] = {}  # the joint that carries a link
         self.below: dict[str, list[Xml.Element]] = {name: [] for name in self.links}
         for name, joint in joints.items():
@@ -132,7 +143,7 @@ class UrdfTree:
         if text is None:
             self._fail("this is missing in the URDF, expected a number", key)
         try:
-            values = [float(word) for word in text.split()]
+            values = [decimal(word) for word in text.split()]
         except ValueError:
             values = []
         if len(values) != count or not all(map(math.isfinite, values)):
@@ -152,6 +163,14 @@ class UrdfTree:
                 self._fail(f"there are two {kind}s of this name", f"{kind} {name}")
             found[name] = element
         return found
+
+    def _check_once(self, element: Xml.Element, key: str) -> None:
+        """No element stands twice where one is read."""
+        for part in element:
+            self._check_once(part, key)
+        for tag in ONCE.get(element.tag, ()):
+            if len(element.findall(tag)) > 1:
+                self._fail(f"<{element.tag}> has {len(element.findall(tag))} <{tag}>, expected one", key)
 
     def _end(self, joint: Xml.Element, which: str) -> str:
         element = joint.find(which)
