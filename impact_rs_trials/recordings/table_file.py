@@ -122,16 +122,11 @@ def _read_csv(path: Path) -> dict[str, list[str] | NDArray[Any]]:
     for number, row in rows:
         if len(row) != len(header):
             raise InputError(f"line {number}: {len(row)} numbers, expected {len(header)} as in the header", file=path)
-    _named_once(path, header)
-    columns = zip(*(row for _, row in rows[1:]), strict=True)
-    return {name: list(cells) for name, cells in zip(header, columns, strict=True)}
-
-
-def _named_once(path: Path, header: list[str]) -> None:
-    """No two columns have one name."""
     if len(set(header)) < len(header):
         twice = next(name for name in header if header.count(name) > 1)
         raise InputError(f"two columns are called {twice!r}", file=path)
+    columns = zip(*(row for _, row in rows[1:]), strict=True)
+    return {name: list(cells) for name, cells in zip(header, columns, strict=True)}
 
 
 def _read_parquet(path: Path, time_unit: float) -> dict[str, list[str] | NDArray[Any]]:
@@ -144,7 +139,6 @@ def _read_parquet(path: Path, time_unit: float) -> dict[str, list[str] | NDArray
     except Exception as error:  # a damaged file can fail anywhere inside the library
         said = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"not a readable Parquet file ({said})", file=path) from None
-    _named_once(path, table.column_names)
     columns: dict[str, list[str] | NDArray[Any]] = {}
     for name, column in zip(table.column_names, table.columns, strict=True):
         if pyarrow.types.is_timestamp(column.type):  # it tells its unit, whatever the mapping says

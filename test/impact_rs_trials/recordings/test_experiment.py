@@ -65,6 +65,8 @@ def test_without_further_columns_there_is_one_condition(tmp_path: Path) -> None:
         (["run_4,parcel,hit"], "line 2, bag = 'run_4': run_4.csv, run_4.npz are all there; name one of them"),
         ([",parcel,hit"], "line 2, bag = '': expected the name of a recording"),
         (["run_1,parcel"], "line 2: 2 cells, expected 3 as in the header"),
+        (['run_1,parcel,"hit', "run_2,juice,hit"], "line 2: quotation marks"),
+        (['"run_1,parcel,hit', 'run_2",juice,hit'], "line 2: quotation marks"),
         ([], "no run below the header bag,object,kind"),
     ],
 )  # fmt: skip
