@@ -56,7 +56,7 @@ class Terminal:
         self._document = document
 
     def say(self, *renderables: Any) -> None:
-        """Print for people; silent with ``--json``, and after the reader has left (``| head``): files are written on."""
+        """Print for people; silent with ``--json``, and once the reader has left (``| head``)."""
         if self.as_json:
             return
         console = _Output(highlight=False)

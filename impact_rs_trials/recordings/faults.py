@@ -20,11 +20,11 @@ while the arm's weight changes. Runs of a sensor that repeats values as a rule (
 it is recorded) must be ten times as long as its usual ones. A joint that stands still in the whole recording, with
 velocity 0, counts as resting.
 
-False alarms: none in 2000 simulated recordings of quantised encoders that rest, creep and turn back (``test_faults.py``
-has the first 300), which is less than 0.15 % of recordings at 95 % confidence. Found of 208 joints that freeze for half a
-recording and would have moved by 0.1 rad: 90 % where the velocity has a sensor of its own, 79 % of frozen velocities, and
-28 % where the velocity is the frozen encoder's own difference, which says something only if the joint moves as it
-freezes. Found as well: all torques whose weight changes by 1 N m, and all single samples of 50 rad/s.
+False alarms: none in 2000 simulated recordings of quantised encoders that rest, creep and turn back (the first 300 of
+them in ``test_faults.py``), which is less than 0.15 % of recordings at 95 % confidence. Found of 208 joints that freeze
+for half a recording and would have moved by 0.1 rad: 90 % where the velocity has a sensor of its own, 79 % of frozen
+velocities, and 28 % where the velocity is the frozen encoder's own difference, which says something only if the joint
+moves as it freezes. Found as well: all torques whose weight changes by 1 N m, and all single samples of 50 rad/s.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ from areas import (
     net_feedback,
     outcome,
     plant,
+    recordings,
     references,
     replay,
     robots,
@@ -33,4 +34,5 @@ AREAS: dict[str, list[Mutant]] = {
     "diagnosis": diagnosis.MUTANTS,
     "replay": replay.MUTANTS,
     "robots": robots.MUTANTS,
+    "recordings": recordings.MUTANTS,
 }
