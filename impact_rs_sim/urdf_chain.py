@@ -17,13 +17,14 @@ from typing import NoReturn
 from xml.etree import ElementTree as Xml
 
 from impact_rs_sim.decimals import decimal
-from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.robot import JointType
 
 MOVES_AS: dict[str, JointType] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 TYPES = (*MOVES_AS, "fixed", "planar", "floating")
 XACRO = "xacro {file} > robot.urdf"
 KEPT = ("origin", "parent", "child", "axis", "inertial")  # what rigid-body dynamics need; no meshes
+LONGEST_MESSAGE = 1000  # characters; of a large arm all links are listed
 ONCE = {  # elements that may stand once in an element; of two a reader would take either
     "link": ("inertial",),
     "inertial": ("origin", "mass", "inertia"),
@@ -151,7 +152,7 @@ class UrdfTree:
         return values
 
     def _fail(self, message: str, key: str | None = None) -> NoReturn:
-        raise InputError(message, file=self.file, key=key)
+        raise InputError(shortened(message, LONGEST_MESSAGE), file=self.file, key=key)
 
     def _named(self, robot: Xml.Element, kind: str) -> dict[str, Xml.Element]:
         found: dict[str, Xml.Element] = {}

@@ -16,11 +16,17 @@ from impact_rs_trials.recordings.mapping import UNITS, WIDTH, Mapping, SignalNam
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.table_file import require
 
+UNSEALED = (
+    "{} has arrays without checksums: had a number been changed by accident, nothing would tell (fletcher32 in h5py)"
+)
 REAL = "iuf"  # kinds of NumPy types whose numbers are taken: no complex ones, truth values, texts or durations
 
 
 class ArrayFile:
     """One NPZ or HDF5 file.
+
+    Attributes:
+        unsealed: Arrays without checksums; those of an NPZ file always have some.
 
     Args:
         path: The file.
@@ -33,17 +39,11 @@ class ArrayFile:
 
     def __init__(self, path: Path, mapping: Mapping, names: Names) -> None:
         self._path, self._mapping, self._names = path, mapping, names
-        self._remarks: tuple[str, ...] = ()
+        self.unsealed: frozenset[str] = frozenset()
         if path.suffix == ".npz":
             self._arrays = _read_npz(path)
         else:
-            self._arrays, protected = _read_hdf5(path)
-            unprotected = [name for name in self._arrays if name not in protected]
-            if unprotected:
-                self._remarks = (
-                    f"{path.name} carries no checksums: had its numbers been changed by accident, nothing would tell "
-                    "(h5py: fletcher32=True)",
-                )
+            self._arrays, self.unsealed = _read_hdf5(path)
 
     @staticmethod
     def shapes_of(path: Path) -> dict[str, tuple[int, ...]]:
@@ -75,7 +75,8 @@ class ArrayFile:
             raise InputError(f"array {source.array!r} ({name}) is {values.shape}, expected {expected}", file=self._path)
         time = seconds_of(time, UNITS["time"][self._mapping.time.unit]) + source.delay
         place = f"array {source.array!r} ({name})"
-        return Series(place, time, self._mapping.to_si(name, values), remarks=self._remarks).sampled()
+        remarks = (UNSEALED.format(self._path.name),) if self.unsealed else ()
+        return Series(place, time, self._mapping.to_si(name, values), remarks=remarks).sampled()
 
     def _stamps(self, name: str, meaning: str) -> NDArray[Any]:
         """An array of time, in whole numbers where it holds those."""
@@ -107,21 +108,23 @@ def _read_npz(path: Path) -> dict[str, Array]:
 
 
 def _read_hdf5(path: Path) -> tuple[dict[str, Array], frozenset[str]]:
-    """Arrays by name, and which of them carry checksums."""
+    """Arrays by name, and which of them carry no checksums."""
     require("h5py", path)
     import h5py
 
     arrays: dict[str, Array] = {}
-    protected: set[str] = set()
+    unsealed: set[str] = set()
 
-    def keep(name: str, item: object) -> None:
+    def keep(name: str | bytes, item: object) -> None:
+        if isinstance(name, bytes):  # no text in UTF-8
+            raise InputError(f"not a readable HDF5 file (name {name!r})", file=path)
         if not isinstance(item, h5py.Dataset):
             return
         if item.is_virtual or item.external:
             raise InputError(f"array {name!r} is made of other files, expected its numbers in this one", file=path)
         arrays[name] = np.zeros(0) if item.shape is None else np.asarray(item)
-        if item.fletcher32:
-            protected.add(name)
+        if not item.fletcher32:
+            unsealed.add(name)
 
     try:
         with h5py.File(path, "r") as file:
@@ -131,4 +134,4 @@ def _read_hdf5(path: Path) -> tuple[dict[str, Array], frozenset[str]]:
     except Exception as error:  # a damaged file can fail anywhere inside the library
         said = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"not a readable HDF5 file ({said})", file=path) from None
-    return arrays, frozenset(protected)
+    return arrays, frozenset(unsealed)

@@ -267,8 +267,11 @@ def _recording(table: Path, line: int, directory: Path, name: str) -> Path:
     if not name:
         raise _wrong(table, line, "bag", name, "expected the name of a recording")
     path = directory / name
-    if path.exists():
-        return path
+    try:
+        if path.exists():
+            return path
+    except (OSError, ValueError):  # a name that no file can have
+        raise _wrong(table, line, "bag", name, "expected the name of a recording") from None
     endings = [path.with_name(path.name + suffix) for suffix in FILE_SUFFIXES]
     found = [file for file in endings if file.is_file()]
     if len(found) == 1:

@@ -193,12 +193,12 @@ def _parquet(path: Path) -> tuple[list[str], Cells]:
 
     try:
         table = pyarrow.parquet.read_table(path)
+        names = [str(name).strip() for name in table.column_names]
+        rows = [{str(name).strip(): value for name, value in row.items()} for row in table.to_pylist()]
     except Exception as error:  # a damaged file can fail anywhere inside the library
         text = (str(error).splitlines() or [""])[0]
         raise InputError(f"not a readable Parquet file ({type(error).__name__}: {text})", file=path) from None
-    return [str(name).strip() for name in table.column_names], [
-        {str(name).strip(): value for name, value in row.items()} for row in table.to_pylist()
-    ]
+    return names, rows
 
 
 def _row(number: int) -> str:

@@ -136,11 +136,12 @@ def _read_parquet(path: Path, time_unit: float) -> dict[str, list[str] | NDArray
 
     try:
         table = pyarrow.parquet.read_table(path)
+        names = [str(name) for name in table.column_names]
     except Exception as error:  # a damaged file can fail anywhere inside the library
         said = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"not a readable Parquet file ({said})", file=path) from None
     columns: dict[str, list[str] | NDArray[Any]] = {}
-    for name, column in zip(table.column_names, table.columns, strict=True):
+    for name, column in zip(names, table.columns, strict=True):
         if pyarrow.types.is_timestamp(column.type):  # it tells its unit, whatever the mapping says
             try:
                 nanoseconds = column.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of others (files, clocks, frames) and the compiled kernel: mutants written before their tests were read."""
+"""Recordings of others (files, clocks, frames) and the kernel: mutants written before their tests were read."""
 
 from mutant import Mutant
 
@@ -254,8 +254,8 @@ MUTANTS = [
     Mutant(
         name="arm_touched_beyond_the_gap",
         file="src/impact.cpp",
-        original="const Vector at = point.position - point.gap * point.normal - places_[point.partner];\n      columns(",
-        mutated="const Vector at = point.position + point.gap * point.normal - places_[point.partner];\n      columns(",
+        original="- point.gap * point.normal - places_[point.partner];\n      columns(",
+        mutated="+ point.gap * point.normal - places_[point.partner];\n      columns(",
         wrong="The lever of the arm ends on the wrong side of the gap.",
         tests=(
             "test/impact_rs_sim/test_impact_map_compiled.py",
