@@ -243,6 +243,18 @@ def test_numbers_of_a_table_are_decimal(tmp_path: Path, cubes: list[dict[str, An
         read_impact_table(write(tmp_path / "cubes.csv", [row | {"mass [kg]": text} for row in cubes]))
 
 
+def test_noise_stands_in_the_order_of_the_velocities(
+    tmp_path: Path, cubes: list[dict[str, Any]], pushes: list[dict[str, Any]]
+) -> None:
+    own = {"v_noise [m/s]": 0.01, "w_noise [rad/s]": 0.2}
+    free = read_impact_table(write(tmp_path / "cubes.csv", [row | own for row in cubes]))
+    np.testing.assert_allclose(free.noise, np.tile([0.01] * 3 + [0.2] * 3, (5, 1)))
+    arm = read_impact_table(
+        write(tmp_path / "pushes.csv", [row | own | {"dq_noise [rad/s]": 0.003} for row in pushes]), PUSH
+    )
+    np.testing.assert_allclose(arm.noise[0], [0.003] * 7 + [0.01] * 3 + [0.2] * 3)
+
+
 def test_every_column_is_documented() -> None:
     """In the module as on the page; of columns alike for all axes or points, the first."""
     page = (Path(__file__).parents[3] / "docs" / "impact_tables.md").read_text(encoding="utf-8")
