@@ -95,6 +95,7 @@ class RecordingSource(Source):
         balance: Predicts their torque.
         rest: Recorded minus predicted torque of the model, ``(k, n)`` [N m].
         sigma: Scale of every joint, ``(n,)`` [N m].
+        reading: What the user should know of how the recordings were read.
     """
 
     repeated = False
@@ -119,8 +120,9 @@ class RecordingSource(Source):
         self._predicted: dict[Added, Array | None] = {}
         self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))
         behind_motors = physics.arms[ARM].motor_inertia_reduced.max() == 0.0
-        told = {f"{item.path.name}: {remark}": None for item in recordings for remark in item.remarks}
-        self.remarks = (*REMARKS, *((BEHIND_MOTORS,) if behind_motors else ()), *told)
+        told = (f"{item.path.name}: {remark}" for item in recordings for remark in item.remarks)
+        self.reading = tuple(dict.fromkeys(told))
+        self.remarks = (*REMARKS, *((BEHIND_MOTORS,) if behind_motors else ()), *self.reading)
 
     @classmethod
     def of(cls, recordings: Sequence[Recording], mapping: Mapping, model: Model) -> RecordingSource:
