@@ -277,6 +277,15 @@ def test_a_folder_per_run_with_a_file_per_group(laboratory: LaboratoryFolder) ->
     assert_known(laboratory.read()[0], laboratory.signals)
 
 
+def test_a_table_may_lie_beside_the_bag_of_a_run(laboratory: LaboratoryFolder) -> None:
+    signals = laboratory.signals
+    laboratory.bag(topics={"/mocap/box/pose": ""})
+    pose = dict(zip(POSE_COLUMNS, signals.pose.T, strict=True))
+    write_csv(laboratory.path / "run_1_box.csv", {"time": 1_763_500_000 + 1e-9 * signals.object_time, **pose})
+    laboratory.mapping({"object_pose": {"file": "{run}_box.csv", "columns": POSE_COLUMNS}})
+    assert_known(laboratory.read()[0], signals, 150e-6)
+
+
 @pytest.mark.parametrize(("package", "name"), [("pyarrow", "run_1.parquet"), ("h5py", "run_1.h5")])
 def test_a_missing_library_is_told_with_the_way_to_get_it(
     laboratory: LaboratoryFolder, monkeypatch: pytest.MonkeyPatch, package: str, name: str
