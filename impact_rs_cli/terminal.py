@@ -28,6 +28,14 @@ Report = Callable[[int, int], None]
 PROGRAM = os.environ.get("IMPACT_RS_PROGRAM", "impact-rs")  # how hints spell it: ./run sets "./run impact-rs"
 
 
+class _Output(Console):
+    """Standard output for people, which raises ``BrokenPipeError`` where others of its kind end the program."""
+
+    def on_broken_pipe(self) -> None:
+        """Called while that error is handled."""
+        raise
+
+
 class Terminal:
     """Output of a command: text for people, or one JSON document and nothing else on standard output.
 
@@ -48,11 +56,15 @@ class Terminal:
         self._document = document
 
     def say(self, *renderables: Any) -> None:
-        """Print for people; silent with ``--json``."""
-        if not self.as_json:
-            console = Console(highlight=False)
+        """Print for people; silent with ``--json``, and once the reader has left (``| head``)."""
+        if self.as_json:
+            return
+        console = _Output(highlight=False)
+        try:
             for item in renderables:
                 console.print(item, soft_wrap=isinstance(item, str), markup=False)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
     def warn(self, text: str) -> None:
         """One line on standard error."""

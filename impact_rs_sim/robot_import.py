@@ -213,10 +213,11 @@ def _check_inertials(tree: UrdfTree, chain: Chain) -> None:
 def _axis(tree: UrdfTree, joint: Xml.Element) -> Array:
     key = f"joint {joint.get('name')}: axis"
     axis = np.array(tree.numbers(joint.find("axis"), "xyz", 3, "1 0 0", key))  # the default of the URDF format
-    length = float(np.linalg.norm(axis))
-    if length < 1e-6:
+    largest = float(np.max(np.abs(axis)))
+    if largest < 1e-6:
         raise InputError("expected a direction, found a vector of length 0", file=tree.file, key=key)
-    return np.asarray(axis / length)
+    axis = axis / largest  # squares of huge numbers have no room
+    return np.asarray(axis / np.linalg.norm(axis))
 
 
 def _type(joint: Xml.Element) -> JointType:

@@ -16,13 +16,22 @@ from pathlib import Path
 from typing import NoReturn
 from xml.etree import ElementTree as Xml
 
-from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.decimals import decimal
+from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.robot import JointType
 
 MOVES_AS: dict[str, JointType] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 TYPES = (*MOVES_AS, "fixed", "planar", "floating")
 XACRO = "xacro {file} > robot.urdf"
 KEPT = ("origin", "parent", "child", "axis", "inertial")  # what rigid-body dynamics need; no meshes
+LONGEST_MESSAGE = 1000  # characters; of a large arm all links are listed
+ONCE = {  # elements that may stand once in an element; of two a reader would take either
+    "link": ("inertial",),
+    "inertial": ("origin", "mass", "inertia"),
+    "visual": ("origin", "geometry"),
+    "collision": ("origin", "geometry"),
+    "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
+}
 
 
 @dataclass(frozen=True)
@@ -67,6 +76,9 @@ class UrdfTree:
         joints = self._named(robot, "joint")
         if not self.links:
             self._fail("there is no link in it")
+        for kind, elements in (("link", self.links), ("joint", joints)):
+            for name, element in elements.items():
+                self._check_once(element, f"{kind} {name}")
         self.above: dict[str, Xml.Element] = {}  # the joint that carries a link
         self.below: dict[str, list[Xml.Element]] = {name: [] for name in self.links}
         for name, joint in joints.items():
@@ -132,7 +144,7 @@ class UrdfTree:
         if text is None:
             self._fail("this is missing in the URDF, expected a number", key)
         try:
-            values = [float(word) for word in text.split()]
+            values = [decimal(word) for word in text.split()]
         except ValueError:
             values = []
         if len(values) != count or not all(map(math.isfinite, values)):
@@ -140,7 +152,7 @@ class UrdfTree:
         return values
 
     def _fail(self, message: str, key: str | None = None) -> NoReturn:
-        raise InputError(message, file=self.file, key=key)
+        raise InputError(shortened(message, LONGEST_MESSAGE), file=self.file, key=key)
 
     def _named(self, robot: Xml.Element, kind: str) -> dict[str, Xml.Element]:
         found: dict[str, Xml.Element] = {}
@@ -152,6 +164,14 @@ class UrdfTree:
                 self._fail(f"there are two {kind}s of this name", f"{kind} {name}")
             found[name] = element
         return found
+
+    def _check_once(self, element: Xml.Element, key: str) -> None:
+        """No element stands twice where one is read."""
+        for part in element:
+            self._check_once(part, key)
+        for tag in ONCE.get(element.tag, ()):
+            if len(element.findall(tag)) > 1:
+                self._fail(f"<{element.tag}> has {len(element.findall(tag))} <{tag}>, expected one", key)
 
     def _end(self, joint: Xml.Element, which: str) -> str:
         element = joint.find(which)

@@ -390,7 +390,7 @@ def _of_recordings(source: RecordingSource) -> ComparisonDocument:
         where=tuple(sorted(cells, key=lambda cell: -cell.share)),
         not_measured=("velocity jump", "contact and impulses", "object", "controller and its references"),
         recording=RecordingDocument(**asdict(source.facts)),
-        remarks=(),
+        remarks=source.reading,
     )
 
 

@@ -95,6 +95,7 @@ class RecordingSource(Source):
         balance: Predicts their torque.
         rest: Recorded minus predicted torque of the model, ``(k, n)`` [N m].
         sigma: Scale of every joint, ``(n,)`` [N m].
+        reading: What the user should know of how the recordings were read.
     """
 
     repeated = False
@@ -119,7 +120,9 @@ class RecordingSource(Source):
         self._predicted: dict[Added, Array | None] = {}
         self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))
         behind_motors = physics.arms[ARM].motor_inertia_reduced.max() == 0.0
-        self.remarks = (*REMARKS, BEHIND_MOTORS) if behind_motors else REMARKS
+        told = (f"{item.path.name}: {remark}" for item in recordings for remark in item.remarks)
+        self.reading = tuple(dict.fromkeys(told))
+        self.remarks = (*REMARKS, *((BEHIND_MOTORS,) if behind_motors else ()), *self.reading)
 
     @classmethod
     def of(cls, recordings: Sequence[Recording], mapping: Mapping, model: Model) -> RecordingSource:
@@ -136,7 +139,7 @@ class RecordingSource(Source):
     def facts(self) -> RecordingFacts:
         """What was read."""
         return RecordingFacts(
-            files=tuple(str(recording.path) for recording in self.recordings),
+            files=tuple(dict.fromkeys(str(recording.path) for recording in self.recordings)),
             robot=self.mapping.robot,
             end_effector_mass_kg=self.mapping.end_effector.mass,
             samples=int(sum(recording.time.size for recording in self.recordings)),
@@ -235,7 +238,7 @@ def _cut(recordings: Sequence[Recording], motions: Sequence[Motion]) -> list[Str
     for recording, motion, (size, rate) in zip(recordings, motions, lengths, strict=True):
         parts = max(1, round(size / rate / seconds))
         edges = np.arange(parts + 1) * size // parts
-        start = float(motion.time[motion.kept][0])
+        start = recording.begin + float(motion.time[motion.kept][0])
         for low, high in zip(edges[:-1], edges[1:], strict=True):
             name = f"{recording.path.name}, {start + low / rate:.1f} to {start + high / rate:.1f} s"
             found.append(Stretch(name, str(recording.path), slice(first + int(low), first + int(high))))

@@ -91,10 +91,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     extended = with_formulas(model, args.formulas)
     check_effects(extended, args.effects)
     with measured(args, terminal, args.each_arm) as measurements:
-        document = diagnosis_of(measurements, model, extended, args.effects, terminal)
-        if args.output is not None:
-            with output_folder(args.output.parent):
-                write_document(document, args.output)
+        document = diagnosis_of(measurements, model, extended, args.effects, terminal, args.output)
         if args.report is not None:
             with output_folder(args.report):
                 path = report_of(document, measurements, args.model, extended, args.report)
@@ -143,9 +140,14 @@ def check_effects(model: Model, names: list[str] | None) -> None:
 
 
 def diagnosis_of(
-    measurements: Measurements, model: Model, extended: Model, only: list[str] | None, terminal: Terminal
+    measurements: Measurements,
+    model: Model,
+    extended: Model,
+    only: list[str] | None,
+    terminal: Terminal,
+    output: Path | None = None,
 ) -> DiagnosisDocument:
-    """Diagnose, and show the result.
+    """Diagnose, write the result, and show it.
 
     Args:
         measurements: What was measured.
@@ -153,11 +155,15 @@ def diagnosis_of(
         extended: The same, knowing further formulas.
         only: Names of the effects to consider; None: all.
         terminal: Where to show it.
+        output: File for it, which is there before anything is shown; None: none.
     """
     with measurements.progress():
         document = diagnose(measurements.against(extended), model, only, terminal.rank)
     new = tuple(spec for spec in extended.formulas if spec not in model.formulas)
     document = document.model_copy(update={"formulas": new})
+    if output is not None:
+        with output_folder(output.parent):
+            write_document(document, output)
     _show(document, terminal)
     return document
 

@@ -47,10 +47,12 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     with measured(args, terminal) as measurements, measurements.progress():
         found = history(args.model, measurements.against)
     terminal.result({"history": [entry.to_json() for entry in found]})
-    show_history(found, terminal)
+    path = None
     if args.output is not None:
         with output_folder(args.output):
             path = write_history(found, args.output)
+    show_history(found, terminal)
+    if path is not None:
         terminal.say(f"plot: {path.resolve()}")
     return 0
 

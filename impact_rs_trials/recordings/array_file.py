@@ -16,9 +16,17 @@ from impact_rs_trials.recordings.mapping import UNITS, WIDTH, Mapping, SignalNam
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.table_file import require
 
+UNSEALED = (
+    "{} has arrays without checksums: had a number been changed by accident, nothing would tell (fletcher32 in h5py)"
+)
+REAL = "iuf"  # kinds of NumPy types whose numbers are taken: no complex ones, truth values, texts or durations
+
 
 class ArrayFile:
     """One NPZ or HDF5 file.
+
+    Attributes:
+        unsealed: Arrays without checksums; those of an NPZ file always have some.
 
     Args:
         path: The file.
@@ -31,7 +39,11 @@ class ArrayFile:
 
     def __init__(self, path: Path, mapping: Mapping, names: Names) -> None:
         self._path, self._mapping, self._names = path, mapping, names
-        self._arrays = _read_npz(path) if path.suffix == ".npz" else _read_hdf5(path)
+        self.unsealed: frozenset[str] = frozenset()
+        if path.suffix == ".npz":
+            self._arrays = _read_npz(path)
+        else:
+            self._arrays, self.unsealed = _read_hdf5(path)
 
     @staticmethod
     def shapes_of(path: Path) -> dict[str, tuple[int, ...]]:
@@ -40,7 +52,7 @@ class ArrayFile:
         Raises:
             InputError: It is no such file.
         """
-        arrays = _read_npz(path) if path.suffix == ".npz" else _read_hdf5(path)
+        arrays = _read_npz(path) if path.suffix == ".npz" else _read_hdf5(path)[0]
         return {name: array.shape for name, array in arrays.items()}
 
     def series(self, name: SignalName, source: SignalSource) -> Series:
@@ -62,7 +74,9 @@ class ArrayFile:
             expected = f"{time.size} samples x {self._mapping.width(name)} {what}"
             raise InputError(f"array {source.array!r} ({name}) is {values.shape}, expected {expected}", file=self._path)
         time = seconds_of(time, UNITS["time"][self._mapping.time.unit]) + source.delay
-        return Series(f"array {source.array!r} ({name})", time, self._mapping.to_si(name, values)).sampled()
+        place = f"array {source.array!r} ({name})"
+        remarks = (UNSEALED.format(self._path.name),) if self.unsealed else ()
+        return Series(place, time, self._mapping.to_si(name, values), remarks=remarks).sampled()
 
     def _stamps(self, name: str, meaning: str) -> NDArray[Any]:
         """An array of time, in whole numbers where it holds those."""
@@ -74,33 +88,50 @@ class ArrayFile:
         if name not in self._arrays:
             near, found = did_you_mean(name, self._arrays), ", ".join(self._arrays)
             raise MissingSignal(f"no array {name!r} ({meaning}){near}; found: {found}", file=self._path)
-        try:
-            return np.asarray(self._arrays[name], dtype=float)
-        except (ValueError, TypeError):
-            raise InputError(f"array {name!r} ({meaning}) holds no numbers", file=self._path) from None
+        stored = self._arrays[name]
+        if stored.dtype.kind not in REAL:
+            raise InputError(f"array {name!r} ({meaning}) holds {stored.dtype}, expected real numbers", file=self._path)
+        return np.asarray(stored, dtype=float)
 
 
 def _read_npz(path: Path) -> dict[str, Array]:
     try:
         with np.load(path, allow_pickle=False) as archive:
-            return {name: np.asarray(archive[name]) for name in archive.files}
+            names = list(archive.files)
+            arrays = {name: np.asarray(archive[name]) for name in names}
     except Exception as error:  # a damaged archive fails in zipfile, in zlib or in NumPy
         raise InputError(f"not a readable NPZ file ({error})", file=path) from None
+    if len(arrays) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"two arrays are called {twice!r}", file=path)
+    return arrays
 
 
-def _read_hdf5(path: Path) -> dict[str, Array]:
+def _read_hdf5(path: Path) -> tuple[dict[str, Array], frozenset[str]]:
+    """Arrays by name, and which of them carry no checksums."""
     require("h5py", path)
     import h5py
 
     arrays: dict[str, Array] = {}
+    unsealed: set[str] = set()
 
-    def keep(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset):
-            arrays[name] = np.asarray(item)
+    def keep(name: str | bytes, item: object) -> None:
+        if isinstance(name, bytes):  # no text in UTF-8
+            raise InputError(f"not a readable HDF5 file (name {name!r})", file=path)
+        if not isinstance(item, h5py.Dataset):
+            return
+        if item.is_virtual or item.external:
+            raise InputError(f"array {name!r} is made of other files, expected its numbers in this one", file=path)
+        arrays[name] = np.zeros(0) if item.shape is None else np.asarray(item)
+        if not item.fletcher32:
+            unsealed.add(name)
 
     try:
-        with h5py.File(path) as file:
+        with h5py.File(path, "r") as file:
             file.visititems(keep)
-    except OSError as error:
-        raise InputError(f"not a readable HDF5 file ({error})", file=path) from None
-    return arrays
+    except InputError:
+        raise
+    except Exception as error:  # a damaged file can fail anywhere inside the library
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"not a readable HDF5 file ({said})", file=path) from None
+    return arrays, frozenset(unsealed)

@@ -11,7 +11,6 @@ Several arms have a mapping each (``mapping: {left: left.yaml, right: right.yaml
 
 from __future__ import annotations
 
-import csv
 import functools
 import os
 from collections.abc import Callable, Collection, Sequence
@@ -26,6 +25,7 @@ from pydantic import Field, PrivateAttr
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import Schema, Vector3, load
+from impact_rs_trials.recordings.csv_rows import csv_rows
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
 from impact_rs_trials.recordings.sources import FILE_SUFFIXES
 
@@ -242,13 +242,7 @@ def run_named(table: Sequence[RunRow], directory: Path, name: str) -> RunRow:
 
 def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Header, and rows with the line they stand in."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read: {error}", file=path) from None
-    separator = max(",;\t", key=text.partition("\n")[0].count)
-    reader = csv.reader(text.splitlines(), delimiter=separator, skipinitialspace=True)
-    lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+    lines = [(line, [cell.strip() for cell in row]) for line, row in csv_rows(path)]
     lines = [(line, row) for line, row in lines if any(row) and not row[0].startswith("#")]
     if not lines:
         raise InputError(f"an empty table; expected the columns {', '.join(COLUMNS)}", file=path)
@@ -261,7 +255,7 @@ def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     if twice:
         raise InputError(f"two columns are called {twice[0]!r}", file=path)
     if not rows:
-        raise InputError(f"no run below the header {separator.join(header)}", file=path)
+        raise InputError(f"no run below the header {','.join(header)}", file=path)
     for line, row in rows:
         if len(row) != len(header):
             raise InputError(f"line {line}: {len(row)} cells, expected {len(header)} as in the header", file=path)
@@ -273,8 +267,11 @@ def _recording(table: Path, line: int, directory: Path, name: str) -> Path:
     if not name:
         raise _wrong(table, line, "bag", name, "expected the name of a recording")
     path = directory / name
-    if path.exists():
-        return path
+    try:
+        if path.exists():
+            return path
+    except (OSError, ValueError):  # a name that no file can have
+        raise _wrong(table, line, "bag", name, "expected the name of a recording") from None
     endings = [path.with_name(path.name + suffix) for suffix in FILE_SUFFIXES]
     found = [file for file in endings if file.is_file()]
     if len(found) == 1:

@@ -42,7 +42,6 @@ by commas, semicolons or tabs; empty lines and lines that begin with # are skipp
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import re
 from collections.abc import Mapping, Sequence
@@ -54,6 +53,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from impact_rs_sim.decimals import decimal
 from impact_rs_sim.errors import Infeasible, InputError, did_you_mean
 from impact_rs_sim.impact_map.measured import (
     FRICTION,
@@ -68,6 +68,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_trials.recordings.csv_rows import csv_rows
 from impact_rs_trials.recordings.table_file import require
 
 SUFFIXES = (".csv", ".parquet")
@@ -83,6 +84,7 @@ FACTORS: dict[str, dict[str, float]] = {  # from the unit of a header to SI
 }
 ASSUMED_FRICTION = 0.3  # of a free body on a plane, where a table says nothing; dry solids lie around it
 UNIT_LENGTH = 1e-3  # how far a unit quaternion or a normal may be from length 1; what remains is rounding
+MOMENTS = 1e-3  # by how much a moment of inertia may exceed the sum of the others: rounding
 UP = np.array([0.0, 0.0, 1.0])
 AXES = "xyz"
 MOST_POINTS = 8  # contact points that a row may name
@@ -173,21 +175,16 @@ def _read(path: Path) -> tuple[list[str], Cells, str]:
 
 
 def _csv(path: Path) -> tuple[list[str], Cells]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"no readable CSV file ({error})", file=path) from None
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    lines = csv_rows(path)
     if not lines:
         raise InputError("no header; expected names of columns with their units", file=path)
-    separator = max(",;\t", key=lines[0].count)
-    header, *rows = csv.reader(lines, delimiter=separator, skipinitialspace=True)
+    (_, header), *rows = lines
     header = [name.strip() for name in header]
-    for number, row in enumerate(rows, start=1):
+    for number, (_, row) in enumerate(rows, start=1):
         if len(row) != len(header):
             said = f"expected {len(header)} cells as in the header, got {len(row)}"
             raise InputError(said, file=path, key=_row(number))
-    return header, [dict(zip(header, row, strict=True)) for row in rows]
+    return header, [dict(zip(header, row, strict=True)) for _, row in rows]
 
 
 def _parquet(path: Path) -> tuple[list[str], Cells]:
@@ -196,12 +193,12 @@ def _parquet(path: Path) -> tuple[list[str], Cells]:
 
     try:
         table = pyarrow.parquet.read_table(path)
+        names = [str(name).strip() for name in table.column_names]
+        rows = [{str(name).strip(): value for name, value in row.items()} for row in table.to_pylist()]
     except Exception as error:  # a damaged file can fail anywhere inside the library
         text = (str(error).splitlines() or [""])[0]
         raise InputError(f"not a readable Parquet file ({type(error).__name__}: {text})", file=path) from None
-    return [str(name).strip() for name in table.column_names], [
-        {str(name).strip(): value for name, value in row.items()} for row in table.to_pylist()
-    ]
+    return names, rows
 
 
 def _row(number: int) -> str:
@@ -382,7 +379,7 @@ class _Reader:
         if text is None or (isinstance(text, str) and not text.strip()):
             raise InputError(f"this cell is empty; expected a number [{unit}]", file=self.path, key=key)
         try:
-            value = float(text)
+            value = decimal(text) if isinstance(text, str) else float(text)
         except (TypeError, ValueError):
             raise InputError(f"expected a number [{unit}]", file=self.path, key=key, value=text) from None
         if not np.isfinite(value):
@@ -503,6 +500,14 @@ class _Reader:
                     value,
                     f"expected a number {expected.get(name, f'> 0 [{unit}]')}",
                 )
+        moments = [own[name] for name in ("ixx", "iyy", "izz") if name in own]
+        if moments and max(moments) > (1.0 + MOMENTS) * (sum(moments) - max(moments)):
+            raise self._wrong(
+                number,
+                "columns 'ixx', 'iyy', 'izz'",
+                moments,
+                "no body has these principal moments; expected none larger than the sum of the other two [kg m^2]",
+            )
         motors = {
             arm: tuple(self._values(number, cells, self._of_joints(arm, "B")))
             for arm in self._arms

@@ -42,6 +42,7 @@ from impact_rs_trials.recordings.clock import (
 )
 from impact_rs_trials.recordings.contact_frame import ContactFrame, PadOnFace, contact_frame
 from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, RunRow, read_runs, run_named
+from impact_rs_trials.recordings.faults import without_faults
 from impact_rs_trials.recordings.mapping import REQUIRED, SignalName
 from impact_rs_trials.recordings.mapping import Mapping as SignalMapping
 from impact_rs_trials.recordings.plausibility import (
@@ -374,12 +375,18 @@ def read_run(laboratory: Laboratory, run: RunRow) -> LaboratoryRun:
     wanted: list[SignalName] = [*ARM_SIGNALS, "command", "wrench", *(OBJECT_SIGNALS if run.hit else ())]
     arms = laboratory.series(run, wanted, _needed(laboratory, run))
     remarks = list(dict.fromkeys(remark for own in arms.values() for one in own.values() for remark in one.remarks))
+    faults: list[str] = []
     if run.hit:
         arms[tracker] = _with_object(path, arms[tracker], remarks)
     for arm, own in arms.items():
         with laboratory.told_of(arm):
             for name, one in own.items():
                 _check(path, name, one)
+            arms[arm], left_out = _without_faults(laboratory, run, arm, own)
+            faults += [f"{laboratory.label(arm)}{remark}" for remark in left_out]
+            if any(arms[arm][name].time.size < LEAST_SAMPLES for name in REQUIRED):
+                raise TooShort("; ".join(faults), file=path)
+    remarks += faults
     base = _fastest(arms)
     for arm, own in arms.items():
         with laboratory.told_of(arm):
@@ -388,7 +395,10 @@ def read_run(laboratory: Laboratory, run: RunRow) -> LaboratoryRun:
     arms = {arm: {name: replace(one, time=one.time - origin) for name, one in own.items()} for arm, own in arms.items()}
     pose_seen = arms[tracker].pop("object_pose", None)
 
-    pieces, main = _pieces(run, arms, pose_seen, remarks)
+    try:
+        pieces, main = _pieces(run, arms, pose_seen, remarks)
+    except TooShort as error:
+        raise TooShort("; ".join([error.message, *faults]), file=error.file) from None
     raw = arms[base]["position"].time
     grid = grid_from(raw[_inside(raw, pieces)], raw[_inside(raw, [main])])
     for arm, own in arms.items():
@@ -420,6 +430,11 @@ def read_run(laboratory: Laboratory, run: RunRow) -> LaboratoryRun:
         gaps=tuple(Gap(end - grid[0], start - end) for (_, end), (start, _) in itertools.pairwise(pieces)),
         remarks=tuple(dict.fromkeys(remarks)),
     )
+
+
+def _without_faults(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries) -> tuple[ArmSeries, list[str]]:
+    """One arm without the samples that no sensor measured, and what was left out."""
+    return without_faults(series, laboratory.mappings[arm], laboratory.models[arm], impact_time if run.hit else None)
 
 
 def _needed(laboratory: Laboratory, run: RunRow) -> list[SignalName]:
@@ -552,9 +567,15 @@ def _pieces(
         remarks.append(told)
     if end - start < SHORTEST:
         raise TooShort(f"it lasts {end - start:.3f} s, at least {SHORTEST} s are needed", file=run.path)
+    for own in arms.values():
+        for time in (own["velocity"].time, own["torque"].time):  # what lacks at either end is a gap as well
+            lacks = [Gap(start, float(time[0]) - start), Gap(float(time[-1]), end - float(time[-1]))]
+            cuts += [gap for gap in lacks if gap.length > GAP_CUT]
+    impacts = [impact_time(own["velocity"]) for own in arms.values()] if run.hit else []
+    if any(not start <= impact <= end for impact in impacts):
+        raise TooShort("the joint positions do not reach to the impact", file=run.path)
     if not cuts:
         return [(start, end)], (start, end)
-    impacts = [_impact(own["velocity"]) for own in arms.values()] if run.hit else []
     inside = [gap for gap in cuts if impacts and gap.start <= max(impacts) and min(impacts) <= gap.end]
     if inside:
         raise TooShort(f"the impact falls into a gap of {tell_gaps(inside, start)}", file=run.path)
@@ -595,7 +616,7 @@ def _inside(time: Array, pieces: Sequence[tuple[float, float]]) -> NDArray[np.bo
     return np.any([(time >= first) & (time <= last) for first, last in pieces], axis=0)
 
 
-def _impact(velocity: Series) -> float:
+def impact_time(velocity: Series) -> float:
     """When joint velocities change most within a few milliseconds [s]; good enough to tell pieces of a run apart."""
     half = IMPACT_WINDOW / 2.0
     change = np.linalg.norm(velocity.at(velocity.time + half) - velocity.at(velocity.time - half), axis=1)
@@ -696,7 +717,8 @@ def touches_of(task: tuple[Laboratory, RunRow]) -> list[PadOnFace]:
     try:
         arms = laboratory.series(run, wanted, wanted[:2])
         seen = _with_object(run.path, arms[laboratory.tracker], []).get("object_pose")
-        found = [_touch(laboratory, run, arm, own, seen) for arm, own in arms.items()]
+        whole = {arm: _without_faults(laboratory, run, arm, own)[0] for arm, own in arms.items()}
+        found = [_touch(laboratory, run, arm, own, seen) for arm, own in whole.items()]
     except InputError as error:
         logger.debug("%s: tells nothing of the motion capture: %s", run.name, error)
         return []
@@ -713,7 +735,7 @@ def _touch(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, see
     given = laboratory.motion_capture
     tilted = given.model_copy(update={"position": (0.0, 0.0, 0.0), "rpy": (*given.rpy[:2], 0.0)})
     pose = _in_inertial_frame(tilted, run, seen.values)  # as far as hits tell nothing of it
-    impact = _impact(series["velocity"])
+    impact = impact_time(series["velocity"])
     first, last = (impact + moment for moment in TOUCHING)
     times = seen.time[(seen.time >= first) & (seen.time <= last)]
     times = times if times.size else np.array([0.5 * (first + last)])

@@ -11,12 +11,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 from rosbags.rosbag2 import Reader
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array, told_units
+from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.clock import check_stamps, gaps, tell_gaps
+from impact_rs_trials.recordings.faults import EXCESS, FEW, MARGIN, without_faults
 from impact_rs_trials.recordings.mapping import JOINT_SIGNALS, REQUIRED, Mapping, SignalName
+from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.sources import BAG_SUFFIXES, FILE_SUFFIXES, read_series
 
 logger = logging.getLogger(__name__)
@@ -24,8 +28,9 @@ logger = logging.getLogger(__name__)
 LARGEST_GAP = 5.0  # sampling periods, or
 GAP_IN_LOW_PASS = 0.1  # periods of the low-pass, which is what a gap falls into
 LEAST_SAMPLES = 100
-MARGIN = 0.1  # rad or m, how far a measured position may lie outside the data sheet's limits
-EXCESS = 1.2  # times those of the data sheet, which a measured velocity or torque may be
+LEAST_TAIL = 4.2  # periods of the low-pass that a piece loses at its ends,
+LEAST_KEPT = 60  # and samples that must be left,
+LEAST_RATE = 10.0  # at most so many per period of the low-pass
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,8 @@ class Recording:
         velocity: dq [rad/s].
         torque: tau [N m], measured where the mapping says.
         others: What else was found: motor_position [rad], motor_velocity [rad/s], command [N m], torque_rate [N m/s].
+        begin: When it begins in its file [s]; a file is cut where a sensor was frozen.
+        remarks: What the user should know of how it was read.
     """
 
     path: Path
@@ -47,6 +54,8 @@ class Recording:
     velocity: Array
     torque: Array
     others: dict[str, Array]
+    begin: float = 0.0
+    remarks: tuple[str, ...] = ()
 
 
 def find_recordings(path: Path) -> list[Path]:
@@ -100,31 +109,63 @@ def read_recordings(path: Path, mapping: Mapping) -> list[Recording]:
     Raises:
         InputError: A recording cannot be used; the message says what was expected.
     """
-    return [read_recording(item, mapping) for item in find_recordings(path)]
+    return [piece for item in find_recordings(path) for piece in _pieces(item, mapping)]
 
 
-def read_recording(path: Path, mapping: Mapping) -> Recording:
-    """One recording, checked.
-
-    Raises:
-        InputError: It cannot be used; the message says what was expected.
-    """
-    series = read_series(path, mapping, JOINT_SIGNALS, REQUIRED)
-    for name, one in series.items():
+def _pieces(path: Path, mapping: Mapping) -> list[Recording]:
+    """One recording, checked, in the pieces that faults of sensors leave of it."""
+    recorded = read_series(path, mapping, JOINT_SIGNALS, REQUIRED)
+    for name, one in recorded.items():
         what = one.place if name == "position" or one.log is not None else f"time of {one.place}"
         _check_time(path, one.time, what, mapping.low_pass)
+        if name in REQUIRED:
+            _check_numbers(path, name, one.time, one.values)
+    base = pin.SE3(pin.rpy.rpyToMatrix(*mapping.base_rpy), np.zeros(3))
+    model = RobotModel(mapping.facts, mapping.end_effector.build(), base)
+    series, remarks = without_faults(recorded, mapping, model)
     time = series["position"].time
-    signals = {name: one.at(time) for name, one in series.items()}
-    recording = Recording(
-        path,
-        time,
-        signals["position"],
-        signals["velocity"],
-        signals["torque"],
-        {name: values for name, values in signals.items() if name not in REQUIRED},
-    )
-    check_recording(recording, mapping)
-    return recording
+    remarks = list(dict.fromkeys([*(remark for one in series.values() for remark in one.remarks), *remarks]))
+    found = []
+    for first, last in _between_faults(series, mapping.low_pass):
+        rows = (time >= first) & (time <= last)
+        signals = {name: one.at(time[rows]) for name, one in series.items()}
+        piece = Recording(
+            path,
+            time[rows],
+            signals["position"],
+            signals["velocity"],
+            signals["torque"],
+            {name: values for name, values in signals.items() if name not in REQUIRED},
+            begin=float(first - time[0]),
+            remarks=tuple(remarks),
+        )
+        check_recording(piece, mapping)
+        found.append(piece)
+    if not found:
+        raise InputError(f"no piece is long enough: {'; '.join(remarks)}", file=path)
+    return found
+
+
+def _between_faults(series: dict[SignalName, Series], low_pass: float) -> list[tuple[float, float]]:
+    """Stretches in which every joint signal was measured and that are long enough for the low-pass [s]."""
+    needed = [series[name].time for name in REQUIRED]
+    if min(own.size for own in needed) < LEAST_SAMPLES:
+        return []
+    time = series["position"].time
+    period = float(np.median(np.diff(time)))
+    start, end = max(float(own[0]) for own in needed), min(float(own[-1]) for own in needed)
+    cuts = [gap for own in needed for gap in gaps(own, _longest_gap(period, low_pass))]
+    if not cuts and start <= time[0] + LARGEST_GAP * period and end >= time[-1] - LARGEST_GAP * period:
+        return [(float(time[0]), float(time[-1]))]
+    firsts = [start, *sorted(gap.end for gap in cuts)]
+    lasts = [*sorted(gap.start for gap in cuts), end]
+    least = LEAST_TAIL / low_pass + LEAST_KEPT * max(period, 1.0 / (LEAST_RATE * low_pass))
+    return [(a, b) for a, b in zip(firsts, lasts, strict=True) if b - a >= least]
+
+
+def _longest_gap(period: float, low_pass: float) -> float:
+    """What the low-pass bridges [s]."""
+    return max(LARGEST_GAP * period, GAP_IN_LOW_PASS / low_pass)
 
 
 def _check_time(path: Path, time: Array, what: str, low_pass: float) -> None:
@@ -132,7 +173,7 @@ def _check_time(path: Path, time: Array, what: str, low_pass: float) -> None:
         raise InputError(f"{what}: {time.size} samples, at least {LEAST_SAMPLES} are needed", file=path)
     check_stamps(path, what, time)
     period = float(np.median(np.diff(time)))
-    found = gaps(time, max(LARGEST_GAP * period, GAP_IN_LOW_PASS / low_pass))
+    found = gaps(time, _longest_gap(period, low_pass))
     if found:
         raise InputError(
             f"{what}: gap of {tell_gaps(found, time[0])} (period {period:.4f} s, low-pass {low_pass:g} Hz); cut the "
@@ -152,17 +193,19 @@ def check_recording(recording: Recording, mapping: Mapping, briefly: float = 0.0
     Raises:
         InputError: It is not; the message names signal, joint, time, value and what was expected.
     """
-    start = recording.time - recording.time[0]
     for name in REQUIRED:
-        values = getattr(recording, name)
-        if not np.isfinite(values).all():
-            row, joint = np.argwhere(~np.isfinite(values))[0]
-            raise InputError(
-                f"{name} of joint {joint + 1} is not a number at t = {start[row]:.3f} s", file=recording.path
-            )
+        _check_numbers(recording.path, name, recording.time, getattr(recording, name))
     for name in REQUIRED:
         check_limits(recording.path, name, recording.time, getattr(recording, name), mapping, briefly)
     check_velocity(recording.path, recording.time, recording.position, recording.velocity, mapping)
+
+
+def _check_numbers(path: Path, name: SignalName, time: Array, values: Array) -> None:
+    """Finite numbers."""
+    if not np.isfinite(values).all():
+        row, joint = np.argwhere(~np.isfinite(values))[0]
+        start = time[row] - time[0]
+        raise InputError(f"{name} of joint {joint + 1} is not a number at t = {start:.3f} s", file=path)
 
 
 def check_limits(
@@ -176,7 +219,8 @@ def check_limits(
         time: Stamps, ``(k,)`` [s].
         values: SI, ``(k, n)``.
         mapping: Knows robot and units.
-        briefly: Share of the samples in which a velocity or torque may be beyond its limit, as in an impact [-].
+        briefly: Share of a joint's samples that may be beyond their limit, as in an impact or where outliers are left
+            out later [-].
 
     Raises:
         InputError: It is not; the message names signal, joint, time, value and what was expected.
@@ -189,8 +233,8 @@ def check_limits(
     else:
         most, quantity = (limits.velocity_rad_s, "velocity") if name == "velocity" else (limits.torque_Nm, "effort")
         wrong = np.abs(values) > EXCESS * np.array(most)
-        wrong &= wrong.mean(axis=0) > briefly
         expected = [f"at most {limit:.3g}" for limit in most]
+    wrong &= wrong.mean(axis=0) > briefly
     if not np.any(wrong):
         return
     row, joint = np.argwhere(wrong)[0]
@@ -217,6 +261,10 @@ def check_velocity(path: Path, time: Array, position: Array, velocity: Array, ma
         InputError: They are not, by a factor of two and more.
     """
     derived = np.gradient(position, time, axis=0)
+    most = EXCESS * np.array(mapping.facts.limits.velocity_rad_s)
+    apart = (np.abs(derived) > most) | (np.abs(velocity) > most)
+    apart &= apart.mean(axis=0) <= FEW  # single samples say nothing of a unit
+    derived, velocity = np.where(apart, 0.0, derived), np.where(apart, 0.0, velocity)
     power = float(np.sum(np.square(derived)))
     if power == 0.0:
         return

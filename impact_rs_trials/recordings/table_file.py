@@ -6,7 +6,6 @@ A row may hold some signals only: where all cells of a signal are empty (or NaN)
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping as AbstractMapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,9 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rs_sim.decimals import decimal
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.clock import seconds_of
+from impact_rs_trials.recordings.csv_rows import csv_rows
 from impact_rs_trials.recordings.mapping import UNITS, Mapping, SignalName, SignalSource
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 
@@ -87,8 +88,13 @@ class TableFile:
     def _stamps(self, column: str) -> NDArray[Any]:
         """A column of time, in whole numbers where it holds nothing else."""
         cells = self._columns.get(column, [])
-        if isinstance(cells, list) and cells and all(cell.isdecimal() for cell in cells):
-            return np.array([int(cell) for cell in cells])
+        if isinstance(cells, list) and cells and all(cell.isascii() and cell.isdecimal() for cell in cells):
+            longest = max(cells, key=len)
+            try:
+                return np.array([int(cell) for cell in cells], dtype=np.int64)
+            except (ValueError, OverflowError):  # more digits than Python reads, or than 64 bits hold
+                said = f"column {column!r} (time) has a stamp of {len(longest)} digits, expected at most 64 bits"
+                raise InputError(said, file=self._path) from None
         if isinstance(cells, np.ndarray) and np.issubdtype(cells.dtype, np.integer):
             return cells
         return self._numbers(column, "time")
@@ -103,29 +109,24 @@ class TableFile:
         if isinstance(cells, np.ndarray):
             return np.asarray(cells, dtype=float)
         try:
-            return np.array([float(cell or "nan") for cell in cells])
+            return np.array([decimal(cell or "nan") for cell in cells])
         except ValueError as error:
             raise InputError(f"not a table of numbers: {error} in column {column!r}", file=self._path) from None
 
 
 def _read_csv(path: Path) -> dict[str, list[str] | NDArray[Any]]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"not a table of numbers: {error}", file=path) from None
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line and not line.startswith("#")]
-    if len(lines) < 2:
+    rows = csv_rows(path)
+    if len(rows) < 2:
         raise InputError("expected a line of column names and lines of numbers", file=path)
-    separator = max(",;\t", key=lines[0][1].count)
-    rows = list(csv.reader((line for _, line in lines), delimiter=separator, skipinitialspace=True))
-    header = [name.strip() for name in rows[0]]
-    for (number, _), row in zip(lines, rows, strict=False):
+    header = [name.strip() for name in rows[0][1]]
+    for number, row in rows:
         if len(row) != len(header):
             raise InputError(f"line {number}: {len(row)} numbers, expected {len(header)} as in the header", file=path)
     if len(set(header)) < len(header):
         twice = next(name for name in header if header.count(name) > 1)
         raise InputError(f"two columns are called {twice!r}", file=path)
-    return {name: list(cells) for name, cells in zip(header, zip(*rows[1:], strict=True), strict=True)}
+    columns = zip(*(row for _, row in rows[1:]), strict=True)
+    return {name: list(cells) for name, cells in zip(header, columns, strict=True)}
 
 
 def _read_parquet(path: Path, time_unit: float) -> dict[str, list[str] | NDArray[Any]]:
@@ -135,12 +136,18 @@ def _read_parquet(path: Path, time_unit: float) -> dict[str, list[str] | NDArray
 
     try:
         table = pyarrow.parquet.read_table(path)
-    except (pyarrow.ArrowException, OSError) as error:
-        raise InputError(f"not a readable Parquet file ({str(error).splitlines()[0]})", file=path) from None
+        names = [str(name) for name in table.column_names]
+    except Exception as error:  # a damaged file can fail anywhere inside the library
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"not a readable Parquet file ({said})", file=path) from None
     columns: dict[str, list[str] | NDArray[Any]] = {}
-    for name, column in zip(table.column_names, table.columns, strict=True):
+    for name, column in zip(names, table.columns, strict=True):
         if pyarrow.types.is_timestamp(column.type):  # it tells its unit, whatever the mapping says
-            nanoseconds = column.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
+            try:
+                nanoseconds = column.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
+            except pyarrow.ArrowInvalid:
+                said = f"column {name!r} has a stamp outside the years 1678 to 2262, which 64 bits of nanoseconds hold"
+                raise InputError(said, file=path) from None
             columns[name] = seconds_of(nanoseconds.to_numpy(zero_copy_only=False), 1e-9) / time_unit
         elif pyarrow.types.is_integer(column.type) or pyarrow.types.is_floating(column.type):
             columns[name] = column.to_numpy(zero_copy_only=False)

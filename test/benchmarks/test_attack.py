@@ -10,6 +10,7 @@ import pytest
 
 bags = pytest.importorskip("benchmarks.attack.bags", reason="run from the root of the repository")
 text = pytest.importorskip("benchmarks.attack.text", reason="run from the root of the repository")
+files = pytest.importorskip("benchmarks.attack.files", reason="run from the root of the repository")
 commands = pytest.importorskip("benchmarks.attack.commands", reason="run from the root of the repository")
 referee = pytest.importorskip("benchmarks.attack.referee", reason="run from the root of the repository")
 
@@ -18,7 +19,7 @@ def counts(capfd: pytest.CaptureFixture) -> dict[str, int]:
     return dict(json.loads(capfd.readouterr().out.splitlines()[-1]))
 
 
-@pytest.mark.parametrize(("campaign", "count"), [(bags, 60), (text, 60), (commands, 15)])
+@pytest.mark.parametrize(("campaign", "count"), [(bags, 60), (text, 60), (files, 120), (commands, 15)])
 def test_no_mutant_gets_through(campaign, count: int, capfd: pytest.CaptureFixture) -> None:
     assert campaign.main(["--count", str(count), "--seed", "7"]) == 0
     found = counts(capfd)

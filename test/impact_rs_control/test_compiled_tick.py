@@ -15,6 +15,7 @@ from impact_rs_control.closed_loop import make_plant, run_closed_loop
 from impact_rs_control.controller import IDLE_WEIGHT, Mode
 from impact_rs_control.detection import BASELINE_TIME
 from impact_rs_control.plan import TrialPlan, plan_trial
+from impact_rs_sim import _kernel
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 
@@ -94,6 +95,21 @@ def test_torque_and_wrench_are_those_of_numpy_through_all_modes(name: str, objec
             modes.add(command.mode)
     plant.close()
     assert modes == set(Mode)
+
+
+@pytest.mark.parametrize("angle", [1e-9, 0.3, 1.9, 2.2, 2.8, 3.14, 3.5, 4.2])
+def test_an_orientation_error_is_the_shortest_turn_whatever_its_size(angle: float) -> None:
+    """Beyond 120 degrees the compiled tick takes another branch, and beyond 180 the turn the other way round."""
+    rng, nothing = np.random.default_rng(round(1e3 * angle)), np.zeros(6)
+    for _ in range(20):
+        axis = rng.standard_normal(3)
+        axes = pin.exp3(rng.standard_normal(3))
+        wanted = axes @ pin.exp3(angle * axis / np.linalg.norm(axis))
+        phase = (np.zeros((1, 3)), np.zeros((1, 6)), np.zeros((1, 6)), np.ones(6))
+        law = _kernel.TaskLaw(np.ones(6), (), phase, phase, wanted[None], np.zeros((1, 6)), idle_rate=0.0, idle=False)
+        state = (nothing, nothing, np.eye(6), np.eye(6), nothing, np.zeros(3), axes, nothing)
+        tilt = law.decide(0, False, 0.0, *state)[0][3:]
+        np.testing.assert_allclose(tilt, axes @ pin.log3(axes.T @ wanted), atol=1e-9)
 
 
 def arrays(told: Any) -> list[np.ndarray]:

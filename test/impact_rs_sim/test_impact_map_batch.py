@@ -74,6 +74,17 @@ def test_a_question_without_an_answer_costs_the_others_nothing() -> None:
     assert np.isnan(found.residual[2]) and found.contacts[2] == 0
 
 
+@pytest.mark.parametrize("value", [-1e-3, np.nan, np.inf])
+def test_a_motor_inertia_that_no_motor_has_is_refused(value: float) -> None:
+    """A slightly negative one leaves M + B positive definite, so that only the check can notice."""
+    batch = batch_about(nominal(), np.random.default_rng(8))
+    batch.motor_inertia["arm"][3, 1] = value
+    found = solve_batch(batch)
+    assert set(found.refused) == {3}
+    assert "motor_inertia.arm" in found.refused[3]
+    assert np.isnan(found.object_twist[3]).all()
+
+
 @pytest.mark.parametrize(
     ("changed", "told"),
     [

@@ -402,3 +402,46 @@ def test_a_mesh_that_no_viewer_would_find_is_left_out(tmp_path: Path) -> None:
     mesh = '<visual><geometry><mesh filename="meshes/upper.stl"/></geometry></visual>'
     robot = import_urdf(write(tmp_path, link("base"), link("upper", BODY + mesh), *ARM[2:]))
     assert not any(one.meshes for one in robot.facts.links)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (BODY, BODY + BODY, "link upper: <link> has 2 <inertial>, expected one"),
+        ('<mass value="2"/>', '<mass value="2"/><mass value="1"/>', "link base: <inertial> has 2 <mass>, expected one"),
+        (
+            '<origin xyz="0 0 0.2"',
+            '<origin xyz="0 0 9"/><origin xyz="0 0 0.2"',
+            "joint shoulder: <joint> has 2 <origin>",
+        ),
+        (LIMIT, f'<axis xyz="0 0 1"/><axis xyz="1 0 0"/>{LIMIT}', "joint shoulder: <joint> has 2 <axis>, expected one"),
+        (LIMIT, LIMIT + LIMIT, "joint shoulder: <joint> has 2 <limit>, expected one"),
+        ('name="elbow"', 'name="shoulder"', "joint shoulder: there are two joints of this name"),
+    ],
+)
+def test_of_two_elements_none_is_taken(tmp_path: Path, old: str, new: str, said: str) -> None:
+    parts = list(ARM)
+    place = 1 if old == BODY else next(number for number, part in enumerate(parts) if old in part)
+    parts[place] = parts[place].replace(old, new)
+    with pytest.raises(InputError) as caught:
+        import_urdf(write(tmp_path, *parts))
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("size", [1e200, 1e-3, 1.0])
+def test_the_direction_of_an_axis_does_not_depend_on_its_length(tmp_path: Path, size: float) -> None:
+    def facts(axis: str) -> RobotModel:
+        parts = (*ARM[:3], joint("shoulder", "base", "upper", inside=f'<axis xyz="{axis}"/>{LIMIT}'), ARM[4])
+        return RobotModel(import_urdf(write(tmp_path, *parts)).facts, weightless())
+
+    q = np.array([0.3, -0.4])
+    long, short = facts(f"{size!r} {-size!r} 0"), facts("1 -1 0")
+    np.testing.assert_allclose(long.mass_matrix(q), short.mass_matrix(q), rtol=1e-12)
+    np.testing.assert_allclose(long.jacobian(q), short.jacobian(q), atol=1e-12)
+
+
+@pytest.mark.parametrize("number", ["3_7", "\uff11", "1d3"])
+def test_numbers_of_a_urdf_are_decimal(tmp_path: Path, number: str) -> None:
+    parts = [part.replace('<mass value="2"/>', f'<mass value="{number}"/>') for part in ARM]
+    with pytest.raises(InputError, match="expected 1 finite number"):
+        import_urdf(write(tmp_path, *parts))

@@ -77,6 +77,9 @@ class BagFormat:
     child: str = "box"
     wrench: bool = False
     stamps: bool = True
+    log_rate: float = 1.0  # of the clock of the log, by that of the stamps
+    logged_late: int = LOG_LATE  # ns after the stamp of the joint states
+    pose_logged_late: int = POSE_LATE
     topics: dict[str, str] = field(default_factory=dict)  # others than usual, by the usual one
 
     def write(self, path: Path, signals: Signals) -> Path:
@@ -153,14 +156,14 @@ class BagFormat:
         if self.wrench:
             kinds["/wrench"] = geometry + "WrenchStamped"
         messages: list[tuple[int, str, object]] = []
-        logs = np.maximum.accumulate(signals.time)  # the log's clock never runs backwards
+        logs = self.log_rate * np.maximum.accumulate(signals.time)  # the log's clock never runs backwards
         for row, (time, log) in enumerate(zip(signals.time, logs, strict=True)):
             numbers = {
                 name: getattr(signals, source)[row, list(self.order)].astype(float)
                 for name, source in (("position", "position"), ("velocity", "velocity"), ("effort", "torque"))
             }
             state = make[kinds["/joint_states"]](header=header(time), name=list(self.joints), **numbers)
-            messages.append((int(log) + LOG_LATE, "/joint_states", state))
+            messages.append((int(log) + self.logged_late, "/joint_states", state))
             messages.append((int(log) + COMMAND_LATE, "/effort_controller/commands", command(time, row)))
         for time in signals.time[::2] if self.wrench else ():
             force = make[geometry + "Vector3"](x=1.0, y=float(time), z=3.0)
@@ -168,7 +171,7 @@ class BagFormat:
             stamped = make[geometry + "WrenchStamped"](header=header(time), wrench=wrench)
             messages.append((int(time) + LOG_LATE, "/wrench", stamped))
         for row, time in enumerate(signals.object_time):
-            messages.append((int(time) + POSE_LATE, "/mocap/box/pose", pose(time, signals.pose[row])))
+            messages.append((int(time) + self.pose_logged_late, "/mocap/box/pose", pose(time, signals.pose[row])))
         with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             connections = {
                 topic: writer.add_connection(self.topics.get(topic, topic), kind, typestore=store)

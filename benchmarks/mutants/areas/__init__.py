@@ -14,6 +14,7 @@ from areas import (
     net_feedback,
     outcome,
     plant,
+    recordings,
     references,
     replay,
     robots,
@@ -35,4 +36,5 @@ AREAS: dict[str, list[Mutant]] = {
     "replay": replay.MUTANTS,
     "robots": robots.MUTANTS,
     "workbench": workbench.MUTANTS,
+    "recordings": recordings.MUTANTS,
 }

@@ -13,6 +13,7 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, read_document
 from impact_rs_analysis.diagnosis.hold_out import folds_of
@@ -243,6 +244,26 @@ def test_all_kinds_of_files_say_the_same(planted: Columns, tmp_path: Path) -> No
         for name, column in (("position", "position"), ("velocity", "velocity"), ("torque", "effort")):
             assert np.array_equal(getattr(recording, name), few[column])
     assert all(is_foreign(path) for path in paths)
+
+
+def test_what_a_frozen_or_wild_sensor_spoiled_is_left_out_and_told(planted: Columns, tmp_path: Path) -> None:
+    """Left are the stretches before and after, with names of their own, and their residuals as without the faults."""
+    whole = source_of(write_npz(tmp_path / "whole.npz", planted))
+    position, velocity = planted["position"].copy(), planted["velocity"].copy()
+    stuck = (planted["time"] >= 12.0) & (planted["time"] < 20.0)
+    position[stuck, 3] = position[stuck, 3][0]
+    velocity[100, 5] = 50.0
+    source = source_of(write_npz(tmp_path / "spoiled.npz", {**planted, "position": position, "velocity": velocity}))
+    told = "; ".join(source.remarks)
+    assert "spoiled.npz: array 'position' (position): joint 4: frozen at" in told
+    assert "(velocity): joint 6: 1 of" in told
+    assert told.count("joint 4") == 1
+    names = [item.name for item in source.clusters]
+    assert len(set(names)) == len(names)
+    assert not any(12.0 < float(name.split()[1]) < 20.0 for name in names)
+    assert source.facts.files == (str(tmp_path / "spoiled.npz"),)
+    np.testing.assert_allclose(source.sigma, whole.sigma, rtol=0.2)
+    assert compare(source).remarks == source.remarks[-2:]
 
 
 def test_a_campaign_is_not_foreign(push_campaign: Path) -> None:

@@ -84,6 +84,20 @@ def test_scatter_of_the_hits_is_that_of_the_answer() -> None:
     assert 0.6 < np.std(errors) < 1.3
 
 
+@pytest.mark.parametrize(("directions", "unknowns"), [((-1.6, -0.4, 0.3, 1.0), 3), ((-1.6, -1.6, -1.6, -1.6), 2)])
+def test_every_unknown_takes_one_degree_of_freedom(directions: tuple[float, ...], unknowns: int) -> None:
+    """The same hits three times have three times the squares: the variance goes as 1 / (numbers - unknowns)."""
+    rng = np.random.default_rng(3)
+    touches = [
+        touch(direction, apart=rng.normal(0.0, 0.01), tilt=rng.normal(0.0, 0.1), number=number)
+        for number, direction in enumerate(directions)
+    ]
+    once, thrice = contact_frame(touches, GIVEN, NO_YAW), contact_frame(3 * touches, GIVEN, NO_YAW)
+    np.testing.assert_allclose(thrice.position, once.position, atol=1e-7)
+    freedom = np.array([2 * len(touches) - unknowns, 6 * len(touches) - unknowns])
+    np.testing.assert_allclose(thrice.error**2 * freedom[1], once.error**2 * freedom[0], rtol=1e-5)
+
+
 def test_objects_that_do_not_move_leave_the_yaw_to_start_from() -> None:
     still = [replace(touch(-1.5), object_way=np.zeros(2))]
     assert contact_frame(still, GIVEN, 2.3).yaw == pytest.approx(2.4, abs=1e-6)

@@ -62,9 +62,12 @@ def test_without_further_columns_there_is_one_condition(tmp_path: Path) -> None:
         (["run_1,none,free_motion"], "line 2, kind = 'free_motion': expected 'hit' or 'free motion'; did you mean "),
         (["run_1,parcel,free motion"], "line 2, object = 'parcel': expected 'none', nothing is touched in free motion"),
         (["run_1,parcel,hit", "", "run_1,juice,hit"], "line 4, bag = 'run_1': stands in line 2 already"),
+        (["run_1,none,free motion", "run_1,none,free motion"], "line 3, bag = 'run_1': stands in line 2 already"),
         (["run_4,parcel,hit"], "line 2, bag = 'run_4': run_4.csv, run_4.npz are all there; name one of them"),
         ([",parcel,hit"], "line 2, bag = '': expected the name of a recording"),
         (["run_1,parcel"], "line 2: 2 cells, expected 3 as in the header"),
+        (['run_1,parcel,"hit', "run_2,juice,hit"], "line 2: quotation marks"),
+        (['"run_1,parcel,hit', 'run_2",juice,hit'], "line 2: quotation marks"),
         ([], "no run below the header bag,object,kind"),
     ],
 )  # fmt: skip

@@ -208,6 +208,53 @@ def test_what_is_no_table_is_told(tmp_path: Path, name: str, text: str, message:
         read_impact_table(tmp_path / "nowhere.csv")
 
 
+@pytest.mark.parametrize("moments", [(1.0, 1e-9, 1e-9), (1e-9, 1.0, 1e-9), (0.2, 0.1, 0.301)])
+def test_moments_that_no_body_has_are_refused(
+    tmp_path: Path, cubes: list[dict[str, Any]], moments: tuple[float, float, float]
+) -> None:
+    own = dict(zip(("ixx [kg m^2]", "iyy [kg m^2]", "izz [kg m^2]"), moments, strict=True))
+    with pytest.raises(InputError, match="row 1, columns 'ixx', 'iyy', 'izz' .*no body has these principal moments"):
+        read_impact_table(write(tmp_path / "cubes.csv", [row | own for row in cubes]))
+
+
+def test_a_thin_plate_is_a_body(tmp_path: Path, cubes: list[dict[str, Any]]) -> None:
+    own = {"ixx [kg m^2]": 0.1, "iyy [kg m^2]": 0.1, "izz [kg m^2]": 0.2}
+    table = read_impact_table(write(tmp_path / "cubes.csv", [row | own for row in cubes]))
+    assert table.rows[0].physics.object.inertia == pytest.approx([0.1, 0.1, 0.2])
+
+
+@pytest.mark.parametrize("last", [None, 3])
+def test_a_stray_quotation_mark_in_an_unread_column_does_not_swallow_impacts(
+    tmp_path: Path, cubes: list[dict[str, Any]], last: int | None
+) -> None:
+    file = write(tmp_path / "cubes.csv", [row | {"remark": "fine"} for row in cubes])
+    lines = file.read_text().splitlines()
+    lines[1] = lines[1].replace("fine", '"fine')
+    if last is not None:
+        lines[last] = lines[last].replace("fine", '"')
+    file.write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match=r"cubes.csv: line 2: quotation marks \("):
+        read_impact_table(file)
+
+
+@pytest.mark.parametrize("text", ["3_7", "\uff11\uff12"])
+def test_numbers_of_a_table_are_decimal(tmp_path: Path, cubes: list[dict[str, Any]], text: str) -> None:
+    with pytest.raises(InputError, match="row 1, column 'mass .kg.' = .*expected a number"):
+        read_impact_table(write(tmp_path / "cubes.csv", [row | {"mass [kg]": text} for row in cubes]))
+
+
+def test_noise_stands_in_the_order_of_the_velocities(
+    tmp_path: Path, cubes: list[dict[str, Any]], pushes: list[dict[str, Any]]
+) -> None:
+    own = {"v_noise [m/s]": 0.01, "w_noise [rad/s]": 0.2}
+    free = read_impact_table(write(tmp_path / "cubes.csv", [row | own for row in cubes]))
+    np.testing.assert_allclose(free.noise, np.tile([0.01] * 3 + [0.2] * 3, (5, 1)))
+    arm = read_impact_table(
+        write(tmp_path / "pushes.csv", [row | own | {"dq_noise [rad/s]": 0.003} for row in pushes]), PUSH
+    )
+    np.testing.assert_allclose(arm.noise[0], [0.003] * 7 + [0.01] * 3 + [0.2] * 3)
+
+
 def test_every_column_is_documented() -> None:
     """In the module as on the page; of columns alike for all axes or points, the first."""
     page = (Path(__file__).parents[3] / "docs" / "impact_tables.md").read_text(encoding="utf-8")

@@ -113,6 +113,25 @@ def test_on_the_clock_of_the_log_everything_is_as_late_as_it_is_logged(laborator
     assert run.object_time[0] == pytest.approx(0.004, abs=1e-6)
 
 
+@pytest.mark.parametrize(("joints", "pose", "told"), [(20, 60, ""), (10, 80, "+70.0 ms"), (30, 20, "-10.0 ms")])
+def test_a_pose_is_late_by_what_it_is_logged_later_than_joints_of_its_stamp(
+    laboratory: LaboratoryFolder, joints: int, pose: int, told: str
+) -> None:
+    laboratory.bag(logged_late=joints * 1_000_000, pose_logged_late=pose * 1_000_000)
+    remarks = [remark for remark in laboratory.read()[0].remarks if "after joint states of the same stamp" in remark]
+    assert [remark.split()[2:4] for remark in remarks] == ([told.split()] if told else [])
+
+
+@pytest.mark.parametrize(("rate", "told"), [(0.99, "-6.3 ms"), (1.01, "6.3 ms"), (1.001, "")])
+def test_a_log_that_runs_slower_or_faster_than_the_stamps_is_told(
+    laboratory: LaboratoryFolder, rate: float, told: str
+) -> None:
+    laboratory.bag(log_rate=rate)
+    remark = next(remark for remark in laboratory.read()[0].remarks if remark.startswith("/effort_controller"))
+    assert (f"(which drifts by {told} during the run)" in remark) is bool(told)
+    assert ("drifts" in remark) is bool(told)
+
+
 def test_a_name_in_a_topic_may_be_that_of_the_object_or_the_arm(laboratory: LaboratoryFolder) -> None:
     laboratory.bag(topics={"/mocap/box/pose": "/mocap/parcel/pose", "/joint_states": "/arm/joint_states"})
     laboratory.mapping({"object_pose": {"topic": "/mocap/{object}/pose"}, "position": {"topic": "/{arm}/joint_states"}})
@@ -256,6 +275,15 @@ def test_a_folder_per_run_with_a_file_per_group(laboratory: LaboratoryFolder) ->
         }
     )
     assert_known(laboratory.read()[0], laboratory.signals)
+
+
+def test_a_table_may_lie_beside_the_bag_of_a_run(laboratory: LaboratoryFolder) -> None:
+    signals = laboratory.signals
+    laboratory.bag(topics={"/mocap/box/pose": ""})
+    pose = dict(zip(POSE_COLUMNS, signals.pose.T, strict=True))
+    write_csv(laboratory.path / "run_1_box.csv", {"time": 1_763_500_000 + 1e-9 * signals.object_time, **pose})
+    laboratory.mapping({"object_pose": {"file": "{run}_box.csv", "columns": POSE_COLUMNS}})
+    assert_known(laboratory.read()[0], signals, 150e-6)
 
 
 @pytest.mark.parametrize(("package", "name"), [("pyarrow", "run_1.parquet"), ("h5py", "run_1.h5")])

@@ -13,7 +13,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.recordings.mapping import Mapping, SignalSource, TimeSource, load_mapping
-from impact_rs_trials.recordings.recording import find_recordings, is_foreign, read_recording
+from impact_rs_trials.recordings.recording import Recording, find_recordings, is_foreign, read_recordings
 
 STORE = typestore()
 PLAIN = load_mapping("joint_state")
@@ -23,6 +23,12 @@ CENTRE = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.5])  # rad
 POSITION = CENTRE + 0.3 * np.sin(2.0 * TIME[:, None] + PHASE)
 VELOCITY = 0.6 * np.cos(2.0 * TIME[:, None] + PHASE)
 TORQUE = 3.0 * np.sin(TIME[:, None] + PHASE)
+
+
+def read_recording(path: Path, mapping: Mapping) -> Recording:
+    """The one piece that a file without faults has."""
+    (whole,) = read_recordings(path, mapping)
+    return whole
 
 
 def units(**changes: object) -> Mapping:

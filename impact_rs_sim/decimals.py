@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers in text files: decimal notation only, where Python's own ``float`` reads more than people write."""
+
+from __future__ import annotations
+
+import re
+
+_DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|[+-]?(?:nan|inf)", re.IGNORECASE)
+
+
+def decimal(text: str) -> float:
+    """The number that a cell or attribute holds.
+
+    ``float`` also takes ``3_7`` for 37 and digits of other scripts; here both are mistakes, as is a comma.
+
+    Args:
+        text: Digits 0 to 9 with sign, point and exponent; ``nan`` or ``inf``; blanks around it.
+
+    Raises:
+        ValueError: It is no such number.
+    """
+    word = text.strip(" \t\r\n")
+    if _DECIMAL.fullmatch(word) is None:
+        shown = word if len(word) <= 40 else f"{word[:40]}..."
+        raise ValueError(f"could not convert string to float: {shown!r}")
+    return float(word)

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CSV files, one row a line, so that no row can vanish in the cell of another."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+from impact_rs_sim.errors import InputError
+
+
+def csv_rows(path: Path) -> list[tuple[int, list[str]]]:
+    """Cells of every row with the line it stands in, counted from 1.
+
+    Cells are separated by commas, semicolons or tabs, whichever the first row has most of. Empty lines and lines that
+    begin with # are skipped. A quoted cell ends in its line: with a stray quotation mark a cell would go on until the
+    next one and swallow the rows between them.
+
+    Args:
+        path: The file, in UTF-8.
+
+    Raises:
+        InputError: It cannot be read, or a line is no row; the message names the line.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"not a table in UTF-8: {error}", file=path) from None
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from None
+    lines = [(number, line) for number, line in enumerate(text.split("\n"), 1)]
+    lines = [(number, line) for number, line in lines if line.strip() and not line.startswith("#")]
+    if not lines:
+        return []
+    separator = max(",;\t", key=lines[0][1].count)
+    return [(number, _cells(path, number, line, separator)) for number, line in lines]
+
+
+def _cells(path: Path, number: int, line: str, separator: str) -> list[str]:
+    """Cells of one line."""
+    try:
+        (cells,) = csv.reader([line], delimiter=separator, skipinitialspace=True, strict=True)
+    except csv.Error as error:
+        if "field limit" in str(error):
+            said = f"a cell has more than {csv.field_size_limit()} characters"
+        else:
+            said = (
+                f'quotation marks (") do not pair up in {line[:60]!r}; a quoted cell ends in its line: remove the '
+                "stray mark or the line break, or double a mark that belongs to the cell"
+            )
+        raise InputError(said, file=path, key=f"line {number}") from None
+    return cells

@@ -1,0 +1,311 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples that a sensor did not measure: outliers and frozen values, judged joint by joint and left out.
+
+A sample x_k of a signal is an *outlier* where it stands alone,
+
+    d_k = |x_k - median(x_{k-2} ... x_{k+2})|  >  max(ALONE * 1.4826 * median |d| about it, F)
+
+with a floor F that no joint reaches and leaves within two samples: half the data sheet's velocity or torque, the way
+that the fastest motion goes in a sampling period, and at least 12 steps of the sensor's resolution. It is one as well
+where it lies beyond the data sheet, which of a hit the 50 ms after the impact may do. Steps, as an impact makes them,
+are no outliers: three of five samples are on one side.
+
+False alarms: normal noise exceeds 12 standard deviations with a probability of 4e-33 per sample, Laplace noise exceeds
+the same threshold with 4e-6, and either has to exceed F too. Where more than 2 % of a joint's samples would be outliers
+the signal is noisy, or in another unit: they stay, and the limits of the data sheet decide.
+
+A run of identical values is *frozen* where other measurements contradict it: a joint that stands still by its position
+and moves by its velocity (or the other way around), one that stops dead while the others go on, a torque that stays
+while the arm's weight changes. Runs of a sensor that repeats values as a rule (quantised, or sampled more slowly than
+it is recorded) must be ten times as long as its usual ones. A joint that stands still in the whole recording, with
+velocity 0, counts as resting.
+
+False alarms: none in 2000 simulated recordings of quantised encoders that rest, creep and turn back (the first 300 of
+them in ``test_faults.py``), which is less than 0.15 % of recordings at 95 % confidence. Found of 208 joints that freeze
+for half a recording and would have moved by 0.1 rad: 90 % where the velocity has a sensor of its own, 79 % of frozen
+velocities, and 28 % where the velocity is the frozen encoder's own difference, which says something only if the joint
+moves as it freezes. Found as well: all torques whose weight changes by 1 N m, and all single samples of 50 rad/s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from collections.abc import Mapping as AbstractMapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.mapping import Mapping, SignalName
+from impact_rs_trials.recordings.series import Series
+
+Mask = NDArray[np.bool_]
+
+MARGIN = 0.1  # rad or m, how far a measured position may lie outside the data sheet's limits
+EXCESS = 1.2  # times those of the data sheet, which a measured velocity or torque may be
+ALONE = 12.0  # robust standard deviations
+ABOUT = 50  # samples to either side that the standard deviation is taken from
+FLOOR = 0.5  # of the data sheet's velocity or torque
+FEW = 0.02  # of a joint's samples, which outliers may be
+AFTER_IMPACT = 0.05  # s, in which velocities and torques of a hit may be beyond the data sheet
+BEFORE_IMPACT = 0.01  # s
+LEAST_TIME = 0.05  # s, of a frozen run
+LEAST_RUN = 20  # samples
+USUAL_RUNS = 10  # times the usual run of identical values
+MOVES = 0.02  # of the data sheet's velocity, from which a joint moves
+OFTEN = 0.9  # of a run need tell nothing: the joint may rest in most of it
+EDGE = 0.02  # s before and after the edge of a run, in which the speed is taken
+STEADY = (0.8, 1.25)  # ratio of speeds in neighbouring stretches of a joint that neither brakes nor speeds up
+RESOLUTIONS = 10  # of a sensor, a change that it certainly sees
+WEIGHT = 0.01  # of the data sheet's torque, a change of weight that a torque sensor certainly sees
+
+PAIRS: tuple[tuple[SignalName, SignalName], ...] = (("position", "velocity"), ("motor_position", "motor_velocity"))
+
+
+def without_faults(
+    series: AbstractMapping[SignalName, Series],
+    mapping: Mapping,
+    model: RobotModel | None = None,
+    impact_of: Callable[[Series], float] | None = None,
+) -> tuple[dict[SignalName, Series], list[str]]:
+    """Signals without the samples that no sensor measured.
+
+    Args:
+        series: Signals of one arm in SI units, with checked stamps.
+        mapping: Knows robot and limits.
+        model: Tells the arm's weight; None: torques are not judged by it.
+        impact_of: Finds the impact in joint velocities, on the stamps' clock [s]; None: free motion.
+
+    Returns:
+        The signals, and what was left out of each.
+    """
+    cleaned, remarks = dict(series), []
+    impact = None
+    if impact_of is not None and "velocity" in cleaned:
+        velocity = cleaned["velocity"]
+        impact = impact_of(
+            _without(velocity, _alone(velocity.values, FLOOR * np.array(mapping.facts.limits.velocity_rad_s)))
+        )
+    judged: tuple[SignalName, ...] = ("position", "velocity", "torque", "motor_position", "motor_velocity")
+    for name in judged:
+        if name in cleaned:
+            wrong = outliers(name, cleaned[name], mapping, impact)
+            remarks += _tell(cleaned[name], wrong, "outlier", mapping, name)
+            cleaned[name] = _without(cleaned[name], wrong)
+    frozen: dict[SignalName, Mask] = {}
+    for place, speed in PAIRS:
+        if place in cleaned and speed in cleaned:
+            frozen[place] = _still_in_motion(cleaned[place], cleaned[speed], mapping, impact)
+            frozen[speed] = _motion_unlike_way(cleaned[speed], cleaned[place], mapping)
+    if "torque" in cleaned and "position" in cleaned and model is not None:
+        kept = cleaned["position"]
+        moving = _without(kept, frozen.get("position", np.zeros(kept.values.shape, dtype=bool)))
+        if moving.time.size:
+            frozen["torque"] = _torque_unlike_weight(cleaned["torque"], moving, mapping, model)
+    for stuck, wrong in frozen.items():
+        remarks += _tell(cleaned[stuck], wrong, "frozen", mapping, stuck)
+        cleaned[stuck] = _without(cleaned[stuck], wrong)
+    return cleaned, remarks
+
+
+# ---- outliers -------------------------------------------------------------------------------------------------------
+
+
+def outliers(name: SignalName, series: Series, mapping: Mapping, impact: float | None) -> Mask:
+    """Samples of a joint signal that stand alone or lie beyond the data sheet, ``(k, n)``.
+
+    Args:
+        name: Position, velocity or torque of joints or motors.
+        series: The signal in SI units.
+        mapping: Knows robot and limits.
+        impact: When the impact is [s]; None: free motion.
+    """
+    values, time = series.values, series.time
+    limits = mapping.facts.limits
+    fastest = EXCESS * np.array(limits.velocity_rad_s)
+    if name.endswith("position"):
+        floor = np.maximum(fastest * float(np.median(np.diff(time))), ALONE * _resolution(values))
+        low, high = np.array(limits.position_min_rad) - MARGIN, np.array(limits.position_max_rad) + MARGIN
+        beyond = (values < low) | (values > high)
+    else:
+        most = np.array(limits.torque_Nm if name == "torque" else limits.velocity_rad_s)
+        floor, beyond = np.maximum(FLOOR * most, ALONE * _resolution(values)), np.abs(values) > EXCESS * most
+    if impact is not None and not name.endswith("position"):
+        beyond[(time >= impact - BEFORE_IMPACT) & (time <= impact + AFTER_IMPACT)] = False
+    if name.startswith("motor"):  # whose limits the data sheet does not tell
+        beyond[:] = False
+    alone = _alone(values, floor)
+    if name == "torque" and impact is not None:  # a sensor may well see a blow in one sample
+        alone[(time >= impact - BEFORE_IMPACT) & (time <= impact + AFTER_IMPACT)] = False
+    alone[:, alone.mean(axis=0) > FEW] = False
+    wrong = alone | beyond
+    wrong[:, wrong.mean(axis=0) > FEW] = False
+    return np.asarray(wrong)
+
+
+def _alone(values: Array, floor: Array) -> Mask:
+    """Samples far from the median of the five about them, ``(k, n)``."""
+    if values.shape[0] < 5:
+        return np.zeros(values.shape, dtype=bool)
+    windows = np.lib.stride_tricks.sliding_window_view(values, 5, axis=0)
+    median = np.median(windows, axis=-1)
+    median = np.concatenate((median[[0, 0]], median, median[[-1, -1]]))
+    beside = np.abs(values - median)
+    for ends, inwards in ((beside[:2], values), (beside[:-3:-1], values[::-1])):  # which are amid no five samples
+        for row in (0, 1):
+            one, two, three = inwards[row + 1], inwards[row + 2], inwards[row + 3]
+            straight = np.abs(inwards[row] - (2.0 * one - two)), np.abs(inwards[row] - (3.0 * two - 2.0 * three))
+            ends[row] = np.minimum(*straight)
+    found = beside > floor
+    for row, joint in np.argwhere(found):
+        about = beside[max(0, row - ABOUT) : row + ABOUT + 1, joint]
+        found[row, joint] = beside[row, joint] > ALONE * 1.4826 * float(np.median(about))
+    return np.asarray(found)
+
+
+def _resolution(values: Array) -> Array:
+    """Smallest change of each joint's numbers, ``(n,)``; 0 where nothing changes."""
+    steps = np.abs(np.diff(values, axis=0))
+    steps = np.where(steps > 0.0, steps, np.inf)
+    least = np.min(steps, axis=0)
+    return np.where(np.isfinite(least), least, 0.0)
+
+
+# ---- frozen values --------------------------------------------------------------------------------------------------
+
+
+def _runs(series: Series, joint: int) -> list[slice]:
+    """Runs of identical values that are much longer than usual."""
+    time, values = series.time, series.values[:, joint]
+    edges = np.flatnonzero(np.diff(values) != 0.0)
+    first, last = np.append(0, edges + 1), np.append(edges, values.size - 1)
+    usual = float(np.median((last - first + 1)[1:-1])) if first.size > 2 else 1.0
+    least = max(LEAST_RUN, USUAL_RUNS * usual)
+    return [
+        slice(int(a), int(b) + 1)
+        for a, b in zip(first, last, strict=True)
+        if b - a + 1 >= least and time[b] - time[a] >= LEAST_TIME
+    ]
+
+
+def _still_in_motion(position: Series, velocity: Series, mapping: Mapping, impact: float | None) -> Mask:
+    """Positions that stay the same while the joint moves, by its velocity or by how it stops, ``(k, n)``."""
+    time, values = position.time, position.values
+    speed = velocity.at(time)
+    moves = MOVES * np.array(mapping.facts.limits.velocity_rad_s)
+    resolution = _resolution(values)
+    frozen = np.zeros(values.shape, dtype=bool)
+    for joint in range(values.shape[1]):
+        for run in _runs(position, joint):
+            way = np.append(0.0, np.cumsum(0.5 * (speed[run, joint][1:] + speed[run, joint][:-1]) * np.diff(time[run])))
+            told = np.quantile(np.abs(_speeds(time[run], way)), OFTEN)
+            by_velocity = told > moves[joint] and np.ptp(way) > RESOLUTIONS * resolution[joint]
+            at_impact = impact is not None and abs(time[run.start] - impact) < AFTER_IMPACT
+            if by_velocity or (not at_impact and _stops_dead(position, run, joint, moves, resolution)):
+                frozen[run, joint] = True
+    return frozen
+
+
+def _stops_dead(position: Series, run: slice, joint: int, moves: Array, resolution: Array) -> bool:
+    """Whether a joint stands still (or starts) without braking (or speeding up) while the others go on."""
+    return _dead_edge(position.time, position.values, run.start, joint, moves, resolution) or _dead_edge(
+        -position.time[::-1], position.values[::-1], position.time.size - run.stop, joint, moves, resolution
+    )
+
+
+def _dead_edge(time: Array, values: Array, edge: int, joint: int, moves: Array, resolution: Array) -> bool:
+    """The same of the sample ``edge``, from which on the joint stands still."""
+    width = max(3, int(np.searchsorted(time - time[0], EDGE)))
+    moved = edge - 1  # the last sample of the motion
+    if moved < 2 * width or edge + width >= time.size:
+        return False
+
+    def speed(first: int, last: int) -> Array:
+        return np.asarray((values[last] - values[first]) / (time[last] - time[first]))
+
+    before, earlier = speed(moved - width, moved), speed(moved - 2 * width, moved - width)
+    after = speed(edge, edge + width)
+    way = abs(values[moved, joint] - values[moved - width, joint])
+    if abs(before[joint]) < moves[joint] or way < 2.0 * RESOLUTIONS * resolution[joint]:
+        return False
+    if not STEADY[0] < abs(before[joint]) / max(abs(earlier[joint]), 1e-12) < STEADY[1]:
+        return False
+    others = np.arange(values.shape[1]) != joint
+    share = np.abs(before[others]) / moves[others], np.abs(after[others]) / moves[others]
+    return bool(np.max(share[0], initial=0.0) > 1.0 and np.sum(share[1]) > STEADY[0] * np.sum(share[0]))
+
+
+def _speeds(time: Array, place: Array) -> Array:
+    """Mean speeds over stretches of at least ``LEAST_TIME`` and half of a least run, ``(p,)``."""
+    parts = max(1, min(int((time[-1] - time[0]) / LEAST_TIME), 2 * time.size // LEAST_RUN))
+    edges = np.linspace(float(time[0]), float(time[-1]), parts + 1)
+    return np.asarray(np.diff(np.interp(edges, time, place)) / (edges[1] - edges[0]))
+
+
+def _motion_unlike_way(velocity: Series, position: Series, mapping: Mapping) -> Mask:
+    """Velocities that stay the same while the position tells of others, ``(k, n)``.
+
+    Where velocities are not those of the positions outside of such runs either, unit or sign are wrong, not a sensor.
+    """
+    time, values, places = velocity.time, velocity.values, position.at(velocity.time)
+    moves = MOVES * np.array(mapping.facts.limits.velocity_rad_s)
+    least, steps = _resolution(values), _resolution(position.values)
+    derived = np.gradient(places, time, axis=0)
+    frozen = np.zeros(values.shape, dtype=bool)
+    for joint in range(values.shape[1]):
+        for run in _runs(velocity, joint):
+            beside = np.abs(_speeds(time[run], places[run, joint]) - values[run.start, joint])
+            if np.quantile(beside, OFTEN) > moves[joint] + 2.0 * least[joint] + 4.0 * steps[joint] / LEAST_TIME:
+                frozen[run, joint] = True
+        live = ~frozen[:, joint]
+        power = float(np.sum(np.square(derived[live, joint])))
+        if power == 0.0 or not 0.5 < float(np.sum(derived[live, joint] * values[live, joint])) / power < 2.0:
+            frozen[:, joint] = False
+    return frozen
+
+
+def _torque_unlike_weight(torque: Series, position: Series, mapping: Mapping, model: RobotModel) -> Mask:
+    """Torques that stay the same while the arm's weight in that joint changes, ``(k, n)``."""
+    time, values = torque.time, torque.values
+    least = np.maximum(RESOLUTIONS * _resolution(values), WEIGHT * np.array(mapping.facts.limits.torque_Nm))
+    frozen = np.zeros(values.shape, dtype=bool)
+    for joint in range(values.shape[1]):
+        for run in _runs(torque, joint):
+            rows = np.unique(np.linspace(run.start, run.stop - 1, LEAST_RUN).astype(int))
+            weight = [float(model.gravity_torque(q)[joint]) for q in position.at(time[rows])]
+            if np.ptp(weight) > least[joint]:
+                frozen[run, joint] = True
+    return frozen
+
+
+# ---- what is left ---------------------------------------------------------------------------------------------------
+
+
+def _without(series: Series, wrong: Mask) -> Series:
+    """Without the rows in which some joint is wrong."""
+    kept = ~wrong.any(axis=1)
+    if kept.all():
+        return series
+    log = None if series.log is None else series.log[kept]
+    return replace(series, time=series.time[kept], values=series.values[kept], log=log)
+
+
+def _tell(series: Series, wrong: Mask, kind: str, mapping: Mapping, name: SignalName) -> list[str]:
+    """One remark for every joint of which something is left out."""
+    remarks = []
+    for joint in np.flatnonzero(wrong.any(axis=0)).tolist():
+        rows = np.flatnonzero(wrong[:, joint])
+        start = series.time[rows] - series.time[0]
+        units = mapping.facts.units[joint]
+        unit = units.position if name.endswith("position") else units.effort if name == "torque" else units.velocity
+        value = series.values[rows[0], joint]
+        share = f"{rows.size} of {series.time.size} samples"
+        if kind == "outlier":
+            told = f"{share} {'is an outlier' if rows.size == 1 else 'are outliers'}, first {value:.4g} {unit}"
+            remarks.append(f"{series.place}: joint {joint + 1}: {told} at t = {start[0]:.3f} s: left out")
+        else:
+            told = f"frozen at {value:.4g} {unit} within t = {start[0]:.3f} ... {start[-1]:.3f} s ({share})"
+            remarks.append(f"{series.place}: joint {joint + 1}: {told}: left out")
+    return remarks
