@@ -4,6 +4,7 @@
 from mutant import Mutant
 
 from areas import (
+    cell,
     controller,
     detection,
     diagnosis,
@@ -37,4 +38,5 @@ AREAS: dict[str, list[Mutant]] = {
     "robots": robots.MUTANTS,
     "workbench": workbench.MUTANTS,
     "recordings": recordings.MUTANTS,
+    "cell": cell.MUTANTS,
 }
