@@ -5,17 +5,23 @@ Every topic that a node subscribes to gets payloads that are random, cut off, of
 of another type, or of 200 kB; most of them in mid-trial. They come from nodes with the names of those that publish
 there, for a trial that a stranger publishes in is aborted at once. Afterwards every node must be the process that it
 was and answer, and a trial that nobody disturbs must be OK.
+
+With ``--cell`` the cell is in the plant's place, with the process of the tests that stands for a robot. Payloads come on
+the topics of the robot, too, and no trial is run at the end, for the arm is not where a trial starts.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import random
+import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import rclpy
@@ -26,15 +32,37 @@ from rclpy.serialization import serialize_message
 from benchmarks.attack.trials import trial_in
 from impact_rs_ros.graph import Graph, GraphError
 from impact_rs_ros.message_types import available, message_type
+from impact_rs_ros.motion_capture import MOCAP
 from impact_rs_ros.names import on_network
-from impact_rs_ros.node_processes import NODES
 from impact_rs_ros.qos import LATCHED, STREAM
+from impact_rs_ros.robot_states import STATES
 from impact_rs_trials.bags import topics
 
+ROOT = Path(__file__).resolve().parents[2]
 LARGE = 200_000  # bytes
 BURST = 20  # payloads for every feedback of a trial
 CONTROLLER = (topics.joint_command("arm"), topics.controller_state("arm"), topics.impact_event("arm"))
 SMALL = (topics.CLOCK,)  # the middleware sends no more than the largest message of a type of fixed size
+
+
+ROBOT_TOPICS = ((STATES, topics.JOINT_STATE), (MOCAP, topics.POSE))
+PATIENT = "use_sim_time:=true state_timeout:=5.0 answer_timeout:=5.0 late_torque_share:=1.0 arm_jitter_limit:=5.0"
+
+
+@contextmanager
+def cell_and_robot(domain: int) -> Iterator[subprocess.Popen[bytes]]:
+    """The cell, and what stands for its robot, which waits for every torque and so is as slow as the machine."""
+    environment = os.environ | {"ROS_DOMAIN_ID": str(domain)}
+    values = [word for value in PATIENT.split() for word in ("-p", value)]
+    joints = ["-p", "joints:=fr3_joint{number}", "-p", "mocap:=true", "-p", "mocap_frame:=tracker"]
+    robot = [sys.executable, str(ROOT / "test" / "shared" / "effort_robot.py"), "push", "cat_food", "case_2"]
+    cell = [sys.executable, "-m", "impact_rs_ros.cell_node", "--ros-args", *joints, *values]
+    with subprocess.Popen(robot, env=environment) as first, subprocess.Popen(cell, env=environment) as second:
+        try:
+            yield second
+        finally:
+            first.terminate()
+            second.terminate()
 
 
 class Payloads:
@@ -116,13 +144,20 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=5000, help="payloads")
     parser.add_argument("--seed", type=int, default=0, help="of what is sent")
+    parser.add_argument("--cell", action="store_true", help="attack the cell in the plant's place")
     parser.add_argument("--domain", type=int, default=88, help="ROS_DOMAIN_ID")
     arguments = parser.parse_args()
     payloads, told, wrong = Payloads(arguments.seed), Counter[str](), []
     rng = random.Random(arguments.seed)
     kinds = {topic: kind for topic, kind in topics.recorded(["arm"]).items() if available(kind)}
     latched = topics.latched(["arm"])
-    with tempfile.TemporaryDirectory() as folder, Graph.running("push", arguments.domain, root=Path(folder)) as graph:
+    if arguments.cell:
+        kinds |= dict(ROBOT_TOPICS)
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory())
+        cell = stack.enter_context(cell_and_robot(arguments.domain)) if arguments.cell else None
+        without = ["plant"] if arguments.cell else []
+        graph = stack.enter_context(Graph.running("push", arguments.domain, root=Path(folder), without=without))
         pids = {name: process.pid for name, process in graph.processes.items()}
         owners = {
             name: rclpy.create_node(name, context=graph.node.context, start_parameter_services=False)
@@ -163,9 +198,12 @@ def main() -> int:
         time.sleep(1.0)
         for owner in owners.values():
             owner.destroy_node()
-        wrong += [f"node {name} does not answer" for name in NODES if not graph.answers(name)]
-        last = graph.call_trial(trial_in(Path(folder) / "last"))
-        wrong += [] if last.outcome == "OK" else [f"the last trial: {last.outcome}, {last.message}"]
+        wrong += [f"node {name} does not answer" for name in graph.processes if not graph.answers(name)]
+        if cell is None:
+            last = graph.call_trial(trial_in(Path(folder) / "last"))
+            wrong += [] if last.outcome == "OK" else [f"the last trial: {last.outcome}, {last.message}"]
+        elif cell.poll() is not None:
+            wrong.append(f"the cell ended with {cell.poll()}")
         lost = [name for name, process in graph.processes.items() if process.pid != pids[name]]
     for what, count in sorted((told + payloads.sent).items()):
         print(f"{what}: {count}")

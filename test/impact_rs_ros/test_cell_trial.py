@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 from robot_bench import LIMIT, MODEL, MOTORS, PERIOD, PUSH, START, SWITCHED_ON, WEIGHT, Robot
 from sensor_msgs.msg import JointState
@@ -395,3 +397,21 @@ def test_a_trial_whose_object_was_never_seen_is_no_success(seen: bool) -> None:
         bench.answer(WEIGHT)
     assert bench.asked[-1] == LAST
     assert ("no pose of the object came during the trial" in bench.trial.failure) is not seen
+
+
+@settings(max_examples=300)
+@given(data=st.data())
+def test_whatever_bytes_come_nothing_is_raised_and_no_torque_beyond_a_limit_is_sent(data: st.DataObject) -> None:
+    """On every topic of the cell: random bytes, and well-formed messages that are cut off or have flipped bits."""
+    bench = Bench(mocap=True).under_way()
+    state = bench.robot.message()
+    pose = bytes(serialize_message(PoseStamped()))
+    for _ in range(data.draw(st.integers(1, 4))):
+        topic = data.draw(st.sampled_from([STATES, COMMAND, MOCAP]))
+        payload = bytearray(data.draw(st.sampled_from([state, pose, b""])) or data.draw(st.binary(max_size=300)))
+        for bit in data.draw(st.lists(st.integers(0, 8 * len(payload) - 1), max_size=5)) if payload else ():
+            payload[bit // 8] ^= 1 << bit % 8
+        bench.waiting.append((topic, bytes(payload[: data.draw(st.integers(0, len(payload)))])))
+        bench.work()
+    bench.arms.rest()
+    assert all(np.all(np.abs(torque) <= 2.0 * MODEL.torque_max) for torque in bench.sent)
