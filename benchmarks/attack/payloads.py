@@ -6,8 +6,8 @@ of another type, or of 200 kB; most of them in mid-trial. They come from nodes w
 there, for a trial that a stranger publishes in is aborted at once. Afterwards every node must be the process that it
 was and answer, and a trial that nobody disturbs must be OK.
 
-With ``--cell`` the cell is in the plant's place, with the process of the tests that stands for a robot. Payloads come on
-the topics of the robot, too, and no trial is run at the end, for the arm is not where a trial starts.
+With ``--cell`` the cell is in the plant's place, with the process of the tests that stands for a robot. Payloads come
+on the robot's topics, too, and no trial is run at the end, for the arm is not where a trial starts.
 """
 
 from __future__ import annotations
