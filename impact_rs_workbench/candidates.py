@@ -26,6 +26,7 @@ from impact_rs_trials.recordings.table_file import TableFile
 MOST_WIDE = 40  # numbers in a sample of what may be joints
 DEEPEST = 3  # fields of a message inside of each other
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
+STATIC = "/tf_static"  # frames that do not move are no pose of an object
 OBJECT_POSE: Final = "object_pose"
 # Parts of an arm from base to tip, for joints that are named after them and not numbered.
 PARTS = ("rail", "base", "shoulder_pan", "shoulder_lift", "shoulder", "upper_arm", "elbow", "forearm", "wrist")
@@ -153,7 +154,7 @@ def _in_bag(path: Path) -> list[SignalCandidate]:
 
 
 def _in_message(topic: str, kind: str, message: Any) -> Iterator[SignalCandidate]:
-    if _holds_pose(message):
+    if _holds_pose(message) and not topic.endswith(STATIC):
         yield SignalCandidate(topic, {"topic": topic, "type": kind}, True, OBJECT_POSE)
     names = _names(message)
     for place, numbers in _numbers(message):

@@ -22,8 +22,10 @@ class Bag:
 
 
 def test_diagnostics_are_stored_at_the_trial_time_of_the_newest_signal() -> None:
-    bag, state, told = Bag(), JointState(), DiagnosticArray()
-    trial = OpenTrial("push/one", bag, ["arm"], None, tracked=True)  # type: ignore[arg-type]
+    values = [0.0] * 7
+    state = JointState(name=["a"] * 7, position=values, velocity=values, effort=values)
+    bag, told = Bag(), DiagnosticArray()
+    trial = OpenTrial("push/one", bag, ["arm"], 1.8, None, tracked=True)  # type: ignore[arg-type]
     state.header.stamp.nanosec = 200_000_000
     told.header.stamp.sec = 1_790_000_000
     for topic, message in (

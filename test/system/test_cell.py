@@ -273,6 +273,7 @@ def test_a_cell_that_is_killed_in_a_trial_leaves_an_arm_that_the_watchdog_brakes
     """The effort controller keeps the torque of that moment; nothing but another process can take it away."""
     with watchdog(cell), cell.robot("--kill", str(cell.pid), "--kill-after", "300") as reported:
         result = cell.run()
+        assert "not armed" not in result.message
         killed, after = reported.readline(), reported.readline()
     assert result.outcome == "ABORTED"
     assert float(killed.split()[2]) > 0.1, result.message  # rad/s

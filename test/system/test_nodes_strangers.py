@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from impact_rs_ros.graph import Graph
-from impact_rs_ros.message_types import message_type
+from impact_rs_ros.message_types import available, message_type
 from impact_rs_ros.qos import LATCHED, STREAM
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
@@ -59,7 +59,7 @@ def test_a_reader_of_whatever_quality_of_service_delays_no_trial(
     wanted = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.RELIABLE, durability=durability)
     with node(graph, "_ros2cli_1") as stranger:
         for topic, kind in topics.recorded(["arm"]).items():
-            if topic not in (topics.TF, topics.TRIAL_INFO):
+            if topic != topics.TRIAL_INFO and available(kind):
                 stranger.create_subscription(message_type(kind), topic, lambda _: None, wanted)
         result = graph.call_trial(goal(tmp_path))
     assert (result.success, result.outcome, result.message) == (True, "OK", "")
@@ -136,7 +136,7 @@ def test_bytes_that_are_no_messages_end_neither_a_node_nor_the_trial(graph: Grap
         publishers = []
         for topic, kind in kinds.items():
             owner = controller if topic in (COMMAND, *map_of_controller()) else plant
-            if topic != topics.TF:  # not installed
+            if available(kind):
                 publishers.append(owner.create_publisher(message_type(kind), topic, STREAM))
 
         def throw(message: RunTrial.Impl.FeedbackMessage) -> None:
