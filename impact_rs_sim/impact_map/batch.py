@@ -5,7 +5,7 @@
     answers = solve_batch(batch)
     answers.joint_velocity["arm"]                               # (10000, 7)
 
-The answers are those of the engine ``pinocchio``, question by question.
+The answers are those of the engine ``exact``, question by question.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.compiled import SOLVED, CompiledMap
 from impact_rs_sim.impact_map.engine import ENERGY_TOLERANCE
-from impact_rs_sim.impact_map.pinocchio import PinocchioEngine
+from impact_rs_sim.impact_map.exact import ExactEngine
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
@@ -143,7 +143,7 @@ def solve_batch(batch: ImpactBatch, models: Mapping[str, RobotModel] | None = No
         InputError: A shape does not fit, or the scene's object or friction cannot be.
     """
     count, physics = batch.size(), batch.physics
-    engine = PinocchioEngine(physics)
+    engine = ExactEngine(physics)
     if models is not None:
         engine.models = models
     compiled = CompiledMap(physics, engine.models)

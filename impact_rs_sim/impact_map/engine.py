@@ -153,7 +153,7 @@ class Engine(ABC):
         meetings = check_problem(problem, self.models)
         if problem.restitution_law not in self.laws:
             raise InputError(
-                f"engine {self.name!r} knows no restitution but that of {', '.join(self.laws)}; 'pinocchio' does",
+                f"engine {self.name!r} knows no restitution but that of {', '.join(self.laws)}; 'exact' does",
                 key="restitution_law",
                 value=problem.restitution_law,
             )

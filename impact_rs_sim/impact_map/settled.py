@@ -16,7 +16,7 @@ map once more, with the inertia N^T H N and the Jacobian J_c N,
 
     N^T H N (z^+ - z^-) = N^T J_c^T L,        z^- = (N^T H N)^-1 N^T H u^-
 
-solved as in :mod:`impact_rs_sim.impact_map.pinocchio`; A is the one of least norm. Where friction holds all pads and
+solved as in :mod:`impact_rs_sim.impact_map.exact`; A is the one of least norm. Where friction holds all pads and
 the support gets no impulse, pads and object go on together, J_p u^+ = 0, and it is Gauss' principle of least constraint
 for velocities (Moreau 1988; Glocker 2001): of all motions in which they do, the nearest to u^- in kinetic energy,
 
@@ -47,7 +47,7 @@ import numpy as np
 from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, find_contacts
 from impact_rs_sim.impact_map.engine import result_of
-from impact_rs_sim.impact_map.pinocchio import PinocchioEngine
+from impact_rs_sim.impact_map.exact import ExactEngine
 from impact_rs_sim.impact_map.problem import (
     ImpactMapError,
     ImpactProblem,
@@ -77,7 +77,7 @@ def settle(problem: ImpactProblem) -> ImpactResult:
 
     Raises:
         InputError: The question has no answer (see :func:`~impact_rs_sim.impact_map.problem.check_problem`).
-        ImpactMapError: The answer breaks a law by more than the tolerance of the engine ``pinocchio``.
+        ImpactMapError: The answer breaks a law by more than the tolerance of the engine ``exact``.
     """
     start = time.perf_counter()
     models = problem.physics.robot_models()
@@ -87,10 +87,10 @@ def settle(problem: ImpactProblem) -> ImpactResult:
     faces = {name: points for name, points in found.items() if name != SUPPORT and points}
     support = find_contacts(problem.physics, [meeting for meeting in touching if meeting.partner == SUPPORT])
     settled = close_contacts(system, faces, support)
-    if not settled.residual.largest <= PinocchioEngine.tolerance:
+    if not settled.residual.largest <= ExactEngine.tolerance:
         law, amount = settled.residual.worst
         raise ImpactMapError(
-            f"the settled contact breaks {law} by {amount:.3g} m/s (accepted: {PinocchioEngine.tolerance:.3g} m/s) "
+            f"the settled contact breaks {law} by {amount:.3g} m/s (accepted: {ExactEngine.tolerance:.3g} m/s) "
             f"after {settled.iterations} iterations"
         )
     return result_of(
@@ -99,7 +99,7 @@ def settle(problem: ImpactProblem) -> ImpactResult:
         [*itertools.chain.from_iterable(faces.values()), *support],
         settled.impulses,
         settled.residual,
-        PinocchioEngine.name,
+        ExactEngine.name,
         settled.iterations,
         start,
     )

@@ -565,6 +565,14 @@ MUTANTS = [
         tests=SETTLED_TESTS,
     ),
     Mutant(
+        name="bullet_by_default",
+        file="impact_rs_sim/impact_map/__init__.py",
+        original="DEFAULT_ENGINE = ExactEngine.name",
+        mutated="DEFAULT_ENGINE = BulletEngine.name",
+        wrong="The independent check answers where no engine is named.",
+        tests=("test/system/test_one_impact_map.py",),
+    ),
+    Mutant(
         name="settled_asks_for_the_first",
         file="impact_rs_sim/impact_map/__init__.py",
         original='return settle(problem) if contact == "settled" else compute_impact_map(problem, engine)',
