@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The impact map: ante-impact state in, post-impact state out (:mod:`.problem`), or its end (:mod:`.settled`)."""
+"""The impact map: ante-impact state in, post-impact (:mod:`.problem`) or settled state (:mod:`.settled`) out."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ DEFAULT_ENGINE = ExactEngine.name
 FORMER_NAMES = {"pinocchio": ExactEngine.name}
 PinocchioEngine = ExactEngine  # its name up to version 0.1.0
 
-CONTACTS = ("first", "settled")  # how far an impact is carried on
+CONTACTS = ("first", "settled")  # just after the first impact, or when the contact has settled
 
 _KEPT = 8  # engines kept warm; a Bullet world is a few MB
 _warm: OrderedDict[tuple[int, str], Engine] = OrderedDict()
@@ -65,12 +65,12 @@ def compute_impact_map(problem: ImpactProblem, engine: str = DEFAULT_ENGINE) -> 
     The engine stays warm for the next problem with the same :class:`~impact_rs_sim.physics.Physics` object.
 
     Args:
-        problem: The question.
+        problem: The problem.
         engine: ``exact``, or ``bullet``, the independent check; ``pinocchio`` is the former name of ``exact``.
 
     Raises:
-        InputError: There is no such engine, or the question has no answer.
-        ImpactMapError: The answer breaks a law by more than the engine's tolerance.
+        InputError: There is no such engine, or the problem is refused.
+        ImpactMapError: The result breaks a law by more than the engine's tolerance.
     """
     engine = engine_name(engine)
     if engine not in ENGINES:
@@ -91,14 +91,14 @@ def predict_impact(problem: ImpactProblem, contact: str = "first", engine: str =
     """The velocities after an impact.
 
     Args:
-        problem: The question.
+        problem: The problem.
         contact: ``first``: just after the first simultaneous impact, :func:`compute_impact_map`; ``settled``: when the
             contact that lasts is closed, :func:`~impact_rs_sim.impact_map.settled.settle`.
         engine: Engine of the first; the second has one solver.
 
     Raises:
-        InputError: There is no such contact or engine, or the question has no answer.
-        ImpactMapError: The answer breaks a law by more than the engine's tolerance.
+        InputError: There is no such contact or engine, or the problem is refused.
+        ImpactMapError: The result breaks a law by more than the engine's tolerance.
     """
     if contact not in CONTACTS:
         raise InputError(f"no contact {contact!r}; known: {', '.join(CONTACTS)}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The impact map at a state that was measured, not planned: one arm or two and an object, or one free body on a plane.
+"""The impact map at a measured state: one arm or two and an object, or one free body on a plane.
 
 The laws are those of :mod:`impact_rs_sim.impact_map.problem`, solved as in :mod:`impact_rs_sim.impact_map.exact`,
 
@@ -64,7 +64,7 @@ class MeasuredImpact:
         return build_system(self._problem(physics), models)
 
     def closing_speed(self, physics: Physics, models: Mapping[str, RobotModel]) -> float:
-        """How fast the contact that closes fastest does, ``max_i -n_i . (J_c u^-)_i`` [m/s]; below 0: none closes."""
+        """Largest closing speed of a contact, ``max_i -n_i . (J_c u^-)_i`` [m/s]; below 0: none closes."""
         system = self.system(physics, models)
         relative = (system.jacobian(self.points) @ system.velocity).reshape(-1, 3)
         normals = np.array([point.normal for point in self.points])
@@ -160,7 +160,7 @@ def points_of_scene(
     models: Mapping[str, RobotModel],
     on_pad: Mapping[str, tuple[Sequence[Array], Array | None]] | None = None,
 ) -> tuple[ContactPoint, ...]:
-    """Where pads touch the object, and the object its support.
+    """Contact points of pads with the object, and of the object with its support.
 
     Args:
         physics: Sizes of pads, object and support.
