@@ -56,8 +56,8 @@ UNITS: dict[JointType, JointUnits] = {
 }
 
 
-def told_units(units: Iterable[str]) -> str:
-    """One unit in brackets of a table, or those of joints that turn and slide."""
+def joined_units(units: Iterable[str]) -> str:
+    """Text of the units of several joints, ``rad or m`` for example."""
     return " or ".join(dict.fromkeys(units))
 
 

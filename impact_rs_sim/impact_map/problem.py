@@ -25,7 +25,7 @@ import numpy as np
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.impact_map.contacts import SUPPORT, Meeting, meetings
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, RESTITUTION_LAWS, Physics
-from impact_rs_sim.robot import Array, told_units
+from impact_rs_sim.robot import Array, joined_units
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 
@@ -245,7 +245,7 @@ def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
         (f"arms.{name}.velocity", state.velocity, "velocity"),
         (f"motor_inertia.{name}", problem.motor_inertia[name], "inertia"),
     ):
-        _vector(values, len(units), key, told_units(getattr(unit, quantity) for unit in units))
+        _vector(values, len(units), key, joined_units(getattr(unit, quantity) for unit in units))
     slack = math.inf if problem.measured else LIMIT_SLACK
     for index, value in enumerate(state.position):
         low, high = limits.position_min_rad[index], limits.position_max_rad[index]
