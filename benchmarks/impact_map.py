@@ -20,10 +20,10 @@ from rich.table import Table
 
 from impact_rs_sim.impact_map import (
     BulletEngine,
+    ExactEngine,
     ImpactMapError,
     ImpactProblem,
     ImpactResult,
-    PinocchioEngine,
     kinetic_energy,
 )
 from impact_rs_sim.impact_map.batch import ImpactBatch, solve_batch
@@ -46,33 +46,33 @@ def spread(values: Sequence[float], digits: str) -> list[str]:
     return [format(float(value), digits) for value in np.percentile(values, [50, 95, 100])]
 
 
-def difference(bullet: ImpactResult, pinocchio: ImpactResult) -> float:
+def difference(bullet: ImpactResult, exact: ImpactResult) -> float:
     """Largest difference in a linear velocity of end effector or object [m/s]."""
-    arms = [np.abs(bullet.end_effector_twist[n] - pinocchio.end_effector_twist[n])[:3] for n in bullet.joint_velocity]
-    return float(np.max([*arms, np.abs(bullet.object_twist - pinocchio.object_twist)[:3]]))
+    arms = [np.abs(bullet.end_effector_twist[n] - exact.end_effector_twist[n])[:3] for n in bullet.joint_velocity]
+    return float(np.max([*arms, np.abs(bullet.object_twist - exact.object_twist)[:3]]))
 
 
-def same_points(bullet: ImpactResult, pinocchio: ImpactResult) -> bool:
+def same_points(bullet: ImpactResult, exact: ImpactResult) -> bool:
     """Whether both found the same contact points, to a tenth of a millimetre."""
-    if len(bullet.contacts) != len(pinocchio.contacts):
+    if len(bullet.contacts) != len(exact.contacts):
         return False
-    theirs = np.array([contact.position for contact in pinocchio.contacts])
+    theirs = np.array([contact.position for contact in exact.contacts])
     return all(
         np.min(np.linalg.norm(theirs - contact.position, axis=1), initial=np.inf) < 1e-4 for contact in bullet.contacts
     )
 
 
-def reason(bullet: ImpactResult, pinocchio: ImpactResult) -> str:
+def reason(bullet: ImpactResult, exact: ImpactResult) -> str:
     """Why two answers differ."""
     broken = [
         f"{result.engine} breaks {result.residual.worst[0]} by {result.residual.worst[1]:.1e} m/s"
-        for result in (bullet, pinocchio)
+        for result in (bullet, exact)
         if result.residual.largest > LAWFUL
     ]
     if broken:
         return "; ".join(broken)
-    if not same_points(bullet, pinocchio):
-        return f"contact points differ ({len(bullet.contacts)} and {len(pinocchio.contacts)})"
+    if not same_points(bullet, exact):
+        return f"contact points differ ({len(bullet.contacts)} and {len(exact.contacts)})"
     return "both obey all laws on the same points: redundant contacts with friction have several solutions"
 
 
@@ -84,12 +84,12 @@ def push_of(robot: str | None) -> Scenario:
 def agreement(scenario: Scenario, problems: int, seed: int) -> None:
     """Disagreement, residuals, energy and times over random problems."""
     percent, unique, gains, failures = [], [], [], []
-    residuals: dict[str, list[float]] = {"bullet": [], "pinocchio": []}
-    times: dict[str, list[float]] = {"bullet": [], "pinocchio": []}
+    residuals: dict[str, list[float]] = {"bullet": [], "exact": []}
+    times: dict[str, list[float]] = {"bullet": [], "exact": []}
     outliers = Table("problem", "%", "e", "mu pad", "mu support", "why")
     for index in range(problems):
         problem = random_problem(scenario, np.random.default_rng([seed, index]))
-        engines = (BulletEngine(problem.physics), PinocchioEngine(problem.physics))
+        engines = (BulletEngine(problem.physics), ExactEngine(problem.physics))
         try:
             answers = [[engine.solve(problem) for _ in range(2)][-1] for engine in engines]
         except ImpactMapError as error:
@@ -98,21 +98,19 @@ def agreement(scenario: Scenario, problems: int, seed: int) -> None:
         finally:
             for engine in engines:
                 engine.close()
-        bullet, pinocchio = answers
+        bullet, exact = answers
         ((name, state),) = problem.arms.items()
         speed = float(np.linalg.norm((engines[0].models[name].jacobian(state.position) @ state.velocity)[:3]))
-        percent.append(100.0 * difference(bullet, pinocchio) / speed)
+        percent.append(100.0 * difference(bullet, exact) / speed)
         unique.append(uniqueness_of(problem).unique)
-        gains.append(kinetic_energy(problem, pinocchio) / kinetic_energy(problem))
+        gains.append(kinetic_energy(problem, exact) / kinetic_energy(problem))
         for answer in answers:
             residuals[answer.engine].append(answer.residual.largest)
             times[answer.engine].append(1e3 * answer.elapsed)
         if percent[-1] > LIMIT:
             physics = problem.physics
             numbers = (problem.restitution, physics.pad_friction, physics.support_friction)
-            outliers.add_row(
-                str(index), f"{percent[-1]:.2f}", *(f"{n:.2f}" for n in numbers), reason(bullet, pinocchio)
-            )
+            outliers.add_row(str(index), f"{percent[-1]:.2f}", *(f"{n:.2f}" for n in numbers), reason(bullet, exact))
     table = Table("over random problems", "median", "95 %", "max", title=f"{problems} problems, seed {seed}")
     table.add_row("disagreement, % of ante-impact speed", *spread(percent, ".4f"))
     alone = [value for value, is_unique in zip(percent, unique, strict=True) if is_unique]
@@ -134,7 +132,7 @@ def timing(scenario: Scenario, calls: int) -> None:
     scene = Scene.resolve(scenario, "cat_food", "case_2")
     columns = ("nominal push, warm call", "motor inertia", "median, ms", "5 % .. 95 %, ms", "steps", "residual, m/s")
     table = Table(*columns)
-    for kind in (BulletEngine, PinocchioEngine):
+    for kind in (BulletEngine, ExactEngine):
         engine = kind(scene.physics)
         for motor in ("zero", "reduced", "rotor"):
             problem = ImpactProblem.at_nominal_impact(scene, motor)
@@ -169,7 +167,7 @@ def batches(names: Sequence[str], seed: int) -> None:
             found = solve_batch(batch)
             elapsed = time.process_time() - start
             answered = BATCH - len(found.refused)
-            engine, single = PinocchioEngine(problem.physics), []
+            engine, single = ExactEngine(problem.physics), []
             for number in range(0, BATCH, BATCH // 200):
                 if number not in found.refused:
                     asked = replace(batch.problem(number), physics=problem.physics)
@@ -190,11 +188,11 @@ def batches(names: Sequence[str], seed: int) -> None:
 
 def predictions(scenario: Scenario) -> None:
     """Velocity after the nominal impact for every object, case and motor inertia."""
-    table = Table("v_y+ in m/s, pinocchio (bullet)", "zero", "reduced", "rotor")
+    table = Table("v_y+ in m/s, exact (bullet)", "zero", "reduced", "rotor")
     for name in scenario.objects:
         for case in scenario.cases:
             scene = Scene.resolve(scenario, name, case)
-            engines = (PinocchioEngine(scene.physics), BulletEngine(scene.physics))
+            engines = (ExactEngine(scene.physics), BulletEngine(scene.physics))
             cells = []
             for motor in ("zero", "reduced", "rotor"):
                 problem = ImpactProblem.at_nominal_impact(scene, motor)

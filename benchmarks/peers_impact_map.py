@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import approx_fprime, nnls
 
-from impact_rs_sim.impact_map import BulletEngine, Engine, ImpactMapError, ImpactProblem, PinocchioEngine
+from impact_rs_sim.impact_map import BulletEngine, Engine, ExactEngine, ImpactMapError, ImpactProblem
 from impact_rs_sim.impact_map.cones import solve_cones
 from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint, contact_frame, find_contacts, meetings
 from impact_rs_sim.impact_map.residual import ContactTerms
@@ -61,7 +61,7 @@ class OtherPoints(Exception):
     """A solver sees other contact points than it is asked about."""
 
 
-class PinocchioOnGivenPoints(PinocchioEngine):
+class PinocchioOnGivenPoints(ExactEngine):
     """Our engine on other contact points than the corners of the contact polygon."""
 
     def __init__(self, physics: Physics, contacts: Sequence[ContactPoint]) -> None:
@@ -447,8 +447,8 @@ def competitors(case: Case) -> dict[str, Callable[[], Callable[[], Array]]]:
 
     physics = case.problem.physics
     makers: dict[str, Callable[[], Callable[[], Array]]] = {
-        "ours: pinocchio": lambda: ours(
-            PinocchioOnGivenPoints(physics, case.contacts) if case.name == "grid" else PinocchioEngine(physics)
+        "ours: exact": lambda: ours(
+            PinocchioOnGivenPoints(physics, case.contacts) if case.name == "grid" else ExactEngine(physics)
         ),
         "ours: bullet": lambda: ours(BulletEngine(physics)),
     }

@@ -2,7 +2,7 @@
 """Cost against size, with its log-log slope (1: in proportion): ``./run python benchmarks/size.py [--repeats 3]``.
 
 Arms: ``push`` has one and ``grab`` two; a control tick, a plant step and an impact map serve all of them. Contact
-points: a grid on the pad, by the engine ``pinocchio``. Trial length: ``push`` in closed loop, without bag. All in CPU
+points: a grid on the pad, by the engine ``exact``. Trial length: ``push`` in closed loop, without bag. All in CPU
 time, which other programs blur least: run it with ``OMP_NUM_THREADS=1``.
 """
 
@@ -20,7 +20,7 @@ from rich.table import Table
 from impact_rs_control.closed_loop import make_plant, run_closed_loop, without_garbage_collection
 from impact_rs_control.controller import Controller
 from impact_rs_control.plan import TrialPlan, plan_trial
-from impact_rs_sim.impact_map import Engine, ImpactProblem, PinocchioEngine
+from impact_rs_sim.impact_map import Engine, ExactEngine, ImpactProblem
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.scene import Scene
 
@@ -106,7 +106,7 @@ def main() -> None:
         times = {arms: [value for run in runs for value in run[part]] for arms, runs in measured.items()}
         rows(table, name, "arms", times)
     problems = {arms: ImpactProblem.at_nominal_impact(each.scene) for arms, each in planned.items()}
-    calls = {arms: maps(PinocchioEngine(problem.physics), problem) for arms, problem in problems.items()}
+    calls = {arms: maps(ExactEngine(problem.physics), problem) for arms, problem in problems.items()}
     rows(table, "impact map, 8 and 12 points", "arms", calls)
 
     face = Case.make("face", "nominal")

@@ -95,7 +95,7 @@ class Terminal:
 
             def tell(done: int, total: int) -> None:
                 bar.update(task, completed=done, total=total)
-                self._file.tell(what, done, total)
+                self._file.update(what, done, total)
 
             yield tell
 
@@ -107,7 +107,7 @@ class Terminal:
 
             def tell(what: str, done: int, total: int) -> None:
                 bar.update(task, description=what, completed=done, total=total)
-                self._file.tell(what, done, total)
+                self._file.update(what, done, total)
 
             yield tell
 

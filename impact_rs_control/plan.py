@@ -18,7 +18,7 @@ from impact_rs_control.references import (
 )
 from impact_rs_sim.clearance import check_clearance
 from impact_rs_sim.errors import InputError, UnreachablePose
-from impact_rs_sim.impact_map import predict_impact
+from impact_rs_sim.impact_map import DEFAULT_ENGINE, predict_impact
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.robot import Array
@@ -27,7 +27,6 @@ from impact_rs_sim.scene import Scene
 
 POSE_TASKS = 6  # position and orientation of E
 STANDS = 1e-3  # m/s; what is referred to move more slowly than this is about to stand
-REFERENCE_ENGINE = "pinocchio"
 LARGEST_SCALE = 3.0  # a reference far beyond the prediction is no test of it, and soon beyond the arm
 
 
@@ -132,7 +131,7 @@ def check_scale(velocity_scale: float) -> None:
 
 
 def plan_trial(
-    scene: Scene, velocity_scale: float = 1.0, motor_inertia: str = "reduced", engine: str = REFERENCE_ENGINE
+    scene: Scene, velocity_scale: float = 1.0, motor_inertia: str = "reduced", engine: str = DEFAULT_ENGINE
 ) -> TrialPlan:
     """Make the references of a trial.
 

@@ -23,7 +23,7 @@ from impact_msgs_py.conversions import (
 )
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_sim.errors import InputError, full_traceback
-from impact_rs_sim.impact_map import ImpactMapError, predict_impact
+from impact_rs_sim.impact_map import ImpactMapError, engine_name, predict_impact
 from impact_rs_sim.impact_map.derivatives import differentiate_safely, velocity_names
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
 from impact_rs_sim.impact_map.uncertainty import predict
@@ -56,7 +56,7 @@ class ImpactMapNode(NodeProgram):
         self, request: ComputeImpactMap.Request, response: ComputeImpactMap.Response
     ) -> ComputeImpactMap.Response:
         started = time.perf_counter()
-        engine = request.engine or self.parameter("engine")
+        engine = engine_name(request.engine or self.parameter("engine"))
         contact = request.contact or self.parameter("contact")
         try:
             scenario = self.scenario(request.scenario)

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import CONTACTS, ENGINES
+from impact_rs_sim.impact_map import CONTACTS, DEFAULT_ENGINE, ENGINES, FORMER_NAMES
 from impact_rs_sim.scenario import load_scenario
 
 Value = bool | float | str
@@ -34,6 +34,7 @@ class NodeParameter:
         description: What it does, in a sentence.
         range: Least and greatest value; floats only.
         choices: Values there are; empty: any.
+        former: Values of older versions, which are accepted as well.
     """
 
     name: str
@@ -42,6 +43,7 @@ class NodeParameter:
     description: str
     range: tuple[float, float] | None = None
     choices: tuple[str, ...] = ()
+    former: tuple[str, ...] = ()
 
     @property
     def expected(self) -> str:
@@ -132,7 +134,14 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
     ),
     "impact_map": (
         *COMMON,
-        NodeParameter("engine", "bullet", "-", "Engine where a request names none", choices=tuple(ENGINES)),
+        NodeParameter(
+            "engine",
+            DEFAULT_ENGINE,
+            "-",
+            "Engine where a request names none",
+            choices=tuple(ENGINES),
+            former=tuple(FORMER_NAMES),
+        ),
         NodeParameter("contact", "first", "-", "Contact where a request names none", choices=tuple(CONTACTS)),
     ),
     "controller": COMMON,
@@ -276,7 +285,7 @@ def complaint_about(kind: str, name: str, wanted: Any) -> str:
         return ""
     if name == "joints" and "{number}" not in wanted:
         return f"joints {wanted!r}: expected {{number}} in it"
-    if known.choices and wanted not in known.choices:
+    if known.choices and wanted not in (*known.choices, *known.former):
         return f"{name} {wanted!r}: expected {' or '.join(known.choices)}"
     if name in ("config_root", "data_root") and not Path(wanted or ".").is_dir():
         return f"{name} {wanted!r}: expected a folder that exists"

@@ -11,16 +11,16 @@ ACCEPTED: float
 _Box = tuple[Array, Array, Array]
 """Centre in A [m], axes in A, half extents [m]."""
 
-def separating_face(partner: _Box, thing: _Box, aligned: float) -> tuple[float, Array, bool]:
+def separating_face(partner: _Box, object: _Box, aligned: float) -> tuple[float, Array, bool]:
     """The face direction that separates two boxes best; of those within ``aligned`` [m] that of the larger face.
 
     Returns:
-        Separation along it (negative: overlap) [m]; unit normal from ``partner`` into ``thing``, ``(3,)``; whether the
-        face belongs to ``thing``.
+        Separation along it (negative: overlap) [m]; unit normal from ``partner`` into ``object``, ``(3,)``; whether the
+        face belongs to ``object``.
     """
 
-def touching(partner: _Box, thing: _Box, normal: Array, on_thing: bool, tolerance: float) -> tuple[Array, Array]:
-    """Points on ``thing`` ``(k, 3)`` and their gaps ``(k,)`` [m], up to ``tolerance``; the rest as above."""
+def touching(partner: _Box, object: _Box, normal: Array, on_object: bool, tolerance: float) -> tuple[Array, Array]:
+    """Points on ``object`` ``(k, 3)`` and their gaps ``(k,)`` [m], up to ``tolerance``; the rest as above."""
 
 class Terms:
     """A problem at its m contact points; vectors are in axes of A.
@@ -71,7 +71,7 @@ class Terms:
 def solve_impacts(
     count: int,
     arms: Sequence[Sequence[Array]],
-    thing: Sequence[Array | float],
+    object: Sequence[Array | float],
     contact: Sequence[Array | float],
     support: Array | None,
     rules: tuple[float, float, float, float],
@@ -83,7 +83,7 @@ def solve_impacts(
         count: N.
         arms: By arm q, dq, B, least and largest q, largest speed, M (upper triangle), J of E in E[A], origin and axes
             of E in A, middle, axes and half extents of the pad in E.
-        thing: Position, axes, twist, mass, half extents, principal moments, centre of mass of the object.
+        object: Position, axes, twist, mass, half extents, principal moments, centre of mass of the object.
         contact: Friction of pads and of the support, restitution.
         support: Centre and half extents of the support in A, ``(6,)`` [m]; None: no support.
         rules: ``ALIGNED``, ``GAP_TOLERANCE``, ``PENETRATION_TOLERANCE`` [m] and ``COMPLIANCE`` [-].
@@ -202,11 +202,11 @@ class Motors:
     def sense(self, link_position: Sequence[float] | Array, link_velocity: Sequence[float] | Array) -> None:
         """Update the torques of spring and damper from the present motor and link state."""
 
-    def turn(self, shaped: Array) -> None:
+    def integrate(self, shaped: Array) -> None:
         """One period of the torque loop with B_rho B_theta^-1 times the desired torque [N m]."""
 
     def coast(self, links: Chain, position: Array, velocity: Array, shaped: Array, load: Array) -> tuple[Array, Array]:
-        """Several periods of :meth:`turn` and :meth:`sense` with links that touch nothing.
+        """Several periods of :meth:`integrate` and :meth:`sense` with links that touch nothing.
 
         Args:
             links: The links.

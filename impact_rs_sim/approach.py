@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arms on their way to an object that stands still: as long as no pad is near anything, Bullet is not asked.
+"""Arms approaching an object at rest, simulated without Bullet as long as no pad is near another body.
 
     ddq = ABA(q, dq, tau),    dq += h ddq,    q += h dq                     (Featherstone; Bullet's own order of steps)
 
-Pads and the object are the only bodies that can touch each other; the support carries the object and no pad. Whether
-one is near another is told by boxes along the axes of A about them: Bullet lets an object sleep until such boxes meet,
-each ``BULLET_MARGIN`` larger than the body. So whoever hands over to Bullet before that gets what Bullet would have
-done from the start, up to rounding.
+Only pads and the object can touch each other; the support carries the object and touches no pad. Nearness is judged by
+axis-aligned bounding boxes in A. Bullet lets an object sleep until such boxes, each ``BULLET_MARGIN`` larger than the
+body, overlap. Switching to Bullet before that gives the same motion as Bullet from the start, up to rounding.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ class Approach:
         models: Rigid-body models by arm.
         period: Step [s].
         arms: Joint states by arm, at the start.
-        thing: The object, at rest.
+        object_: The object, at rest.
     """
 
     def __init__(
@@ -43,7 +42,7 @@ class Approach:
         models: Mapping[str, RobotModel],
         period: float,
         arms: Mapping[str, ArmState],
-        thing: BodyState,
+        object_: BodyState,
     ) -> None:
         self._models = models
         self._period = period
@@ -51,7 +50,7 @@ class Approach:
         for name in arms:
             end_effector = physics.arms[name].end_effector
             self._pads[name] = (end_effector.pad_placement, np.array(end_effector.pad_size) / 2.0)
-        self._object = (thing.position, np.abs(thing.rotation) @ (physics.object.size / 2.0))
+        self._object = (object_.position, np.abs(object_.rotation) @ (physics.object.size / 2.0))
         self._position = {name: state.position for name, state in arms.items()}
         self._velocity = {name: state.velocity for name, state in arms.items()}
         self._torque: dict[str, Array] = {}
@@ -73,7 +72,7 @@ class Approach:
 
     @property
     def is_near(self) -> bool:
-        """Whether a pad is ``NEAR`` the object or another pad, or the arms are nowhere at all."""
+        """Whether a pad is ``NEAR`` the object or another pad, or a joint position is NaN."""
         boxes = [self._pad_box(name) for name in self._position]
         pairs = [(box, self._object) for box in boxes] + list(combinations(boxes, 2))
         return not all(_gap(*first, *second) > NEAR for first, second in pairs)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A drive for an arm of which only the links are known.
+"""Assumed drive parameters of an arm with known links and unknown drives.
 
-Motor inertia and stiffness are scaled from a Franka arm by the torque limits. The damping has to do two things: the
+Motor inertia and stiffness are scaled from a Franka arm by the torque limits. The damping meets two conditions: the
 torque loop must stay stable with the lightest link at its period, and the controller must not excite the resonance of
 the joint. A velocity feedback d on the link side has the loop gain d m / D there, m the inertia that the spring sees;
 with a gain above 1 the joint swings until the torque is at its limit.

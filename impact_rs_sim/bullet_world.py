@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One Bullet world: arms, object and support, with every setting that bites set on purpose.
+"""One Bullet world: arms, object and support, with explicit values for every setting that affects the result.
 
 Shared by the plant (many small steps with compliant pads) and the ``bullet`` impact map (single rigid steps). Bullet
 multiplies the friction coefficients of two bodies, so the object carries 1 and its partners the pair's value. Of two
@@ -69,7 +69,7 @@ class BulletWorld:
         physics: Parameters of the scene.
         client: Connection to the world.
         arms: Body of every arm in Bullet, by name.
-        thing: Body of the object.
+        object_: Body of the object.
         support: Body of the support; None: there is none.
         shears: Shear of the pads that have any, by arm.
         small_steps: Whether the friction of the support is turned, one step late.
@@ -80,7 +80,7 @@ class BulletWorld:
         physics: Physics,
         client: BulletClient,
         arms: dict[str, int],
-        thing: int,
+        object_: int,
         support: int | None,
         shears: dict[str, PadShear],
         small_steps: bool,
@@ -92,14 +92,14 @@ class BulletWorld:
         counts = {name: arm.facts.joint_count for name, arm in physics.arms.items()}
         self.joints = {name: list(range(count)) for name, count in counts.items()}
         self.end_effector_link = counts
-        self.object = thing
+        self.object = object_
         self.support = support
         self._shears = shears
         self._support_friction = physics.support_friction
         self._turns = small_steps and support is not None and physics.support_friction > 0.0
         self._models = {name: physics.robot_model(name) for name in shears}
         self._com_is_offset = bool(np.any(physics.object.com_offset))
-        # Bound once: the wrapper's attribute look-up would cost more than some of the calls in the inner loop.
+        # Bound once: the attribute look-up of the wrapper costs more than some of the calls in the inner loop.
         self._step = client.stepSimulation
         self._get_joints = client.getJointStates
         self._set_torques = client.setJointMotorControlArray
@@ -121,7 +121,7 @@ class BulletWorld:
         contact_erp: float = 0.2,
         small_steps: bool = True,
     ) -> BulletWorld:
-        """A world with everything in it.
+        """A world with arms, object and support.
 
         Args:
             physics: Parameters of the scene.
@@ -160,12 +160,12 @@ class BulletWorld:
         )
         client.setGravity(*(physics.gravity if gravity else np.zeros(3)))
         arms = {name: _load_arm(client, physics, name, compliant_pads) for name in physics.arms}
-        thing = _make_object(client, physics.object)
+        object_ = _make_object(client, physics.object)
         support = _make_support(client, physics, arms, compliant_pads)
         shears = _shears(physics, time_step) if compliant_pads else {}
         for name in shears:
             client.changeDynamics(arms[name], physics.arms[name].facts.joint_count, lateralFriction=0.0)
-        return cls(physics, client, arms, thing, support, shears, small_steps)
+        return cls(physics, client, arms, object_, support, shears, small_steps)
 
     def close(self) -> None:
         """Give the connection back."""
@@ -174,13 +174,13 @@ class BulletWorld:
             _give_back(self.client)
 
     def set_arm(self, name: str, state: ArmState) -> None:
-        """Put an arm into a joint state."""
+        """Set the joint state of an arm."""
         body = self.arms[name]
         for joint, q, dq in zip(self.joints[name], state.position, state.velocity, strict=True):
             self.client.resetJointState(body, joint, float(q), float(dq))
 
     def set_object(self, state: BodyState) -> None:
-        """Put the object into a state (given at its geometric centre)."""
+        """Set the state of the object, given at its geometric centre."""
         offset = state.rotation @ self.physics.object.com_offset
         velocity = state.twist[:3] + np.cross(state.twist[3:], offset)
         client = self.client
@@ -200,7 +200,7 @@ class BulletWorld:
             self.client.changeDynamics(self.object, -1, activationState=state)
 
     def joint_motion(self, name: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Joint positions [rad] and velocities [rad/s] of an arm, as Bullet tells them."""
+        """Joint positions [rad] and velocities [rad/s] of an arm, as returned by Bullet."""
         position, velocity, *_ = zip(*self._get_joints(self.arms[name], self.joints[name]), strict=True)
         return position, velocity
 
@@ -210,7 +210,7 @@ class BulletWorld:
         return ArmState(np.array(position), np.array(velocity))
 
     def object_pose(self) -> tuple[float, ...]:
-        """Centre of mass [m] and quaternion x y z w of the object in A, as Bullet tells them: seven numbers."""
+        """Centre of mass [m] and quaternion x y z w of the object in A, as returned by Bullet: seven numbers."""
         position, quaternion = self._get_pose(self.object)
         return position + quaternion
 
@@ -306,9 +306,9 @@ class BulletWorld:
         position, quaternion = self._get_pose(self.object)
         linear, angular = self._get_velocity(self.object)
         rotation = pin.Quaternion(np.array(quaternion)).matrix()
-        thing, mobility = self.physics.object, np.zeros((6, 6))
-        mobility[:3, :3] = np.eye(3) / thing.mass
-        mobility[3:, 3:] = rotation / thing.inertia @ rotation.T
+        object_, mobility = self.physics.object, np.zeros((6, 6))
+        mobility[:3, :3] = np.eye(3) / object_.mass
+        mobility[3:, 3:] = rotation / object_.inertia @ rotation.T
         return Side(np.array(position), np.array(linear + angular), mobility)
 
     def pad_force(self, name: str) -> Array:
@@ -393,7 +393,7 @@ def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool) 
             jointUpperLimit=-1.0,
             activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
         )
-        # A call of its own: beside maxJointVelocity or activationState Bullet drops it without a word.
+        # A separate call: together with maxJointVelocity or activationState Bullet ignores it silently.
         client.changeDynamics(body, link, lateralFriction=scene.pad_friction)
     if compliant and scene.rolling_arm:
         client.changeDynamics(body, len(joints), rollingFriction=scene.rolling_arm)
@@ -407,17 +407,17 @@ def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool) 
     return body
 
 
-def _make_object(client: BulletClient, thing: ObjectPhysics) -> int:
+def _make_object(client: BulletClient, object_: ObjectPhysics) -> int:
     shape = client.createCollisionShape(
         pybullet.GEOM_BOX,
-        halfExtents=(thing.size / 2.0).tolist(),
-        collisionFramePosition=(-thing.com_offset).tolist(),
+        halfExtents=(object_.size / 2.0).tolist(),
+        collisionFramePosition=(-object_.com_offset).tolist(),
     )
-    body = client.createMultiBody(baseMass=thing.mass, baseCollisionShapeIndex=shape)
+    body = client.createMultiBody(baseMass=object_.mass, baseCollisionShapeIndex=shape)
     client.changeDynamics(
         body,
         -1,
-        localInertiaDiagonal=thing.inertia.tolist(),
+        localInertiaDiagonal=object_.inertia.tolist(),
         linearDamping=0.0,
         angularDamping=0.0,
         lateralFriction=1.0,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether two arms keep clear of each other, told before anything moves.
+"""Clearance between two arms, checked before a trial starts.
 
 Every link is a capsule from its joint to the next one; Coal, the collision library below Pinocchio, finds distances. A
 coarse hull, on the safe side where a real link is slimmer.

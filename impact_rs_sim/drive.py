@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DriveStart:
-    """How the drive of one arm starts.
+    """Initial state of the drive of one arm.
 
     Attributes:
         torque: tau_J, ``(n,)`` [N m].
@@ -47,7 +47,7 @@ class DriveStart:
 class Drive(_kernel.Motors):
     """Motor side of one arm.
 
-    Arrays that it tells are the reader's own, and stay as they are when it goes on.
+    Returned arrays are copies.
 
     Args:
         physics: Motor inertias, stiffness, damping, friction and actuation.
@@ -57,8 +57,8 @@ class Drive(_kernel.Motors):
         period: Period of the torque loop [s].
         position: Motor position theta, ``(n,)`` [rad].
         velocity: Motor velocity, ``(n,)`` [rad/s].
-        transmission_torque: tau_J + D K^-1 dtau_J, what the link receives, ``(n,)`` [N m].
-        elastic_torque: tau_J, what the joint torque sensor sees, ``(n,)`` [N m].
+        transmission_torque: tau_J + D K^-1 dtau_J, torque on the link, ``(n,)`` [N m].
+        elastic_torque: tau_J, torque at the joint torque sensor, ``(n,)`` [N m].
         actuation_torque: tau_act of the last step, ``(n,)`` [N m].
         friction_torque: tau_fric,m of the last step, ``(n,)`` [N m].
     """
@@ -107,7 +107,7 @@ class Drive(_kernel.Motors):
         self._commands.clear()
         self._commands.extend(drive.earlier or ((-np.inf, drive.torque),))
 
-    def passed(self, desired: Array) -> Array:
+    def link_torque(self, desired: Array) -> Array:
         """Torque on the links over the coming period, ``(n,)`` [N m]."""
         return self.transmission_torque
 
@@ -123,24 +123,24 @@ class Drive(_kernel.Motors):
         if desired is not self._desired:  # the command is held over several periods of the loop
             self._desired = desired
             self._shaped = self._driving(desired)
-        self.turn(self._shaped)
+        self.integrate(self._shaped)
 
-    def glide(self, links: Chain, link: ArmState, desired: Array, load: Array) -> ArmState:
-        """Several periods with links that touch nothing; as :meth:`step`, but the torques are those that arrive.
+    def step_free(self, links: Chain, link: ArmState, desired: Array, load: Array) -> ArmState:
+        """Several periods in free motion, without contact; as :meth:`step`, but without actuation delay.
 
         Args:
             links: The links.
-            link: Where they are, ``(k, n)``.
+            link: State of the links, ``(k, n)``.
             desired: Torque of every period, ``(s, k, n)`` [N m]; the actuation delays none of them.
-            load: What else acts on the links, ``(k, n)`` [N m].
+            load: Further torque on the links, ``(k, n)`` [N m].
 
         Returns:
-            Where the links are afterwards.
+            State of the links after the last period.
         """
         return ArmState(*self.coast(links, link.position, link.velocity, self._driving(desired), load))
 
     def _driving(self, desired: Array) -> Array:
-        """What the desired torque and the load make of the motor, times B_rho / B_theta [N m]."""
+        """Torque on the motor due to desired torque and load, times B_rho / B_theta [N m]."""
         return np.asarray(self._shaping * (self._gain * desired + self._offset + self._load))
 
     def _delayed(self, desired: Array) -> Array:
@@ -165,7 +165,7 @@ class Drive(_kernel.Motors):
 
 
 def _on_motors(friction: JointFriction, shaping: Array) -> Friction | None:
-    """tau_fric,m = B_rho B_theta^-1 tau_fric, as the kernel wants it; None: there is none."""
+    """tau_fric,m = B_rho B_theta^-1 tau_fric, in the form of the kernel; None: no friction."""
     if friction.is_zero:
         return None
     sigmoid = friction.sigmoid
@@ -180,7 +180,7 @@ def _on_motors(friction: JointFriction, shaping: Array) -> Friction | None:
 
 
 class LinkTorque:
-    """A joint torque that was measured, straight into the links of one arm: motors, gears and torque loop are left out.
+    """Measured joint torque applied to the links of one arm, without motors, gears and torque loop.
 
     The link receives tau_J + D K^-1 dtau_J (paper eq. EOM_link), with dtau_J from one period to the next. Attributes as
     in :class:`Drive`.
@@ -204,8 +204,8 @@ class LinkTorque:
         self.elastic_torque, self._rate = drive.torque, drive.torque_rate
         self.sense(link.position, link.velocity)
 
-    def passed(self, desired: Array) -> Array:
-        """See :meth:`Drive.passed`."""
+    def link_torque(self, desired: Array) -> Array:
+        """See :meth:`Drive.link_torque`."""
         rate = (desired - self.elastic_torque) / self.period
         return np.asarray(desired + self._damping / self._stiffness * rate)
 
@@ -214,20 +214,20 @@ class LinkTorque:
         self._rate = (desired - self.elastic_torque) / self.period
         self.elastic_torque = desired
 
-    def glide(self, links: Chain, link: ArmState, desired: Array, load: Array) -> ArmState:
-        """See :meth:`Drive.glide`."""
-        passed = []
+    def step_free(self, links: Chain, link: ArmState, desired: Array, load: Array) -> ArmState:
+        """See :meth:`Drive.step_free`."""
+        torques = []
         for torque in desired:
-            passed.append(self.passed(torque) + load)
+            torques.append(self.link_torque(torque) + load)
             self.step(torque)
-        after = ArmState(*links.advance(link.position, link.velocity, np.array(passed), self.period))
+        after = ArmState(*links.advance(link.position, link.velocity, np.array(torques), self.period))
         self.sense(after.position, after.velocity)
         return after
 
     def sense(self, link_position: Sequence[float] | Array, link_velocity: Sequence[float] | Array) -> None:
-        """See :meth:`Drive.sense`; the motor is where the spring wants it."""
+        """See :meth:`Drive.sense`; the motor position follows from the spring torque."""
         self.position = link_position + self.elastic_torque / self._stiffness
         self.velocity = link_velocity + self._rate / self._stiffness
 
     def load(self, torque: Array) -> None:
-        """See :meth:`Drive.load`; what acts on the motors is in the measured torque already."""
+        """See :meth:`Drive.load`; the measured torque already contains the torque on the motors."""

@@ -2,7 +2,7 @@
 """The one exception that means: the user's input is wrong, and this is what to change.
 
     InputError
-    +-- NotABody              mass and inertia of no body; a fit that asked for it tries a smaller step
+    +-- NotABody              mass and inertia of no body; a fit then tries a smaller step
     +-- Infeasible            a state that arms or object cannot be in; a search tries another one
         +-- UnreachablePose   no joint positions within the limits lead there
 

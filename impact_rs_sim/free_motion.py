@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arms that touch nothing, several copies at a time: the links of :mod:`impact_rs_sim.mechanics` without Bullet.
+"""Arms in free motion, several copies at a time: the links of :mod:`impact_rs_sim.mechanics` without Bullet.
 
     ddq = ABA(q, dq, tau),    dq += h ddq,    q += h dq                     (Featherstone; Bullet's own order of steps)
 
 Stretches of a measured motion that start in different states are independent of each other and have the same physics:
-one array for all of them costs the torque loop what one stretch would.
+one array for all of them costs the torque loop as much as one stretch.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from impact_rs_sim.scene import ArmState
 
 @dataclass(frozen=True)
 class FreeStretch:
-    """What one copy of an arm does.
+    """Input of one copy of an arm.
 
     Attributes:
-        arm: Where it starts.
-        drive: How its drive starts.
+        arm: Initial state of the links.
+        drive: Initial state of the drive.
         torque: Driving torque of every period of the torque loop, ``(s, n)`` [N m].
-        time: When it starts, for loads that depend on it [s].
+        time: Start time, for loads that depend on it [s].
     """
 
     arm: ArmState
@@ -39,7 +39,7 @@ class FreeStretch:
 
 @dataclass(frozen=True)
 class FreePath:
-    """What it did, at every tick; arrays are ``(k, n)``.
+    """Resulting motion, at every tick; arrays are ``(k, n)``.
 
     Attributes:
         position: q [rad].
@@ -67,12 +67,12 @@ def run_free(
     """Move copies of one arm.
 
     Args:
-        physics: What is believed; its actuation delay is ignored, for the torques are those that arrive.
+        physics: Parameters of the scene; the actuation delay is ignored, because the torques are those that arrive.
         arm: Name of the arm.
         stretches: Copies, with the same number of periods.
         period: Period of the torque loop [s].
         substeps: Periods from tick to tick.
-        drive: What the torque goes through.
+        drive: Torque loop, or measured torque without one.
     """
     model = physics.robot_model(arm)
     links, loaded = model.chain, bool(physics.arms[arm].loads)
@@ -97,5 +97,5 @@ def run_free(
                     arm, model, now, link.position[row], link.velocity[row]
                 )
             motors.load(on_motors)
-        link = motors.glide(links, link, torques[tick * substeps : (tick + 1) * substeps], on_links)
+        link = motors.step_free(links, link, torques[tick * substeps : (tick + 1) * substeps], on_links)
     return [FreePath(*kept[:, :, row]) for row in range(len(stretches))]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arms with their drives, object and support in one Bullet world: what moves, and nothing that measures.
+"""Arms with their drives, object and support in one Bullet world, without sensors.
 
 The plant adds sensors, scatter and a clock to it (:mod:`impact_rs_sim.plant`); a replay starts it in a measured state
 and drives it with recorded torque.
@@ -26,7 +26,7 @@ class Mechanics:
     """Arms with drives, object and support; :meth:`load` makes them.
 
     Args:
-        physics: What they are.
+        physics: Parameters of the scene.
         world: Their Bullet world.
         drives: Drives by arm.
         period: Period of the torque loop, and step of Bullet [s].
@@ -44,12 +44,12 @@ class Mechanics:
 
     @classmethod
     def load(cls, physics: Physics, period: float, drive: type[Drive] | type[LinkTorque] = Drive) -> Mechanics:
-        """Everything in a world of its own.
+        """A new world with arms, object and support.
 
         Args:
-            physics: What there is.
+            physics: Parameters of the scene.
             period: Period of the torque loop, and step of Bullet [s].
-            drive: What stands between desired torque and links.
+            drive: Torque loop, or measured torque without one.
 
         Raises:
             NotABody: Mass and inertia of an end effector are those of no body.
@@ -68,22 +68,22 @@ class Mechanics:
         self,
         arms: Mapping[str, ArmState],
         drives: Mapping[str, DriveStart],
-        thing: BodyState,
+        object_: BodyState,
         may_sleep: bool = True,
     ) -> None:
-        """Put everything into a state.
+        """Set the state of arms, drives and object.
 
         Args:
             arms: Joint states by arm.
             drives: State of the drives by arm.
-            thing: State of the object.
-            may_sleep: Whether an object that rests is left alone, and Bullet with it, until something comes near.
+            object_: State of the object.
+            may_sleep: Whether an object at rest, and Bullet with it, is left out until a pad comes near.
         """
-        self.world.set_object(thing)
+        self.world.set_object(object_)
         self._approach = None
-        if may_sleep and _rests(self.physics, thing):
+        if may_sleep and _rests(self.physics, object_):
             self.world.rest_object()
-            self._approach = Approach(self.physics, self._models, self._period, arms, thing)
+            self._approach = Approach(self.physics, self._models, self._period, arms, object_)
         for name, link in arms.items():
             self.links[name] = link
             self.world.set_arm(name, link)
@@ -101,7 +101,7 @@ class Mechanics:
         Args:
             desired: By arm, desired torque of every period, ``(n,)`` [N m] each.
             time: Time now, for loads that depend on it [s].
-            further: By arm, a torque on the links besides, ``(n,)`` [N m].
+            further: By arm, an additional torque on the links, ``(n,)`` [N m].
             after_sense: Called with the name of an arm whenever its drive has sensed the links.
         """
         world, drives = self._moving(), self.drives
@@ -112,8 +112,8 @@ class Mechanics:
         for wanted in zip(*desired.values(), strict=True):
             for name, torque in zip(desired, wanted, strict=True):
                 drive = drives[name]
-                passed = drive.passed(torque)
-                world.apply_torque(name, passed + loads[name] if name in loads else passed)
+                link_torque = drive.link_torque(torque)
+                world.apply_torque(name, link_torque + loads[name] if name in loads else link_torque)
                 drive.step(torque)
             world.step()
             for name, drive in drives.items():
@@ -125,7 +125,7 @@ class Mechanics:
             self.links[name] = ArmState(np.array(position), np.array(velocity))
 
     def _moving(self) -> BulletWorld | Approach:
-        """What moves the links now."""
+        """The simulation of the links in this step."""
         if self._approach is not None and self._approach.is_near:
             for name, link in self.links.items():
                 self.world.set_arm(name, link)
@@ -133,7 +133,7 @@ class Mechanics:
         return self._approach or self.world
 
     def _load_torque(self, name: str, time: float) -> Array:
-        """Torque on the links of everything outside the model, ``(n,)`` [N m]; what acts on the motors goes there."""
+        """Torque on the links of all loads outside the model, ``(n,)`` [N m]; sets that on the motors as well."""
         link = self.links[name]
         on_links, on_motors = self.physics.load_torques(name, self._models[name], time, link.position, link.velocity)
         self.drives[name].load(on_motors)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Model files: what we believe about the physics, on top of the scenario's nominal values.
+"""Model files: estimated effects, on top of the nominal values of a scenario.
 
 A model is a list of effects with their parameters. Adding an effect writes a new file that names its parent, so the way
 from the nominal model to the present one can be read back (``impact-rs history``).
@@ -36,7 +36,7 @@ OF_SLIDING = {unit for unit, _ in SLIDING.values()}  # no parameter of a joint t
 
 
 class ParameterValue(Schema):
-    """A believed number."""
+    """An estimated parameter."""
 
     estimate: float = Field(description="believed value, in its unit")
     unit: str = Field(description="unit, '-' where it has none")
@@ -44,14 +44,14 @@ class ParameterValue(Schema):
 
 
 class ModelEffect(Schema):
-    """One effect that is switched on."""
+    """One active effect."""
 
     name: str = Field(description="name of the effect (impact-rs effects lists them)")
     parameters: dict[str, ParameterValue] = Field(description="its parameters")
 
 
 class Model(Schema):
-    """A belief about the physics (``config/models/*.yaml``)."""
+    """A model of the physics (``config/models/*.yaml``)."""
 
     name: str = Field(description="name of the model")
     parent: str | None = Field(None, description="file of the model this one was made from")
@@ -82,7 +82,7 @@ class Model(Schema):
 
     @property
     def digest(self) -> str:
-        """Digest of what the model says about the physics; name, note and parent do not count."""
+        """Digest of the physics of the model, without name, note and parent."""
         content = self.model_dump_json(include={"formulas", "effects"})
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 
@@ -140,7 +140,7 @@ def _joint_count(effect: Effect, item: ModelEffect) -> int | None:
 
 
 def _joints(effect: Effect, item: ModelEffect) -> Joints:
-    """How the joints that the parameters of an effect name move, as their units tell; where these do not, they turn."""
+    """Types of the joints named by an effect, from the units of its parameters; revolute where these are open."""
     count = _joint_count(effect, item) or 0
     sliding: JointType = "prismatic"
     slides = {

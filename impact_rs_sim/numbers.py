@@ -35,8 +35,8 @@ def estimate_text(estimate: float, ci95: tuple[float, float] | None, least: int 
 
 def estimate_in_line(estimate: float, ci95: tuple[float, float] | None, least: int = 0) -> str:
     """An estimate with its interval, as in ``1.15 [1.13, 1.17]``; arguments as for :func:`estimate_text`."""
-    told, *interval = estimate_text(estimate, ci95, least)
-    return f"{told} [{', '.join(interval)}]" if interval else told
+    value, *interval = estimate_text(estimate, ci95, least)
+    return f"{value} [{', '.join(interval)}]" if interval else value
 
 
 def speed_text(speed: float, half: float | None) -> tuple[str, ...]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pad that yields along its face: what Bullet's friction, which sticks without any give, leaves out.
+"""A pad that is compliant along its face, which Bullet's rigid sticking friction leaves out.
 
 The face of the pad is sheared against the flange by s and twisted about the contact normal by phi. Between face and
 flange sits a Maxwell element with a damper across its spring; between face and object Coulomb friction. At every
@@ -88,12 +88,12 @@ class PadShear:
         self._pull = np.zeros(3)  # F of the last step, axes of E [N]
         self._torque = 0.0  # about the normal, of the last step [N m]
 
-    def step(self, touch: Touch, thing: Side, pad: Side, rotation: Array) -> Array:
+    def step(self, touch: Touch, object_: Side, pad: Side, rotation: Array) -> Array:
         """Forces on the object over the next step, axes of A, ``(m, 3)`` [N].
 
         Args:
             touch: Contact points.
-            thing: The object.
+            object_: The object.
             pad: The pad, at the origin of E.
             rotation: Axes of E in A, ``(3, 3)``.
         """
@@ -105,10 +105,10 @@ class PadShear:
         radius = float(np.sqrt(share @ np.sum(np.square(turning), axis=1)))
         turns = radius > SMALLEST_TURN
         along = _AXES - normal[:, None] * normal
-        of_thing, of_pad = (_rows(along, normal, radius, centre - side.position) for side in (thing, pad))
+        of_thing, of_pad = (_rows(along, normal, radius, centre - side.position) for side in (object_, pad))
         # Three shears in axes of A and the twist as a length (phi times the radius of gyration of the load).
-        velocity = of_thing @ thing.twist - of_pad @ pad.twist
-        mobility = of_thing @ thing.mobility @ of_thing.T + of_pad @ pad.mobility @ of_pad.T
+        velocity = of_thing @ object_.twist - of_pad @ pad.twist
+        mobility = of_thing @ object_.mobility @ of_thing.T + of_pad @ pad.mobility @ of_pad.T
         lever = across @ (centre - pad.position)
         deflection = _shears(along @ (rotation @ self._shift + self._twist * lever), radius * self._twist)
         last = _shears(along @ (rotation @ self._pull), self._torque / radius if turns else 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers that a plant, a twin or an impact map is built from.
+"""Physical parameters of a plant, a twin or an impact map.
 
 A :class:`Physics` is one complete belief about the scene. The nominal one follows from scenario and object; an
 effect turns one into another. Nothing else carries physical parameters, so what one side can hide the other can
@@ -25,7 +25,7 @@ RESTITUTION_LAWS = ("newton", "poisson")
 
 @dataclass(frozen=True)
 class JointFriction:
-    """Joint friction as the desired torque feels it: tau_fric of paper eq. EOM_motor_mod.
+    """Joint friction, in terms of the desired torque: tau_fric of paper eq. EOM_motor_mod.
 
     The motor feels ``tau_fric,m = B_rho B_theta^-1 tau_fric`` (paper, below eq. EOM_motor_mod). The torque opposes the
     motor's velocity; the sign change is smoothed over ``smoothing`` so that rest is a state and not a limit cycle.
@@ -48,7 +48,7 @@ class JointFriction:
 
     @staticmethod
     def none(joint_count: int) -> JointFriction:
-        """No friction at all."""
+        """No friction."""
         zero = np.zeros(joint_count)
         return JointFriction(zero, zero, zero, np.full(joint_count, 0.05))
 
@@ -71,7 +71,7 @@ class JointFriction:
 
 @dataclass(frozen=True)
 class LoadState:
-    """What a :class:`Load` may depend on.
+    """Arguments of a :class:`Load`.
 
     Attributes:
         time: Time since the start of the trial [s].
@@ -91,7 +91,7 @@ class LoadState:
 
 
 class Load:
-    """Something outside the model that acts on one arm; subclasses override what they need."""
+    """A load on one arm from outside the model; subclasses override what they need."""
 
     def motor_torque(self, state: LoadState) -> Array | None:
         """Torque on the motors, as joint friction acts, ``(n,)`` [N m], or None."""
@@ -176,7 +176,7 @@ class ObjectPhysics:
 
 @dataclass(frozen=True)
 class Physics:
-    """Everything physical about one scene.
+    """Physical parameters of one scene.
 
     Attributes:
         arms: Arms by name.
@@ -211,7 +211,7 @@ class Physics:
 
     @staticmethod
     def nominal(scenario: Scenario, object_name: str) -> Physics:
-        """What the scenario says, for one of its objects.
+        """Nominal physics of a scenario, for one of its objects.
 
         Raises:
             InputError: The scenario has no such object.
@@ -228,7 +228,7 @@ class Physics:
                 base=robot.base.placement,
                 end_effector=robot.end_effector.build(),
                 motor_inertia_rotor=np.array(drive.motor_inertia_rotor),
-                motor_inertia_reduced=np.array(drive.behind_the_links),
+                motor_inertia_reduced=np.array(drive.reflected_inertia),
                 stiffness=np.array(drive.stiffness),
                 damping=np.array(drive.damping),
                 friction=friction,
@@ -257,12 +257,12 @@ class Physics:
 
     @property
     def arm_joints(self) -> tuple[tuple[str, tuple[JointType, ...]], ...]:
-        """Names of the arms, each with how its joints move, base to tip."""
+        """Names of the arms, each with its joint types, base to tip."""
         return tuple((name, arm.facts.joint_types) for name, arm in self.arms.items())
 
     @property
     def joints(self) -> tuple[JointType, ...]:
-        """How the joints of an arm move, base to tip; none where there is no arm.
+        """Joint types of an arm, base to tip; empty where there is no arm.
 
         Raises:
             InputError: The arms have unequal numbers of joints, or joints that move otherwise.
@@ -309,7 +309,7 @@ class Physics:
     def load_torques(
         self, arm: str, model: RobotModel, time: float, position: Array, velocity: Array
     ) -> tuple[Array, Array]:
-        """What the loads of one arm do.
+        """Torques of the loads of one arm.
 
         Args:
             arm: Name of the arm.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot of the laptop: Bullet for links and contacts, a drive per arm beside it, sensors in front.
+"""The simulated plant: Bullet for links and contacts, a drive per arm, and sensors.
 
 Every control period the caller reads :meth:`Plant.measure`, decides on torques and calls :meth:`Plant.step`, which
 runs the torque loop and Bullet at the drive's period. The truth is for recording under ``/truth`` and for
@@ -27,7 +27,7 @@ from impact_rs_sim.sensors import ArmMeasurement, ArmSensors, ObjectMeasurement,
 
 @dataclass(frozen=True)
 class Measurement:
-    """Everything a real robot cell would give at one control tick.
+    """Measurements of a real robot cell at one control tick.
 
     Attributes:
         time: Time since the start of the trial [s].
@@ -68,7 +68,7 @@ class Truth:
 
 
 class PlantExtension:
-    """Something that a plant does and no :class:`Physics` can say; subclasses override what they need.
+    """Behaviour of a plant outside :class:`Physics`; subclasses override what they need.
 
     For tests of the diagnosis: what it must not find in its library has to live somewhere.
     """
@@ -92,7 +92,7 @@ class Plant:
         mechanics: Arms and object, in place.
         sensors: Sensors by arm.
         tracker: Tracker of the object.
-        extension: Something that the physics cannot say.
+        extension: Behaviour outside the physics.
     """
 
     def __init__(
@@ -128,11 +128,11 @@ class Plant:
 
         Args:
             scenario: Times, sensors and scatter.
-            physics: The true physics, possibly with effects that nobody else knows.
+            physics: The true physics, possibly with effects hidden from the model.
             initial: Initial joint positions by arm, ``(n,)`` [rad].
             object_state: Nominal pose of the object; the scatter comes on top.
             seed: Seed of scatter and noise. Same seed, same trial, bit by bit.
-            extension: Something that the physics cannot say.
+            extension: Behaviour outside the physics.
 
         Raises:
             NotABody: Mass and inertia of an end effector are those of no body.
@@ -181,7 +181,7 @@ class Plant:
         return self._tick % self._tracker_ticks == 0
 
     def measure(self) -> Measurement:
-        """What the sensors say now. Calling it twice gives the same answer."""
+        """Present sensor values; a second call returns the same."""
         arms = {}
         for name, drive in self._mechanics.drives.items():
             link = self._mechanics.links[name]
@@ -223,7 +223,7 @@ class Plant:
         """
         for name, link in self._mechanics.links.items():
             torque = desired[name]
-            # In a sum of squares nothing that is not finite gets lost.
+            # A sum of squares keeps every value that is not finite.
             if torque.shape != link.position.shape or not math.isfinite(torque @ torque):
                 raise InputError(
                     f"desired torque of arm {name!r} must be {link.position.size} finite numbers [N m], "
@@ -267,7 +267,7 @@ def _scatter(
     object_state: BodyState,
     rng: np.random.Generator,
 ) -> tuple[Physics, dict[str, Array], BodyState]:
-    """What differs from trial to trial; the object stays on its support."""
+    """Scatter from trial to trial; the object stays on its support."""
     shift = scatter.object_position * rng.standard_normal(2)
     yaw = scatter.object_yaw * rng.standard_normal()
     friction = physics.support_friction * (1.0 + scatter.support_friction * rng.standard_normal())

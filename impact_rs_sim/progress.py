@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress for programs: with ``IMPACT_RS_PROGRESS=FILE`` a command keeps in that file how far it is.
+"""Progress for other programs: with ``IMPACT_RS_PROGRESS=FILE`` a command writes its progress to that file.
 
-The file holds one JSON document, replaced as a whole: ``what`` is under way, how much of it is ``done`` of which
-``total``, and when this stage began and was last heard of (``since``, ``at``, seconds of the wall clock); what an
-earlier run of the command had done is ``first``. Where explanations are weighed, ``ranking`` holds them with the error
-that they leave, the smallest first.
+The file holds one JSON document, replaced as a whole: the stage (``what``), the steps ``done`` of ``total``, start and
+last update of the stage (``since``, ``at``, seconds of the wall clock), and the steps done by an earlier run of the
+command (``first``). While explanations are compared, ``ranking`` holds them with their remaining error, the smallest
+first.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PERIOD = 0.1  # s, between two writes of one stage
 
 
 class ProgressFile:
-    """The file that the environment names; nothing is written where it names none."""
+    """The file named by the environment variable; without one nothing is written."""
 
     def __init__(self) -> None:
         name = os.environ.get(VARIABLE)
@@ -34,16 +34,16 @@ class ProgressFile:
         self._ranking: dict[str, float] = {}
 
     def rank(self, name: str, error: float) -> None:
-        """Keep what is thought of an explanation so far; it is written with the next stage or step."""
+        """Set the error of an explanation; it is written with the next stage or step."""
         self._ranking[name] = error
 
-    def tell(self, what: str, done: int, total: int | None) -> None:
-        """Keep how far a stage is.
+    def update(self, what: str, done: int, total: int | None) -> None:
+        """Set the progress of a stage.
 
         Args:
             what: The stage.
-            done: Of it.
-            total: Of the whole stage; None: not known.
+            done: Steps done.
+            total: Steps of the stage; None: unknown.
         """
         if self._path is None:
             return
@@ -56,5 +56,5 @@ class ProgressFile:
         ranking = sorted(self._ranking.items(), key=lambda entry: entry[1])
         document = {"what": what, "done": done, "total": total, "first": self._first, "since": self._since, "at": now}
         document["ranking"] = ranking
-        with suppress(InputError):  # a full disk stops no command that only wants to say how far it is
+        with suppress(InputError):  # a full disk must not stop a command because of its progress
             write_whole(self._path, json.dumps(document))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robot facts and end effector: what a URDF is written from, and nothing derived from it.
 
-A joint turns about the z of its own frame (``revolute``) or slides along it (``prismatic``). What is told per joint is
-in the units of its coordinate, :data:`UNITS`; where a docstring says rad, N m, kg m^2, one that slides has m, N, kg.
+A joint turns about the z of its own frame (``revolute``) or slides along it (``prismatic``). Values per joint have
+the units of its coordinate, :data:`UNITS`; where a docstring says rad, N m, kg m^2, one that slides has m, N, kg.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ UNITS: dict[JointType, JointUnits] = {
 }
 
 
-def told_units(units: Iterable[str]) -> str:
-    """One unit in brackets of a table, or those of joints that turn and slide."""
+def joined_units(units: Iterable[str]) -> str:
+    """Text of the units of several joints, ``rad or m`` for example."""
     return " or ".join(dict.fromkeys(units))
 
 
@@ -70,7 +70,7 @@ class JointOrigin(Schema):
 
     @property
     def units(self) -> JointUnits:
-        """Units of what is told of this joint."""
+        """Units of the values of this joint."""
         return UNITS[self.type]
 
     @model_serializer(mode="wrap")
@@ -207,7 +207,7 @@ class RobotFacts(Schema):
 
     @property
     def units(self) -> tuple[JointUnits, ...]:
-        """Units of what is told of every joint, base to tip."""
+        """Units of the values of every joint, base to tip."""
         return tuple(joint.units for joint in self.joints)
 
 
@@ -240,7 +240,7 @@ class EndEffector:
         mount_yaw: Rotation of E about the flange axis [rad].
         pad_size: Width (x), height (y) and thickness (z) of the pad [m].
         pad_tilt: Roll and pitch of the pad in E, about the centre of its outer face: about x, then about the y of E
-            [rad]. E stays where it is: a tilt is what nobody knows of.
+            [rad]. E stays where it is: the tilt is unknown to the controller.
     """
 
     mass: float

@@ -71,7 +71,7 @@ def check_drives(facts: RobotFacts, scenario: Scenario) -> list[Check]:
 
 
 def failures_of(scenario: Scenario) -> list[Check]:
-    """What is wrong with the arms of a scenario, as far as it is told without a simulator: inertias, limits, drives."""
+    """Failed checks of the arms of a scenario that need no simulator: inertias, limits, drives."""
     checks = []
     for name, robot in scenario.robots.items():
         own = failures_of_facts(robot.robot_facts)
@@ -80,12 +80,12 @@ def failures_of(scenario: Scenario) -> list[Check]:
 
 
 def failures_of_facts(facts: RobotFacts) -> list[Check]:
-    """What is wrong with an arm by itself: inertias and limits."""
+    """Failed checks of an arm without its drive: inertias and limits."""
     return [check for check in (_check_inertias(facts), _check_limits(facts)) if check.outcome == "failed"]
 
 
 def empty_flange() -> EndEffector:
-    """A milligram on the flange, because a body without any mass is no body."""
+    """A milligram on the flange, because a body needs a mass."""
     return EndEffector(
         mass=1e-6,
         com=np.zeros(3),
@@ -108,7 +108,7 @@ def inverse_mass_matrices(model: RobotModel) -> Array:
 
 
 def link_inertias(inverse_mass_matrices: Array) -> Array:
-    """What a joint feels of the links while all others are free, 1 / (M^-1)_ii, ``(k, n)`` [kg m^2]."""
+    """Inertia of the links about a joint while all others are free, 1 / (M^-1)_ii, ``(k, n)`` [kg m^2]."""
     return 1.0 / np.diagonal(inverse_mass_matrices, axis1=1, axis2=2)
 
 
@@ -136,8 +136,8 @@ def _check_limits(facts: RobotFacts) -> Check:
             found = f"joint {number}: position from {lower:g} to {upper:g} {joint.units.position}"
             return Check(name, "failed", f"{found}, expected lower < upper")
         spans.setdefault(joint.type, []).append(upper - lower)
-    told = (f"{MOVE[kind]} by {min(of):.3g} to {max(of):.3g} {UNITS[kind].position}" for kind, of in spans.items())
-    return Check(name, "ok", f"joints {', '.join(told)}")
+    ranges = (f"{MOVE[kind]} by {min(of):.3g} to {max(of):.3g} {UNITS[kind].position}" for kind, of in spans.items())
+    return Check(name, "ok", f"joints {', '.join(ranges)}")
 
 
 def _check_engines(model: RobotModel, positions: Array) -> Check:
@@ -165,13 +165,13 @@ def _check_drive(arm: str, robot: Robot, period: float) -> list[Check]:
     lightest = link_inertias(inverses).min(axis=0)
     checks = []
     for joint, link_inertia in enumerate(lightest):
-        values = drive.behind_the_links[joint], drive.stiffness[joint], drive.damping[joint]
+        values = drive.reflected_inertia[joint], drive.stiffness[joint], drive.damping[joint]
         found = joint_stability(float(link_inertia), *values, period)
         if found.spectral_radius >= 1.0 - MARGINAL:
             units = robot.robot_facts.units[joint]
             checks.append(_unstable(arm, joint, units, found, drive.damping[joint], period))
     motors, stiffness, damping = (
-        np.array(values) for values in (drive.behind_the_links, drive.stiffness, drive.damping)
+        np.array(values) for values in (drive.reflected_inertia, drive.stiffness, drive.damping)
     )
     radius = max(spectral_radius(inverse + np.diag(1.0 / motors), stiffness, damping, period) for inverse in inverses)
     outcome: Outcome = "ok" if radius < 1.0 - MARGINAL else "warning" if radius <= 1.0 + MARGINAL else "failed"
@@ -180,7 +180,7 @@ def _check_drive(arm: str, robot: Robot, period: float) -> list[Check]:
 
 
 def _unstable(arm: str, joint: int, units: JointUnits, found: JointStability, damping: float, period: float) -> Check:
-    """What is wrong with one joint, and what would do."""
+    """Description of an unstable joint, and remedies."""
     name = f"drive of {arm}, joint {joint + 1}"
     radius = f"spectral radius {found.spectral_radius:.6g} with {found.link_inertia:.3g} {units.inertia} on the link"
     if damping == 0.0:

@@ -225,9 +225,9 @@ class RobotModel:
             )
         if np.max(np.abs(best.fun)) > tolerance:
             units = self.facts.units
-            told = "".join(f", joint {joint + 1} at {at:.4g} {units[joint].position}" for joint, at in held.items())
+            held_at = "".join(f", joint {joint + 1} at {at:.4g} {units[joint].position}" for joint, at in held.items())
             raise UnreachablePose(
-                f"E cannot be at {np.round(target.translation, 4).tolist()} m{told}: the nearest pose is "
+                f"E cannot be at {np.round(target.translation, 4).tolist()} m{held_at}: the nearest pose is "
                 f"{np.linalg.norm(best.fun[:3]):.3g} m and {np.linalg.norm(best.fun[3:]):.3g} rad off"
             )
         q[free] = best.x

@@ -130,7 +130,7 @@ class DriveSettings(Schema):
         return self
 
     @property
-    def behind_the_links(self) -> tuple[float, ...]:
+    def reflected_inertia(self) -> tuple[float, ...]:
         """Motor inertia per joint that the links feel: B_theta with a torque loop, else B_rho [kg m^2]."""
         return self.motor_inertia_rotor if self.motor_inertia_reduced is None else self.motor_inertia_reduced
 
@@ -221,7 +221,7 @@ class Robot(Schema):
 
     @model_validator(mode="after")
     def _facts_of_a_robot_that_can_be(self) -> Self:
-        """``robot check`` reads such facts and tells what is wrong with them; nothing is simulated with them."""
+        """Refuse facts that no body has; ``robot check`` reads such facts and reports what is wrong with them."""
         for number, link in enumerate(self.robot_facts.links):
             least = float(np.linalg.eigvalsh(link.inertia_matrix)[0])
             if least < 0.0:
@@ -368,7 +368,7 @@ class Excursion(Schema):
 
 
 class Timing(Schema):
-    """When things happen in a trial."""
+    """Times of a trial."""
 
     nominal_impact: Positive = Field(description="T_nom, nominal impact time [s]")
     approach: Positive = Field(description="duration of the motion that ends at T_nom [s]")
@@ -670,9 +670,9 @@ class Scenario(Schema):
 
     @property
     def digest(self) -> str:
-        """Digest of what decides how the arms move; names, number of trials and velocity scales do not count."""
-        told = {"name", "description", "velocity_scales", "trials", "friction_compensation"}
-        return hashlib.sha256(self.model_dump_json(exclude=told).encode()).hexdigest()[:16]
+        """Digest of the motion of the arms, without names, number of trials and velocity scales."""
+        excluded = {"name", "description", "velocity_scales", "trials", "friction_compensation"}
+        return hashlib.sha256(self.model_dump_json(exclude=excluded).encode()).hexdigest()[:16]
 
     @property
     def axis_index(self) -> int:

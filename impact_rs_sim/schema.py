@@ -252,7 +252,7 @@ IN_WORDS = {
 
 def _input_error(schema: type[Schema], error: ValidationError, file: str | Path | None) -> InputError:
     mistakes = error.errors(include_url=False)
-    # A misspelt key is unknown and also missing; the unknown one tells what was meant.
+    # A misspelt key is unknown and also missing; the unknown one shows what was meant.
     first = next((mistake for mistake in mistakes if mistake["type"] == "extra_forbidden"), mistakes[0])
     location = [part for part in first["loc"] if part != "[key]"]
     key = ".".join(str(part) for part in location)

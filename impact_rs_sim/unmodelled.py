@@ -27,14 +27,14 @@ class LooseContents(PlantExtension):
 
     def begin(self, plant: Plant) -> None:
         """Put the slab on the object, and take its mass off the object."""
-        world, thing = plant.world, plant.physics.object
+        world, object_ = plant.world, plant.physics.object
         client, state = world.client, plant.world.object_state()
-        mass = self._share * thing.mass
-        client.changeDynamics(world.object, -1, mass=thing.mass - mass)
-        client.changeDynamics(world.object, -1, localInertiaDiagonal=(thing.inertia * (1.0 - self._share)).tolist())
-        half = [0.35 * thing.size[0], 0.35 * thing.size[1], 0.01]
+        mass = self._share * object_.mass
+        client.changeDynamics(world.object, -1, mass=object_.mass - mass)
+        client.changeDynamics(world.object, -1, localInertiaDiagonal=(object_.inertia * (1.0 - self._share)).tolist())
+        half = [0.35 * object_.size[0], 0.35 * object_.size[1], 0.01]
         shape = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half)
-        top = state.position + np.array([0.0, 0.0, thing.size[2] / 2.0 + half[2]])
+        top = state.position + np.array([0.0, 0.0, object_.size[2] / 2.0 + half[2]])
         slab = client.createMultiBody(mass, shape, basePosition=top.tolist())
         client.changeDynamics(slab, -1, linearDamping=0.0, angularDamping=0.0)
         client.changeDynamics(slab, -1, lateralFriction=self._friction)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The serial chain of a foreign URDF: which joints move, what is fixed to which link, and what is left out.
+"""The serial chain of any URDF: which joints move, what is fixed to which link, and what is left out.
 
 A URDF is a tree of links. An arm is the way from its base to its tip. Links that are fixed beside this way ride on it
 and belong to it; links beyond the tip do not, for they are what a scenario calls the end effector. Nothing is locked in

@@ -21,7 +21,7 @@ import pinocchio as pin
 from impact_rs_sim.assumed_drive import assumed_drive
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import Array, JointUnits, RobotFacts, told_units
+from impact_rs_sim.robot import Array, JointUnits, RobotFacts, joined_units
 from impact_rs_sim.robot_check import failures_of, failures_of_facts, random_positions
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import ImpactPose, Scenario, load_scenario
@@ -298,7 +298,7 @@ def _robot_lines(
         position = 2.0 * mirrored - pose.position
         position[2] = pose.position[2]
     reduced = drive.get("motor_inertia_reduced")
-    inertia = told_units(unit.inertia for unit in units)
+    inertia = joined_units(unit.inertia for unit in units)
     return [
         f"  {name}:",
         f"    facts: {facts_name}",
@@ -318,13 +318,13 @@ def _robot_lines(
         *(["      type: rigid   # no torque loop: the links carry B_rho"] if reduced is None else []),
         f"      motor_inertia_rotor: {drive['motor_inertia_rotor']}   # {inertia}, B_rho",
         *([] if reduced is None else [f"      motor_inertia_reduced: {reduced}   # {inertia}, B_theta"]),
-        f"      stiffness: {drive['stiffness']}   # {told_units(unit.stiffness for unit in units)}, K",
-        f"      damping: {drive['damping']}   # {told_units(unit.damping for unit in units)}, D",
+        f"      stiffness: {drive['stiffness']}   # {joined_units(unit.stiffness for unit in units)}, K",
+        f"      damping: {drive['damping']}   # {joined_units(unit.damping for unit in units)}, D",
         "    impact:",
         f"      position: {_row(position)}   # m",
         f"      pad_normal: {_row(sign * NORMAL)}",
         f"      pad_up: {_row(UP)}",
-        f"      joint_guess: {_row(pose.q)}   # {told_units(unit.position for unit in units)}",
+        f"      joint_guess: {_row(pose.q)}   # {joined_units(unit.position for unit in units)}",
     ]
 
 

@@ -141,7 +141,7 @@ def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
     """
     arm = _arm(scenario, question)
     scene, problem = _problem(scenario, question)
-    found = predict_impact(problem, "first", "pinocchio")
+    found = predict_impact(problem)
     stated = scene.scenario.uncertainty
     told: UncertainPrediction | None = None
     ends: Ends = {}
@@ -264,7 +264,7 @@ def _point(scenario: Scenario, question: Question, value: float) -> SweepPoint:
     try:
         scene, problem = _problem(scenario, question)
         for name in arms:
-            found = predict_impact(ImpactProblem.at_nominal_impact(scene, name), "first", "pinocchio")
+            found = predict_impact(ImpactProblem.at_nominal_impact(scene, name))
             arms[name] = float(found.end_effector_twist[arm][axis])
             thing = float(found.object_twist[axis]) if name == question.motor_inertia else thing
         names, lows, highs = interval_of_draws(problem, scene.scenario.uncertainty, scene.models, MOVING_DRAWS)

@@ -63,21 +63,21 @@ Polygon clip(const Polygon& polygon, int axis, double sign, double limit) {
 
 }  // namespace
 
-Face separating_face(const Box& partner, const Box& thing, double aligned) {
-  const Vector apart = thing.centre - partner.centre;
+Face separating_face(const Box& partner, const Box& object, double aligned) {
+  const Vector apart = object.centre - partner.centre;
   Vector axes[6];
   double distance[6], separation[6], best = -INFINITY;
   for (int i = 0; i < 6; ++i) {
-    axes[i] = column(i < 3 ? partner.rotation : thing.rotation, i % 3);
+    axes[i] = column(i < 3 ? partner.rotation : object.rotation, i % 3);
     distance[i] = dot(axes[i], apart);
-    separation[i] = std::abs(distance[i]) - (reach(partner, axes[i]) + reach(thing, axes[i]));
+    separation[i] = std::abs(distance[i]) - (reach(partner, axes[i]) + reach(object, axes[i]));
     best = std::max(best, separation[i]);
   }
   int chosen = 0;
   double least = INFINITY;
   for (int i = 0; i < 6; ++i) {
     if (!(separation[i] >= best - aligned)) continue;
-    const double across = extent(i >= 3 ? partner : thing, axes[i]);
+    const double across = extent(i >= 3 ? partner : object, axes[i]);
     if (across < least) {
       least = across;
       chosen = i;
@@ -87,11 +87,11 @@ Face separating_face(const Box& partner, const Box& thing, double aligned) {
   return {separation[chosen], sign * axes[chosen], chosen >= 3};
 }
 
-void touching(const Box& partner, const Box& thing, const Face& face, double tolerance, std::vector<Touch>& found) {
+void touching(const Box& partner, const Box& object, const Face& face, double tolerance, std::vector<Touch>& found) {
   // The reference face owns the normal; the incident face of the other box is clipped to it.
-  const Box& reference = face.on_thing ? thing : partner;
-  const Box& incident = face.on_thing ? partner : thing;
-  const Vector outward = face.on_thing ? -1.0 * face.normal : face.normal;
+  const Box& reference = face.on_object ? object : partner;
+  const Box& incident = face.on_object ? partner : object;
+  const Vector outward = face.on_object ? -1.0 * face.normal : face.normal;
   const int axis = largest(transposed_times(reference.rotation, outward));
   const double facing = std::copysign(1.0, dot(column(reference.rotation, axis), outward));
   Polygon polygon = corners_of(incident, -1.0 * outward);
@@ -107,7 +107,7 @@ void touching(const Box& partner, const Box& thing, const Face& face, double tol
     const double height = facing * point[axis] - reference.half[axis];
     if (height > tolerance) continue;
     Vector position = reference.centre + reference.rotation * point;
-    if (face.on_thing) position = position - height * outward;
+    if (face.on_object) position = position - height * outward;
     found.push_back({position, height});
   }
 }

@@ -18,8 +18,8 @@ Chain::Chain(std::vector<Joint> joints, std::vector<Link> links, const Vector& g
       acceleration_(joints_.size()) {}
 
 Spatial Chain::times(const Body& body, const Spatial& motion) {
-  return {body.inertia * motion.turn + cross(body.moment, motion.slide),
-          body.mass * motion.slide + cross(motion.turn, body.moment)};
+  return {body.inertia * motion.angular + cross(body.moment, motion.linear),
+          body.mass * motion.linear + cross(motion.angular, body.moment)};
 }
 
 void Chain::place(const double* q) {
@@ -103,12 +103,12 @@ void Chain::momentum(const double* q, const double* dq, double* momentum, double
     moved = moved + forces_[i];
     weight = weight + Spatial{cross(bodies_[i].moment, gravity_), bodies_[i].mass * gravity_};
     momentum[i] = dot(axes_[i], moved);
-    // A turn of the joint turns all behind it, which is as if the link before moved the other way around.
+    // Rotating the joint rotates all later links, as if the link before rotated the other way.
     known[i] = dot(carried(velocities_[i], axes_[i]), moved) + dot(axes_[i], weight);
   }
-  const Vector speed = velocity.slide + cross(velocity.turn, end_);
+  const Vector speed = velocity.linear + cross(velocity.angular, end_);
   std::copy(speed.begin(), speed.end(), twist);
-  std::copy(velocity.turn.begin(), velocity.turn.end(), twist + 3);
+  std::copy(velocity.angular.begin(), velocity.angular.end(), twist + 3);
 }
 
 }  // namespace impact_rs

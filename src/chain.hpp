@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rigid links in a row on a base that stands still: what a replay asks of an arm thousands of times.
+// Serial chain of rigid links on a fixed base, evaluated thousands of times in a simulation of recorded runs.
 //
 // Recursive Newton-Euler and composite rigid bodies (Featherstone, Rigid Body Dynamics Algorithms, tables 5.1 and 6.2),
-// with every spatial vector in axes of A about the origin of A, so that nothing is carried from link to link.
+// with every spatial vector in axes of A about the origin of A, so that no transforms between links are needed.
 
 #pragma once
 
@@ -24,27 +24,27 @@ struct Link {
   Matrix inertia;  // about the centre of mass, in axes of that frame [kg m^2]
 };
 
-// A motion (speed of turning, velocity of what is at the origin) or a force (moment about the origin, force).
+// A motion (angular velocity, velocity of the point at the origin) or a force (moment about the origin, force).
 struct Spatial {
-  Vector turn, slide;
+  Vector angular, linear;
 };
 
-inline Spatial operator+(const Spatial& a, const Spatial& b) { return {a.turn + b.turn, a.slide + b.slide}; }
-inline Spatial operator*(double s, const Spatial& a) { return {s * a.turn, s * a.slide}; }
+inline Spatial operator+(const Spatial& a, const Spatial& b) { return {a.angular + b.angular, a.linear + b.linear}; }
+inline Spatial operator*(double s, const Spatial& a) { return {s * a.angular, s * a.linear}; }
 
 // Power of a force along a motion.
 inline double dot(const Spatial& motion, const Spatial& force) {
-  return dot(motion.turn, force.turn) + dot(motion.slide, force.slide);
+  return dot(motion.angular, force.angular) + dot(motion.linear, force.linear);
 }
 
-// Change of a motion that is carried along by another.
+// Spatial cross product of two motions.
 inline Spatial carried(const Spatial& by, const Spatial& motion) {
-  return {cross(by.turn, motion.turn), cross(by.turn, motion.slide) + cross(by.slide, motion.turn)};
+  return {cross(by.angular, motion.angular), cross(by.angular, motion.linear) + cross(by.linear, motion.angular)};
 }
 
-// Change of a momentum that is carried along by a motion.
+// Spatial cross product of a motion and a momentum (or force).
 inline Spatial carried_momentum(const Spatial& by, const Spatial& momentum) {
-  return {cross(by.turn, momentum.turn) + cross(by.slide, momentum.slide), cross(by.turn, momentum.slide)};
+  return {cross(by.angular, momentum.angular) + cross(by.linear, momentum.linear), cross(by.angular, momentum.linear)};
 }
 
 class Chain {
@@ -54,7 +54,7 @@ class Chain {
 
   std::size_t joints() const { return joints_.size(); }
 
-  // ddq = M^-1 (tau - h) of the n joints; not a number where M is not positive definite.
+  // ddq = M^-1 (tau - h) of the n joints; NaN where M is not positive definite.
   void accelerate(const double* q, const double* dq, const double* tau, double* ddq);
 
   // A step of semi-implicit Euler, velocity first.

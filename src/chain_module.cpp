@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What Python sees of chain.hpp; impact_rs_sim/_kernel.pyi says it in Python's words.
+// Python bindings of chain.hpp, documented in impact_rs_sim/_kernel.pyi.
 
 #include "chain.hpp"
 
@@ -30,7 +30,7 @@ Chain chain_of(const Numbers& rotations, const Numbers& origins, const std::vect
                vector(checked(tip, 3, "tip")));
 }
 
-// How many copies of the arm an array tells of.
+// Number of copies of the arm in an array.
 py::ssize_t copies(const Chain& chain, const Numbers& values) {
   const auto n = static_cast<py::ssize_t>(chain.joints());
   if (n == 0 || values.size() % n != 0) throw py::value_error("position: not a number per joint");

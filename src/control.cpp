@@ -136,7 +136,7 @@ void TaskLaw::decide(int tick, bool after, double gamma, const ArmTick& state, c
     solve(factor_, n, push_.data(), 1);
     for (int row = 0; row < 6; ++row)  // paper eq. a_p_f
       for (int i = 0; i < n; ++i) targets[row] += terms.jacobian[n * row + i] * push_[i];
-    // The same torque moves these joints as well: no posture feedback shall fight it.
+    // The same torque moves these joints as well, so posture feedback must not oppose it.
     for (int k = 0; k < held; ++k) targets[6 + k] += push_[posture_[k]];
   }
   for (int row = 0; row < 6; ++row) targets[row] -= state.drift[row];
@@ -194,7 +194,7 @@ bool Program::free(double* x) {
   for (int i = 0; i < n; ++i) x[i] = -gradient[i];
   factor_ = hessian;
   if (!solve(factor_, n, x, 1)) return false;
-  for (int i = 0; i < n; ++i) {  // written so that no NaN passes
+  for (int i = 0; i < n; ++i) {  // written so that NaN fails the test
     double torque = 0.0;
     for (int j = 0; j < n; ++j) torque += inertia[i * n + j] * x[j];
     if (!(x[i] >= lower[i] && x[i] <= upper[i] && torque >= torque_lower[i] && torque <= torque_upper[i])) return false;

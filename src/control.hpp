@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Arithmetic of a control tick of one arm. What the numbers are and why stands in impact_rs_control: detection.py for the
-// Observer, controller.py for the TaskLaw, qp.py for the Program. Matrices stand row by row.
+// Arithmetic of a control tick of one arm. Equations in impact_rs_control: detection.py for the Observer, controller.py
+// for the TaskLaw, qp.py for the Program. Matrices are stored row by row.
 
 #pragma once
 
@@ -17,7 +17,7 @@ struct RigidTerms {
   const double* jacobian;  // J of frame E in E[A], (6, n)
 };
 
-// Estimates the external wrench on E from momentum, and tells a sudden force against a direction.
+// Momentum observer: estimates the external wrench on E and detects a sudden force against a direction.
 class Observer {
  public:
   Observer(int joints, double gain, double period, double threshold, double forgetting, const Vector& direction)
@@ -50,7 +50,7 @@ class Observer {
 struct Phase {
   std::vector<double> position;      // of E, then of the k posture joints, (ticks, 3 + k)
   std::vector<double> velocity;      // of the tasks, (ticks, t)
-  std::vector<double> acceleration;  // of the tasks, with what is fed forward against friction, (ticks, t)
+  std::vector<double> acceleration;  // of the tasks, with friction compensation, (ticks, t)
   std::vector<double> gains;         // k_p of the tasks, (t)
 };
 
@@ -61,7 +61,7 @@ struct ArmTick {
   const double* columns;                        // axes of E, one after the other
 };
 
-// Feedback of the tasks, and the accelerations that they want.
+// Feedback and desired accelerations of the tasks.
 class TaskLaw {
  public:
   TaskLaw(std::vector<double> motor_inertia, std::vector<int> posture, Phase ante, Phase post,

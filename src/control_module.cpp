@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What Python sees of control.hpp; impact_rs_sim/_kernel.pyi says it in Python's words.
+// Python bindings of control.hpp, documented in impact_rs_sim/_kernel.pyi.
 
 #include "control.hpp"
 #include "module.hpp"

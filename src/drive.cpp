@@ -35,11 +35,11 @@ void Drive::step(const double* shaped) {
 }
 
 void Drive::coast(Chain& links, const double* shaped, const double* load, double* q, double* dq) {
-  passed_.resize(size());
-  for (std::size_t i = 0; i < size(); ++i) passed_[i] = transmission[i] + load[i];
+  link_torque_.resize(size());
+  for (std::size_t i = 0; i < size(); ++i) link_torque_[i] = transmission[i] + load[i];
   step(shaped);
   for (std::size_t first = 0; first < size(); first += joints())
-    links.advance(q + first, dq + first, passed_.data() + first, period_);
+    links.advance(q + first, dq + first, link_torque_.data() + first, period_);
   sense(q, dq);
 }
 

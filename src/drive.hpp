@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Motor and spring of every joint, one period of the torque loop at a time; impact_rs_sim/drive.py says by which laws.
+// Motor and spring of every joint, one period of the torque loop at a time; equations in impact_rs_sim/drive.py.
 
 #pragma once
 
@@ -9,7 +9,7 @@
 
 namespace impact_rs {
 
-// B_rho B_theta^-1 tau_fric of the n joints; impact_rs_sim/physics.py says what the numbers are. Empty: none.
+// B_rho B_theta^-1 tau_fric of the n joints; parameters as in impact_rs_sim/physics.py. Empty: no friction.
 struct Friction {
   std::vector<double> coulomb, viscous, stribeck, stribeck_velocity;
   std::vector<double> a, b, c;  // of the sigmoid
@@ -54,7 +54,7 @@ class Drive {
   std::vector<double> stiffness_, damping_, feedback_, rotor_inverse_;
   Friction law_;
   double period_;
-  std::vector<double> passed_;
+  std::vector<double> link_torque_;
 };
 
 }  // namespace impact_rs

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What Python sees of drive.hpp; impact_rs_sim/_kernel.pyi says it in Python's words.
+// Python bindings of drive.hpp, documented in impact_rs_sim/_kernel.pyi.
 
 #include <optional>
 #include <tuple>
@@ -10,7 +10,7 @@
 namespace impact_rs {
 namespace {
 
-// Numbers that Bullet hands out as a tuple, or an array.
+// A tuple of numbers (as Bullet returns them) or an array.
 class Values {
  public:
   Values(const py::handle& given, std::size_t size, const char* name) {
@@ -74,7 +74,7 @@ class DriveOfPython {
     drive_.sense(q.data(), dq.data());
   }
 
-  void turn(const Numbers& shaped) { drive_.step(checked(shaped, drive_.size(), "shaped")); }
+  void integrate(const Numbers& shaped) { drive_.step(checked(shaped, drive_.size(), "shaped")); }
 
   py::tuple coast(Chain& links, const Numbers& position, const Numbers& velocity, const Numbers& shaped,
                   const Numbers& load) {
@@ -114,7 +114,7 @@ void add_drive(py::module_& module) {
       .def("place", &Python::place, py::arg("position"), py::arg("velocity"), py::arg("elastic"),
            py::arg("transmission"))
       .def("sense", &Python::sense, py::arg("link_position"), py::arg("link_velocity"))
-      .def("turn", &Python::turn, py::arg("shaped"))
+      .def("integrate", &Python::integrate, py::arg("shaped"))
       .def("coast", &Python::coast, py::arg("links"), py::arg("position"), py::arg("velocity"), py::arg("shaped"),
            py::arg("load"))
       .def_property("position", &Python::get<&Drive::position>, &Python::set<&Drive::position>)

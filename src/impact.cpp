@@ -6,7 +6,7 @@ namespace impact_rs {
 
 namespace {
 
-constexpr int MANY = 3;  // times as many impulses as velocities, from which a step of the solver is found by the root
+constexpr int MANY = 3;  // ratio of impulses to velocities above which the solver uses the root
 constexpr double ORTHONORMAL = 1e-6;  // of a rotation, as check_problem() of problem.py
 
 Matrix matrix(const double* values) {
@@ -55,18 +55,18 @@ void point_rows(const double* jacobian, int columns, const Vector& lever, double
 
 }  // namespace
 
-bool Impact::sound(const std::vector<ArmState>& arms, const ThingState& thing) const {
+bool Impact::sound(const std::vector<ArmState>& arms, const ObjectState& object) const {
   for (const ArmState& arm : arms) {
     if (!within(arm.position, arm.low, arm.high, arm.joints)) return false;
     for (int j = 0; j < arm.joints; ++j)
       if (!(std::abs(arm.velocity[j]) <= arm.fastest[j] && arm.motor[j] >= 0.0 && std::isfinite(arm.motor[j])))
         return false;
   }
-  return finite(thing.position, 3) && finite(thing.twist, 6) && finite(thing.axes, 9) &&
-         is_rotation(matrix(thing.axes));
+  return finite(object.position, 3) && finite(object.twist, 6) && finite(object.axes, 9) &&
+         is_rotation(matrix(object.axes));
 }
 
-bool Impact::find_points(const std::vector<ArmState>& arms, const ThingState& thing, const ContactState& contact) {
+bool Impact::find_points(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact) {
   points.clear();
   places_.clear();
   for (const ArmState& arm : arms) places_.push_back(vector(arm.place));
@@ -74,7 +74,7 @@ bool Impact::find_points(const std::vector<ArmState>& arms, const ThingState& th
     points = *given_;
     return true;
   }
-  const Box box{vector(thing.position), matrix(thing.axes), vector(thing.half)};
+  const Box box{vector(object.position), matrix(object.axes), vector(object.half)};
   const int count = static_cast<int>(arms.size());
   for (int partner = 0; partner < count + (contact.support != nullptr); ++partner) {
     Box other;
@@ -96,7 +96,7 @@ bool Impact::find_points(const std::vector<ArmState>& arms, const ThingState& th
   return true;
 }
 
-bool Impact::assemble(const std::vector<ArmState>& arms, const ThingState& thing, const ContactState& contact) {
+bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact) {
   const int count = static_cast<int>(arms.size());
   blocks_.resize(count + 1);
   before_.clear();
@@ -118,10 +118,10 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ThingState& thing
   body.start = static_cast<int>(before_.size());
   body.size = 6;
   body.inertia.assign(36, 0.0);
-  before_.insert(before_.end(), thing.twist, thing.twist + 6);
-  const Matrix axes = matrix(thing.axes);
-  const Vector c = axes * vector(thing.offset);
-  const double mass = *thing.mass;
+  before_.insert(before_.end(), object.twist, object.twist + 6);
+  const Matrix axes = matrix(object.axes);
+  const Vector c = axes * vector(object.offset);
+  const double mass = *object.mass;
   const Matrix lever{0.0, -c[2], c[1], c[2], 0.0, -c[0], -c[1], c[0], 0.0};
   for (int i = 0; i < 3; ++i) {
     body.inertia[6 * i + i] = mass;
@@ -129,7 +129,7 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ThingState& thing
       body.inertia[6 * i + 3 + j] = -mass * lever[3 * i + j];
       body.inertia[6 * (3 + i) + j] = mass * lever[3 * i + j];
       double moment = mass * ((i == j ? dot(c, c) : 0.0) - c[i] * c[j]);
-      for (int k = 0; k < 3; ++k) moment += axes[3 * i + k] * thing.moments[k] * axes[3 * j + k];
+      for (int k = 0; k < 3; ++k) moment += axes[3 * i + k] * object.moments[k] * axes[3 * j + k];
       body.inertia[6 * (3 + i) + 3 + j] = moment;
     }
   }
@@ -144,7 +144,7 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ThingState& thing
   // Y = L^-1 J_c^T of the object and of the arm at every point, three columns each; G = Y^T Y.
   int widest = 6;
   for (const Block& block : blocks_) widest = std::max(widest, block.size);
-  thing_columns_.resize(18 * m);
+  object_columns_.resize(18 * m);
   arm_columns_.assign(3 * widest * m, 0.0);
   work_.resize(3 * widest);
   double still[36] = {};
@@ -158,7 +158,7 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ThingState& thing
         for (int j = 0; j < n; ++j) found[3 * j + k] = work_[k * n + j];
       forward(block.factor.data(), n, found, 3);
     };
-    columns(still, 6, point.position - vector(thing.position), 1.0, body, thing_columns_.data() + 18 * i);
+    columns(still, 6, point.position - vector(object.position), 1.0, body, object_columns_.data() + 18 * i);
     if (point.partner < count) {
       const ArmState& arm = arms[point.partner];
       const Vector at = point.position - point.gap * point.normal - places_[point.partner];
@@ -173,7 +173,7 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ThingState& thing
           for (int k = 0; k < 3; ++k)
             for (int c2 = 0; c2 < 3; ++c2) sums[3 * k + c2] += left[3 * r + k] * right[3 * r + c2];
       };
-      add(thing_columns_.data() + 18 * i, thing_columns_.data() + 18 * j, 6);
+      add(object_columns_.data() + 18 * i, object_columns_.data() + 18 * j, 6);
       add(arm_columns_.data() + 3 * widest * i, arm_columns_.data() + 3 * widest * j, n);
       for (int k = 0; k < 3; ++k)
         for (int c2 = 0; c2 < 3; ++c2)
@@ -183,7 +183,7 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ThingState& thing
   }
   take_root(count);
   terms_.take_inverse_mass();
-  relative_velocities(arms, thing, before_twists_.data(), thing.twist, terms_.approach.data());
+  relative_velocities(arms, object, before_twists_.data(), object.twist, terms_.approach.data());
   for (int i = 0; i < m; ++i) {
     std::copy(points[i].normal.begin(), points[i].normal.end(), terms_.normals.begin() + 3 * i);
     terms_.friction[i] = points[i].partner < count ? *contact.pad_friction : *contact.support_friction;
@@ -204,15 +204,15 @@ void Impact::take_root(int arms) {
       for (int k = 0; k < 3; ++k) terms_.root[(block.start + r) * size + 3 * point + k] = columns[3 * r + k];
   };
   for (int i = 0; i < m; ++i) {
-    put(thing_columns_.data() + 18 * i, blocks_[arms], i);
+    put(object_columns_.data() + 18 * i, blocks_[arms], i);
     if (points[i].partner < arms) put(arm_columns_.data() + stride * i, blocks_[points[i].partner], i);
   }
 }
 
-void Impact::relative_velocities(const std::vector<ArmState>& arms, const ThingState& thing, const double* of_bodies,
-                                 const double* of_thing, double* found) const {
+void Impact::relative_velocities(const std::vector<ArmState>& arms, const ObjectState& object, const double* of_bodies,
+                                 const double* of_object, double* found) const {
   for (const Point& point : points) {
-    Vector moving = vector(of_thing) + cross(vector(of_thing + 3), point.position - vector(thing.position));
+    Vector moving = vector(of_object) + cross(vector(of_object + 3), point.position - vector(object.position));
     if (point.partner < static_cast<int>(arms.size())) {
       const double* twist = of_bodies + 6 * point.partner;
       const Vector at = point.position - point.gap * point.normal - places_[point.partner];
@@ -223,13 +223,13 @@ void Impact::relative_velocities(const std::vector<ArmState>& arms, const ThingS
   }
 }
 
-void Impact::impulses_to_momenta(const std::vector<ArmState>& arms, const ThingState& thing,
+void Impact::impulses_to_momenta(const std::vector<ArmState>& arms, const ObjectState& object,
                                  std::vector<double>& momenta) {
   const int count = static_cast<int>(arms.size());
   momenta.assign(before_.size(), 0.0);
   for (const Point& point : points) {
     double* body = momenta.data() + blocks_[count].start;
-    const Vector moment = cross(point.position - vector(thing.position), point.impulse);
+    const Vector moment = cross(point.position - vector(object.position), point.impulse);
     for (int k = 0; k < 3; ++k) {
       body[k] += point.impulse[k];
       body[3 + k] += moment[k];
@@ -246,10 +246,10 @@ void Impact::impulses_to_momenta(const std::vector<ArmState>& arms, const ThingS
   }
 }
 
-// From the impulses: velocities, how far they are from the laws, and energy.
-void Impact::finish(const std::vector<ArmState>& arms, const ThingState& thing) {
+// From the impulses: velocities, residuals and energy.
+void Impact::finish(const std::vector<ArmState>& arms, const ObjectState& object) {
   const int count = static_cast<int>(arms.size());
-  impulses_to_momenta(arms, thing, momenta_);
+  impulses_to_momenta(arms, object, momenta_);
   velocity = before_;
   momentum = energy = gain = 0.0;
   for (const Block& block : blocks_) {
@@ -281,12 +281,12 @@ void Impact::finish(const std::vector<ArmState>& arms, const ThingState& thing) 
   for (int a = 0; a < count; ++a)
     twist_of(arms[a].jacobian, velocity.data() + blocks_[a].start, arms[a].joints, twists.data() + 6 * a);
   after_.resize(3 * points.size());
-  relative_velocities(arms, thing, twists.data(), velocity.data() + blocks_[count].start, after_.data());
+  relative_velocities(arms, object, twists.data(), velocity.data() + blocks_[count].start, after_.data());
   laws = judge(terms_, impulses_.data(), after_.data());
 }
 
-Status Impact::solve(const std::vector<ArmState>& arms, const ThingState& thing, const ContactState& contact) {
-  if (!sound(arms, thing) || !find_points(arms, thing, contact) || !assemble(arms, thing, contact))
+Status Impact::solve(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact) {
+  if (!sound(arms, object) || !find_points(arms, object, contact) || !assemble(arms, object, contact))
     return Status::unsound;
   solver_.steps = 0;
   const bool solved = solver_.solve(terms_, impulses_, rules_.compliance);
@@ -295,7 +295,7 @@ Status Impact::solve(const std::vector<ArmState>& arms, const ThingState& thing,
     points[i].impulse = vector(impulses_.data() + 3 * i);
     points[i].state = solver_.state(static_cast<int>(i));
   }
-  finish(arms, thing);
+  finish(arms, object);
   return solved ? Status::solved : Status::unsolved;
 }
 

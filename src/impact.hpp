@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// One question to the impact map, from the kinematics of the arms to velocities after the impact.
+// One impact problem, from the kinematics of the arms to the velocities after the impact.
 
 #pragma once
 
@@ -10,7 +10,7 @@
 
 namespace impact_rs {
 
-// Numbers that Python sets; units in impact_rs_sim/impact_map.
+// Constants set by Python; units in impact_rs_sim/impact_map.
 struct Rules {
   double aligned;      // ALIGNED of contacts.py [m]
   double gap;          // GAP_TOLERANCE of contacts.py [m]
@@ -35,7 +35,7 @@ struct ArmState {
   const double* pad_half;   // its half extents, (3)
 };
 
-struct ThingState {
+struct ObjectState {
   const double* position;  // geometric centre in A, (3)
   const double* axes;      // in A, (3, 3)
   const double* twist;     // (6)
@@ -52,10 +52,10 @@ struct ContactState {
   const double* support;           // centre, then half extents of the support's box in A, (6); null: there is none
 };
 
-enum class Status : char { solved, unsound, unsolved };  // unsound: a question that Python shall look at
+enum class Status : char { solved, unsound, unsolved };  // unsound: invalid data, reported by Python
 
 struct Point {
-  int partner;  // number of the arm; the support comes after them
+  int partner;  // index of the arm; number of arms: the support
   Vector position, normal, impulse;
   double gap;
   State state;
@@ -63,11 +63,11 @@ struct Point {
 
 class Impact {
  public:
-  // Contact points are searched for, or `given` for all questions.
+  // Contact points are found by geometry, or `given` for all problems.
   Impact(const Rules& rules, const std::vector<Point>* given) : rules_(rules), given_(given) {}
 
-  // Solve one question; what was found stands below.
-  Status solve(const std::vector<ArmState>& arms, const ThingState& thing, const ContactState& contact);
+  // Solve one problem; the result is in the members below.
+  Status solve(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact);
 
   std::vector<double> velocity;  // u^+, joints of all arms and the twist of the object
   std::vector<double> twists;    // of frame E of every arm after the impact, (6) each
@@ -83,14 +83,14 @@ class Impact {
     std::vector<double> inertia, factor;
   };
 
-  bool sound(const std::vector<ArmState>& arms, const ThingState& thing) const;
-  bool find_points(const std::vector<ArmState>& arms, const ThingState& thing, const ContactState& contact);
-  bool assemble(const std::vector<ArmState>& arms, const ThingState& thing, const ContactState& contact);
+  bool sound(const std::vector<ArmState>& arms, const ObjectState& object) const;
+  bool find_points(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact);
+  bool assemble(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact);
   void take_root(int arms);
-  void finish(const std::vector<ArmState>& arms, const ThingState& thing);
-  void impulses_to_momenta(const std::vector<ArmState>& arms, const ThingState& thing, std::vector<double>& momenta);
-  void relative_velocities(const std::vector<ArmState>& arms, const ThingState& thing, const double* of_bodies,
-                           const double* of_thing, double* found) const;
+  void finish(const std::vector<ArmState>& arms, const ObjectState& object);
+  void impulses_to_momenta(const std::vector<ArmState>& arms, const ObjectState& object, std::vector<double>& momenta);
+  void relative_velocities(const std::vector<ArmState>& arms, const ObjectState& object, const double* of_bodies,
+                           const double* of_object, double* found) const;
 
   Rules rules_;
   const std::vector<Point>* given_;
@@ -100,7 +100,7 @@ class Impact {
   std::vector<Vector> places_;  // origins of E
   std::vector<Block> blocks_;
   std::vector<double> before_, before_twists_, impulses_, after_, momenta_, work_;
-  std::vector<double> thing_columns_, arm_columns_;
+  std::vector<double> object_columns_, arm_columns_;
 };
 
 }  // namespace impact_rs

@@ -7,15 +7,15 @@ namespace impact_rs {
 namespace {
 
 constexpr double TINY = 1e-300;
-constexpr int SWEEPS = 4;        // of Gauss and Seidel, before Newton's method
-constexpr int HARDENINGS = 3;    // each leaves a hundred-millionth of what the one before left
-constexpr double SOFT = 0.1;     // of the inverse mass: how much points yield at the start
-constexpr double FACTOR = 0.1;   // the first step from there, where they cannot stop yielding at once
-constexpr double SLOWEST = 0.98;  // a step as small is none
-constexpr double BOLD = 0.05;    // a larger step, of which Newton's method gets less time
-constexpr int HASTE = 8;         // steps of Newton's method then
-constexpr int EASY = 5;          // steps of Newton's method after which the next one is larger
-constexpr int REFINEMENTS = 2;   // of a step that was found by the root: each takes seven digits of its rounding away
+constexpr int SWEEPS = 4;        // Gauss-Seidel sweeps before Newton's method
+constexpr int HARDENINGS = 3;    // each reduces the effect of the compliance by a factor of 1e8
+constexpr double SOFT = 0.1;     // compliance at the start, in inverse masses of the point
+constexpr double FACTOR = 0.1;   // first reduction of the compliance, where the final value fails at once
+constexpr double SLOWEST = 0.98;  // a smaller reduction is no progress
+constexpr double BOLD = 0.05;    // below this factor the reduction is large, and Newton's method gets fewer steps
+constexpr int HASTE = 8;         // number of Newton steps after a large reduction
+constexpr int EASY = 5;          // with at most so many Newton steps, the next reduction is larger
+constexpr int REFINEMENTS = 2;   // of a step computed through the root; each removes seven digits of rounding error
 
 // Solve a x = b in place of both, by elimination with partial pivoting; false where a is singular.
 bool eliminate(double* a, double* b, int n) {
@@ -121,7 +121,7 @@ PointLaw linearise(const Vector& impulse, const Vector& velocity, const Vector& 
   return law;
 }
 
-// s + origin, with the compliance as a spring about the impulses `origin`.
+// s, with the compliance as a spring about the impulses `origin`.
 void Solver::velocities(const Terms& terms, const std::vector<double>& impulses, double yield) {
   const int size = 3 * terms.count;
   velocity_.resize(size);
@@ -136,7 +136,7 @@ void Solver::velocities(const Terms& terms, const std::vector<double>& impulses,
 // The same step as newton_step, where there are more impulses than velocities. With A and V the derivatives of F by
 // impulse and velocity, D = A + yield V and P = D^-1 V, which are blocks of single points,
 //     (D + V Y^T Y) x = b    is    x = D^-1 b - P Y^T z    with    (1 + Y P Y^T) z = Y D^-1 b.
-// Points that hold yield little, D is small there, and x is a small difference; refined it has all its digits.
+// At sticking points D is small and x is a small difference of large numbers; refinement restores its digits.
 bool Solver::step_by_root(const Terms& terms, double yield) {
   const int size = 3 * terms.count, rank = terms.rank;
   const double* root = terms.root.data();
@@ -203,7 +203,7 @@ bool Solver::newton_step(const Terms& terms, double yield) {
   for (int p = 0; p < points; ++p) {
     const int i = coupled_[p];
     const PointLaw& law = laws_[i];
-    Vector given{};  // what the steps of the others change here
+    Vector given{};  // change at this point due to the steps of the others
     for (int j = 0; j < terms.count; ++j) {
       if (!laws_[j].independent) continue;
       for (int k = 0; k < 3; ++k) {
@@ -229,7 +229,7 @@ bool Solver::newton_step(const Terms& terms, double yield) {
   return true;
 }
 
-// Newton's steps without a line search: at the kinks between states it would only stall.
+// Newton's method without line search, which stalls at the kinks between contact states.
 bool Solver::full_steps(const Terms& terms, std::vector<double>& impulses, double yield, double enough, int most) {
   double lowest = INFINITY;
   best_ = impulses;
@@ -287,7 +287,7 @@ void Solver::harden(const Terms& terms, std::vector<double>& impulses, double co
   }
 }
 
-// Every point in turn: no impulse, one that holds it, or one on the edge of its cone.
+// Gauss-Seidel sweep: each point opens, sticks, or slides on the edge of its cone.
 void Solver::sweep(const Terms& terms, std::vector<double>& impulses, double yield) {
   const int size = 3 * terms.count;
   velocities(terms, impulses, yield);
@@ -337,8 +337,9 @@ void Solver::sweep(const Terms& terms, std::vector<double>& impulses, double yie
   }
 }
 
-// Points that yield much have one answer, which shares loads evenly and is found easily; from there they yield less and
-// less: all at once where that does, else in steps that grow while they come easily.
+// Continuation in the compliance. With large compliance the solution is unique, shares loads evenly and is easy to
+// find. From there the compliance falls to its final value: at once where Newton's method converges, else in growing
+// steps.
 bool Solver::solve(const Terms& terms, std::vector<double>& impulses, double compliance) {
   impulses.assign(3 * terms.count, 0.0);
   origin_ = impulses;
@@ -371,7 +372,7 @@ Judged judge(const Terms& terms, const double* impulses, const double* after) {
   for (int i = 0; i < terms.count; ++i)
     pushed = std::max(pushed, dot(at(terms.normals, i), vector(impulses + 3 * i)));
   const auto worse = [](double& law, double amount) {
-    if (law == law && !(amount <= law)) law = amount;  // a NaN is the worst
+    if (law == law && !(amount <= law)) law = amount;  // NaN counts as the largest
   };
   for (int i = 0; i < terms.count; ++i) {
     const Vector normal = at(terms.normals, i), impulse = vector(impulses + 3 * i), moving = vector(after + 3 * i);

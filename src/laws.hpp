@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The laws of an impact in its contact impulses, and who solves them; symbols and reasons stand in
-// impact_rs_sim/impact_map/newton.py and residual.py.
+// The contact laws in terms of the impulses, and their solver. Symbols and derivation: newton.py and residual.py in
+// impact_rs_sim/impact_map.
 
 #pragma once
 
@@ -11,9 +11,9 @@
 namespace impact_rs {
 
 constexpr double CONVERGED = 1e-15;  // m/s, |g F| that ends the iteration
-constexpr double ACCEPTED = 1e-10;   // m/s, |g F| that is an answer where rounding ends it before
+constexpr double ACCEPTED = 1e-10;   // m/s, |g F| accepted where rounding stops the iteration earlier
 constexpr int ITERATIONS = 25;       // of Newton's method; most problems take five to ten
-constexpr double CONTINUATION[] = {1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7};  // rho, where it does not get there at once
+constexpr double CONTINUATION[] = {1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7};  // rho, where the final value fails at once
 
 // A problem at its m contact points; three numbers per point, in axes of A.
 struct Terms {
@@ -26,7 +26,7 @@ struct Terms {
   std::vector<double> least;         // bound a of the normal impulses, (m) [N s]
   std::vector<double> inverse_mass;  // g, (m) [1/kg]
   double mobility = 0.0;             // 1 / m of the object [1/kg]
-  int rank = 0;                      // rows of the root; 0: no step is found by it
+  int rank = 0;                      // rows of the root; 0: the root is not used
   std::vector<double> root;          // Y = L^-1 J_c^T with H = L L^T, so that G = Y^T Y, (rank, 3 m)
 
   void resize(int points);
@@ -42,7 +42,7 @@ struct PointLaw {
   Matrix by_velocity;
   Vector by_friction;
   State state;
-  double margin;     // how far the point is from another state [m/s]
+  double margin;     // distance to another contact state [m/s]
   bool independent;  // whether F = L - L_0: nothing depends on a velocity
 };
 
@@ -51,16 +51,16 @@ PointLaw linearise(const Vector& impulse, const Vector& velocity, const Vector& 
 
 class Solver {
  public:
-  // Newton's method to the answer nearest to the impulses, as settle() of newton.py; false: they stay as they are.
+  // Newton's method from the given impulses, as settle() of newton.py; false: not converged, impulses unchanged.
   bool settle(const Terms& terms, std::vector<double>& impulses, double compliance);
 
-  // Take the compliance out again: the same impulses without the velocity that it let points yield.
+  // Remove the effect of the compliance on the velocities (proximal point method).
   void harden(const Terms& terms, std::vector<double>& impulses, double compliance);
 
-  // From nothing, by Gauss and Seidel, Newton's method and harden; false: no answer.
+  // From zero impulses, by Gauss-Seidel sweeps, Newton's method and harden; false: not converged.
   bool solve(const Terms& terms, std::vector<double>& impulses, double compliance);
 
-  // Of a point, where the last of Newton's steps was linearised.
+  // Linearisation of a point at the last Newton step.
   State state(int point) const { return laws_[point].state; }
 
   int steps = 0;  // of Newton's method and sweeps of Gauss and Seidel, since the start
@@ -82,7 +82,7 @@ struct Judged {
   double penetration = 0.0, complementarity = 0.0, friction = 0.0;  // m/s
 };
 
-// How far impulses and the velocities J_c u^+ that go with them are from the laws, as residual.py says.
+// Residuals of the contact laws at impulses and velocities J_c u^+; definitions in residual.py.
 Judged judge(const Terms& terms, const double* impulses, const double* after);
 
 }  // namespace impact_rs

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What Python sees of the kernel; impact_rs_sim/_kernel.pyi says it in Python's words.
+// Python bindings of the kernel, documented in impact_rs_sim/_kernel.pyi.
 
 #include <optional>
 
@@ -11,11 +11,11 @@ namespace {
 
 const char* const STATES[] = {"open", "stick", "slide"};
 
-// Numbers of one question out of many: as many sets as there are questions, or one for all of them.
+// One field of N problems: N sets of numbers, or one set for all of them.
 class Field {
  public:
   Field(const py::handle& given, py::ssize_t each, py::ssize_t count, const char* name) {
-    if (each == 1 && PyFloat_Check(given.ptr())) {  // no array is made of a mere number
+    if (each == 1 && PyFloat_Check(given.ptr())) {  // a plain number needs no array
       number_ = PyFloat_AS_DOUBLE(given.ptr());
       return;
     }
@@ -46,15 +46,15 @@ using BoxOfPython = std::tuple<Numbers, Numbers, Numbers>;
 
 Box box_of(const BoxOfPython& box) { return box_of(std::get<0>(box), std::get<1>(box), std::get<2>(box)); }
 
-py::tuple separating_face_of(const BoxOfPython& partner, const BoxOfPython& thing, double aligned) {
-  const Face face = separating_face(box_of(partner), box_of(thing), aligned);
-  return py::make_tuple(face.separation, Numbers(3, face.normal.data()), face.on_thing);
+py::tuple separating_face_of(const BoxOfPython& partner, const BoxOfPython& object, double aligned) {
+  const Face face = separating_face(box_of(partner), box_of(object), aligned);
+  return py::make_tuple(face.separation, Numbers(3, face.normal.data()), face.on_object);
 }
 
-py::tuple touching_of(const BoxOfPython& partner, const BoxOfPython& thing, const Numbers& normal, bool on_thing,
+py::tuple touching_of(const BoxOfPython& partner, const BoxOfPython& object, const Numbers& normal, bool on_object,
                       double tolerance) {
   std::vector<Touch> found;
-  touching(box_of(partner), box_of(thing), {0.0, vector(checked(normal, 3, "normal")), on_thing}, tolerance, found);
+  touching(box_of(partner), box_of(object), {0.0, vector(checked(normal, 3, "normal")), on_object}, tolerance, found);
   std::vector<double> positions, gaps;
   for (const Touch& touch : found) {
     positions.insert(positions.end(), touch.position.begin(), touch.position.end());
@@ -197,7 +197,7 @@ std::vector<Point> points_of(const PointsOfPython& given, int arms) {
   return points;
 }
 
-py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::sequence& thing,
+py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::sequence& object,
                         const py::sequence& contact, const py::object& support,
                         const std::tuple<double, double, double, double>& rules,
                         const std::optional<PointsOfPython>& given) {
@@ -207,12 +207,12 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
     arm_fields.emplace_back(py::reinterpret_borrow<py::sequence>(arm), count);
     joints += arm_fields.back().joints;
   }
-  if (thing.size() != 7 || contact.size() != 3) throw py::value_error("expected 7 fields of the object, 3 of contact");
+  if (object.size() != 7 || contact.size() != 3) throw py::value_error("expected 7 fields of the object, 3 of contact");
   const py::ssize_t sizes[] = {3, 9, 6, 1, 3, 3, 3};
   const char* const names[] = {"object.position", "object.rotation", "object.twist",     "object.mass",
                                "object.half",     "object.inertia",  "object.com_offset"};
-  std::vector<Field> of_thing, of_contact, of_support;
-  for (int k = 0; k < 7; ++k) of_thing.emplace_back(thing[k], sizes[k], count, names[k]);
+  std::vector<Field> of_object, of_contact, of_support;
+  for (int k = 0; k < 7; ++k) of_object.emplace_back(object[k], sizes[k], count, names[k]);
   const char* const coefficients[] = {"pad_friction", "support_friction", "restitution"};
   for (int k = 0; k < 3; ++k) of_contact.emplace_back(contact[k], 1, count, coefficients[k]);
   if (!support.is_none()) of_support.emplace_back(support, 6, count, "support");
@@ -236,7 +236,7 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
     f[0] = 0;
     for (py::ssize_t q = 0; q < count; ++q) {
       for (py::ssize_t a = 0; a < k; ++a) states_of_arms[a] = arm_fields[a].at(q);
-      const auto& o = of_thing;
+      const auto& o = of_object;
       const auto& c = of_contact;
       const Status found = impact.solve(
           states_of_arms, {o[0](q), o[1](q), o[2](q), o[3](q), o[4](q), o[5](q), o[6](q)},
@@ -283,8 +283,8 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
 PYBIND11_MODULE(_kernel, module) {
   using namespace impact_rs;
   module.attr("ACCEPTED") = ACCEPTED;
-  module.def("separating_face", &separating_face_of, py::arg("partner"), py::arg("thing"), py::arg("aligned"));
-  module.def("touching", &touching_of, py::arg("partner"), py::arg("thing"), py::arg("normal"), py::arg("on_thing"),
+  module.def("separating_face", &separating_face_of, py::arg("partner"), py::arg("object"), py::arg("aligned"));
+  module.def("touching", &touching_of, py::arg("partner"), py::arg("object"), py::arg("normal"), py::arg("on_object"),
              py::arg("tolerance"));
   py::class_<TermsOfPython>(module, "Terms")
       .def(py::init<const Numbers&, const Numbers&, const Numbers&, const Numbers&, const Numbers&, const Numbers&,
@@ -296,7 +296,7 @@ PYBIND11_MODULE(_kernel, module) {
       .def("harden", &TermsOfPython::harden, py::arg("impulses"), py::arg("least"), py::arg("compliance"))
       .def("solve", &TermsOfPython::solve, py::arg("compliance"))
       .def("judge", &TermsOfPython::judge, py::arg("impulses"), py::arg("after"), py::arg("least"));
-  module.def("solve_impacts", &solve_impacts, py::arg("count"), py::arg("arms"), py::arg("thing"), py::arg("contact"),
+  module.def("solve_impacts", &solve_impacts, py::arg("count"), py::arg("arms"), py::arg("object"), py::arg("contact"),
              py::arg("support"), py::arg("rules"), py::arg("points") = py::none());
   add_chain(module);
   add_control(module);

@@ -33,7 +33,19 @@ NUMBERS = (math.nan, math.inf, -math.inf, 0.0, -1.0, 1e308, -1e308, 5e-324, 1e-9
 TEXTS = (
     *("", "push", "juice", "cat_food", "case_1", "1", "nonsense", "../../etc/passwd", "/etc/shadow", "a" * 10_000),
     *("\N{SNOWMAN}", "<script>", "{", "[[[[", "null", "effects: []", "name: x\neffects: [{name: gremlins}]", "%s%n"),
-    *("reduced", "rotor", "diagonal", "bullet", "pinocchio", "settled", "{}", '{"name": "push"}', "&a [*a]", "push\n"),
+    *(
+        "reduced",
+        "rotor",
+        "diagonal",
+        "exact",
+        "bullet",
+        "pinocchio",
+        "settled",
+        "{}",
+        '{"name": "push"}',
+        "&a [*a]",
+        "push\n",
+    ),
 )
 TRIALS = 60  # messages per trial that is disturbed
 

@@ -26,7 +26,6 @@ from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, compute_impa
 from impact_rs_sim.model import Model
 from impact_rs_trials.bags.reader import BagError, TrialBag
 
-ENGINE = "pinocchio"
 JOINTS = "joint velocity jump"
 
 
@@ -127,7 +126,7 @@ def _predict(group: Sequence[MeasuredRun], model: Model) -> dict[tuple[str, str,
 
 
 def _numbers(problem: ImpactProblem, run: MeasuredRun) -> dict[tuple[str, str, int], tuple[str, float]]:
-    result = compute_impact_map(problem, ENGINE)
+    result = compute_impact_map(problem)
     numbers: dict[tuple[str, str, int], tuple[str, float]] = {}
     along: list[float] = []
     for arm, state in problem.arms.items():

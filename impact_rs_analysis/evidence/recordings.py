@@ -18,7 +18,7 @@ from impact_rs_analysis.evidence.torque_balance import ARM, Motion, TorqueBalanc
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array, told_units
+from impact_rs_sim.robot import Array, joined_units
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import Recording
 
@@ -115,7 +115,7 @@ class RecordingSource(Source):
         self.balance = TorqueBalance(list(motions))
         self.rest = self.balance.recorded - self.balance.predict(physics)
         self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.rest), axis=0)), 1e-12)
-        self.told_unit = told_units(joint.effort for joint in physics.arms[ARM].facts.units)
+        self.told_unit = joined_units(joint.effort for joint in physics.arms[ARM].facts.units)
         self._stretches = tuple(stretches)
         self._predicted: dict[Added, Array | None] = {}
         self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))

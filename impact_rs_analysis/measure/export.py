@@ -21,7 +21,7 @@ from impact_rs_analysis.measure.analyze import SkippedBag
 from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole
-from impact_rs_sim.robot import Array, told_units
+from impact_rs_sim.robot import Array, joined_units
 from impact_rs_sim.version import package_version
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag, told
@@ -285,7 +285,7 @@ def _signals(bag: TrialBag, arm: str) -> dict[str, tuple[Any, dict[str, str]]]:
     """Columns of an arm and the unit of each, by the name of their group; each topic has its own clock."""
     joints = bag.info.spec.scenario.robots[arm].robot_facts.units
     quantities = ("position", "velocity", "effort")
-    units = {name: told_units(getattr(joint, name) for joint in joints) for name in quantities}
+    units = {name: joined_units(getattr(joint, name) for joint in joints) for name in quantities}
     return {
         "joint_states": (bag.joints(topics.joint_states(arm)), units),
         "motor_states": (bag.joints(topics.motor_states(arm)), {name: units[name] for name in quantities[:2]}),

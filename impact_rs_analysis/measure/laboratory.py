@@ -33,7 +33,6 @@ from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import STANDARD_GRAVITY
 
-ENGINE = "pinocchio"
 SLOWEST = 1e-3  # m/s, below which the support's friction has no direction
 GRAVITY = -STANDARD_GRAVITY[2]
 
@@ -202,7 +201,7 @@ def _baseline(run: MeasuredRun, name: str) -> Array:
 
 def _predicted(run: MeasuredRun, ante: dict[str, Array], motor_inertia: str, contact: str) -> float:
     """Speed 20 to 40 ms after the impact along the direction before it, mean over the arms [m/s]."""
-    result = predict_impact(problem_of(run, run.setup.physics, motor_inertia), contact, ENGINE)
+    result = predict_impact(problem_of(run, run.setup.physics, motor_inertia), contact)
     return float(
         np.mean(
             [

@@ -8,9 +8,8 @@ import logging
 
 import numpy as np
 
-from impact_rs_control.plan import REFERENCE_ENGINE
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, predict_impact
+from impact_rs_sim.impact_map import DEFAULT_ENGINE, ImpactMapError, ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.uncertainty import predict as uncertain
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.scenario import Scenario
@@ -54,7 +53,7 @@ def prediction_interval(scenario_json: str, object_name: str, case_name: str) ->
 
 
 def predict(
-    scenario: Scenario, object_name: str, case_name: str, contact: str = "first", engine: str = REFERENCE_ENGINE
+    scenario: Scenario, object_name: str, case_name: str, contact: str = "first", engine: str = DEFAULT_ENGINE
 ) -> dict[str, float]:
     """As :func:`predict_arms`, mean over the arms, by motor-inertia model [m/s]."""
     by_arm = predict_arms(scenario, object_name, case_name, contact, engine)
@@ -62,7 +61,7 @@ def predict(
 
 
 def predict_arms(
-    scenario: Scenario, object_name: str, case_name: str, contact: str = "first", engine: str = REFERENCE_ENGINE
+    scenario: Scenario, object_name: str, case_name: str, contact: str = "first", engine: str = DEFAULT_ENGINE
 ) -> dict[str, dict[str, float]]:
     """Post-impact end-effector velocity along the measured axis by motor-inertia model and arm [m/s].
 

@@ -17,7 +17,7 @@ from impact_rs_analysis.evidence.tracks import TrackSet
 from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED, Curve, Figure, Panel
 from impact_rs_analysis.report.labels import Tag, phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import quantity_text
-from impact_rs_sim.robot import Array, told_units
+from impact_rs_sim.robot import Array, joined_units
 
 if TYPE_CHECKING:  # the figures of an analysis need nothing of a diagnosis
     from impact_rs_analysis.diagnosis.compare import Cell, SignalLevel
@@ -219,7 +219,7 @@ def joints_plot(rows: Sequence[JointError]) -> go.Figure:
     """Torque error of every joint before and after, over the noise of its torque."""
     groups = [("before", GREY, [row.before for row in rows]), ("after", GREEN, [row.after for row in rows])]
     return _joint_bars(
-        [row.joint for row in rows], groups, [row.noise for row in rows], told_units(row.unit for row in rows)
+        [row.joint for row in rows], groups, [row.noise for row in rows], joined_units(row.unit for row in rows)
     )
 
 

@@ -36,7 +36,7 @@ from impact_rs_analysis.report.figures import (
 from impact_rs_analysis.report.page import Plot, number_text, render
 from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_sim.files import write_whole
-from impact_rs_sim.robot import Array, told_units
+from impact_rs_sim.robot import Array, joined_units
 from impact_rs_sim.scenario import Scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.recordings.laboratory import LaboratoryRun
@@ -172,7 +172,7 @@ def trial_plots(animation: Animation) -> list[Plot]:
         of_arm = f" of {arm}" if len(animation.physics.arms) > 1 else ""
         moved, units = animation.measured, own.facts.units
         joints = [f"joint {joint + 1}" for joint in range(own.facts.joint_count)]
-        position, velocity = (told_units(unit) for unit in ([u.position for u in units], [u.velocity for u in units]))
+        position, velocity = (joined_units(unit) for unit in ([u.position for u in units], [u.velocity for u in units]))
         for name, title, unit, labels, values in (
             ("velocity", f"Velocity of the end effector{of_arm}", "m/s", list("xyz"), moved.velocities.get(arm)),
             ("dq", f"Joint velocities{of_arm}", velocity, joints, moved.rates.get(arm)),

@@ -18,7 +18,7 @@ from impact_rs_cli.arguments import add_jobs, add_runs, number, on_local_runs
 from impact_rs_cli.measurements import Measurements, add_source, measured, only_trials
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 from impact_rs_sim.model import Model, load_model
-from impact_rs_sim.robot import told_units
+from impact_rs_sim.robot import joined_units
 
 TEXT = f"""\
 Compare a model with measurements, and show where it fails.
@@ -132,7 +132,7 @@ def _show(document: ComparisonDocument, terminal: Terminal) -> None:
 def _show_joints(document: ComparisonDocument, terminal: Terminal) -> None:
     table = Table(title="Torque that the model does not explain")
     rows = document.levels["recording"].signals
-    unit = told_units(row.unit for row in rows)
+    unit = joined_units(row.unit for row in rows)
     for heading in ("joint", f"rms [{unit}]", f"mean [{unit}]", f"noise [{unit}]"):
         table.add_column(heading, justify="left" if heading == "joint" else "right")
     for row in rows:

@@ -28,7 +28,7 @@ from impact_rs_sim.effects.formula import load_formulas
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.numbers import estimate_text
-from impact_rs_sim.robot import told_units
+from impact_rs_sim.robot import joined_units
 
 TEXT = f"""\
 Find out which physical effect is missing in a model.
@@ -194,7 +194,7 @@ def _show(document: DiagnosisDocument, terminal: Terminal) -> None:
     if document.hold_out.folds:
         terminal.say(f"held out: {document.hold_out.what}")
     if document.joints:
-        unit = told_units(row.unit for row in document.joints)
+        unit = joined_units(row.unit for row in document.joints)
         table = Table(title=f"Held-out torque error by joint [{unit} rms]")
         for heading in ("", *(row.joint for row in document.joints)):
             table.add_column(heading, justify="right")

@@ -13,7 +13,7 @@ import numpy as np
 from impact_rs_cli.arguments import add_contact, add_jobs, add_settings, started
 from impact_rs_cli.terminal import Terminal, add_json, declare
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import ImpactProblem, predict_impact
+from impact_rs_sim.impact_map import DEFAULT_ENGINE, ENGINES, ImpactProblem, engine_name, predict_impact
 from impact_rs_sim.impact_map.derivatives import Derivatives, differentiate_safely, velocity_names
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, predict
 from impact_rs_sim.impact_map.uniqueness import CHOICE, Uniqueness, uniqueness_of
@@ -63,7 +63,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     add_contact(parser, "how far the impact is carried on")
     parser.add_argument(
-        "--engine", choices=("bullet", "pinocchio"), help="solver of the first contact; default: pinocchio"
+        "--engine",
+        type=engine_name,
+        choices=tuple(ENGINES),
+        default=DEFAULT_ENGINE,
+        help="solver of the first contact: exact, Newton's method on the contact laws (default; formerly pinocchio), "
+        "or bullet, the independent check: the impact map extracted from steps of the physics engine Bullet",
     )
     parser.add_argument(
         "--restitution-law", choices=RESTITUTION_LAWS, help="law of restitution; default: that of the scenario"
@@ -103,7 +108,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         )
     if args.restitution_law:
         problem = replace(problem, restitution_law=args.restitution_law)
-    result = predict_impact(problem, args.contact, args.engine or "pinocchio")
+    result = predict_impact(problem, args.contact, args.engine)
     several = uniqueness_of(problem, scene.models) if args.contact == "first" else None
     told = predict(problem, scenario.uncertainty, scene.models) if args.uncertainty else None
     slopes = differentiate_safely(problem, scene.models) if args.derivatives else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The library of physical effects, and the way to add one's own.
+"""The library of physical effects, and how to extend it.
 
 A Python package adds effects by an entry point in the group ``impact_rs.effects`` that names a subclass of
 :class:`~impact_rs_sim.effects.base.Effect`, or an instance of one; a YAML file adds them as formulas
@@ -72,7 +72,7 @@ def library() -> dict[str, Effect]:
         try:
             loaded = entry.load()
             effect = loaded() if isinstance(loaded, type) and issubclass(loaded, Effect) else loaded
-        except Exception as error:  # somebody else's package can fail in any way
+        except Exception as error:  # a third-party package can raise any exception
             raise InputError(f"entry point {entry.value!r} of {ENTRY_POINT_GROUP} cannot be loaded: {error}") from None
         if not isinstance(effect, Effect):
             raise InputError(f"entry point {entry.value!r} of {ENTRY_POINT_GROUP} is no subclass or instance of Effect")

@@ -25,7 +25,7 @@ TORQUE_OFFSET = ArmEffect(
     name="torque_offset",
     acts_on="actuation",
     sentence=(
-        "Each joint delivers a constant torque that nobody asked for, for example a torque sensor that is not zeroed."
+        "Each joint delivers a constant torque that was not commanded, for example from a torque sensor with an offset."
     ),
     parameters=(Parameter("offset", "N m", 0.0, -5.0, 5.0, 0.1, "added torque", per_joint=True),),
     law=_offset,
@@ -34,7 +34,7 @@ TORQUE_OFFSET = ArmEffect(
 TORQUE_GAIN = ArmEffect(
     name="torque_gain",
     acts_on="actuation",
-    sentence="Each joint delivers a few percent more or less torque than asked for.",
+    sentence="Each joint delivers a few percent more or less torque than commanded.",
     parameters=(Parameter("gain", "-", 1.0, 0.7, 1.3, 0.01, "delivered over desired torque", per_joint=True),),
     law=_gain,
 )

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a physical effect is: a few parameters, and what they do to the physics.
+"""Base classes of physical effects: a few parameters, and the change of the physics that they describe.
 
 One object serves three: the plant hides the effect, twin and impact map predict with it, the diagnosis fits it. All
 three call :meth:`Effect.apply` and nothing else.
 
 Most effects change every arm by itself (:class:`ArmEffect`) or the scene around the arms (:class:`SceneEffect`); such a
-one is a parameter list and a function. Whatever fits neither derives from :class:`Effect`.
+one is a parameter list and a function. All others derive from :class:`Effect`.
 """
 
 from __future__ import annotations
@@ -54,16 +54,16 @@ class Parameter:
         name: Name, for example ``coulomb``.
         unit: Unit, ``-`` where it has none.
         nominal: Value at which the effect does nothing.
-        lower: Smallest value that makes sense.
-        upper: Largest value that makes sense.
-        scale: A change that an engineer would call noticeable; unit of the weak prior.
+        lower: Smallest meaningful value.
+        upper: Largest meaningful value.
+        scale: A noticeable change; unit of the weak prior.
         meaning: What it is, for tables.
         per_joint: Whether there is one per joint.
-        step: First change that is tried when looking for its influence; None: its scale.
-        shape: Whether it moves nothing while the effect is off (Stribeck velocity; where a payload sits).
+        step: Step of the first finite difference; None: its scale.
+        shape: Whether it has no influence while the effect is off (Stribeck velocity; position of a payload).
         grid: Starting values of a shape parameter, where trying them is cheap.
-        far: Values from which a fit that does not fit begins again, where what is in contact changes on the way.
-        hidden: Range from which a blind campaign draws it; None: some scales away from nominal.
+        far: Starting values for a second fit after a poor one, where the contact state changes on the way.
+        hidden: Range of values in blind campaigns; None: some scales away from nominal.
     """
 
     name: str
@@ -125,10 +125,10 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ScalarParameter:
-    """One scalar of an effect, spelled out; fields as in :class:`Parameter`.
+    """One scalar of an effect; fields as in :class:`Parameter`.
 
     Attributes:
-        step: First change that is tried when looking for its influence.
+        step: Step of the first finite difference.
         joint: Joint it belongs to, counted from 0; None: the effect as a whole.
         arm: Arm it belongs to; empty: all arms share it.
     """
@@ -150,7 +150,7 @@ class ScalarParameter:
 
     @property
     def shared_name(self) -> str:
-        """What it is called where arms share it."""
+        """Its name where arms share it."""
         joint = "" if self.joint is None else f"_joint{self.joint + 1}"
         return self.name if not self.arm else self.name.removesuffix(joint).removesuffix(f"_{self.arm}") + joint
 
@@ -158,14 +158,14 @@ class ScalarParameter:
 class Effect(ABC):
     """A physical effect.
 
-    An effect of one's own derives from here and sets the attributes below in its class.
+    A user-defined effect derives from this class and sets the attributes below in its class.
 
     Attributes:
         name: Name in model files and on the command line.
         acts_on: Where it acts: motor side, actuation, joint torque, link inertia, contact, object, scene.
-        sentence: One sentence that a user understands.
+        sentence: One sentence for the user.
         parameters: What can be fitted.
-        phases: Where it can be seen at all: ``free`` motion, ``contact``, or both.
+        phases: Where it is observable: ``free`` motion, ``contact``, or both.
     """
 
     name: str
@@ -213,7 +213,7 @@ class Effect(ABC):
         return np.array([scalar.nominal for scalar in self.scalars(joints)])
 
     def steps(self, joints: Joints, at: Array) -> Array:
-        """Finite-difference steps from ``at`` ``(p,)``, the other way where a bound is in the way, ``(p,)``."""
+        """Finite-difference steps from ``at`` ``(p,)``, backwards at an upper bound, ``(p,)``."""
         return np.array(
             [
                 scalar.step if scalar.lower <= value + scalar.step <= scalar.upper else -scalar.step
@@ -227,23 +227,23 @@ class Effect(ABC):
         return np.array([scalar.lower for scalar in scalars]), np.array([scalar.upper for scalar in scalars])
 
     def bounds_in(self, worlds: Iterable[Physics]) -> tuple[Array, Array]:
-        """Bounds that hold under each of some physics, ``(p,)`` each; at least one."""
+        """Intersection of the bounds under several physics (at least one), ``(p,)`` each."""
         bounds = [self.bounds(physics) for physics in worlds]
         return np.max([low for low, _ in bounds], axis=0), np.min([high for _, high in bounds], axis=0)
 
     def complexity(self, joints: Joints) -> int:
-        """Number of scalars that are no shape: of two effects that look alike, the one with fewer is preferred."""
+        """Number of scalars without shape parameters; of two equivalent effects the one with fewer is preferred."""
         return sum(not scalar.shape for scalar in self.scalars(joints))
 
     def seen_in(self, contact: bool) -> bool:
-        """Whether it can be seen in a motion with (``contact``) or without contact; the former has a free part too."""
+        """Whether it is observable in a motion with or without ``contact``; the former has a free part too."""
         return contact or "free" in self.phases
 
     @property
     def identity(self) -> str:
         """Digest of what the effect computes: its class, name, parameters and the source of its module.
 
-        Kept results of twin runs go by it, since an effect of one's own changes while it is being written.
+        Cached results of twin runs depend on it, because a user-defined effect changes during its development.
         """
         kind = type(self)
         return digest(kind.__qualname__, self.name, repr(self.parameters), _source(kind.__module__))
@@ -304,18 +304,18 @@ class SceneEffect(Effect):
 
 
 def number(values: Values, name: str) -> float:
-    """Value of a parameter that there is one of."""
+    """Value of a parameter with one value."""
     return float(values[name][0])
 
 
 def vector3(values: Values, names: tuple[str, str, str]) -> Array:
-    """Values of three such parameters, ``(3,)``."""
+    """Values of three parameters with one value each, ``(3,)``."""
     return np.array([number(values, name) for name in names])
 
 
 @functools.cache
 def _source(module: str) -> str:
-    """Source of a module; empty where there is none to read."""
+    """Source of a module; empty where it is not readable."""
     try:
         return inspect.getsource(sys.modules[module])
     except (KeyError, OSError, TypeError):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects at the contacts: how the pad bounces, yields, grips and sits, and what the object slides and stands on."""
+"""Effects at the contacts: restitution, stiffness, friction, mounting of pads; friction and stiffness of the support."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ PAD_FRICTION = SceneEffect(
     name="pad_friction",
     acts_on="contact",
     sentence="The pad grips the object more or less than assumed.",
-    # A pad that sticks does not tell how much better it might stick: only a far step towards slipping shows anything.
+    # While the pad sticks, its friction has no influence: only a large step towards slipping has one.
     parameters=(Parameter("scale", "-", 1.0, 0.0, 4.0, 0.2, "friction coefficient over its assumed value", step=-0.8),),
     law=_pad_friction,
     phases=("contact",),

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units of a formula effect: whether what a formula gives is a torque or a force, as far as its symbols tell.
+"""Units of a formula effect: whether a formula yields a torque or a force, where the units of its symbols are known.
 
-A unit is a product of powers of kg, m and s (rad is a number). Numbers that stand in a formula may carry a unit that
-nobody sees, ``tanh(dq2 / 0.02)`` for example, so what they are multiplied with has none that is known; a formula is
-wrong only where two known units clash.
+A unit is a product of powers of kg, m and s (rad is a number). A number in a formula may carry an unwritten
+unit, ``tanh(dq2 / 0.02)`` for example, so a product with a number has an unknown unit. A formula is refused only where
+two known units disagree.
 """
 
 from __future__ import annotations
@@ -72,15 +72,15 @@ def check_units(spec: FormulaSpec) -> dict[str, str]:
         "motor_torque": (spec.motor_torque, TORQUE),
         "end_effector_force": (spec.end_effector_force, FORCE),
     }
-    told = {}
+    units = {}
     for table, (formulas, wanted) in tables.items():
         for key, text in formulas.items():
             place = f"{table}.{key}"
             found = _unit(ast.parse(text.strip(), mode="eval").body, known, text)
             if found is not None and found != wanted:
                 raise InputError(f"formula {text!r} gives {text_of(found)}, expected {text_of(wanted)}", key=place)
-            told[place] = "" if found is None else text_of(found)
-    return told
+            units[place] = "" if found is None else text_of(found)
+    return units
 
 
 def _unit(node: ast.AST, known: dict[str, Dimension], text: str) -> Unit:

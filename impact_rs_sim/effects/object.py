@@ -24,13 +24,13 @@ class ComOffsetEffect(SceneEffect):
 
 
 def _mass(physics: Physics, values: Values) -> Physics:
-    scale, thing = number(values, "scale"), physics.object
-    return replace(physics, object=replace(thing, mass=thing.mass * scale, inertia=thing.inertia * scale))
+    scale, object_ = number(values, "scale"), physics.object
+    return replace(physics, object=replace(object_, mass=object_.mass * scale, inertia=object_.inertia * scale))
 
 
 def _com_offset(physics: Physics, values: Values) -> Physics:
-    thing = physics.object
-    return replace(physics, object=replace(thing, com_offset=thing.com_offset + vector3(values, ("x", "y", "z"))))
+    object_ = physics.object
+    return replace(physics, object=replace(object_, com_offset=object_.com_offset + vector3(values, ("x", "y", "z"))))
 
 
 OBJECT_MASS = SceneEffect(
@@ -46,7 +46,7 @@ OBJECT_COM_OFFSET = ComOffsetEffect(
     name="object_com_offset",
     acts_on="object",
     sentence="The weight of the object is not in its middle.",
-    # Flat on its support and on the pad, a box tells little of where its weight is; beyond some offset it tips.
+    # A box flat on its support and on the pad reveals little of its centre of mass; beyond some offset it tips.
     parameters=tuple(
         Parameter(axis, "m", 0.0, -0.08, 0.08, 0.01, f"offset along the object's {axis} axis", far=(-0.03, 0.03))
         for axis in "xyz"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The impact map: ante-impact state in, post-impact state out (:mod:`.problem`), or its end (:mod:`.settled`)."""
+"""The impact map: ante-impact state in, post-impact (:mod:`.problem`) or settled state (:mod:`.settled`) out."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections import OrderedDict
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.bullet import BulletEngine
 from impact_rs_sim.impact_map.engine import Engine
-from impact_rs_sim.impact_map.pinocchio import PinocchioEngine
+from impact_rs_sim.impact_map.exact import ExactEngine
 from impact_rs_sim.impact_map.problem import (
     ContactImpulse,
     ImpactMapError,
@@ -23,10 +23,12 @@ from impact_rs_sim.impact_map.settled import settle
 
 __all__ = [
     "CONTACTS",
+    "DEFAULT_ENGINE",
     "ENGINES",
     "BulletEngine",
     "ContactImpulse",
     "Engine",
+    "ExactEngine",
     "ImpactMapError",
     "ImpactProblem",
     "ImpactResult",
@@ -34,33 +36,43 @@ __all__ = [
     "Residual",
     "check_problem",
     "compute_impact_map",
+    "engine_name",
     "kinetic_energy",
     "predict_impact",
     "settle",
 ]
 
-ENGINES: dict[str, type[Engine]] = {engine.name: engine for engine in (BulletEngine, PinocchioEngine)}
+ENGINES: dict[str, type[Engine]] = {engine.name: engine for engine in (ExactEngine, BulletEngine)}
+DEFAULT_ENGINE = ExactEngine.name
+FORMER_NAMES = {"pinocchio": ExactEngine.name}
+PinocchioEngine = ExactEngine  # its name up to version 0.1.0
 
-CONTACTS = ("first", "settled")  # how far an impact is carried on
+CONTACTS = ("first", "settled")  # just after the first impact, or when the contact has settled
 
 _KEPT = 8  # engines kept warm; a Bullet world is a few MB
 _warm: OrderedDict[tuple[int, str], Engine] = OrderedDict()
 _lock = threading.Lock()
 
 
-def compute_impact_map(problem: ImpactProblem, engine: str = "bullet") -> ImpactResult:
+def engine_name(name: str) -> str:
+    """The present name of an engine that may have been named by an older version."""
+    return FORMER_NAMES.get(name, name)
+
+
+def compute_impact_map(problem: ImpactProblem, engine: str = DEFAULT_ENGINE) -> ImpactResult:
     """Solve ``problem``.
 
     The engine stays warm for the next problem with the same :class:`~impact_rs_sim.physics.Physics` object.
 
     Args:
-        problem: The question.
-        engine: ``bullet`` or ``pinocchio``.
+        problem: The problem.
+        engine: ``exact``, or ``bullet``, the independent check; ``pinocchio`` is the former name of ``exact``.
 
     Raises:
-        InputError: There is no such engine, or the question has no answer.
-        ImpactMapError: The answer breaks a law by more than the engine's tolerance.
+        InputError: There is no such engine, or the problem is refused.
+        ImpactMapError: The result breaks a law by more than the engine's tolerance.
     """
+    engine = engine_name(engine)
     if engine not in ENGINES:
         raise InputError(f"no impact-map engine {engine!r}; known engines: {', '.join(ENGINES)}")
     with _lock:
@@ -75,18 +87,18 @@ def compute_impact_map(problem: ImpactProblem, engine: str = "bullet") -> Impact
         return _warm[key].solve(problem)
 
 
-def predict_impact(problem: ImpactProblem, contact: str = "first", engine: str = "bullet") -> ImpactResult:
+def predict_impact(problem: ImpactProblem, contact: str = "first", engine: str = DEFAULT_ENGINE) -> ImpactResult:
     """The velocities after an impact.
 
     Args:
-        problem: The question.
+        problem: The problem.
         contact: ``first``: just after the first simultaneous impact, :func:`compute_impact_map`; ``settled``: when the
             contact that lasts is closed, :func:`~impact_rs_sim.impact_map.settled.settle`.
         engine: Engine of the first; the second has one solver.
 
     Raises:
-        InputError: There is no such contact or engine, or the question has no answer.
-        ImpactMapError: The answer breaks a law by more than the engine's tolerance.
+        InputError: There is no such contact or engine, or the problem is refused.
+        ImpactMapError: The result breaks a law by more than the engine's tolerance.
     """
     if contact not in CONTACTS:
         raise InputError(f"no contact {contact!r}; known: {', '.join(CONTACTS)}")

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many questions about one scene at once, in arrays: for samples, sweeps and controllers that try many inputs.
+"""Many impact problems of one scene at once, in arrays: for samples, sweeps and controllers that try many inputs.
 
     batch = ImpactBatch(physics, arms, body, motor_inertia)     # e.g. 10,000 joint states, or motor inertias
     answers = solve_batch(batch)
     answers.joint_velocity["arm"]                               # (10000, 7)
 
-The answers are those of the engine ``pinocchio``, question by question.
+The results are those of the engine ``exact``, problem by problem.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.compiled import SOLVED, CompiledMap
 from impact_rs_sim.impact_map.engine import ENERGY_TOLERANCE
-from impact_rs_sim.impact_map.pinocchio import PinocchioEngine
+from impact_rs_sim.impact_map.exact import ExactEngine
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
@@ -28,9 +28,9 @@ from impact_rs_sim.scene import ArmState, BodyState
 
 @dataclass(frozen=True)
 class ImpactBatch:
-    """N questions about one scene.
+    """N impact problems of one scene.
 
-    What differs from question to question has a first axis of length N; what does not is given once, as in
+    Values that differ between problems have a first axis of length N; others are given once, as in
     :class:`~impact_rs_sim.impact_map.problem.ImpactProblem`.
 
     Attributes:
@@ -54,7 +54,7 @@ class ImpactBatch:
     measured: bool = False
 
     def problem(self, number: int) -> ImpactProblem:
-        """One of the questions."""
+        """One of the problems."""
 
         def at(values: Array | float, axes: int) -> Array:
             array = np.asarray(values, dtype=float)
@@ -81,7 +81,7 @@ class ImpactBatch:
         )
 
     def size(self) -> int:
-        """N, after a look at all shapes; 1 where nothing has a first axis.
+        """N, from all shapes; 1 where no value has a first axis.
 
         Raises:
             InputError: A shape fits neither one question nor N, or the arms are not those of the scene.
@@ -111,7 +111,7 @@ class ImpactBatch:
 
 @dataclass(frozen=True)
 class BatchAnswer:
-    """Answers to N questions; rows of nan where there is none.
+    """Results of N problems; rows of nan where there is none.
 
     Attributes:
         joint_velocity: Post-impact joint velocity by arm, ``(N, n)`` [rad/s].
@@ -119,7 +119,7 @@ class BatchAnswer:
         object_twist: Post-impact twist of the object at its geometric centre, axes of A, ``(N, 6)`` [m/s, rad/s].
         residual: Largest distance from a law, ``(N,)`` [m/s].
         contacts: Number of contact points, ``(N,)``.
-        refused: Why questions have no answer, by their number.
+        refused: Reason by number of the problem, where there is no result.
     """
 
     joint_velocity: Mapping[str, Array]
@@ -131,19 +131,19 @@ class BatchAnswer:
 
 
 def solve_batch(batch: ImpactBatch, models: Mapping[str, RobotModel] | None = None) -> BatchAnswer:
-    """Answer all questions of a batch, by Newton's law of restitution.
+    """Solve all problems of a batch, by Newton's law of restitution.
 
-    A question without an answer costs the others nothing: its rows are nan, and ``refused`` says why.
+    A problem without solution does not affect the others: its rows are nan, and ``refused`` has the reason.
 
     Args:
-        batch: The questions.
+        batch: The problems.
         models: Rigid-body models by arm, where the caller has them already.
 
     Raises:
         InputError: A shape does not fit, or the scene's object or friction cannot be.
     """
     count, physics = batch.size(), batch.physics
-    engine = PinocchioEngine(physics)
+    engine = ExactEngine(physics)
     if models is not None:
         engine.models = models
     compiled = CompiledMap(physics, engine.models)
@@ -158,13 +158,13 @@ def solve_batch(batch: ImpactBatch, models: Mapping[str, RobotModel] | None = No
     columns = np.cumsum([0, *(engine.models[name].joint_count for name in batch.arms)])
     joints = {name: found.velocity[:, a:b] for name, a, b in zip(batch.arms, columns[:-1], columns[1:], strict=True)}
     twists = {name: found.twists[:, 6 * number : 6 * number + 6] for number, name in enumerate(batch.arms)}
-    thing, contacts, refused = found.velocity[:, columns[-1] :], np.diff(found.first), {}
+    object_, contacts, refused = found.velocity[:, columns[-1] :], np.diff(found.first), {}
     shares = np.stack([np.asarray(values, dtype=float) * np.ones(count) for values in contact])
     plain = (found.status == SOLVED) & (residual <= engine.tolerance) & np.all(shares >= 0.0, axis=0)
     plain &= np.all(np.isfinite(shares), axis=0) & (shares[2] <= 1.0)
     plain &= found.energy[:, 1] <= ENERGY_TOLERANCE * found.energy[:, 0]
     for number in np.flatnonzero(~plain):
-        rows = [*(rows[number] for rows in (*joints.values(), *twists.values())), thing[number]]
+        rows = [*(rows[number] for rows in (*joints.values(), *twists.values())), object_[number]]
         try:
             answer = engine.solve(batch.problem(int(number)))
         except (InputError, ImpactMapError) as error:
@@ -177,7 +177,7 @@ def solve_batch(batch: ImpactBatch, models: Mapping[str, RobotModel] | None = No
         values = (*answer.joint_velocity.values(), *answer.end_effector_twist.values(), answer.object_twist)
         for row, value in zip(rows, values, strict=True):
             row[:] = value
-    return BatchAnswer(joints, twists, thing, residual, contacts, refused)
+    return BatchAnswer(joints, twists, object_, residual, contacts, refused)
 
 
 def _kinematics(model: RobotModel, positions: Array) -> tuple[Array, Array, Array, Array]:

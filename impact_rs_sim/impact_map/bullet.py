@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The impact map on Bullet, which knows no reflected inertia: B is brought in from outside.
+"""The impact map extracted from the physics engine Bullet; the motor inertia B, which Bullet lacks, is added outside.
+
+This engine is the independent check of :mod:`impact_rs_sim.impact_map.exact`, and the idea of the paper: an impact map
+from single steps of a physics engine.
 
 One step of Bullet from (q, u^-) without gravity, with the inertia M' and the generalised impulse p, gives u^+(p). It
 obeys the laws of :mod:`impact_rs_sim.impact_map.problem` if
@@ -10,11 +13,11 @@ solved by Newton's method for the inertial part, with the derivative at fixed co
 iteration for c, from p = 0: with B = 0 and no sliding the first step is the answer, and it is plain Bullet. The parts:
 
 * **M'**: every link carries its rotor as a thin disc about the joint axis, which is M + B up to couplings between
-  joints. With M' = M the iteration would be hopeless at the wrist, where B is a hundred times M.
+  joints. With M' = M the iteration diverges at the wrist, where B is a hundred times M.
 * **c**: Bullet's friction cone scales each of its two friction axes with the inverse mass along it, so that its
   friction opposes ``D^-1 v_t`` and not the sliding velocity ``v_t``. c turns it back; sticking points need none.
 
-What is set on purpose, and why:
+Settings and their reasons:
 
 * The step is so short that Coriolis forces and the motion within the step drop out.
 * Bullet's box-box detector sees overlapping boxes only. The base of every arm that touches is moved ``GAP_TOLERANCE``
@@ -25,9 +28,9 @@ What is set on purpose, and why:
   J_t s = 0 at the contact points: the normal velocity that Bullet keeps from being negative is then that of
   u^+ + e u^-, and the sliding velocity is that of u^+.
 * Contact points survive in Bullet's manifolds from call to call. The object is moved out of reach first, which empties
-  them, so an answer depends on its question only.
-* Bullet's sequential impulses converge linearly, and may end in a small limit cycle. Few iterations are enough for most
-  problems; the hard ones (on the edge of sticking and sliding) are tried again with many.
+  them, so a result depends on its problem only.
+* Bullet's sequential impulses converge linearly, and may end in a small limit cycle. Few iterations suffice for most
+  problems; hard ones (on the edge of sticking and sliding) are solved again with many.
 """
 
 from __future__ import annotations
@@ -220,7 +223,7 @@ class _World:
             small_steps=False,
         )
         for name, body in bullet.arms.items():
-            # A call of its own: next to some other arguments Bullet ignores the friction of a link without a word.
+            # A separate call: together with some other arguments Bullet ignores the friction of a link silently.
             link = bullet.end_effector_link[name]
             bullet.client.changeDynamics(body, link, lateralFriction=physics.pad_friction)
         return cls(bullet)
@@ -261,9 +264,9 @@ class _World:
 
     def step(self, problem: ImpactProblem, system: System, inertia: Array, start: Array, push: Array) -> Array:
         """u after one step from u = ``start`` with the generalised impulse ``push``, ``(nv,)`` [N m s, N s]."""
-        thing = system.columns["object"]
+        object_ = system.columns["object"]
         start = start.copy()
-        start[thing] += np.linalg.solve(inertia[thing, thing], push[thing])
+        start[object_] += np.linalg.solve(inertia[object_, object_], push[object_])
         self.place(problem, start)
         for name in problem.arms:
             self.bullet.apply_torque(name, push[system.columns[name]] / _STEP)
@@ -300,7 +303,7 @@ class _World:
         return impulses
 
     def _points(self) -> list:
-        # Asked for one pair, Bullet may swap the bodies and turn the normal, but not the friction directions.
+        # Queried for one pair, Bullet may swap the bodies and flip the normal, but not the friction directions.
         return [point for point in self.bullet.client.getContactPoints() if self.bullet.object in point[1:3]]
 
     def _impulse(self, point: tuple) -> Array:

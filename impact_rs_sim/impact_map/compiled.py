@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled impact map: from the kinematics of the arms to velocities in one call, of one question or of many.
+"""The compiled impact map: from the kinematics of the arms to velocities, one problem or many in one call.
 
 ``src/impact.cpp`` finds contact points, sets up the Delassus operator, solves the laws
-(:mod:`impact_rs_sim.impact_map.newton`) and judges the answer (:mod:`impact_rs_sim.impact_map.residual`). It answers
-questions that are sound and have nothing special about them. All others, and those it finds no answer for, are for
-:mod:`impact_rs_sim.impact_map.engine` to look at step by step, which tells what is wrong with them.
+(:mod:`impact_rs_sim.impact_map.newton`) and the residuals (:mod:`impact_rs_sim.impact_map.residual`). It solves
+problems with valid data and Newton's law of restitution. All others, and those for which it does not converge, are
+solved or refused with a reason by :mod:`impact_rs_sim.impact_map.engine`, step by step.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ _Parts = tuple[Sequence[int], Array, Array, Array]  # partner, position, normal 
 
 
 class Compiled(NamedTuple):
-    """Answers to N questions, as they come; M contact points of all questions stand in a row.
+    """Solutions of N problems; their M contact points are concatenated.
 
     Attributes:
         status: ``SOLVED``, or another number, ``(N,)``.
-        velocity: u^+, ``(N, nv)`` [rad/s, m/s]; nan where the question is not sound.
+        velocity: u^+, ``(N, nv)`` [rad/s, m/s]; nan where the data are invalid.
         twists: Of frame E of every arm in E[A] after the impact, ``(N, 6 k)`` [m/s, rad/s].
         residual: In the order of :class:`~impact_rs_sim.impact_map.problem.Residual`, ``(N, 4)`` [m/s].
         energy: Kinetic energy before, and what the impact adds, ``(N, 2)`` [J].
@@ -89,8 +89,8 @@ class CompiledMap:
             self._limits[name] = {False: bounds, True: (-free, free, free)}
             half = np.array(arm.end_effector.pad_size) / 2.0
             self._pads[name] = (np.array(pad.translation), np.array(pad.rotation), half)
-        thing = physics.object
-        self._thing = (thing.mass, thing.size / 2.0, thing.inertia, thing.com_offset)
+        object_ = physics.object
+        self._object = (object_.mass, object_.size / 2.0, object_.inertia, object_.com_offset)
         self._kept: tuple[Sequence[ContactPoint], tuple[str, ...], _Parts] | None = None
         support = support_box(physics)
         self._support = None if support is None else np.concatenate((support.centre, support.half))
@@ -156,8 +156,8 @@ class CompiledMap:
         points: _Parts | None = None,
     ) -> Compiled:
         """Answers to ``count`` questions; arguments as :func:`impact_rs_sim._kernel.solve_impacts` takes them."""
-        thing = (*body, *self._thing)
-        return Compiled(*_kernel.solve_impacts(count, arms, thing, contact, self._support, _RULES, points=points))
+        object_ = (*body, *self._object)
+        return Compiled(*_kernel.solve_impacts(count, arms, object_, contact, self._support, _RULES, points=points))
 
 
 def _parts(points: Sequence[ContactPoint], names: Sequence[str]) -> _Parts:

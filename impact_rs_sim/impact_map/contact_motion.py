@@ -44,12 +44,12 @@ class PointMotion:
 
 def point_motion(meeting: Meeting, contact: ContactPoint) -> PointMotion:
     """How a contact point of a meeting moves; motions are about the centres of the two boxes."""
-    thing, partner = meeting.thing, meeting.box
-    incident, reference = (partner, thing) if meeting.on_object else (thing, partner)
+    object_, partner = meeting.object, meeting.box
+    incident, reference = (partner, object_) if meeting.on_object else (object_, partner)
     x = contact.partner_position if meeting.on_object else contact.position
     outward = -meeting.normal if meeting.on_object else meeting.normal
     of_object, of_partner = np.zeros((3, 12)), np.zeros((3, 12))
-    of_object[:, :6] = point_maps((x - thing.centre)[None])[0]
+    of_object[:, :6] = point_maps((x - object_.centre)[None])[0]
     of_partner[:, 6:] = point_maps((x - partner.centre)[None])[0]
     of_incident, of_reference = (of_partner, of_object) if meeting.on_object else (of_object, of_partner)
     planes = [(_face_normal(incident, -outward), of_incident)]
@@ -74,7 +74,7 @@ def _both_sides(meeting: Meeting, contact: ContactPoint, moved: Array, smooth: b
     turning = -_cross(normal) @ turned  # dn = dphi x n
     if meeting.on_object:
         surface = np.zeros((3, 12))
-        surface[:, :6] = point_maps((contact.position - meeting.thing.centre)[None])[0]
+        surface[:, :6] = point_maps((contact.position - meeting.object.centre)[None])[0]
         opening = normal @ (surface - moved)
         return PointMotion(moved + np.outer(normal, opening) + gap * turning, moved, turned, smooth)
     surface = np.zeros((3, 12))

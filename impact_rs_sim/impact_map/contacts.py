@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the pads touch the object, and the object its support.
+"""Contact points between pads and object, and between object and support.
 
 All shapes are boxes. Of the six face directions of a pair, the one that separates the two boxes best is the contact
 normal; the nearest face of the other box is clipped to that face, and its corners within ``GAP_TOLERANCE`` of it touch.
@@ -8,7 +8,7 @@ rules, so that both engines see the same contacts. Of aligned faces the one is t
 a tilt by dphi costs the direction of a face the extent of the other box along that face, times dphi; of two faces that
 lie on each other, that of the larger box keeps the normal on either side.
 
-A clip of one's own, because the contact patches of a general collision library start from a penetration direction found
+Our own clipping, because the contact patches of a general collision library start from a penetration direction found
 by an iterative search, which is ill-defined exactly here: at faces that touch without overlap. It is compiled
 (``src/boxes.cpp``).
 """
@@ -78,12 +78,12 @@ class ContactPoint:
 
 @dataclass(frozen=True)
 class Meeting:
-    """How the object stands to a partner that it may touch.
+    """Relative placement of the object and a partner that it may touch.
 
     Attributes:
         partner: Name of the arm, or ``support``.
         box: The partner.
-        thing: The object.
+        object: The object.
         separation: Distance along the normal, negative: overlap [m].
         normal: Unit normal from the partner into the object, in A, ``(3,)``.
         on_object: Whether the face that the normal belongs to is the object's.
@@ -91,7 +91,7 @@ class Meeting:
 
     partner: str
     box: Box
-    thing: Box
+    object: Box
     separation: float
     normal: Array
     on_object: bool
@@ -99,16 +99,16 @@ class Meeting:
 
 def meetings(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]) -> list[Meeting]:
     """The object and every partner it may touch; ``placements`` are those of frame E in A by arm."""
-    thing, partners = _boxes(physics, state, placements)
+    object_, partners = _boxes(physics, state, placements)
     return [
-        Meeting(name, box, thing, *_kernel.separating_face(box.parts, thing.parts, ALIGNED))
+        Meeting(name, box, object_, *_kernel.separating_face(box.parts, object_.parts, ALIGNED))
         for name, box in partners.items()
     ]
 
 
 def _boxes(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]) -> tuple[Box, dict[str, Box]]:
     """The object, and its partners."""
-    thing = Box(state.position, state.rotation, physics.object.size / 2.0)
+    object_ = Box(state.position, state.rotation, physics.object.size / 2.0)
     partners = {}
     for name, placement in placements.items():
         end_effector = physics.arms[name].end_effector
@@ -117,7 +117,7 @@ def _boxes(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]
     support = support_box(physics)
     if support is not None:
         partners[SUPPORT] = support
-    return thing, partners
+    return object_, partners
 
 
 def support_box(physics: Physics) -> Box | None:
@@ -144,7 +144,7 @@ def find_contacts(
             continue
         friction = physics.support_friction if meeting.partner == SUPPORT else physics.pad_friction
         positions, gaps = _kernel.touching(
-            meeting.box.parts, meeting.thing.parts, meeting.normal, meeting.on_object, tolerance
+            meeting.box.parts, meeting.object.parts, meeting.normal, meeting.on_object, tolerance
         )
         contacts += [
             ContactPoint(meeting.partner, position, meeting.normal, gap, friction)

@@ -86,7 +86,7 @@ class Derivatives:
         return self._with_twists(self.jacobian, {arm: moved for arm, (_, moved) in self.end_effector.items()})
 
     def _with_twists(self, rows: Array, moved: Mapping[str, Array | float]) -> Array:
-        """Rows of u, and between joints and object J times those of every arm plus what its J does by itself."""
+        """Rows of u, and between joints and object the twists of every arm, J times its rows plus the change of J."""
         start, twists = 0, []
         for arm, (jacobian, _) in self.end_effector.items():
             end = start + jacobian.shape[1]
@@ -116,7 +116,7 @@ def velocity_names(problem: ImpactProblem) -> tuple[str, ...]:
 
 
 def differentiate_safely(problem: ImpactProblem, models: Mapping[str, RobotModel] | None = None) -> Derivatives:
-    """Derivatives with the compliance of the map, or with a softer one where Newton's method fails at that.
+    """Derivatives with the compliance of the map, or with a larger one where Newton's method fails.
 
     Raises:
         InputError: As :func:`differentiate`.
@@ -131,7 +131,7 @@ def differentiate_safely(problem: ImpactProblem, models: Mapping[str, RobotModel
 def differentiate(
     problem: ImpactProblem, models: Mapping[str, RobotModel] | None = None, compliance: float = COMPLIANCE
 ) -> Derivatives:
-    """Derivatives of u^+ with respect to every parameter of a question.
+    """Derivatives of u^+ with respect to every parameter of a problem.
 
     Args:
         problem: The question; Newton's law.
@@ -195,7 +195,7 @@ def differentiate(
 
 @dataclass
 class _Effect:
-    """What one parameter does at fixed L and u^+.
+    """Influence of one parameter at fixed L and u^+.
 
     Attributes:
         before: du^-, ``(nv,)``.
@@ -219,7 +219,7 @@ class _Effect:
 
 
 class _Changes:
-    """What parameters do to the terms of one question."""
+    """Influence of the parameters on the terms of one problem."""
 
     def __init__(
         self,
@@ -258,7 +258,7 @@ class _Changes:
         return _Effect(np.zeros(size), np.zeros(size), still[0], still[1], still[2], np.zeros(count))
 
     def of(self, name: str) -> _Effect:
-        """What a parameter does, by its name."""
+        """Influence of a parameter, by its name."""
         effect = self.nothing()
         if name == "restitution":
             effect.restitution = 1.0
@@ -275,9 +275,9 @@ class _Changes:
 
     def _of_object(self, effect: _Effect, kind: str, axis: int) -> None:
         problem, where = self.problem, self.system.columns["object"]
-        thing, rotation = problem.physics.object, problem.object.rotation
+        object_, rotation = problem.physics.object, problem.object.rotation
         jump, unit = self.jump[where], np.eye(3)[axis]
-        offset = rotation @ thing.com_offset
+        offset = rotation @ object_.com_offset
         if kind == "velocity":
             effect.before[where.start + axis] = 1.0
         elif kind == "angular_velocity":
@@ -294,7 +294,7 @@ class _Changes:
             of_centre = jump[:3] + np.cross(jump[3:], offset)
             linear = np.cross(jump[3:], moved)
             angular = np.cross(moved, of_centre) + np.cross(offset, linear)
-            effect.generalised[where] = -thing.mass * np.concatenate((linear, angular))
+            effect.generalised[where] = -object_.mass * np.concatenate((linear, angular))
         elif kind == "position":
             self._move(effect, "", np.concatenate((unit, np.zeros(3))))
         else:
@@ -322,13 +322,13 @@ class _Changes:
                 self._move(effect, name, self.system.end_effector_jacobian[name][:, joint], joint)
 
     def _move(self, effect: _Effect, arm: str, motion: Array, joint: int = 0) -> None:
-        """Contact points move because the object or, with ``arm``, a pad does, by a twist of its origin ``(6,)``."""
+        """Contact points move with the object or, with ``arm``, with a pad, by a twist of its origin ``(6,)``."""
         for index, (point, of_point) in enumerate(zip(self.contacts, self.motions, strict=True)):
             moved = np.zeros(12)
             if not arm:
                 moved[:6] = motion
             elif point.partner == arm:
-                # the motion is told of the pad's centre, the twist of frame E
+                # the motion refers to the centre of the pad, the twist to frame E
                 lever = self.meetings[arm].box.centre - self.system.end_effector_position[arm]
                 moved[6:9], moved[9:] = motion[:3] + np.cross(motion[3:], lever), motion[3:]
             effect.turned[index] = of_point.normal @ moved
@@ -346,11 +346,11 @@ class _Changes:
     def _displace(self, effect: _Effect, index: int, of_thing: Array, of_partner: Array, mover: str, by: Array) -> None:
         """One contact point moves on both bodies, and the origin of the ``mover`` (empty: object) with its body."""
         point, impulse = self.contacts[index], self.impulses[index]
-        thing = self.system.columns["object"]
+        object_ = self.system.columns["object"]
         lever = of_thing - (by[:3] if mover == "" else 0.0)
         for name, velocity in (("of_relative", self.velocity), ("of_relative_before", self.system.velocity)):
-            getattr(effect, name)[index] += np.cross(velocity[thing][3:], lever)
-        effect.generalised[thing.start + 3 : thing.stop] += np.cross(lever, impulse)
+            getattr(effect, name)[index] += np.cross(velocity[object_][3:], lever)
+        effect.generalised[object_.start + 3 : object_.stop] += np.cross(lever, impulse)
         name = point.partner
         if name in self.models:
             of_arm, where = self.system.end_effector_jacobian[name], self.system.columns[name]
@@ -372,7 +372,7 @@ class _Changes:
             effect.generalised[where] -= rows.T @ self.impulses[index]
 
     def _turn_impulses(self, effect: _Effect) -> None:
-        """Impulses that turn with their normals."""
+        """Impulses rotate with their normals."""
         turned = np.cross(effect.turned, self.impulses)
         effect.generalised += self.system.jacobian(self.contacts).T @ turned.ravel()
 

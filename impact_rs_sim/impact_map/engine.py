@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every engine of the impact map is: warm state for one set of physics, and one question at a time."""
+"""Base class of the engines of the impact map: state kept for one set of physics, one problem at a time."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ ENERGY_TOLERANCE = 1e-9  # of the kinetic energy before, for rounding
 
 @dataclass(frozen=True)
 class Answer:
-    """What an engine found.
+    """Solution found by an engine.
 
     Attributes:
         terms: The problem at its m contact points.
         impulses: On the object, in axes of A, ``(m, 3)`` [N s].
         velocity: u^+, ``(nv,)`` [rad/s, m/s].
         iterations: Of the engine's outer loop.
-        residual: Where the engine judges it by other laws than Newton's.
+        residual: Where the laws are not those of Newton's restitution.
     """
 
     terms: ContactTerms
@@ -65,17 +65,17 @@ def result_of(
     iterations: int,
     start: float,
 ) -> ImpactResult:
-    """What is told of an answer.
+    """The result of an impact problem.
 
     Args:
-        system: Which entries of a velocity are whose.
+        system: Inertia and kinematics; splits a velocity by body.
         velocity: u^+, ``(nv,)`` [rad/s, m/s].
         points: Contact points of the object.
         impulses: On the object there, in axes of A, ``(m, 3)`` [N s].
-        residual: How well it obeys the laws.
+        residual: Distance from the laws.
         engine: Name of the engine.
         iterations: Of its outer loop.
-        start: When the question came, by ``time.perf_counter`` [s].
+        start: Start of the computation, by ``time.perf_counter`` [s].
     """
     joints, twists, twist = system.split(velocity)
     return ImpactResult(
@@ -96,18 +96,18 @@ def result_of(
 def check_energy(
     before: float, gain: float, impulses: Array, residual: Residual, restitution: float, law: str = "newton"
 ) -> None:
-    """Refuse an answer with more energy than there was, beyond what its residual can account for.
+    """Refuse a result that gains more kinetic energy than its residual can explain.
 
     Args:
         before: Kinetic energy before the impact [J].
         gain: What the impact adds [J].
         impulses: Of the answer, ``(m, 3)`` [N s].
-        residual: How well it obeys its laws.
+        residual: Distance from its laws.
         restitution: e [-].
         law: Law of restitution.
 
     Raises:
-        EnergyGain: It gains energy.
+        EnergyGain: The result gains energy.
     """
     if gain <= ENERGY_TOLERANCE * before:
         return
@@ -146,14 +146,14 @@ class Engine(ABC):
         return self._at_once(problem, start) or self._step_by_step(problem, start)
 
     def _at_once(self, problem: ImpactProblem, start: float) -> ImpactResult | None:
-        """The answer, where an engine has a short way to it; what is out of the ordinary is left to the long one."""
+        """The result, where an engine has a fast path for the problem; None: solve step by step."""
         return None
 
     def _step_by_step(self, problem: ImpactProblem, start: float) -> ImpactResult:
         meetings = check_problem(problem, self.models)
         if problem.restitution_law not in self.laws:
             raise InputError(
-                f"engine {self.name!r} knows no restitution but that of {', '.join(self.laws)}; 'pinocchio' does",
+                f"engine {self.name!r} knows no restitution but that of {', '.join(self.laws)}; 'exact' does",
                 key="restitution_law",
                 value=problem.restitution_law,
             )
@@ -172,9 +172,9 @@ class Engine(ABC):
         return result_of(system, answer.velocity, contacts, answer.impulses, residual, self.name, iterations, start)
 
     def close(self) -> None:
-        """Give back what the engine holds outside Python; nothing by default."""
+        """Free resources outside Python; does nothing by default."""
         return
 
     @abstractmethod
     def _solve(self, problem: ImpactProblem, system: System, meetings: Sequence[Meeting]) -> Answer:
-        """Find the answer; ``meetings`` tell how the object stands to its partners."""
+        """Solve the problem; ``meetings`` hold the relative placement of the object and its partners."""

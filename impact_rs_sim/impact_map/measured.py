@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The impact map at a state that was measured, not planned: one arm or two and an object, or one free body on a plane.
+"""The impact map at a measured state: one arm or two and an object, or one free body on a plane.
 
-The laws are those of :mod:`impact_rs_sim.impact_map.problem`, solved as in :mod:`impact_rs_sim.impact_map.pinocchio`,
+The laws are those of :mod:`impact_rs_sim.impact_map.problem`, solved as in :mod:`impact_rs_sim.impact_map.exact`,
 
     H (u^+ - u^-) = J_c^T L,    0 <= L_n  perpendicular to  J_n u^+ + e J_n u^- >= 0,    |L_t| <= mu L_n against J_t u^+
 
@@ -31,7 +31,7 @@ from impact_rs_sim.impact_map.contacts import (
     meetings,
 )
 from impact_rs_sim.impact_map.engine import Answer, check_energy
-from impact_rs_sim.impact_map.pinocchio import PinocchioEngine
+from impact_rs_sim.impact_map.exact import ExactEngine
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
 from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.system import System, build_system
@@ -64,7 +64,7 @@ class MeasuredImpact:
         return build_system(self._problem(physics), models)
 
     def closing_speed(self, physics: Physics, models: Mapping[str, RobotModel]) -> float:
-        """How fast the contact that closes fastest does, ``max_i -n_i . (J_c u^-)_i`` [m/s]; below 0: none closes."""
+        """Largest closing speed of a contact, ``max_i -n_i . (J_c u^-)_i`` [m/s]; below 0: none closes."""
         system = self.system(physics, models)
         relative = (system.jacobian(self.points) @ system.velocity).reshape(-1, 3)
         normals = np.array([point.normal for point in self.points])
@@ -114,7 +114,7 @@ def solve_measured(
     impulses, iterations = solve_contacts(terms)
     velocity = np.asarray(system.velocity + terms.response @ impulses.ravel())
     residual = terms.residual(impulses, velocity)
-    if not residual.largest <= PinocchioEngine.tolerance:
+    if not residual.largest <= ExactEngine.tolerance:
         law, amount = residual.worst
         raise ImpactMapError(f"the impact map breaks {law} by {amount:.3g} m/s with {len(points)} contact points")
     if not may_gain_energy:
@@ -160,7 +160,7 @@ def points_of_scene(
     models: Mapping[str, RobotModel],
     on_pad: Mapping[str, tuple[Sequence[Array], Array | None]] | None = None,
 ) -> tuple[ContactPoint, ...]:
-    """Where pads touch the object, and the object its support.
+    """Contact points of pads with the object, and of the object with its support.
 
     Args:
         physics: Sizes of pads, object and support.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Newton's method on the laws of an impact, which ends at the answer that is told where there are several.
+"""Newton's method on the contact laws; minimum-norm impulses where the solution is not unique.
 
 With s_i = (J_c u^+)_i + e (J_n u^-)_i n_i + (rho / m) L_i, the mass m of the object, the impulse L_n >= a of every
 contact point, r_i = 1 / g_i and the projection P onto the disk of radius mu L_n, the laws of
@@ -9,12 +9,12 @@ contact point, r_i = 1 / g_i and the projection P onto the disk of radius mu L_n
 
 (Alart and Curnier 1991), and u^+ = u^- + H^-1 J_c^T L. a = 0 but in the second phase of Poisson's law.
 
-**Which answer.** Four corners of a face carry a load in many ways, and where they slide, each way has a friction of
-its own: u^+ is not unique. rho > 0 makes it so: every contact point yields by the same rho / m per impulse. As rho goes
-to 0 this singles out the impulses of least norm among those that hold the same velocities. At the ``COMPLIANCE`` taken
-here a point gives way by a hundred-millionth of the velocity that its impulse gives the object. An answer that is told
-is :func:`hardened <harden>`: with rho (L - L') / m in the place of rho L / m, and L' the answer before, it loses what
-the compliance changed and keeps its choice (the proximal point method, Rockafellar 1976): it obeys the rigid laws.
+**Uniqueness.** Four corners of a face share a load in many ways. Where they slide, each share has its own friction, and
+u^+ is not unique. A compliance rho > 0 makes it unique: every contact point yields by rho / m per impulse. As rho goes
+to 0 the impulses tend to those of minimum norm among all with the same velocities. With ``COMPLIANCE`` a point yields
+by 1e-8 of the velocity that its impulse gives the object. The solution is then :func:`hardened <harden>`: rho L / m is
+replaced by rho (L - L') / m with the previous solution L' (proximal point method, Rockafellar 1976). This removes the
+effect of the compliance, keeps the choice, and the result obeys the rigid laws.
 
 The laws, their derivatives and the iterations are compiled (``src/laws.cpp``).
 """
@@ -28,7 +28,7 @@ import numpy as np
 from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.robot import Array
 
-COMPLIANCE = 1e-8  # rho [-]; ten times less and rounding begins to decide who carries a load
+COMPLIANCE = 1e-8  # rho [-]; ten times less, and rounding errors begin to decide the shares of the load
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Linearisation:
         by_velocity: ``(m, 3, 3)`` [kg].
         by_friction: ``(m, 3)`` [N s].
         state: Per point ``open``, ``stick`` or ``slide``, ``(m,)``.
-        margin: How far the point is from another state, as a velocity, ``(m,)`` [m/s].
+        margin: Distance to another contact state, as a velocity, ``(m,)`` [m/s].
     """
 
     defect: Array

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a prediction of the impact map depends on: named scalars, and the question with some of them changed.
+"""Parameters of the impact map: named scalars, and the problem with some of them changed.
 
 ====================================  ========  ==============================================================
 name                                  unit      what it is
@@ -61,7 +61,7 @@ class MapParameter:
 
 
 def parameters_of(problem: ImpactProblem) -> tuple[MapParameter, ...]:
-    """All parameters of a question."""
+    """All parameters of a problem."""
     found = [MapParameter("object.mass", "kg")]
     found += [MapParameter(f"object.{kind}.{axis}", unit) for kind, unit in OF_OBJECT.items() for axis in AXES]
     for name in problem.arms:
@@ -78,7 +78,7 @@ def parameters_of(problem: ImpactProblem) -> tuple[MapParameter, ...]:
 
 @dataclass(frozen=True)
 class Changed:
-    """A question with some parameters changed.
+    """A problem with some parameters changed.
 
     Attributes:
         problem: The question as far as it can say so.
@@ -102,7 +102,7 @@ class Changed:
         return replace(system, inertia=system.inertia + extra, link_inertia=system.link_inertia + extra)
 
     def contacts(self, models: Mapping[str, RobotModel], found: Sequence[Meeting] | None = None) -> list[ContactPoint]:
-        """Contact points; ``found`` is how the object stands to its partners, where the caller has it already."""
+        """Contact points; ``found`` holds the meetings of the object with its partners, where already known."""
         if found is None:
             placements = {name: models[name].placement(arm.position) for name, arm in self.problem.arms.items()}
             found = meetings(self.problem.physics, self.problem.object, placements)
@@ -118,12 +118,12 @@ class Changed:
     def terms(
         self, models: Mapping[str, RobotModel], found: Sequence[Meeting] | None = None
     ) -> tuple[System, ContactTerms]:
-        """What an answer is found from; arguments as above."""
+        """Terms of the contact laws; arguments as above."""
         system = self.system(models)
         return system, ContactTerms.of(system, self.contacts(models, found), self.problem.restitution)
 
     def touching_terms(self, models: Mapping[str, RobotModel], pads: Collection[str]) -> tuple[System, ContactTerms]:
-        """The same where the pads of some arms have come on, along the normal, until they touch; others stay."""
+        """The same with the pads of some arms moved along the normal until they touch."""
         placements = {name: models[name].placement(arm.position) for name, arm in self.problem.arms.items()}
         system, found = self.system(models), []
         positions = dict(system.end_effector_position)
@@ -139,7 +139,7 @@ class Changed:
 
 
 def change(problem: ImpactProblem, amounts: Mapping[str, float]) -> Changed:
-    """The question with parameters changed by some amounts, in the units of the table above.
+    """The problem with parameters changed by some amounts, in the units of the table above.
 
     Raises:
         InputError: There is no such parameter.
@@ -150,12 +150,12 @@ def change(problem: ImpactProblem, amounts: Mapping[str, float]) -> Changed:
             raise InputError(f"no parameter {name!r} of the impact map; known are: {', '.join(sorted(units))}")
     physics = problem.physics
     of_object = {kind: np.array([amounts.get(f"object.{kind}.{axis}", 0.0) for axis in AXES]) for kind in OF_OBJECT}
-    thing, body = physics.object, problem.object
-    thing = replace(
-        thing,
-        mass=thing.mass + amounts.get("object.mass", 0.0),
-        inertia=thing.inertia + of_object["inertia"],
-        com_offset=thing.com_offset + of_object["com_offset"],
+    object_, body = physics.object, problem.object
+    object_ = replace(
+        object_,
+        mass=object_.mass + amounts.get("object.mass", 0.0),
+        inertia=object_.inertia + of_object["inertia"],
+        com_offset=object_.com_offset + of_object["com_offset"],
     )
     body = BodyState(
         body.position + of_object["position"],
@@ -179,7 +179,7 @@ def change(problem: ImpactProblem, amounts: Mapping[str, float]) -> Changed:
         problem,
         physics=replace(
             physics,
-            object=thing,
+            object=object_,
             pad_friction=physics.pad_friction + amounts.get("pad_friction", 0.0),
             support_friction=physics.support_friction + amounts.get("support_friction", 0.0),
         ),

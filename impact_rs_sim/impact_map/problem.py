@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The impact map as a question and its answer, whatever engine solves it.
+"""The impact problem and its result, independent of the engine.
 
 Given the configuration, the ante-impact velocities v^- of all bodies and the motor inertia B, find v^+ and contact
 impulses L such that, with the generalised inertia of arms (M + B) and object,
@@ -25,14 +25,14 @@ import numpy as np
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.impact_map.contacts import SUPPORT, Meeting, meetings
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, RESTITUTION_LAWS, Physics
-from impact_rs_sim.robot import Array, told_units
+from impact_rs_sim.robot import Array, joined_units
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 
 
 @dataclass(frozen=True)
 class ImpactProblem:
-    """One question to the impact map.
+    """One impact problem.
 
     Attributes:
         physics: Parameters of the scene; motor inertia and restitution are taken from the fields below instead.
@@ -54,7 +54,7 @@ class ImpactProblem:
 
     @staticmethod
     def at_nominal_impact(scene: Scene, motor_inertia: str = "reduced") -> ImpactProblem:
-        """The question of the reference generator: the scene at its nominal impact.
+        """The problem of the reference generator: the scene at its nominal impact.
 
         A tilted pad gets there with an edge first; the object is where that edge touches it.
 
@@ -74,21 +74,21 @@ class ImpactProblem:
 
 
 def _touched(scene: Scene) -> BodyState:
-    """The object, out of the way of what a tilt brings forward of the pads."""
-    physics, thing = scene.physics, scene.object
+    """The object, moved back to where it touches the foremost edge of tilted pads."""
+    physics, object_ = scene.physics, scene.object
     if not any(any(arm.end_effector.pad_tilt) for arm in physics.arms.values()):
-        return thing
+        return object_
     placements = {name: physics.robot_model(name).placement(state.position) for name, state in scene.arms.items()}
     depths = [
         max(-meeting.separation, 0.0) * meeting.normal
-        for meeting in meetings(physics, thing, placements)
+        for meeting in meetings(physics, object_, placements)
         if meeting.partner != SUPPORT
     ]
-    return replace(thing, position=thing.position + np.mean(depths, axis=0))
+    return replace(object_, position=object_.position + np.mean(depths, axis=0))
 
 
 class ContactImpulse(NamedTuple):
-    """One contact point of the answer.
+    """One contact point of a result.
 
     Attributes:
         body_a: ``object``, always.
@@ -109,7 +109,7 @@ class ContactImpulse(NamedTuple):
 
 @dataclass(frozen=True)
 class Residual:
-    """How far an answer is from the laws above; each is a maximum over the contact points.
+    """Distance of a result from the laws above; each is a maximum over the contact points.
 
     Attributes:
         penetration_velocity: Largest violation of J_n v^+ + e J_n v^- >= 0 [m/s].
@@ -133,7 +133,7 @@ class Residual:
 
     @property
     def worst(self) -> tuple[str, float]:
-        """Name of the law that is broken most, and by how much."""
+        """Name and size of the largest entry."""
         laws = {
             "Newton restitution (penetration)": self.penetration_velocity,
             "complementarity (impulse at a separating point, or pull)": self.complementarity,
@@ -146,7 +146,7 @@ class Residual:
 
 @dataclass(frozen=True)
 class ImpactResult:
-    """Answer of an engine.
+    """Result of an engine.
 
     Attributes:
         joint_velocity: Post-impact joint velocity by arm, ``(n,)`` [rad/s].
@@ -170,11 +170,11 @@ class ImpactResult:
 
 
 class ImpactMapError(RuntimeError):
-    """An engine found no answer that obeys the laws; the message says which law and by how much."""
+    """An engine found no solution that obeys the laws; the message names the law and the error."""
 
 
 class EnergyGain(ImpactMapError):
-    """An answer obeys its laws and has more kinetic energy than the state before the impact."""
+    """A solution obeys its laws and has more kinetic energy than the state before the impact."""
 
 
 LIMIT_SLACK = 1e-9  # rad or m; a configuration on its limit passes
@@ -182,7 +182,7 @@ PENETRATION_TOLERANCE = 1e-3  # m, deepest accepted overlap of pad and object, o
 
 
 def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | None = None) -> list[Meeting]:
-    """Refuse a question that has no answer.
+    """Refuse a problem without solution.
 
     Args:
         problem: The question.
@@ -245,7 +245,7 @@ def _check_arm(problem: ImpactProblem, name: str, state: ArmState) -> None:
         (f"arms.{name}.velocity", state.velocity, "velocity"),
         (f"motor_inertia.{name}", problem.motor_inertia[name], "inertia"),
     ):
-        _vector(values, len(units), key, told_units(getattr(unit, quantity) for unit in units))
+        _vector(values, len(units), key, joined_units(getattr(unit, quantity) for unit in units))
     slack = math.inf if problem.measured else LIMIT_SLACK
     for index, value in enumerate(state.position):
         low, high = limits.position_min_rad[index], limits.position_max_rad[index]
@@ -282,19 +282,19 @@ def _check_restitution(problem: ImpactProblem) -> None:
 
 
 def check_physics(physics: Physics) -> None:
-    """Refuse an object or friction that cannot be.
+    """Refuse an impossible object or friction.
 
     Raises:
         InputError: Non-finite or non-positive mass, size or moment of inertia, or friction that is negative.
     """
-    thing = physics.object
-    if not (np.isfinite(thing.mass) and thing.mass > 0.0):
-        raise InputError("expected a finite mass > 0 kg", key="object.mass", value=thing.mass)
-    for key, unit, values in (("size", "m", thing.size), ("inertia", "kg m^2", thing.inertia)):
+    object_ = physics.object
+    if not (np.isfinite(object_.mass) and object_.mass > 0.0):
+        raise InputError("expected a finite mass > 0 kg", key="object.mass", value=object_.mass)
+    for key, unit, values in (("size", "m", object_.size), ("inertia", "kg m^2", object_.inertia)):
         _vector(values, 3, f"object.{key}", unit)
         if np.min(values) <= 0.0:
             raise InputError(f"expected three values > 0 {unit}", key=f"object.{key}", value=values.tolist())
-    _vector(thing.com_offset, 3, "object.com_offset", "m")
+    _vector(object_.com_offset, 3, "object.com_offset", "m")
     for key in ("pad_friction", "support_friction"):
         value = getattr(physics, key)
         if not (np.isfinite(value) and value >= 0.0):
@@ -305,11 +305,11 @@ def kinetic_energy(problem: ImpactProblem, result: ImpactResult | None = None) -
     """Kinetic energy with (M + B), before the impact or, with ``result``, after it [J]."""
     object_state = problem.object
     twist = object_state.twist if result is None else result.object_twist
-    thing = problem.physics.object
-    offset = object_state.rotation @ thing.com_offset
+    object_ = problem.physics.object
+    offset = object_state.rotation @ object_.com_offset
     linear = twist[:3] + np.cross(twist[3:], offset)
     angular = object_state.rotation.T @ twist[3:]
-    energy = 0.5 * (thing.mass * linear @ linear + thing.inertia @ np.square(angular))
+    energy = 0.5 * (object_.mass * linear @ linear + object_.inertia @ np.square(angular))
     for name, arm in problem.arms.items():
         dq = arm.velocity if result is None else result.joint_velocity[name]
         inertia = problem.physics.robot_model(name).mass_matrix(arm.position)

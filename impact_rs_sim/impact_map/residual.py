@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far an answer is from the laws, judged from the answer alone and by the same code for every engine.
+"""Residuals of the contact laws, computed from the solution alone and by the same code for every engine.
 
 With w = J_n u^+ + e J_n u^- and, per point, the inverse mass g = tr(G_ii) / 3 that turns impulses into velocities,
 
@@ -31,7 +31,7 @@ SLIDING = 1e-7  # m/s, slower points stick
 
 @dataclass(frozen=True)
 class ContactTerms:
-    """What the residual needs of a problem and its contact points, for any number of answers.
+    """Terms of a problem at its contact points, for the residuals of any number of solutions.
 
     Attributes:
         contacts: The m contact points.
@@ -85,7 +85,7 @@ class ContactTerms:
 
     @cached_property
     def kernel(self) -> _kernel.Terms:
-        """The same for the compiled laws."""
+        """The same terms for the compiled laws."""
         return _kernel.Terms(
             self.jacobian @ self.response,
             self.jacobian @ self.before,
@@ -111,7 +111,7 @@ class ContactTerms:
         return slides, -sliding / np.maximum(speed, SLIDING)[:, None]
 
     def residual(self, impulses: Array, velocity: Array, least: Array | float = 0.0) -> Residual:
-        """Residuals of an answer.
+        """Residuals of a solution.
 
         Args:
             impulses: L on the object in axes of A, ``(m, 3)`` [N s].

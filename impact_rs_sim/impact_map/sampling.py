@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random impact problems that have an answer, to hold engines against each other."""
+"""Random impact problems with a solution, for comparisons of engines."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _sample(
 
 
 def _self_motion(jacobian: Array) -> Array:
-    """Joint velocity that leaves the end effector at rest, ``(n,)``, of length 1; 0 where no joint is left over."""
+    """Joint velocity that leaves the end effector at rest, ``(n,)``, of length 1; 0 without redundant joints."""
     if jacobian.shape[1] <= jacobian.shape[0]:
         return np.zeros(jacobian.shape[1])
     return np.asarray(np.linalg.svd(jacobian)[2][-1])

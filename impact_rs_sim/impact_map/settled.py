@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The impact carried on until the contact that lasts is closed: the pads have aligned with the faces that they hit.
+"""The settled contact: velocities when the pads have aligned with the faces that they hit.
 
-The impact map (:mod:`impact_rs_sim.impact_map.problem`) answers for the moment after the first simultaneous impact. A
-pad may then stand off the face with one edge, or slide on it. It comes back, hits again, and so on: a sequence of
-impacts whose members nobody knows. Its end is known all the same: whatever pad and object do to each other on the way
-adds up to some impulses at the points of the pad's face, and in the end the face lies on the object and stays there,
+The impact map (:mod:`impact_rs_sim.impact_map.problem`) gives the velocities just after the first simultaneous impact.
+Then one edge of a pad may be off the face, or the pad may slide. It returns and hits again: a sequence of impacts that
+is unknown in detail. Its end is known: all impulses of the sequence add up to some impulses at the points of the pad's
+face, and in the end the face rests on the object,
 
     H (u^+ - u^-) = J_c^T (L + A n)                                momentum balance over arms (M + B) and object
     J_n,i u^+ = J_n,j u^+,   sum A_i = 0                           a face stays aligned, by impulses A without resultant
@@ -16,17 +16,17 @@ map once more, with the inertia N^T H N and the Jacobian J_c N,
 
     N^T H N (z^+ - z^-) = N^T J_c^T L,        z^- = (N^T H N)^-1 N^T H u^-
 
-solved as in :mod:`impact_rs_sim.impact_map.pinocchio`; A is the one of least norm. Where friction holds all pads and
+solved as in :mod:`impact_rs_sim.impact_map.exact`; A is the one of least norm. Where friction holds all pads and
 the support gets no impulse, pads and object go on together, J_p u^+ = 0, and it is Gauss' principle of least constraint
 for velocities (Moreau 1988; Glocker 2001): of all motions in which they do, the nearest to u^- in kinetic energy,
 
     u^+ = u^- - H^-1 J_p^T (J_p H^-1 J_p^T)^+ J_p u^-
 
-Every sequence that ends so ends there, because impulses between pad and object can make J_p u^+ = 0 in no other way.
+Every such sequence ends there, because impulses between pad and object can make J_p u^+ = 0 in no other way.
 Where the first impact leaves the faces closed already, the two maps agree.
 
 * Kinetic energy never rises: A does no work in u^+, normal impulses do none, and friction takes some.
-* Restitution plays no part: what bounces comes back until it has lost that motion.
+* Restitution has no influence: a body that bounces returns until this motion is lost.
 * A pad that does not press in the end, sum L_n = 0, leaves. It is not kept aligned, and touches as in the first impact.
 * Points of a face are redundant, and one of them may pull, L_n + A < 0, where the whole face pushes.
 * The support takes part as in the first impact: what presses the object down while pads align is answered at once, with
@@ -47,7 +47,7 @@ import numpy as np
 from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, find_contacts
 from impact_rs_sim.impact_map.engine import result_of
-from impact_rs_sim.impact_map.pinocchio import PinocchioEngine
+from impact_rs_sim.impact_map.exact import ExactEngine
 from impact_rs_sim.impact_map.problem import (
     ImpactMapError,
     ImpactProblem,
@@ -62,14 +62,14 @@ from impact_rs_sim.robot import Array
 REACH = 0.01  # m; points of a pad's face that are nearer than this close: a pad of 0.1 m that is tilted by 0.1 rad
 
 _RANK = 1e-9  # singular values below this share of the largest are none
-_NOTHING = 1e-6  # m/s, impulse of a pad times the inverse mass of its points: what is left where nothing presses
+_NOTHING = 1e-6  # m/s, impulse of a pad times the inverse mass of its points: below it a pad does not press
 
 
 def settle(problem: ImpactProblem) -> ImpactResult:
-    """The velocities with which pads and object go on.
+    """Velocities of pads and object after the contact has settled.
 
     Args:
-        problem: The question; its restitution is not asked for.
+        problem: The impact problem; its restitution is not used.
 
     Returns:
         The answer. Impulses are L + A n, those of the whole sequence, at the points of the pads' faces and of the
@@ -77,7 +77,7 @@ def settle(problem: ImpactProblem) -> ImpactResult:
 
     Raises:
         InputError: The question has no answer (see :func:`~impact_rs_sim.impact_map.problem.check_problem`).
-        ImpactMapError: The answer breaks a law by more than the tolerance of the engine ``pinocchio``.
+        ImpactMapError: The answer breaks a law by more than the tolerance of the engine ``exact``.
     """
     start = time.perf_counter()
     models = problem.physics.robot_models()
@@ -87,10 +87,10 @@ def settle(problem: ImpactProblem) -> ImpactResult:
     faces = {name: points for name, points in found.items() if name != SUPPORT and points}
     support = find_contacts(problem.physics, [meeting for meeting in touching if meeting.partner == SUPPORT])
     settled = close_contacts(system, faces, support)
-    if not settled.residual.largest <= PinocchioEngine.tolerance:
+    if not settled.residual.largest <= ExactEngine.tolerance:
         law, amount = settled.residual.worst
         raise ImpactMapError(
-            f"the settled contact breaks {law} by {amount:.3g} m/s (accepted: {PinocchioEngine.tolerance:.3g} m/s) "
+            f"the settled contact breaks {law} by {amount:.3g} m/s (accepted: {ExactEngine.tolerance:.3g} m/s) "
             f"after {settled.iterations} iterations"
         )
     return result_of(
@@ -99,7 +99,7 @@ def settle(problem: ImpactProblem) -> ImpactResult:
         [*itertools.chain.from_iterable(faces.values()), *support],
         settled.impulses,
         settled.residual,
-        PinocchioEngine.name,
+        ExactEngine.name,
         settled.iterations,
         start,
     )
@@ -107,13 +107,13 @@ def settle(problem: ImpactProblem) -> ImpactResult:
 
 @dataclass(frozen=True)
 class Settled:
-    """How pads and object go on.
+    """Velocities and impulses of the settled contact.
 
     Attributes:
         lasting: Pads that press on the object in the end.
         impulses: L + A n on the object at the points of the pads, then of the support, in axes of A, ``(m, 3)`` [N s].
         velocity: u^+, ``(nv,)`` [rad/s, m/s].
-        residual: How well it obeys the laws.
+        residual: Distance from the laws.
         iterations: Of the solver.
     """
 
@@ -127,7 +127,7 @@ class Settled:
 def close_contacts(
     system: System, faces: Mapping[str, Sequence[ContactPoint]], support: Sequence[ContactPoint]
 ) -> Settled:
-    """The end of the sequence, of bodies whose terms are known; what it is worth stands in its residual.
+    """The settled contact of a system; its accuracy is in its residual.
 
     Args:
         system: Inertia, kinematics and u^-.
@@ -152,7 +152,7 @@ def close_contacts(
 
 
 def _keep_aligned(system: System, terms: ContactTerms, rows: Mapping[str, slice]) -> Settled:
-    """The end of the sequence if these pads, whose points stand in ``rows``, stay aligned with the faces."""
+    """The settled contact with these pads aligned; ``rows`` are the rows of their points."""
     count, size = len(terms.contacts), system.velocity.size
     normal = np.einsum("mi,miv->mv", terms.normals, terms.jacobian.reshape(count, 3, size))  # J_n
     centring = np.zeros((count, count))  # points of a pad to their differences from its mean

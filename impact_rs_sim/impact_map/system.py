@@ -6,7 +6,7 @@ The generalised velocity stacks the joint velocities of every arm and the twist 
 
     H = blockdiag(M_1 + B_1, ..., M_k + B_k, M_object),      H (u^+ - u^-) = J_c^T L.
 
-Engines and the residual share these terms; how an engine finds u^+ and L is its own affair.
+Engines and the residual share these terms.
 """
 
 from __future__ import annotations
@@ -100,8 +100,8 @@ def build_system(problem: ImpactProblem, models: Mapping[str, RobotModel]) -> Sy
         velocity[where] = state.velocity
         jacobians[name] = models[name].jacobian(state.position)
         positions[name] = models[name].placement(state.position).translation.copy()
-    thing, body = problem.physics.object, problem.object
-    inertia = pin.Inertia(thing.mass, body.rotation @ thing.com_offset, _rotated(thing.inertia, body.rotation))
+    object_, body = problem.physics.object, problem.object
+    inertia = pin.Inertia(object_.mass, body.rotation @ object_.com_offset, _rotated(object_.inertia, body.rotation))
     link_inertia[columns["object"], columns["object"]] = inertia.matrix()
     velocity[columns["object"]] = body.twist
     return System(

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How sure a prediction is: intervals of every predicted velocity from stated uncertainties, and who contributes what.
+"""Uncertainty of a prediction: intervals of every velocity from stated uncertainties, and the budget by source.
 
 With independent uncertainties of the standard deviations sigma_k and the Jacobian J of the prediction
 (:mod:`impact_rs_sim.impact_map.derivatives`), as long as no contact changes its state,
 
     var(u^+_i) = sum_k (J_ik sigma_k)^2,       interval u^+_i -+ 1.96 sqrt(var),      budget (J_ik sigma_k)^2 / var
 
-Draws from the stated uncertainties tell whether that holds. Where more than ``SWITCHES`` of them end in other contact
+Draws from the stated uncertainties check the linearisation. Where more than ``SWITCHES`` of them end in other contact
 states (or other contact points), the interval is that of the draws, and the budget the variance that is left when one
 source alone is drawn, over the sum of these. Where most draws end in another contact state than the prediction, their
 quantiles can leave the prediction out; the interval is then extended to it, and ``switches`` says what else happens.
@@ -49,7 +49,7 @@ _LAWFUL = 1e-5  # m/s, residual of a draw that counts
 
 @dataclass(frozen=True)
 class UncertaintySource:
-    """One thing that is not known exactly.
+    """One quantity that is not known exactly.
 
     Attributes:
         name: Name of the source, a key of the scenario's ``uncertainty``.
@@ -106,8 +106,8 @@ class UncertainPrediction:
 
 
 def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[UncertaintySource, ...]:
-    """The uncertainties that a scenario states, as changes of the parameters of a question; none is left out."""
-    thing = problem.physics.object
+    """All uncertainties stated in a scenario, as changes of the parameters of a problem."""
+    object_ = problem.physics.object
     stated = Uncertainties(**{name: width / _NORMAL for name, width in stated})
 
     def apart(names: Sequence[str], sigma: float) -> tuple[Mapping[str, float], ...]:
@@ -128,14 +128,14 @@ def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[Uncertain
         joints += apart([f"{name}.position.{joint}" for joint in count], stated.joint_position)
         speeds += apart([f"{name}.velocity.{joint}" for joint in count], stated.joint_velocity)
         points += apart([f"{name}.contact_point.{axis}" for axis in "xy"], stated.contact_point)
-    mass = stated.object_mass * thing.mass
+    mass = stated.object_mass * object_.mass
     scaled = {"object.mass": mass} | {
         f"object.inertia.{axis}": stated.object_mass * float(value)
-        for axis, value in zip(AXES, thing.inertia, strict=True)
+        for axis, value in zip(AXES, object_.inertia, strict=True)
     }
     moments = [
         {f"object.inertia.{axis}": stated.object_inertia * float(value)}
-        for axis, value in zip(AXES, thing.inertia, strict=True)
+        for axis, value in zip(AXES, object_.inertia, strict=True)
     ]
     found = [
         UncertaintySource("motor_inertia", tuple(motors)),
@@ -197,7 +197,7 @@ def predict(
         seed: Of the draws.
 
     Raises:
-        InputError: The question has no answer, or Poisson's law is asked for.
+        InputError: The question has no answer, or its law of restitution is Poisson's.
         ImpactMapError: No answer was found.
     """
     if problem.restitution_law != "newton":
@@ -254,7 +254,7 @@ def interval_of_draws(
     draws: int,
     seed: int = 0,
 ) -> tuple[tuple[str, ...], Array, Array]:
-    """Names and ends of intervals from few draws alone, for those who cannot wait for :func:`predict`.
+    """Names and ends of intervals from few draws, faster than :func:`predict`.
 
     Quantiles of the draws, extended to the prediction: as skew as those of :func:`predict`, and of a few draws somewhat
     too narrow.
@@ -294,9 +294,9 @@ def answer_of(
     velocity = system.velocity + terms.response @ impulses.ravel()
     if not terms.residual(impulses, velocity).largest <= _LAWFUL:
         raise ImpactMapError("no answer obeys the laws")
-    joints, twists, thing = system.split(velocity)
+    joints, twists, object_ = system.split(velocity)
     states_ = zip((contact.partner for contact in terms.contacts), states(terms, impulses), strict=True)
-    return np.concatenate((*joints.values(), *twists.values(), thing)), tuple(" ".join(one) for one in states_)
+    return np.concatenate((*joints.values(), *twists.values(), object_)), tuple(" ".join(one) for one in states_)
 
 
 def _sample(
@@ -325,13 +325,13 @@ def _ends(sample: Array, nominal: Array) -> tuple[Array, Array]:
 
 
 def _switches(usual: tuple[str, ...], draws: Sequence[tuple[str, ...]]) -> dict[str, float]:
-    """What is otherwise in draws than in the prediction, in words, with the share of the draws, most frequent first."""
+    """Differences of contact states between draws and prediction, in words, with their share, most frequent first."""
     words = Counter(text for there in draws for text in _differences(usual, there))
     return {text: count / len(draws) for text, count in words.most_common()}
 
 
 def _differences(usual: tuple[str, ...], there: tuple[str, ...]) -> list[str]:
-    """In what contacts of a draw differ from those of the prediction, in words; an open point transmits no impulse."""
+    """Differences of the contacts of one draw, in words; an open point transmits no impulse."""
     found = []
     for partner in dict.fromkeys(state.split()[0] for state in (*usual, *there)):
         before, after = ([s.split()[1] for s in states_ if s.split()[0] == partner] for states_ in (usual, there))
@@ -353,10 +353,10 @@ def _differences(usual: tuple[str, ...], there: tuple[str, ...]) -> list[str]:
 
 def _possible(problem: ImpactProblem, amounts: Mapping[str, float]) -> dict[str, float]:
     """Amounts that leave masses, inertias and friction positive, and restitution between 0 and 1."""
-    physics, thing = problem.physics, problem.physics.object
-    least = {"object.mass": -0.99 * thing.mass, "pad_friction": -physics.pad_friction}
+    physics, object_ = problem.physics, problem.physics.object
+    least = {"object.mass": -0.99 * object_.mass, "pad_friction": -physics.pad_friction}
     least |= {"support_friction": -physics.support_friction, "restitution": -problem.restitution}
-    least |= {f"object.inertia.{axis}": -0.99 * value for axis, value in zip(AXES, thing.inertia, strict=True)}
+    least |= {f"object.inertia.{axis}": -0.99 * value for axis, value in zip(AXES, object_.inertia, strict=True)}
     for name, motor in problem.motor_inertia.items():
         least |= {f"{name}.motor_inertia.{joint + 1}": -value for joint, value in enumerate(motor)}
         least[f"{name}.link_inertia"] = -0.99

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far answers that obey the same laws lie apart.
+"""Spread of the solutions where the contact laws have several.
 
 A face that touches with more than three points can share a load among them in many ways. While its points stick or
 slide without friction, all ways give one u^+; where they slide, each point's friction follows its own load, and u^+ is
 one of a family. The loads of a family form a polytope, whose corners leave at most three points of a face loaded. So
-every choice of three points of every such face is solved by itself, and those answers that obey the laws of the whole
-problem span the **spread**. Answers are solved from the map's own and, with Pinocchio 4, from ADMM's first guess, so
-that an answer with other contact states is found where there is one.
+every choice of three points of every such face is solved by itself. The solutions among these that obey the laws of the
+whole problem span the **spread**. First guesses are the solution of the impact map and, with Pinocchio 4, that of ADMM,
+so that solutions with other contact states are found as well.
 
-Which one the map tells is a matter of choice (:mod:`impact_rs_sim.impact_map.newton`): points of equal compliance.
+The impact map returns the one of points with equal compliance (:mod:`impact_rs_sim.impact_map.newton`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 
-WARNING = 1e-3  # of the ante-impact speed; beyond it a prediction is not told without a word
+WARNING = 1e-3  # of the ante-impact speed; above it a prediction comes with a warning
 LAWFUL = 1e-6  # m/s, residual up to which an answer of some points is one of all
 MOST = 200  # choices of points that are tried; two faces of four points have 25
 CHOICE = "contact points of equal compliance (least norm)"
@@ -36,12 +36,12 @@ CHOICE = "contact points of equal compliance (least norm)"
 
 @dataclass(frozen=True)
 class Uniqueness:
-    """How far the answers of one question lie apart.
+    """Spread of the solutions of one problem.
 
     Attributes:
         spread: Largest difference of two answers in a linear velocity of an end effector or the object [m/s].
         relative: The same over the ante-impact speed, the largest of all bodies [-].
-        answers: Lawful answers that were found, the told one among them.
+        answers: Number of lawful solutions found, including that of the impact map.
         low: Least of every entry of u^+, ``(nv,)`` [rad/s, m/s].
         high: Largest of every entry of u^+, ``(nv,)``.
     """
@@ -54,22 +54,22 @@ class Uniqueness:
 
     @property
     def unique(self) -> bool:
-        """Whether the answers agree within ``WARNING`` of the ante-impact speed."""
+        """Whether the solutions agree within ``WARNING`` of the ante-impact speed."""
         return self.relative <= WARNING
 
     @property
     def warning(self) -> str:
-        """What a user should know; empty: nothing."""
+        """Warning for the user; empty: none."""
         if self.unique:
             return ""
         return (
             f"u+ is not unique: answers that obey all laws differ by {self.spread:.2g} m/s ({self.relative:.2%} of the "
-            f"ante-impact speed), because sliding points can share their load in many ways; told is that of {CHOICE}"
+            f"ante-impact speed), because sliding points can share their load in many ways; given is that of {CHOICE}"
         )
 
 
 def uniqueness_of(problem: ImpactProblem, models: Mapping[str, RobotModel] | None = None) -> Uniqueness:
-    """The spread of a question's answers; under Poisson's law that of its compression.
+    """Spread of the solutions of a problem; under Poisson's law that of its compression.
 
     Args:
         problem: The question.
@@ -88,14 +88,14 @@ def uniqueness_of(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
 
 
 def lawful_answers(terms: ContactTerms) -> list[Array]:
-    """u^+ of every answer that was found, the told one first, ``(nv,)`` each."""
-    told, _ = solve_contacts(terms)
-    answers = [terms.before + terms.response @ told.ravel()]
-    guesses = [told, *([solve_cones(terms)[0]] if has_admm() else [])]
+    """u^+ of every solution found, that of the impact map first, ``(nv,)`` each."""
+    chosen, _ = solve_contacts(terms)
+    answers = [terms.before + terms.response @ chosen.ravel()]
+    guesses = [chosen, *([solve_cones(terms)[0]] if has_admm() else [])]
     for points in itertools.islice(_choices([contact.partner for contact in terms.contacts]), MOST):
         some = _of_points(terms, points)
         for guess in guesses:
-            impulses = np.zeros_like(told)
+            impulses = np.zeros_like(chosen)
             impulses[points], converged = settle(some, guess[points])
             velocity = terms.before + terms.response @ impulses.ravel()
             if converged and terms.residual(impulses, velocity).largest <= LAWFUL:
@@ -105,7 +105,7 @@ def lawful_answers(terms: ContactTerms) -> list[Array]:
 
 
 def spread_of(system: System, answers: Sequence[Array]) -> Uniqueness:
-    """How far answers ``(nv,)`` of one problem lie apart."""
+    """Spread of solutions ``(nv,)`` of one problem."""
     speeds = np.array([_linear(system, answer) for answer in answers])
     spread = float(np.max(np.ptp(speeds, axis=0)))
     before = float(np.max(np.linalg.norm(_linear(system, system.velocity).reshape(-1, 3), axis=1)))
@@ -121,12 +121,12 @@ def spread_of(system: System, answers: Sequence[Array]) -> Uniqueness:
 
 def _linear(system: System, velocity: Array) -> Array:
     """Linear velocities of all end effectors and the object, in a row [m/s]."""
-    _, twists, thing = system.split(velocity)
-    return np.concatenate([*(twist[:3] for twist in twists.values()), thing[:3]])
+    _, twists, object_ = system.split(velocity)
+    return np.concatenate([*(twist[:3] for twist in twists.values()), object_[:3]])
 
 
 def _choices(partners: Sequence[str]) -> itertools.chain[list[int]]:
-    """Points that are left when every face with more than three keeps three of them, or all."""
+    """Choices of points in which every face with more than three keeps three of them, or all."""
     faces = []
     for name in dict.fromkeys(partners):
         points = [index for index, partner in enumerate(partners) if partner == name]
@@ -138,7 +138,7 @@ def _choices(partners: Sequence[str]) -> itertools.chain[list[int]]:
 
 
 def _of_points(terms: ContactTerms, points: Sequence[int]) -> ContactTerms:
-    """The problem with some of its points."""
+    """The problem at some of its contact points."""
     rows = np.ravel([[3 * point, 3 * point + 1, 3 * point + 2] for point in points])
     kept = list(points)
     return replace(

@@ -15,7 +15,7 @@ import pinocchio as pin
 from rosbags.rosbag2 import Reader
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array, told_units
+from impact_rs_sim.robot import Array, joined_units
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.clock import check_stamps, gaps, tell_gaps
 from impact_rs_trials.recordings.faults import EXCESS, FEW, MARGIN, without_faults
@@ -272,6 +272,6 @@ def check_velocity(path: Path, time: Array, position: Array, velocity: Array, ma
     if not 0.5 < ratio < 2.0:
         raise InputError(
             f"velocity is {ratio:.3g} times the derivative of position, expected 1: wrong unit (now "
-            f"{told_units(mapping.signals['velocity'].units)}), wrong sign or other joints",
+            f"{joined_units(mapping.signals['velocity'].units)}), wrong sign or other joints",
             file=path,
         )

@@ -28,7 +28,7 @@ def test_map_prints_the_prediction(capfd: pytest.CaptureFixture) -> None:
     assert not err
 
 
-@pytest.mark.parametrize("engine", ["bullet", "pinocchio"])
+@pytest.mark.parametrize("engine", ["bullet", "exact"])
 @pytest.mark.parametrize("inertia", ["reduced", "rotor", "zero"])
 def test_map_json_is_one_document(capfd: pytest.CaptureFixture, engine: str, inertia: str) -> None:
     assert main(["map", "push", "cat_food", "2", "--engine", engine, "--motor-inertia", inertia, "--json"]) == 0

@@ -59,13 +59,13 @@ def test_the_mirror_image_of_an_arm_weighs_the_same_everywhere() -> None:
         np.testing.assert_allclose(right.mass_matrix(JOINTS * q), expected, atol=1e-10)
 
 
-@pytest.mark.parametrize("engine", ["pinocchio", "bullet"])
+@pytest.mark.parametrize("engine", ["exact", "bullet"])
 def test_a_mirrored_scene_gives_a_mirrored_answer(engine: str) -> None:
     """Redundant friction must not turn up as a rotation of the box out of the mirror plane."""
     result = compute_impact_map(mirrored_problem(), engine)
     left, right = result.end_effector_twist["left"], result.end_effector_twist["right"]
     speed = float(np.linalg.norm(GRAB.cases["case_1"].robots["left"].ante_velocity))
-    tolerance = (1e-5 if engine == "pinocchio" else 2e-3) * speed
+    tolerance = (1e-5 if engine == "exact" else 2e-3) * speed
     np.testing.assert_allclose(right[:3], MIRROR @ left[:3], atol=tolerance)
     np.testing.assert_allclose(result.object_twist[[1, 3, 5]], 0.0, atol=10.0 * tolerance)
     np.testing.assert_allclose(

@@ -59,7 +59,7 @@ def test_references_follow_the_settled_contact_where_the_scenario_says_so(grab: 
 @pytest.mark.parametrize("motor", ["reduced", "zero"])
 def test_references_jump_at_the_impact_as_the_impact_map_says_times_the_scale(scene: Scene, motor: str) -> None:
     plan = plan_trial(scene, SCALE, motor)
-    answer = compute_impact_map(ImpactProblem.at_nominal_impact(scene, motor), "pinocchio")
+    answer = compute_impact_map(ImpactProblem.at_nominal_impact(scene, motor), "exact")
     tick = at_impact(plan)
     for name, arm in plan.arms.items():
         state = scene.arms[name]
@@ -165,7 +165,7 @@ def test_both_references_are_at_the_impact_pose_at_the_nominal_time(push: TrialP
 def test_pads_end_where_the_scaled_common_motion_takes_them(scene: Scene) -> None:
     """Half of velocity times duration along the task's axis, with the mean over the arms of the predicted velocity."""
     plan = plan_trial(scene, SCALE)
-    answer = compute_impact_map(ImpactProblem.at_nominal_impact(scene), "pinocchio")
+    answer = compute_impact_map(ImpactProblem.at_nominal_impact(scene), "exact")
     axis, timing = scene.scenario.axis_index, scene.scenario.timing
     common = np.mean([twist[axis] for twist in answer.end_effector_twist.values()])
     for arm in plan.arms.values():

@@ -42,7 +42,7 @@ def ask(graph: Graph) -> Ask:
             "case_name": "2",
             "motor_inertia": "reduced",
             "restitution": -1.0,
-            "engine": "pinocchio",
+            "engine": "exact",
         }
         request = ComputeImpactMap.Request(**values | changes)
         return graph.call(ComputeImpactMap, "compute_impact_map", request, timeout=60.0)
@@ -91,7 +91,7 @@ def test_the_settled_contact_is_asked_for_by_name(ask: Ask) -> None:
     expected = settle(ImpactProblem.at_nominal_impact(scene))
     answer = ask(scenario="grab", contact="settled")
     assert answer.success, answer.message
-    assert (answer.contact, answer.engine) == ("settled", "pinocchio")
+    assert (answer.contact, answer.engine) == ("settled", "exact")
     for post in answer.post:
         np.testing.assert_allclose(post.joint_velocity, expected.joint_velocity[post.robot], atol=1e-9)
     assert answer.elapsed > 0.0

@@ -69,7 +69,7 @@ def test_a_value_out_of_range_is_refused(graph: Graph) -> None:
 @pytest.mark.parametrize(
     ("node", "name", "wanted", "told"),
     [
-        ("impact_map", "engine", "foo", "expected bullet or pinocchio"),
+        ("impact_map", "engine", "foo", "expected exact or bullet"),
         ("impact_map", "contact", "last", "expected first or settled"),
         ("plant", "scenario", "nonsense", "no scenario 'nonsense'"),
         ("plant", "use_sim_time", True, "what /clock comes from"),
@@ -83,6 +83,10 @@ def test_a_value_that_cannot_be_worked_with_is_refused_with_a_reason(
     answer = graph.call(SetParameters, f"{node}/set_parameters", SetParameters.Request(parameters=[message]))
     assert not answer.results[0].successful
     assert told in answer.results[0].reason
+
+
+def test_former_name_of_an_engine_is_accepted() -> None:
+    assert not parameters.complaint_about("impact_map", "engine", "pinocchio")
 
 
 @pytest.mark.parametrize(

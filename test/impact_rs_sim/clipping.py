@@ -38,7 +38,7 @@ def touching(meeting: Meeting, tolerance: float) -> list[tuple[np.ndarray, float
     """Points on the object with their gaps."""
     # The reference face owns the normal; the incident face of the other box is clipped to it.
     on_object = meeting.on_object
-    reference, incident = (meeting.thing, meeting.box) if on_object else (meeting.box, meeting.thing)
+    reference, incident = (meeting.object, meeting.box) if on_object else (meeting.box, meeting.object)
     outward = -meeting.normal if on_object else meeting.normal
     axis = int(np.argmax(np.abs(reference.rotation.T @ outward)))
     facing = np.copysign(1.0, reference.rotation[:, axis] @ outward)

@@ -12,7 +12,7 @@ from impact_rs_sim.impact_map import ImpactProblem, ImpactResult
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import ArmState, BodyState, Scene
 
-ENGINES = ("bullet", "pinocchio")
+ENGINES = ("bullet", "exact")
 PUSH = load_scenario("push")
 GRAB = load_scenario("grab")
 SCENE = Scene.resolve(PUSH, "cat_food", "case_2")

@@ -111,12 +111,12 @@ def test_several_arms_at_once_glide_as_each_does_step_by_step() -> None:
     desired = rng.normal(0.0, 20.0, (steps, rows, 7))
     drives = Drive(physics, PERIOD)
     drives.start(ArmState(q, dq), DriveStart(torque, rate))
-    after = drives.glide(model.chain, ArmState(q, dq), desired, load)
+    after = drives.step_free(model.chain, ArmState(q, dq), desired, load)
     for row in range(rows):
         one, position, velocity = Drive(physics, PERIOD), q[row], dq[row]
         one.start(ArmState(position, velocity), DriveStart(torque[row], rate[row]))
         for wanted in desired[:, row]:
-            passed = one.passed(wanted) + load[row]
+            passed = one.link_torque(wanted) + load[row]
             one.step(wanted)
             velocity = velocity + PERIOD * pin.aba(model.pinocchio, model.data, position, velocity, passed)
             position = position + PERIOD * velocity

@@ -261,6 +261,6 @@ def test_a_drive_that_starts_in_motion_stretches_its_spring_at_the_rate_it_was_t
     drive.start(link, DriveStart(torque, rate))
     np.testing.assert_allclose(arm.stiffness * (drive.position - link.position), torque)
     np.testing.assert_allclose(arm.stiffness * (drive.velocity - link.velocity), rate)
-    np.testing.assert_allclose(drive.passed(torque), torque + arm.damping / arm.stiffness * rate)
+    np.testing.assert_allclose(drive.link_torque(torque), torque + arm.damping / arm.stiffness * rate)
     drive.sense(link.position + period * link.velocity - period * drive.velocity, link.velocity)
     np.testing.assert_allclose(drive.elastic_torque, torque + period * rate)

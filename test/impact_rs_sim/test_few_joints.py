@@ -85,7 +85,7 @@ SMOOTH = {
 }
 
 
-@pytest.mark.parametrize("engine", ["pinocchio", "bullet"])
+@pytest.mark.parametrize("engine", ["exact", "bullet"])
 def test_a_pendulum_hits_with_its_inertia_over_the_square_of_its_length(engine: str) -> None:
     """v^+ = m_eff v^- / (m_eff + m_box) with m_eff = (I + m c^2 + B) / l^2, c to the centre and l to the pad.
 
@@ -138,7 +138,7 @@ def test_two_and_three_joints_push_a_smooth_box_as_their_effective_mass_does(
         np.testing.assert_allclose(first, second, atol=1e-3)
 
 
-ENGINES = ("pinocchio", "bullet")
+ENGINES = ("exact", "bullet")
 
 
 def scene_pad(data: Data) -> pin.SE3:

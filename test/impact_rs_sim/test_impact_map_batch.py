@@ -10,7 +10,7 @@ import pytest
 from impact_map_cases import grab, nominal
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import PinocchioEngine
+from impact_rs_sim.impact_map import ExactEngine
 from impact_rs_sim.impact_map.batch import ImpactBatch, solve_batch
 from impact_rs_sim.scene import ArmState
 
@@ -39,7 +39,7 @@ def test_every_row_is_the_answer_to_its_question(case) -> None:
     assert not found.refused
     for number in range(COUNT):
         asked = batch.problem(number)
-        answer = PinocchioEngine(asked.physics).solve(asked)
+        answer = ExactEngine(asked.physics).solve(asked)
         for name in problem.arms:
             np.testing.assert_array_equal(found.joint_velocity[name][number], answer.joint_velocity[name])
             np.testing.assert_array_equal(found.end_effector_twist[name][number], answer.end_effector_twist[name])

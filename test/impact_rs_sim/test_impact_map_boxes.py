@@ -33,13 +33,13 @@ def test_compiled_and_plain_search_find_the_same_points_in_the_same_order(tilt: 
     touching = 0
     for _ in range(150):
         partner, thing = placed(rng, tilt)
-        separation, normal, on_thing = _kernel.separating_face(partner.parts, thing.parts, ALIGNED)
+        separation, normal, on_object = _kernel.separating_face(partner.parts, thing.parts, ALIGNED)
         expected = clipping.separating_face(partner, thing)
         assert separation == pytest.approx(expected[0], abs=1e-14)
         np.testing.assert_allclose(normal, expected[1], atol=1e-14)
-        assert on_thing == expected[2]
+        assert on_object == expected[2]
         plain = clipping.touching(Meeting("arm", partner, thing, *expected), 3e-3)
-        positions, gaps = _kernel.touching(partner.parts, thing.parts, normal, on_thing, 3e-3)
+        positions, gaps = _kernel.touching(partner.parts, thing.parts, normal, on_object, 3e-3)
         assert len(positions) == len(gaps) == len(plain)
         touching += bool(len(plain))
         for position, gap, (its_position, its_gap) in zip(positions, gaps, plain, strict=True):

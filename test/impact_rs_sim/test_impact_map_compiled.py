@@ -10,7 +10,7 @@ import pytest
 from impact_map_cases import MODEL, PUSH, grab, nominal, one_point
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import ImpactProblem, PinocchioEngine
+from impact_rs_sim.impact_map import ExactEngine, ImpactProblem
 from impact_rs_sim.impact_map.compiled import SOLVED, STATES, CompiledMap
 from impact_rs_sim.impact_map.cones import solve_cones, solve_contacts
 from impact_rs_sim.impact_map.contacts import find_contacts
@@ -46,7 +46,7 @@ def test_one_pass_over_the_chain_gives_what_three_give() -> None:
 
 def test_one_call_and_step_by_step_give_the_same_answer() -> None:
     for problem in problems():
-        engine = PinocchioEngine(problem.physics)
+        engine = ExactEngine(problem.physics)
         at_once, by_steps = engine._at_once(problem, 0.0), engine._step_by_step(problem, 0.0)
         assert at_once is not None
         for name in problem.arms:
@@ -104,7 +104,7 @@ def test_points_that_are_given_are_those_that_are_taken() -> None:
 
 def test_many_points_are_solved_through_velocities_as_few_are_through_impulses() -> None:
     problem = nominal()
-    engine = PinocchioEngine(problem.physics)
+    engine = ExactEngine(problem.physics)
     found = check_problem(problem, engine.models)
     pad = [point for point in find_contacts(problem.physics, found) if point.partner == "arm"]
     first, second, third, fourth = (point.position for point in pad)

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 from impact_map_cases import MODEL, nominal, one_point
 
-from impact_rs_sim.impact_map import BulletEngine, ImpactProblem, PinocchioEngine
+from impact_rs_sim.impact_map import BulletEngine, ExactEngine, ImpactProblem
 from impact_rs_sim.impact_map.contacts import ContactPoint, contact_frame, find_contacts, meetings
 from impact_rs_sim.scene import BodyState
 
@@ -83,7 +83,7 @@ def test_contact_frame_is_right_handed_with_the_normal_last() -> None:
 def test_bullet_finds_the_same_contact_points() -> None:
     problem = nominal()
     answers = []
-    for engine in (BulletEngine(problem.physics), PinocchioEngine(problem.physics)):
+    for engine in (BulletEngine(problem.physics), ExactEngine(problem.physics)):
         points = [(c.body_b, *np.round(c.position, 6)) for c in engine.solve(problem).contacts]
         answers.append(sorted(points))
         engine.close()

@@ -10,8 +10,8 @@ from impact_map_cases import PUSH, ante_speed, disagreement, nominal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import (
     BulletEngine,
+    ExactEngine,
     ImpactMapError,
-    PinocchioEngine,
     compute_impact_map,
 )
 from impact_rs_sim.impact_map.sampling import random_problem
@@ -22,14 +22,14 @@ from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 def test_engines_agree_within_half_a_percent_of_the_ante_impact_speed(seed: int) -> None:
     problem = random_problem(PUSH, np.random.default_rng(seed))
     several = uniqueness_of(problem)
-    bullet, pinocchio = (compute_impact_map(problem, engine) for engine in ("bullet", "pinocchio"))
+    bullet, exact = (compute_impact_map(problem, engine) for engine in ("bullet", "exact"))
     # Where u^+ is not unique, engines may stop at different answers of the family.
-    assert disagreement(bullet, pinocchio) <= 0.005 * ante_speed(problem) + several.spread
+    assert disagreement(bullet, exact) <= 0.005 * ante_speed(problem) + several.spread
 
 
 @pytest.mark.parametrize("seed", range(30))
 def test_pinocchio_obeys_the_laws_to_a_micrometre_per_second(seed: int) -> None:
-    result = compute_impact_map(random_problem(PUSH, np.random.default_rng(seed)), "pinocchio")
+    result = compute_impact_map(random_problem(PUSH, np.random.default_rng(seed)), "exact")
     assert result.residual.largest <= 1e-6
 
 
@@ -46,13 +46,13 @@ def test_answers_of_one_engine_object_equal_those_of_a_fresh_one(motor: str) -> 
 
 
 def test_unknown_engine_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(InputError, match="bullet, pinocchio"):
+    with pytest.raises(InputError, match="exact, bullet"):
         compute_impact_map(nominal(), "agx")
 
 
-@pytest.mark.parametrize("engine", [BulletEngine, PinocchioEngine])
+@pytest.mark.parametrize("engine", [BulletEngine, ExactEngine])
 def test_answer_that_breaks_a_law_is_an_error_that_names_it(
-    engine: type[BulletEngine | PinocchioEngine], monkeypatch: pytest.MonkeyPatch
+    engine: type[BulletEngine | ExactEngine], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(engine, "tolerance", 1e-18)
     problem = nominal()

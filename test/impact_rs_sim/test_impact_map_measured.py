@@ -131,7 +131,7 @@ def test_corner_edge_and_face_touch_with_one_two_and_four_corners() -> None:
 def test_at_an_exact_pose_it_is_the_planned_map() -> None:
     points = points_of_scene(SCENE.physics, SCENE.arms, SCENE.object, SCENE.models)
     after, system = solve_measured(SCENE.physics, MeasuredImpact(SCENE.arms, SCENE.object, points))
-    planned = compute_impact_map(ImpactProblem.at_nominal_impact(SCENE), "pinocchio")
+    planned = compute_impact_map(ImpactProblem.at_nominal_impact(SCENE), "exact")
     joints, _, twist = system.split(after)
     assert joints["arm"] == pytest.approx(planned.joint_velocity["arm"], abs=1e-4)
     assert twist == pytest.approx(planned.object_twist, abs=1e-4)

@@ -11,7 +11,7 @@ from impact_map_cases import PUSH, SCENE, nominal, with_velocity
 
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.impact_map import ImpactProblem, check_problem, sampling
-from impact_rs_sim.impact_map.pinocchio import PinocchioEngine
+from impact_rs_sim.impact_map.exact import ExactEngine
 from impact_rs_sim.scene import ArmState, BodyState
 
 GOOD = nominal()
@@ -93,7 +93,7 @@ def test_sampling_passes_over_states_that_cannot_be_and_over_no_other_mistake(mo
 
 
 def test_a_warm_engine_refuses_it_in_the_same_words() -> None:
-    engine = PinocchioEngine(GOOD.physics)
+    engine = ExactEngine(GOOD.physics)
     for values in (ARM.position[:6], np.append(ARM.position, 0.0)):
         with pytest.raises(InputError, match=r"7 values \[rad\]"):
             engine.solve(_position(values))

@@ -12,14 +12,14 @@ from impact_map_cases import SCENE, nominal, one_point, with_velocity
 from impact_rs_sim.impact_map import ImpactProblem, Residual
 from impact_rs_sim.impact_map.contacts import meetings
 from impact_rs_sim.impact_map.engine import Answer
-from impact_rs_sim.impact_map.pinocchio import PinocchioEngine
+from impact_rs_sim.impact_map.exact import ExactEngine
 from impact_rs_sim.impact_map.system import build_system
 
 SMALL = 1e-6  # m/s, what is left of a right answer
 
 
 def answer_of(problem: ImpactProblem) -> Answer:
-    engine = PinocchioEngine(problem.physics)
+    engine = ExactEngine(problem.physics)
     placements = {name: engine.models[name].placement(state.position) for name, state in problem.arms.items()}
     system = build_system(problem, engine.models)
     return engine._solve(problem, system, meetings(problem.physics, problem.object, placements))

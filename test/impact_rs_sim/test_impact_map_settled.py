@@ -176,14 +176,14 @@ def relative_twist(problem: ImpactProblem, result: ImpactResult, name: str) -> n
 @pytest.mark.parametrize("motor_inertia", ["zero", "reduced", "rotor"])
 def test_where_the_first_impact_has_closed_the_faces_it_is_the_end(motor_inertia: str) -> None:
     problem = nominal(motor_inertia)
-    first, settled = compute_impact_map(problem, "pinocchio"), settle(problem)
+    first, settled = compute_impact_map(problem, "exact"), settle(problem)
     assert np.max(np.abs(relative_twist(problem, first, "arm"))) < 1e-6
     assert disagreement(first, settled) < 2e-6
 
 
 def test_pads_that_grab_move_on_the_box_at_first_and_not_in_the_end() -> None:
     problem = grab()
-    first, settled = compute_impact_map(problem, "pinocchio"), settle(problem)
+    first, settled = compute_impact_map(problem, "exact"), settle(problem)
     for name in problem.arms:
         assert np.max(np.abs(relative_twist(problem, first, name))) > 0.02
         np.testing.assert_allclose(relative_twist(problem, settled, name), 0.0, atol=TOLERANCE)
@@ -330,7 +330,7 @@ def test_two_like_arms_from_both_sides_leave_the_object_without_sideways_motion(
 
 def test_a_pad_that_arrives_tilted_aligns() -> None:
     tilted = one_point(pad_friction=1.0)
-    first, settled = compute_impact_map(tilted, "pinocchio"), settle(tilted)
+    first, settled = compute_impact_map(tilted, "exact"), settle(tilted)
     assert len(first.contacts) == 1
     assert len(settled.contacts) == 4
     assert np.max(np.abs(relative_twist(tilted, first, "arm")[3:])) > 0.1
@@ -376,8 +376,8 @@ def test_without_contact_nothing_happens() -> None:
 
 def test_the_contact_is_chosen_by_name() -> None:
     problem = grab()
-    first, settled = predict_impact(problem, engine="pinocchio"), predict_impact(problem, "settled")
-    np.testing.assert_array_equal(first.object_twist, compute_impact_map(problem, "pinocchio").object_twist)
+    first, settled = predict_impact(problem, engine="exact"), predict_impact(problem, "settled")
+    np.testing.assert_array_equal(first.object_twist, compute_impact_map(problem, "exact").object_twist)
     np.testing.assert_array_equal(settled.object_twist, settle(problem).object_twist)
     assert disagreement(first, settled) > 1e-3
     with pytest.raises(InputError, match="no contact 'last'; known: first, settled"):

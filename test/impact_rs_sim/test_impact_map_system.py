@@ -57,7 +57,7 @@ def test_the_object_in_motion_has_the_energy_and_momentum_of_its_point_masses() 
 
 def test_energy_after_the_impact_is_that_of_the_answer() -> None:
     problem = nominal()
-    answer = compute_impact_map(problem, "pinocchio")
+    answer = compute_impact_map(problem, "exact")
     state = problem.arms["arm"]
     motors = MODEL.mass_matrix(state.position) + np.diag(problem.motor_inertia["arm"])
     dq, twist, thing = answer.joint_velocity["arm"], answer.object_twist, problem.physics.object

@@ -120,7 +120,7 @@ def test_a_force_drives_the_mass_of_links_and_motor_along_a_rail() -> None:
     assert drive.position - link.position == pytest.approx([CART * acceleration / stiffness], rel=1e-2)
 
 
-@pytest.mark.parametrize("engine", ["pinocchio", "bullet"])
+@pytest.mark.parametrize("engine", ["exact", "bullet"])
 @pytest.mark.parametrize("motor", [0.0, 2.0])
 def test_a_rail_hits_with_its_mass_and_that_of_its_motor(engine: str, motor: float) -> None:
     """v^+ = m v^- / (m + m_box) with m = links + B along the rail."""

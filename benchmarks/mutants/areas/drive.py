@@ -225,8 +225,8 @@ MUTANTS = [
     Mutant(
         name="coasting_without_load",
         file=MOTORS,
-        original="passed_[i] = transmission[i] + load[i];",
-        mutated="passed_[i] = transmission[i];",
+        original="link_torque_[i] = transmission[i] + load[i];",
+        mutated="link_torque_[i] = transmission[i];",
         wrong="What else acts on the links is lost where they touch nothing.",
         tests=CHAIN_TESTS,
     ),

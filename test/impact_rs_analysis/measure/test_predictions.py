@@ -27,7 +27,7 @@ def test_the_prediction_is_the_mean_over_the_arms_along_the_measured_axis(scenar
     found = predict(loaded, "juice", "case_1")
     assert set(found) == set(MOTOR_INERTIA_MODELS)
     for model, velocity in found.items():
-        answer = compute_impact_map(ImpactProblem.at_nominal_impact(scene, model), "pinocchio")
+        answer = compute_impact_map(ImpactProblem.at_nominal_impact(scene, model), "exact")
         twists = list(answer.end_effector_twist.values())
         assert velocity == pytest.approx(np.mean([twist[{"push": 1, "grab": 2}[scenario]] for twist in twists]))
 
@@ -43,7 +43,7 @@ def test_the_settled_contact_is_predicted_when_it_is_asked_for() -> None:
 
 
 def test_both_engines_predict_the_same() -> None:
-    first, second = (predict(PUSH, "parcel", "case_1", engine=engine) for engine in ("pinocchio", "bullet"))
+    first, second = (predict(PUSH, "parcel", "case_1", engine=engine) for engine in ("exact", "bullet"))
     assert first == pytest.approx(second, abs=2e-3)
 
 

@@ -9,7 +9,7 @@ import pytest
 from bench import BOX, GRAVITY, REACH, bench, run, slope, switched_on, with_support
 
 from impact_rs_sim.bullet_world import BulletWorld
-from impact_rs_sim.impact_map import BulletEngine, ImpactProblem, PinocchioEngine
+from impact_rs_sim.impact_map import BulletEngine, ExactEngine, ImpactProblem
 from impact_rs_sim.impact_map.contacts import find_contacts, meetings
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import ArmState, BodyState, Scene
@@ -210,7 +210,7 @@ def test_a_tilted_pad_touches_with_the_edge_that_the_tilt_brings_forward(angle, 
 def test_both_engines_see_the_tilted_pad_alike(tilt):
     problem = pushed(**tilt)
     answers = []
-    for kind in (PinocchioEngine, BulletEngine):
+    for kind in (ExactEngine, BulletEngine):
         engine = kind(problem.physics)
         answers.append(engine.solve(problem))
         engine.close()

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The impact map on Pinocchio's kinematics: compiled, and step by step with Pinocchio's contact solver behind it.
+"""The impact map by Newton's method on the contact laws, exact to rounding.
 
-The usual question is answered by one call (:mod:`impact_rs_sim.impact_map.compiled`). What that does not answer goes
-the long way: contacts, terms, Newton's method, and ADMM where that does not converge
-(:mod:`impact_rs_sim.impact_map.cones`).
+One compiled call answers the usual problem (:mod:`impact_rs_sim.impact_map.compiled`). The rest goes step by step:
+Poisson's law, problems whose data are refused with a reason, and the few for which the compiled call does not converge.
+Their terms come from Pinocchio's kinematics; where Newton's method does not converge, Pinocchio's ADMM solver gives it
+another first guess (:mod:`impact_rs_sim.impact_map.cones`).
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ from impact_rs_sim.impact_map.system import System
 from impact_rs_sim.physics import Physics
 
 
-class PinocchioEngine(Engine):
-    """Impact map by the compiled solver, or Pinocchio's ADMM.
+class ExactEngine(Engine):
+    """Impact map by Newton's method on the contact laws.
 
     Args:
         physics: Parameters of the scene.
     """
 
-    name = "pinocchio"
+    name = "exact"
     tolerance = 1e-5  # m/s; answers of Newton's method are below 1e-10
     laws = ("newton", "poisson")
 
