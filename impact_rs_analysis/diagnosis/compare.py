@@ -377,7 +377,7 @@ def _of_recordings(source: RecordingSource) -> ComparisonDocument:
         ),
         score=rounded(root_mean_square(rest)),
         score_is="root mean square of recorded minus predicted joint torque over all joints and samples",
-        score_unit=source.told_unit,
+        score_unit=source.residual_unit,
         arms=arms_of(source.worlds),
         noise_floor=rounded(root_mean_square(noise)),
         levels={

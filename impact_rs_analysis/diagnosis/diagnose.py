@@ -32,13 +32,13 @@ from impact_rs_analysis.diagnosis.verdicts import (
     Findings,
     Headline,
     change_interval,
+    clip_p,
     effect_documents,
     headline,
-    noise_told,
-    p_told,
+    noise_size,
+    residual_size,
+    residual_unit,
     rests_of,
-    told,
-    unit_told,
     without_the_doubtful,
 )
 from impact_rs_analysis.diagnosis.words import summary_of
@@ -128,10 +128,10 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
         next_experiment=next_experiment(found, known),
         model=ModelIdentity(name=model.name, digest=model.digest),
         runs=_runs(source),
-        error_unit=unit_told(evidence),
-        noise_floor=noise_told(evidence),
-        held_out_error_before=told(evidence, before),
-        held_out_error_after=told(evidence, after),
+        error_unit=residual_unit(evidence),
+        noise_floor=noise_size(evidence),
+        held_out_error_before=residual_size(evidence, before),
+        held_out_error_after=residual_size(evidence, after),
         held_out_change_ci95=change_interval(before, after, evidence) if found.hold_out is not None else None,
         hold_out=_hold_out(found.hold_out, source),
         lack_of_fit=_lack_of_fit(verdict),
@@ -154,8 +154,8 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
 
 def _lack_of_fit(verdict: Headline) -> LackOfFit:
     return LackOfFit(
-        before=None if verdict.before is None else p_told(verdict.before),
-        after=None if verdict.after is None else p_told(verdict.after),
+        before=None if verdict.before is None else clip_p(verdict.before),
+        after=None if verdict.after is None else clip_p(verdict.after),
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.fit import Evidence
-from impact_rs_analysis.diagnosis.verdicts import told
+from impact_rs_analysis.diagnosis.verdicts import residual_size
 from impact_rs_analysis.evidence.cluster import TIMES, Cluster, Source
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model
@@ -153,5 +153,5 @@ def _held_out(version: Version, clusters: tuple[Cluster, ...], source_of: Callab
         return None
     evidence = Evidence(bare, tuple(range(len(clusters))), clusters)
     if bare.size_unit != TIMES:
-        return told(evidence, evidence.problem(candidate).left_out_rest)
+        return residual_size(evidence, evidence.problem(candidate).left_out_rest)
     return evidence.size(evidence.problem(candidate).held_out)

@@ -94,8 +94,8 @@ class Findings:
         return tuple(dict.fromkeys(tied))
 
 
-def told(evidence: Evidence, rest: Sequence[Array]) -> float:
-    """Size of residuals as the user reads it: in multiples of repetition, or rms in the unit of the source.
+def residual_size(evidence: Evidence, rest: Sequence[Array]) -> float:
+    """Size of residuals in reports: multiples of repeatability [-], or rms in the unit of the source.
 
     Args:
         evidence: The clusters.
@@ -103,25 +103,25 @@ def told(evidence: Evidence, rest: Sequence[Array]) -> float:
     """
     if evidence.source.repeated:
         return evidence.size(np.array([float(np.mean(np.square(values))) for values in rest]))
-    weight = evidence.source.told_weight
+    weight = evidence.source.residual_weight
     weighted = [values * weight(item) for item, values in zip(evidence.clusters, rest, strict=True)]
     return float(np.sqrt(np.mean(np.square(np.concatenate(weighted)))))
 
 
-def noise_told(evidence: Evidence) -> float:
-    """What :func:`told` is where only noise is left."""
+def noise_size(evidence: Evidence) -> float:
+    """Value of :func:`residual_size` when only noise remains."""
     if evidence.source.repeated:
         return 1.0
-    return told(evidence, [item.pure for item in evidence.clusters])
+    return residual_size(evidence, [item.pure for item in evidence.clusters])
 
 
-def unit_told(evidence: Evidence) -> str:
-    """Unit of :func:`told`."""
-    return TIMES if evidence.source.repeated else evidence.source.told_unit
+def residual_unit(evidence: Evidence) -> str:
+    """Unit of :func:`residual_size`."""
+    return TIMES if evidence.source.repeated else evidence.source.residual_unit
 
 
-def p_told(value: float) -> float:
-    """No p is told below what is known of the tails of noise."""
+def clip_p(value: float) -> float:
+    """A p-value, not below ``LEAST_P``: the tails of the noise are not known further out."""
     return max(value, LEAST_P)
 
 
@@ -230,7 +230,7 @@ def headline(found: Findings) -> Headline:
     if evidence.reference.shortage is not None:
         return Headline(TOO_FEW, share, before, after)
     if not evidence.source.repeated:
-        noise, left = noise_told(evidence), told(evidence, found.unexplained)
+        noise, left = noise_size(evidence), residual_size(evidence, found.unexplained)
         if chosen is None:
             # Where nobody knows the noise, what no effect explains is not known to be more than that.
             return Headline(NONE if left > 2.0 * noise > 0.0 else NOTHING, share, before, after)
@@ -308,7 +308,7 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
         verdict, reason = f"{CONFUSABLE}{{{', '.join(sorted(rivals))}}}", "others predict unseen data as well"
     else:
         verdict, reason = CONFIRMED, "predicts what it was not fitted to, and nothing else does as well"
-    before = told(evidence, [item.mean for item in evidence.clusters])
+    before = residual_size(evidence, [item.mean for item in evidence.clusters])
     folds = None if found.hold_out is None else sum(name in names for names in found.hold_out.chosen)
     return EffectDocument(
         name=name,
@@ -318,10 +318,10 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
         rivals=rivals,
         parameters=_estimates(found, chosen, name),
         held_out_error_before=before,
-        held_out_error_after=told(chosen.evidence, chosen.problem.left_out_rest),
+        held_out_error_after=residual_size(chosen.evidence, chosen.problem.left_out_rest),
         held_out_error_alone=_error_alone(found, name),
         held_out_error_others=_error_without(found, name),
-        p_value=p_told(found.p_values[name]),
+        p_value=clip_p(found.p_values[name]),
         sizes=tuple(sizes_of(chosen, name)),
         chosen_in_folds=folds,
     )
@@ -365,11 +365,11 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
         reason=reason,
         rivals=rivals,
         parameters=_estimates(found, fitted, name),
-        held_out_error_before=told(evidence, base),
-        held_out_error_after=told(fitted.evidence, fitted.problem.left_out_rest),
+        held_out_error_before=residual_size(evidence, base),
+        held_out_error_after=residual_size(fitted.evidence, fitted.problem.left_out_rest),
         held_out_error_alone=_error_alone(found, name),
-        held_out_error_others=told(evidence, base) if best is None else _error_without(found, best.instead_of),
-        p_value=p_told(p),
+        held_out_error_others=residual_size(evidence, base) if best is None else _error_without(found, best.instead_of),
+        p_value=clip_p(p),
         sizes=tuple(sizes_of(fitted, name)) if verdict != NO_IMPROVEMENT else (),
     )
 
@@ -377,16 +377,16 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
 def _error_alone(found: Findings, name: str) -> float:
     """Error on unseen clusters with one effect and no other; of a chosen one that stands alone its own."""
     fitted = found.chosen if found.chosen is not None and found.names == (name,) else found.search.alone(name)
-    return told(fitted.evidence, fitted.problem.left_out_rest)
+    return residual_size(fitted.evidence, fitted.problem.left_out_rest)
 
 
 def _error_without(found: Findings, name: str) -> float | None:
     """Error on unseen clusters with the chosen effects but one; None where these cannot be simulated."""
     assert found.chosen is not None
     if found.names == (name,):
-        return told(found.evidence, [item.mean for item in found.evidence.clusters])
+        return residual_size(found.evidence, [item.mean for item in found.evidence.clusters])
     fitted = found.search.without(found.chosen, name)
-    return None if fitted is None else told(fitted.evidence, fitted.problem.left_out_rest)
+    return None if fitted is None else residual_size(fitted.evidence, fitted.problem.left_out_rest)
 
 
 def _at_bound(fitted: Fit) -> Array:
@@ -454,10 +454,10 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float 
     else:
         verdict = f"{CONFUSABLE}{{{', '.join(sorted(rivals))}}}" if rivals else CONFIRMED
     if evidence.source.repeated:
-        return verdict, p_told(p), None, None
+        return verdict, clip_p(p), None, None
     item = evidence.clusters[0]
     sigma = next(float(s) for f, s in zip(item.features, item.sigma, strict=True) if f.index == joint)
-    return verdict, p_told(p), sigma * math.sqrt(error_without), sigma * math.sqrt(error)
+    return verdict, clip_p(p), sigma * math.sqrt(error_without), sigma * math.sqrt(error)
 
 
 def _of_joint(evidence: Evidence, rest: Sequence[Array], arm: str, joint: str) -> Array:
@@ -481,12 +481,12 @@ def change_interval(before: Sequence[Array], after: Sequence[Array], evidence: E
     count = len(before)
     if count < 2:
         return None
-    whole = told(evidence, after) - told(evidence, before)
+    whole = residual_size(evidence, after) - residual_size(evidence, before)
     alone = []
     for left in range(count):
         kept = [number for number in range(count) if number != left]
         part = evidence.only(kept)
-        alone.append(told(part, [after[n] for n in kept]) - told(part, [before[n] for n in kept]))
+        alone.append(residual_size(part, [after[n] for n in kept]) - residual_size(part, [before[n] for n in kept]))
     spread = math.sqrt((count - 1) / count * float(np.sum(np.square(np.array(alone) - np.mean(alone)))))
     half = float(scipy.stats.t.ppf(0.975, count - 1)) * spread
     return whole - half, whole + half

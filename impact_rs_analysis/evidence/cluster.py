@@ -184,7 +184,7 @@ class Source(ABC):
         repeated: Whether clusters hold repeats; if not, clusters are stretches of time.
         cheap: Whether predictions cost so little that several starting points can be tried.
         remarks: What a reader should know of the measurements.
-        told_unit: Where nothing is repeated, unit in which the size of residuals is told.
+        residual_unit: Where nothing is repeated, unit in which the size of residuals is told.
         size_unit: Unit of :meth:`size`.
         pieces: What clusters are where nothing is repeated.
         of_motion: Whether motion before and after an impact was measured, or the impact alone.
@@ -200,7 +200,7 @@ class Source(ABC):
     repeated: bool
     cheap: bool
     remarks: Sequence[str] = ()
-    told_unit: str = "N m"
+    residual_unit: str = "N m"
     size_unit: str = TIMES
     pieces: str = "stretches of time"
     of_motion: bool = True
@@ -242,8 +242,8 @@ class Source(ABC):
         """What :meth:`size` is if only repetition is left; None where nothing was repeated."""
         return 1.0 if any(np.any(item.pure > 0.0) for item in self.clusters) else None
 
-    def told_weight(self, item: Cluster) -> Array:
-        """Where nothing is repeated, what scaled residuals are multiplied by to be told in ``told_unit``, ``(F,)``."""
+    def residual_weight(self, item: Cluster) -> Array:
+        """Factors that turn scaled residuals into ``residual_unit`` where nothing is repeated, ``(F,)``."""
         return item.sigma
 
     @property

@@ -98,7 +98,7 @@ class ImpactTableSource(Source):
     """
 
     cheap = True
-    told_unit = "m/s"
+    residual_unit = "m/s"
     pieces = "blocks of rows"
     of_motion = False
     least_change = 0.0  # what matters is told by floors; rows are independent, as samples of a torque are not
@@ -119,7 +119,7 @@ class ImpactTableSource(Source):
         groups = _conditions(table)
         self.repeated = groups is not None
         self._groups = tuple(_blocks(table) if groups is None else groups)
-        self.size_unit = TIMES if self.repeated else self.told_unit
+        self.size_unit = TIMES if self.repeated else self.residual_unit
         self.clusters = self._clusters()
         self.remarks = tuple(self._remarks())
 
@@ -156,8 +156,8 @@ class ImpactTableSource(Source):
             found.append(np.sqrt(diagonal / physics.object.mass))
         return np.array(found)
 
-    def told_weight(self, item: Cluster) -> Array:
-        """See :meth:`Source.told_weight`; the mean over all entries of a row times their number is d^2."""
+    def residual_weight(self, item: Cluster) -> Array:
+        """See :meth:`Source.residual_weight`; the mean over all entries of a row times their number is d^2."""
         rows = next(group.rows for group in self._groups if group.name == item.name)
         worth = self.worth[list(rows)]
         worth = worth.mean(axis=0) if self.repeated else worth.ravel()

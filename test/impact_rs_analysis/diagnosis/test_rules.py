@@ -42,7 +42,7 @@ def test_a_change_of_the_error_has_the_interval_of_a_mean_over_conditions() -> N
     source = AnalyticSource(1, design=(1,) * 6, repeated=False)
     small = 1e-3 * np.array([1.0, -2.0, 3.0, 0.0, 2.0, 4.0])
     nothing, after = np.zeros((6, FEATURES)), (1.0 + small)[:, None] * np.ones((6, FEATURES))
-    source.told_weight = lambda item: 1.0  # type: ignore[assignment, method-assign, misc]
+    source.residual_weight = lambda item: 1.0  # type: ignore[assignment, method-assign, misc]
     found = change_interval(list(nothing), list(after), Evidence.of(source))
     expected = scipy.stats.t.interval(0.95, 5, loc=1.0 + small.mean(), scale=scipy.stats.sem(small))
     assert found == pytest.approx(expected, abs=1e-5)
