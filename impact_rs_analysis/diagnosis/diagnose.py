@@ -25,7 +25,7 @@ from impact_rs_analysis.diagnosis.document import (
 from impact_rs_analysis.diagnosis.experiment import next_experiment
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
-from impact_rs_analysis.diagnosis.search import Rival, Search, Told, adjusted
+from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search, adjusted
 from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P
 from impact_rs_analysis.diagnosis.verdicts import (
     MOST_RESTS,
@@ -54,7 +54,7 @@ CORRELATED = 0.8
 
 
 def diagnose(
-    source: Source, model: Model, only: Sequence[str] | None = None, told: Told = lambda *_: None
+    source: Source, model: Model, only: Sequence[str] | None = None, progress: ProgressCallback = lambda *_: None
 ) -> DiagnosisDocument:
     """Find out which effects are missing in a model.
 
@@ -62,7 +62,7 @@ def diagnose(
         source: Measurements with the model's predictions.
         model: The model as its file says it; that of the source may know further effects.
         only: Names of the effects to consider; None: all that the source's model knows and has not.
-        told: Hears how well effects do while the search goes on, as :class:`Search` tells it.
+        progress: Called with effects and their held-out error during the search (:class:`Search`).
 
     Raises:
         InputError: Too few conditions to hold one out.
@@ -76,7 +76,7 @@ def diagnose(
     known = source.model.known_effects
     present = {item.name for item in source.model.effects}
     effects = [known[name] for name in known if name not in present and (only is None or name in only)]
-    search = Search.screened(effects, Evidence.of(source), told=told)
+    search = Search.screened(effects, Evidence.of(source), progress=progress)
     chosen = None if search.evidence.reference.shortage is not None else search.choose()
     rivals: Sequence[Rival] = ()
     held = None

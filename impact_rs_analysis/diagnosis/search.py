@@ -65,7 +65,7 @@ class Rival:
     tied: bool
 
 
-Told = Callable[[str, float], None]
+ProgressCallback = Callable[[str, float], None]
 
 
 class Search:
@@ -75,7 +75,7 @@ class Search:
         effects: Effects to consider.
         evidence: Residuals of the model in the clusters that may be looked at.
         shortlist: Candidates that are fitted through the model in every round.
-        told: Called with effects joined by ``+`` and the error that they leave in clusters left out, on the scale of
+        progress: Called with effects joined by ``+`` and the error that they leave in clusters left out, on the scale of
             :meth:`Evidence.size`, whenever they have been fitted.
         known: Where the search over all clusters of the source has ended, see ``ended``; fits may begin there.
 
@@ -91,10 +91,10 @@ class Search:
         effects: Sequence[Effect],
         evidence: Evidence,
         shortlist: int = SHORTLIST,
-        told: Told = lambda *_: None,
+        progress: ProgressCallback = lambda *_: None,
         known: Mapping[tuple[str, ...], Candidate] | None = None,
     ) -> None:
-        self.evidence, self._shortlist, self._told = evidence, shortlist, told
+        self.evidence, self._shortlist, self._progress = evidence, shortlist, progress
         self.source = evidence.source
         self._effects = tuple(effects)
         self.singles: dict[str, Candidate] = {}
@@ -111,11 +111,11 @@ class Search:
         effects: Sequence[Effect],
         evidence: Evidence,
         shortlist: int = SHORTLIST,
-        told: Told = lambda *_: None,
+        progress: ProgressCallback = lambda *_: None,
         known: Mapping[tuple[str, ...], Candidate] | None = None,
     ) -> Search:
         """A search that knows what every effect does to the clusters; arguments as for the class."""
-        search = cls(effects, evidence, shortlist, told, known)
+        search = cls(effects, evidence, shortlist, progress, known)
         search._screen()
         return search
 
@@ -146,7 +146,7 @@ class Search:
 
         Where trying them in contact is dear, they are fitted to the motion before it.
         """
-        if not _bends(candidate):
+        if not has_shape_parameter(candidate):
             return candidate
         if (known := self._from_known(candidate, self.evidence)) is not None:
             return known
@@ -166,7 +166,7 @@ class Search:
         offset does. Beside that offset it is fitted anew, and linearised together with it.
         """
         proposal = self.beside(chosen, name)
-        if chosen is None or self.source.cheap or not _bends(self._starts[name]):
+        if chosen is None or self.source.cheap or not has_shape_parameter(self._starts[name]):
             return proposal
         there = self._from_known(proposal.candidate, proposal.evidence) or self._bent_beside(chosen, name)
         return proposal if there is None else Fit.of(there, proposal.evidence)
@@ -190,7 +190,7 @@ class Search:
 
     def _fitted(self, candidate: Candidate, evidence: Evidence) -> Fit:
         """A fit where predictions are cheap: with a shape, which bends everything, from its best value and again."""
-        if not _bends(candidate):
+        if not has_shape_parameter(candidate):
             return refine(candidate, evidence)
         fitted = refine(self._best_shape(candidate, evidence), evidence)
         for _ in range(ROUNDS):
@@ -279,12 +279,12 @@ class Search:
         fits = self._fitted_before_contact
         linear = {name: Fit.of(candidate, evidence) for name, candidate in candidates.items()}
         far, steps = HOPELESS**2 * enough, STEPS_OF_FOLD if evidence.thrifty else STEPS
-        for name in sorted(candidates, key=lambda entry: (_bends(candidates[entry]), linear[entry].misfit)):
+        for name in sorted(candidates, key=lambda entry: (has_shape_parameter(candidates[entry]), linear[entry].misfit)):
             candidate = candidates[name]
             if min((fitted.misfit for fitted in fits.values()), default=np.inf) > explained:
                 fits[name] = see_all(self._fitted(candidate, evidence))
                 continue
-            bent = linear[name].misfit <= far or _bends(candidate)
+            bent = linear[name].misfit <= far or has_shape_parameter(candidate)
             fits[name] = refine(candidate, evidence, far, steps) if bent else linear[name]
             if fits[name].misfit <= far:
                 fits[name] = see_all(fits[name])
@@ -353,7 +353,7 @@ class Search:
             likely = [n for n, p in p_values.items() if n not in self.ruled_out and (p < SIGNIFICANT or not decidable)]
             linear = sorted((self._proposed(chosen, name) for name in likely), key=lambda entry: entry.score)
             for entry in linear:
-                self._tell(entry)
+                self._report_progress(entry)
             # What is small is linear: a proposal that gains nothing there will not gain by being fitted properly.
             if chosen is not None:
                 linear = [entry for entry in linear if excess - evidence.excess(entry.held_out) > 0.5 * needed]
@@ -388,8 +388,8 @@ class Search:
         errors = [float(np.mean(entry.evidence.problem(one).errors(nothing))) for one in (entry.candidate, known)]
         return known if errors[1] < errors[0] else entry.candidate
 
-    def _tell(self, fitted: Fit) -> None:
-        self._told("+".join(fitted.candidate.names), self.evidence.size(fitted.held_out))
+    def _report_progress(self, fitted: Fit) -> None:
+        self._progress("+".join(fitted.candidate.names), self.evidence.size(fitted.held_out))
 
     @property
     def lacking(self) -> bool:
@@ -418,7 +418,7 @@ class Search:
         for entry in shortlist:
             beat = min((proposal.score for proposal in found), default=np.inf)
             found.append(refine(self._begin(entry), entry.evidence, HOPELESS * beat, steps))
-            self._tell(found[-1])
+            self._report_progress(found[-1])
         if not found:
             return None
         top = min(proposal.score for proposal in found)
@@ -578,7 +578,7 @@ def tied_errors(own: Array, other: Array, floor: Array | float) -> bool:
     return float(ratio.mean()) < max(TIE, min(2.0 * spread, WIDE_TIE))
 
 
-def _bends(candidate: Candidate) -> bool:
+def has_shape_parameter(candidate: Candidate) -> bool:
     """Whether a shape bends what the effect does, so that it has several places to begin from."""
     return any(scalar.grid for scalar in candidate.scalars)
 
