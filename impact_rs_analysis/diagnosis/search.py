@@ -75,8 +75,8 @@ class Search:
         effects: Effects to consider.
         evidence: Residuals of the model in the clusters that may be looked at.
         shortlist: Candidates that are fitted through the model in every round.
-        progress: Called with effects joined by ``+`` and the error that they leave in clusters left out, on the scale of
-            :meth:`Evidence.size`, whenever they have been fitted.
+        progress: Called after every fit with the effects joined by ``+`` and their held-out error, on the scale of
+            :meth:`Evidence.size`.
         known: Where the search over all clusters of the source has ended, see ``ended``; fits may begin there.
 
     Attributes:
@@ -279,12 +279,14 @@ class Search:
         fits = self._fitted_before_contact
         linear = {name: Fit.of(candidate, evidence) for name, candidate in candidates.items()}
         far, steps = HOPELESS**2 * enough, STEPS_OF_FOLD if evidence.thrifty else STEPS
-        for name in sorted(candidates, key=lambda entry: (has_shape_parameter(candidates[entry]), linear[entry].misfit)):
+        for name in sorted(
+            candidates, key=lambda entry: (has_shape_parameter(candidates[entry]), linear[entry].misfit)
+        ):
             candidate = candidates[name]
             if min((fitted.misfit for fitted in fits.values()), default=np.inf) > explained:
                 fits[name] = see_all(self._fitted(candidate, evidence))
                 continue
-            bent = linear[name].misfit <= far or has_shape_parameter(candidate)
+            bent = linear[name].misfit <= far or shaped[name]
             fits[name] = refine(candidate, evidence, far, steps) if bent else linear[name]
             if fits[name].misfit <= far:
                 fits[name] = see_all(fits[name])

@@ -298,7 +298,7 @@ class Source(ABC):
         """Residuals with effects on top of the model, on the scale of ``like``; None where that cannot be simulated."""
 
 
-def apart(model: Model, worlds: Iterable[Physics], each_arm: bool = False) -> Model:
+def with_per_arm_parameters(model: Model, worlds: Iterable[Physics], each_arm: bool = False) -> Model:
     """The model, knowing effects with parameters of its own for every arm where arms do not share them.
 
     Arms of one kind share them: what is missing in a model is looked for in the kind, with half as many parameters, and

@@ -35,7 +35,16 @@ from functools import cached_property
 
 import numpy as np
 
-from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, Identity, Source, apart, pooled_error
+from impact_rs_analysis.evidence.cluster import (
+    TIMES,
+    Added,
+    Cluster,
+    Feature,
+    Identity,
+    Source,
+    pooled_error,
+    with_per_arm_parameters,
+)
 from impact_rs_analysis.evidence.tracks import TrackSet, TrackSignal
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.impact_map.contacts import contact_frame
@@ -104,7 +113,7 @@ class ImpactTableSource(Source):
     least_change = 0.0  # what matters is told by floors; rows are independent, as samples of a torque are not
 
     def __init__(self, table: ImpactTable, model: Model, each_arm: bool = False) -> None:
-        model = apart(model, [row.physics for row in table.rows], each_arm)
+        model = with_per_arm_parameters(model, [row.physics for row in table.rows], each_arm)
         self.table, self.model = table, model
         self._applied: dict[tuple[int, Added], Physics | None] = {}
         self._models: dict[int, dict[str, RobotModel]] = {}
