@@ -264,11 +264,12 @@ def _signal_levels(
                 noise = float(np.sqrt(pure**2 / item.count + own**2))
                 arm, joint = feature.arm if several else "", joint if by_joint else ""
                 key = (arm, feature.phase, feature.signal, joint, feature.unit)
-                row = (float(mean * sigma), float(pure * sigma) / item.count**0.5, float(own * sigma), feature.floor)
+                noise_of_mean = float(pure * sigma) / item.count**0.5
+                row = (float(mean * sigma), noise_of_mean, float(own * sigma), feature.relevance_limit)
                 found.setdefault(key, []).append((*row, float(mean) / max(noise, 1e-12) if noise else float(mean)))
     signals = []
     for (arm, phase, signal, joint, unit), rows in found.items():
-        error, noise, own, floor, scaled = (root_mean_square(column) for column in zip(*rows, strict=True))
+        error, noise, own, limit, scaled = (root_mean_square(column) for column in zip(*rows, strict=True))
         signals.append(
             SignalLevel(
                 phase=phase,
@@ -278,7 +279,7 @@ def _signal_levels(
                 error=rounded(error),
                 noise_floor=rounded(noise),
                 discrepancy=rounded(own),
-                floor=rounded(floor),
+                floor=rounded(limit),
                 unit=unit,
                 times_noise=rounded(scaled),
             )
@@ -294,7 +295,7 @@ def _where(clusters: Sequence[Cluster]) -> list[Cell]:
         noise = np.sqrt(np.square(item.pure) / item.count + np.square(item.discrepancy))
         noise = np.where(noise > 0.0, noise, 1.0)
         for feature, mean, sigma, own in zip(item.features, item.mean, item.sigma, noise, strict=True):
-            row = (float(mean / own), float(mean * sigma), float(mean), feature.unit, feature.floor)
+            row = (float(mean / own), float(mean * sigma), float(mean), feature.unit, feature.relevance_limit)
             found.setdefault((*item.place, *feature.group), []).append(row)
     cells = []
     for (scenario, thing, case, phase, signal, index), rows in found.items():
@@ -396,7 +397,7 @@ def _of_recordings(source: RecordingSource) -> ComparisonDocument:
 
 def _of_impacts(source: ImpactTableSource) -> ComparisonDocument:
     clusters = source.clusters
-    score, floor = source.size(), source.noise_size()
+    score, noise = source.size(), source.noise_size()
     if source.repeated:
         score_is = "size of the difference between measured and predicted velocities over all conditions, 1 being what "
         score_is += "repetition alone gives"
@@ -416,7 +417,7 @@ def _of_impacts(source: ImpactTableSource) -> ComparisonDocument:
         score=rounded(score),
         score_is=score_is,
         score_unit=source.size_unit,
-        noise_floor=None if floor is None else rounded(floor),
+        noise_floor=None if noise is None else rounded(noise),
         levels={"impacts": _level("impacts", clusters, phases)},
         where=tuple(_where(clusters) if source.repeated else _where_of_blocks(clusters)),
         arms=arms_of(source.worlds),
@@ -437,12 +438,12 @@ def _where_of_blocks(clusters: Sequence[Cluster]) -> list[Cell]:
         for feature, mean, sigma, pure in zip(item.features, item.mean, item.sigma, item.pure, strict=True):
             row = (float(mean * sigma), float(mean), float(mean / pure if pure else mean))
             found.setdefault((*item.place[:2], *feature.group), []).append(row)
-            facts[feature.group] = feature.unit, feature.floor
+            facts[feature.group] = feature.unit, feature.relevance_limit
     cells = []
     for (file, thing, *group), rows in found.items():
         phase, signal, index = group
         error, scaled, times = np.array(rows).T
-        unit, floor = facts[phase, signal, index]
+        unit, limit = facts[phase, signal, index]
         cells.append(
             Cell(
                 scenario=file,
@@ -453,7 +454,7 @@ def _where_of_blocks(clusters: Sequence[Cluster]) -> list[Cell]:
                 index=index,
                 error=rounded(math.copysign(root_mean_square(error), float(error.mean()))),
                 unit=unit,
-                floor=floor,
+                floor=limit,
                 share=rounded(float(np.sum(np.square(scaled))) / max(total, 1e-300)),
                 times_noise=rounded(root_mean_square(times)),
             )

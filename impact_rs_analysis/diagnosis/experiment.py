@@ -99,7 +99,7 @@ def _sigma(source: ReplaySource, run: MeasuredRun) -> Array:
     for item in source.clusters:
         if item.layout == layout_of(run):
             return item.sigma
-    return np.array([feature.floor for feature in run.features])
+    return np.array([feature.relevance_limit for feature in run.features])
 
 
 def _of_recordings(found: Findings, known: dict[str, Effect]) -> NextExperiment:

@@ -114,11 +114,11 @@ def history(path: Path, source_of: Callable[[Model], Source]) -> list[VersionErr
     for version in versions(path):
         source = source_of(version.model)
         clusters = source.clusters
-        error, floor = source.size(), source.noise_size()
+        error, noise = source.size(), source.noise_size()
         held_out: float | None = error
         if version.effect_added is not None:
             held_out = _held_out(version, clusters, source_of)
-        found.append(VersionError(version, error, held_out, floor, source.size_unit))
+        found.append(VersionError(version, error, held_out, noise, source.size_unit))
     return found
 
 

@@ -279,9 +279,8 @@ class Search:
         fits = self._fitted_before_contact
         linear = {name: Fit.of(candidate, evidence) for name, candidate in candidates.items()}
         far, steps = HOPELESS**2 * enough, STEPS_OF_FOLD if evidence.thrifty else STEPS
-        for name in sorted(
-            candidates, key=lambda entry: (has_shape_parameter(candidates[entry]), linear[entry].misfit)
-        ):
+        shaped = {name: has_shape_parameter(candidate) for name, candidate in candidates.items()}
+        for name in sorted(candidates, key=lambda entry: (shaped[entry], linear[entry].misfit)):
             candidate = candidates[name]
             if min((fitted.misfit for fitted in fits.values()), default=np.inf) > explained:
                 fits[name] = see_all(self._fitted(candidate, evidence))
@@ -607,10 +606,11 @@ def consistent(fitted: Fit, first: int = 0) -> bool:
 def moves_enough(fitted: Fit, part: slice = slice(None)) -> bool:
     """Whether some parameters of a fit move some feature by more than anybody cares about."""
     change = ((fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale)[part]
-    return any(
-        bool(np.any(np.abs(jacobian[:, part] @ change) * item.sigma > [feature.floor for feature in item.features]))
-        for item, jacobian in zip(fitted.evidence.clusters, fitted.candidate.jacobians, strict=True)
-    )
+    for item, jacobian in zip(fitted.evidence.clusters, fitted.candidate.jacobians, strict=True):
+        limits = [feature.relevance_limit for feature in item.features]
+        if np.any(np.abs(jacobian[:, part] @ change) * item.sigma > limits):
+            return True
+    return False
 
 
 def noticeable(fitted: Fit, first: int = 0) -> bool:

@@ -135,10 +135,10 @@ def sizes_of(fitted: Fit, name: str) -> list[SizeDocument]:
         for feature, value in zip(item.features, moved, strict=True):
             key = (feature.phase, feature.signal)
             if value > largest.get(key, (0.0, "", 0.0))[0]:
-                largest[key] = (float(value), feature.unit, feature.floor)
+                largest[key] = (float(value), feature.unit, feature.relevance_limit)
     found = [
-        SizeDocument(phase=phase, signal=signal, value=value, unit=unit, floor=floor)
-        for (phase, signal), (value, unit, floor) in largest.items()
+        SizeDocument(phase=phase, signal=signal, value=value, unit=unit, floor=limit)
+        for (phase, signal), (value, unit, limit) in largest.items()
     ]
     return sorted(found, key=lambda size: -size.value / size.floor if size.floor else -size.value)[:MOST_SIZES]
 
@@ -180,14 +180,14 @@ def rests_of(evidence: Evidence, rest: Sequence[Array]) -> list[RestDocument]:
         expected = np.square(item.pure) / item.count + np.square(item.discrepancy)
         for feature, value, noise, sigma in zip(item.features, values, expected, item.sigma, strict=True):
             squares.setdefault(feature.group, []).append((float(value**2), float(noise), float(sigma)))
-            facts[feature.group] = (feature.unit, feature.floor)
+            facts[feature.group] = (feature.unit, feature.relevance_limit)
     total = sum(row[0] for rows in squares.values() for row in rows)
     found = []
     for (phase, signal, index), rows in squares.items():
         table = np.array(rows)
         excess = float(np.mean((table[:, 0] - table[:, 1]) * table[:, 2] ** 2))
         noise = float(np.mean(table[:, 1]))
-        unit, floor = facts[phase, signal, index]
+        unit, limit = facts[phase, signal, index]
         found.append(
             RestDocument(
                 phase=phase,
@@ -195,7 +195,7 @@ def rests_of(evidence: Evidence, rest: Sequence[Array]) -> list[RestDocument]:
                 index=index,
                 value=math.sqrt(max(excess, 0.0)),
                 unit=unit,
-                floor=floor,
+                floor=limit,
                 share=float(table[:, 0].sum()) / max(total, 1e-300),
                 times_noise=math.sqrt(float(np.mean(table[:, 0])) / noise) if noise > 0.0 else 0.0,
             )

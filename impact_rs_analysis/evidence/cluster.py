@@ -52,7 +52,7 @@ class Feature:
         index: Joint (``joint1``) or axis (``x``), with the arm's name in front where there are several.
         bin: Number of the time bin within the phase.
         unit: Unit.
-        floor: Differences below this are no concern to anyone, in the unit.
+        relevance_limit: Smallest difference that matters in practice, in the unit; 0: none is set.
         arm: Name of the arm; empty: of none, or of the only one that there is.
     """
 
@@ -61,7 +61,7 @@ class Feature:
     index: str
     bin: int
     unit: str
-    floor: float
+    relevance_limit: float
     arm: str = ""
 
     @property

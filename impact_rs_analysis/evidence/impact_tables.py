@@ -59,9 +59,9 @@ from impact_rs_trials.recordings.impact_table import ImpactTable
 BLOCKS = 24  # at most: of 24, a fold of the hold-out leaves 18 to search in, and 12 are needed to tell chance
 LEAST_CONDITIONS = 3  # that are repeated, for repeats to be what is counted on
 LEAST_REPEATS = 3  # degrees of freedom of the pure error
-FLOOR_LINEAR = 0.005  # m/s; motion capture knows no velocity of a body better
-FLOOR_ANGULAR = 0.05  # rad/s; the same at a lever of 0.1 m
-FLOOR_JOINT = 0.005  # rad/s; the same at a lever of 1 m, or of a joint that slides
+RELEVANT_LINEAR = 0.005  # m/s; motion capture knows no velocity of a body better
+RELEVANT_ANGULAR = 0.05  # rad/s; the same at a lever of 0.1 m
+RELEVANT_JOINT = 0.005  # rad/s; the same at a lever of 1 m, or of a joint that slides
 LEAST_SCALE = 1e-6  # m/s; a model that leaves less is exact
 GAINED = 1.05  # kinetic energy after over before, from which a row is suspect
 
@@ -145,10 +145,10 @@ class ImpactTableSource(Source):
         for name in self.table.rows[0].impact.arms:
             label = f"{name}." if len(self.table.arms) > 1 else ""
             for joint, units in enumerate(self.table.rows[0].physics.arms[name].facts.units, start=1):
-                found.append(Feature("impact", JOINTS, f"{label}joint{joint}", 0, units.velocity, FLOOR_JOINT, name))
+                found.append(Feature("impact", JOINTS, f"{label}joint{joint}", 0, units.velocity, RELEVANT_JOINT, name))
         names = AXES if self.table.arms else CONTACT_AXES
-        found += [Feature("impact", LINEAR, axis, 0, "m/s", FLOOR_LINEAR) for axis in names]
-        found += [Feature("impact", ANGULAR, axis, 0, "rad/s", FLOOR_ANGULAR) for axis in names]
+        found += [Feature("impact", LINEAR, axis, 0, "m/s", RELEVANT_LINEAR) for axis in names]
+        found += [Feature("impact", ANGULAR, axis, 0, "rad/s", RELEVANT_ANGULAR) for axis in names]
         return tuple(found)
 
     @cached_property
@@ -302,11 +302,11 @@ class ImpactTableSource(Source):
 
     def _clusters(self) -> tuple[Cluster, ...]:
         rest = self.measured - self.predicted
-        floor = np.array([feature.floor for feature in self.signals]) / 2.0
+        limit = np.array([feature.relevance_limit for feature in self.signals]) / 2.0
         if self.repeated:
             pure = pooled_error([rest[list(group.rows)] for group in self._groups])
             assert pure is not None
-            sigma = np.broadcast_to(np.hypot(pure, floor), rest.shape)
+            sigma = np.broadcast_to(np.hypot(pure, limit), rest.shape)
             noise = np.broadcast_to(pure, rest.shape)
         else:
             sigma = max(self.size() / np.sqrt(len(self.signals)), LEAST_SCALE) / self.worth

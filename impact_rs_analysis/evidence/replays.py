@@ -65,11 +65,11 @@ def clusters_of(
     for condition, values in rows.items():
         first, layout = firsts[condition], layouts[condition]
         spread = pure[condition]
-        floor = np.array([feature.floor for feature in first.features]) / 2.0
+        limit = np.array([feature.relevance_limit for feature in first.features]) / 2.0
         kind = kind_of(first)
         systematic, patterns = discrepancy.of(first.features, kind), discrepancy.patterns_of(first.features, kind)
-        known = np.zeros_like(floor) if spread is None else spread
-        sigma = np.sqrt(known**2 + floor**2 + systematic**2)
+        known = np.zeros_like(limit) if spread is None else spread
+        sigma = np.sqrt(known**2 + limit**2 + systematic**2)
         clusters.append(
             Cluster(
                 name=condition,

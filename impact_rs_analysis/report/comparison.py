@@ -201,19 +201,19 @@ def write_comparison(
 
 def comparison_in_words(document: ComparisonDocument) -> str:
     """Two sentences for a reader who sees nothing else."""
-    name, score, floor = document.model.name, number_text(document.score), document.noise_floor
+    name, score, noise = document.model.name, number_text(document.score), document.noise_floor
     yardstick = yardstick_of(document)
     if document.source == "recordings":
         text = f"Model '{name}' leaves {score} {document.score_unit} rms of joint torque unexplained"
-        text += "." if floor is None else f"; noise alone would leave {number_text(floor)} {document.score_unit}."
+        text += "." if noise is None else f"; noise alone would leave {number_text(noise)} {document.score_unit}."
     elif not on_scale(document):
         text = (
             f"Model '{name}' misses the velocity after {document.trials} impacts by {score} {document.score_unit} rms"
         )
-        text += "." if floor is None else f"; noise alone would leave {number_text(floor)} {document.score_unit}."
+        text += "." if noise is None else f"; noise alone would leave {number_text(noise)} {document.score_unit}."
     else:
         text = f"Model '{name}' differs from {document.trials} {document.source} by {score} times {yardstick}."
-    if floor is not None and document.score < HARDLY_MORE * floor:
+    if noise is not None and document.score < HARDLY_MORE * noise:
         return f"{text} That is hardly more than noise."
     if not document.where:
         return text

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from impact_rs_analysis.diagnosis.compare import ComparisonDocument, SignalLevel
+from impact_rs_analysis.diagnosis.compare import ComparisonDocument
 from impact_rs_analysis.diagnosis.document import (
     DiagnosisDocument,
     EffectDocument,
@@ -26,12 +26,12 @@ from impact_rs_analysis.report.plots import effects_plot, joints_plot
 
 
 @dataclass(frozen=True)
-class Floor:
-    """Difference of a signal below which nobody cares.
+class RelevanceLimit:
+    """Relevance limit of a signal: the smallest difference that matters in practice.
 
     Attributes:
         label: Phase and signal.
-        value: The difference, in the unit.
+        value: The limit, in the unit.
         discrepancy: How far equally valid simulations differ, in the unit.
         unit: Unit.
     """
@@ -85,7 +85,7 @@ class DiagnosisPage:
         document: The diagnosis.
         comparison: The model against the same measurements.
         arms: What arms are called, by name.
-        floors: Difference of every signal below which nobody cares.
+        limits: Relevance limit of every signal.
         effects: Effects that something measured depends on, best first.
         effects_plot: Their errors; None: there are none.
         unmeasured: Effects that nothing measured depends on.
@@ -102,7 +102,7 @@ class DiagnosisPage:
     document: DiagnosisDocument
     comparison: ComparisonDocument
     arms: dict[str, str]
-    floors: tuple[Floor, ...]
+    limits: tuple[RelevanceLimit, ...]
     effects: tuple[EffectRow, ...]
     effects_plot: Plot | None
     unmeasured: tuple[str, ...]
@@ -144,7 +144,7 @@ def write_diagnosis(
         document=document,
         comparison=comparison,
         arms={arm.name: arm.title for arm in comparison.arms},
-        floors=_floors(comparison),
+        limits=_relevance_limits(comparison),
         effects=tuple(_effect_row(effect) for effect in document.effects if effect.measured),
         effects_plot=None if bars is None else Plot("effects", bars),
         unmeasured=tuple(effect.name for effect in document.effects if not effect.measured),
@@ -159,11 +159,14 @@ def write_diagnosis(
     return write_files(directory, {"diagnosis.html": text, "diagnosis.json": data})[0]
 
 
-def _floors(comparison: ComparisonDocument) -> tuple[Floor, ...]:
-    def floor(row: SignalLevel) -> Floor:
-        return Floor(signal_text(row), row.floor, row.discrepancy, row.unit)
-
-    return tuple(floor(row) for level in comparison.levels.values() for row in level.signals if row.floor > 0.0)
+def _relevance_limits(comparison: ComparisonDocument) -> tuple[RelevanceLimit, ...]:
+    """Relevance limits of the signals that have one."""
+    return tuple(
+        RelevanceLimit(signal_text(row), row.floor, row.discrepancy, row.unit)
+        for level in comparison.levels.values()
+        for row in level.signals
+        if row.floor > 0.0
+    )
 
 
 def _effect_row(effect: EffectDocument) -> EffectRow:

@@ -82,7 +82,7 @@ def test_p_is_told_as_a_bound_where_noise_is_not_known() -> None:
 
 
 def test_what_is_significant_and_too_small_to_matter_is_said_with_its_size() -> None:
-    """60 repeats see a tenth of the noise; the floor is larger than all that it moves."""
+    """60 repeats see a tenth of the noise; the relevance limit is larger than all that it moves."""
     document = said(AnalyticSource(2, (("straight", (0.06,)),), design=(60,) * 8))
     assert document.verdict == "PRESENT-BUT-SMALL" and document.named == ("straight",)
     assert document.effects[0].verdict == "PRESENT-BUT-SMALL"

@@ -103,7 +103,7 @@ def test_a_diagnosis_shows_everything_that_it_knows(diagnosed: Page) -> None:
         "No free motion was measured.",
         "object_mass CONFIRMED 1.4 61.8 → 1.3 < 0.0005 5 of 6 Predicts unseen data.",
         "mass = 1.101 [1.080, 1.120] kg",
-        "moves end-effector velocity by up to 4 mm/s (impact; floor 3 mm/s)",
+        "moves end-effector velocity by up to 4 mm/s (impact; relevance limit 3 mm/s)",
         "CONFUSABLE-WITH{joint_stribeck_friction}",
         "coulomb_joint4 joint4 0.310 [0.290, 0.330] N m AT-BOUND 0.004 0.44 → 0.12",
         "base_tilt NO-IMPROVEMENT – 1.3 → 60.2 0.42",
