@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Page of a diagnosis: what is missing, how sure that is, and what stays; for trials and for recordings."""
+"""Page of a diagnosis: missing effects, their certainty, and the remaining residuals."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class RelevanceLimit:
     Attributes:
         label: Phase and signal.
         value: The limit, in the unit.
-        discrepancy: How far equally valid simulations differ, in the unit.
+        discrepancy: Difference between equally valid simulations, in the unit.
         unit: Unit.
     """
 
@@ -44,7 +44,7 @@ class RelevanceLimit:
 
 @dataclass(frozen=True)
 class JointRow:
-    """What is said of one joint.
+    """Verdict on one joint.
 
     Attributes:
         name: Parameter.
@@ -62,10 +62,10 @@ class EffectRow:
     """One effect of the table.
 
     Attributes:
-        effect: What is said of it.
+        effect: Its document.
         tag: Colour of the verdict.
-        estimates: Estimates on which no verdict of their own is said; none where they mean nothing.
-        joints: Estimates on which one is said, joint by joint.
+        estimates: Estimates without a verdict of their own; empty if not determined.
+        joints: Estimates with a verdict, joint by joint.
     """
 
     effect: EffectDocument
@@ -76,24 +76,24 @@ class EffectRow:
 
 @dataclass(frozen=True)
 class DiagnosisPage:
-    """What ``diagnosis.html.j2`` shows.
+    """Content of ``diagnosis.html.j2``.
 
     Attributes:
         title: Heading.
-        yardstick: What differences are told in multiples of.
-        on_scale: Whether errors are on the scale on which 1 is what repetition alone gives.
+        yardstick: Differences are given in multiples of this.
+        on_scale: Whether errors are multiples of repeatability.
         document: The diagnosis.
         comparison: The model against the same measurements.
-        arms: What arms are called, by name.
+        arms: Titles of the arms, by name.
         limits: Relevance limit of every signal.
-        effects: Effects that something measured depends on, best first.
-        effects_plot: Their errors; None: there are none.
-        unmeasured: Effects that nothing measured depends on.
-        joints_plot: Errors joint by joint; None: not told.
-        rest_is_noise: Whether what stays is no more than noise.
+        effects: Measurable effects, best first.
+        effects_plot: Their errors; None without effects.
+        unmeasured: Effects without influence on the measured signals.
+        joints_plot: Errors joint by joint; None if not known.
+        rest_is_noise: Whether the remaining residuals are consistent with noise.
         where: Where the model fails.
         tracks: Measured against predicted over time.
-        history: Of the model; None: it has none.
+        history: Errors of the model and its parents; None without a parent.
     """
 
     title: str
@@ -125,8 +125,8 @@ def write_diagnosis(
     Args:
         document: The diagnosis.
         comparison: The diagnosed model against the same measurements.
-        tracks: Measured and predicted signals to be looked at.
-        versions: Errors of the model and its parents; None where it has none.
+        tracks: Measured and predicted signals over time.
+        versions: Errors of the model and its parents; None without a parent.
         directory: Folder of the report.
 
     Returns:

@@ -179,7 +179,7 @@ def test_what_is_significant_and_stops_where_it_does_nothing_is_no_improvement(b
     effect = document.effect("one_sided")
     assert effect is not None and effect.p_value is not None and effect.p_value < 0.01
     assert effect.parameters["d"].interval[0] == effect.parameters["d"].estimate == 0.0
-    assert effect.verdict == "NO-IMPROVEMENT" and "contains the value at which it does nothing" in effect.reason
+    assert effect.verdict == "NO-IMPROVEMENT" and "contains the nominal value" in effect.reason
 
 
 @pytest.mark.parametrize("beside", [(), (("one_sided", (5.0,)),)])
