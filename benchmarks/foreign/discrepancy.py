@@ -272,9 +272,9 @@ def measure() -> tuple[list[Group], dict[Kind, Differences]]:
     return groups, tables
 
 
-def _round(number: float, floor: float) -> float:
+def _round(number: float, limit: float) -> float:
     """Three digits; 0 where it is rounding error of the simulations."""
-    return float(f"{number:.3g}") if number > 1e-6 * floor else 0.0
+    return float(f"{number:.3g}") if number > 1e-6 * limit else 0.0
 
 
 def document(groups: list[Group], seconds: float) -> dict[str, Any]:
@@ -305,12 +305,14 @@ def document(groups: list[Group], seconds: float) -> dict[str, Any]:
                 "signal": group.feature.signal,
                 "index": group.feature.index,
                 "unit": group.feature.unit,
-                "value": _round(group.value, group.feature.floor),
+                "value": _round(group.value, group.feature.relevance_limit),
                 "largest": group.largest,
                 "shared_over_conditions": _share(group.shared_over_conditions),
                 "shared_over_bins": _share(group.shared_over_bins),
-                "by_bin": [_round(value, group.feature.floor) for value in group.by_bin],
-                "by_variant": {name: _round(value, group.feature.floor) for name, value in group.by_variant.items()},
+                "by_bin": [_round(value, group.feature.relevance_limit) for value in group.by_bin],
+                "by_variant": {
+                    name: _round(value, group.feature.relevance_limit) for name, value in group.by_variant.items()
+                },
             }
             for group in groups
         ],
@@ -348,7 +350,7 @@ def write(content: dict[str, Any], path: Path) -> None:
 
 
 def table(groups: list[Group]) -> str:
-    """The discrepancies, joints and axes of a signal together, in its unit and over the floor of its feature."""
+    """The discrepancies, joints and axes of a signal together, in its unit and over its relevance limit."""
     merged: dict[tuple[str, str, str, str], list[Group]] = {}
     for group in groups:
         feature = group.feature
@@ -356,7 +358,7 @@ def table(groups: list[Group]) -> str:
         merged.setdefault((group.kind, feature.phase, feature.signal, index), []).append(group)
     names = [variant.name for variant in VARIANTS]
     lines = [
-        " ".join([f"{'':46s} {'unit':>6s} {'value':>9s} {'/floor':>6s}", *(f"{name[:16]:>16s}" for name in names)])
+        " ".join([f"{'':46s} {'unit':>6s} {'value':>9s} {'/limit':>6s}", *(f"{name[:16]:>16s}" for name in names)])
     ]
     lines[0] += "  shared: conditions, bins"
     for (trials, phase, signal, index), members in merged.items():
@@ -366,13 +368,14 @@ def table(groups: list[Group]) -> str:
 
         value, feature = mean([group.value for group in members]), members[0].feature
         label = f"{trials}, {phase}: {signal} {index}"
-        cells = [f"{mean([group.by_variant[name] for group in members]) / feature.floor:16.2f}" for name in names]
+        limit = feature.relevance_limit
+        cells = [f"{mean([group.by_variant[name] for group in members]) / limit:16.2f}" for name in names]
         shares = [
             np.average([getattr(group, which) for group in members], weights=[group.value**2 for group in members])
             for which in ("shared_over_conditions", "shared_over_bins")
         ]
         lines.append(
-            f"{label:46s} {feature.unit:>6s} {value:9.3g} {value / feature.floor:6.2f} {' '.join(cells)}"
+            f"{label:46s} {feature.unit:>6s} {value:9.3g} {value / limit:6.2f} {' '.join(cells)}"
             f"  {shares[0]:8.2f} {shares[1]:8.2f}"
         )
     return "\n".join(lines)

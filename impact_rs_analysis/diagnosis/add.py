@@ -24,7 +24,7 @@ def add_effect(
         source: File of the diagnosis.
         name: Effect to add.
         output: File of the child, to name the parent relative to it.
-        force: Add it even where the diagnosis saw no improvement.
+        force: Add it even if the diagnosis found no improvement.
 
     Raises:
         InputError: The diagnosis is of another model, does not contain the effect, or advises against it.
@@ -76,7 +76,7 @@ def add_effect(
 
 
 def _parent_name(model_file: Path, output: Path) -> str:
-    """The parent's file relative to the child's folder; a model that is shipped goes by its name."""
+    """The parent's file relative to the child's folder; of a shipped model its file name."""
     shipped = config_directory() / "models" / (model_file.name if model_file.suffix else f"{model_file.name}.yaml")
     if not model_file.exists() or (shipped.exists() and shipped.samefile(model_file)):
         return shipped.name

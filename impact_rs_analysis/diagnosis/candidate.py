@@ -5,8 +5,8 @@ In scaled coordinates the mean residual of cluster c is
 
     r_c = J_c (theta - theta_0) + noise,        cov(noise) = (pure error + discrepancy) of c
 
-fitted by bounded least squares with a weak prior of width ``PRIOR`` parameter scales. What a fit is judged by is its
-error on clusters it has not seen.
+fitted by bounded least squares with a weak prior of width ``PRIOR`` parameter scales. Fits are compared by their
+held-out error: the error on clusters that were left out of the fit.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from impact_rs_analysis.evidence.cluster import Added, Cluster, Source
 from impact_rs_sim.effects import Effect, ScalarParameter
 from impact_rs_sim.robot import Array
 
-PRIOR = 100.0  # parameter scales; only keeps what cannot be seen from running away
+PRIOR = 100.0  # parameter scales; only bounds parameters that the data do not determine
 
 Where = Callable[[Effect, Cluster], bool]
 
 
 def concerns(effect: Effect, cluster: Cluster) -> bool:
-    """Whether an effect can be seen in a cluster at all."""
+    """Whether an effect can change the features of a cluster."""
     return effect.seen_in(cluster.contact)
 
 
 def in_free_motion(effect: Effect, cluster: Cluster) -> bool:
-    """Whether an effect can be seen in a cluster in which nothing is hit."""
+    """Whether an effect can change the features of a cluster without contact."""
     return not cluster.contact and concerns(effect, cluster)
 
 
@@ -51,7 +51,7 @@ class Candidate:
         point: Parameter values of the linearisation, ``(p,)``.
         offsets: Per cluster, scaled features at ``point`` minus those at ``origin``, ``(F,)`` each.
         jacobians: Per cluster, scaled features per parameter scale, ``(F, p)`` each.
-        origin: What was switched on, on top of the model, when the residuals were taken.
+        origin: Effects added to the model when the residuals were computed.
     """
 
     effects: tuple[Effect, ...]
@@ -66,7 +66,7 @@ class Candidate:
 
     @staticmethod
     def of(effects: tuple[Effect, ...], source: Source, point: Array | None = None, origin: Added = ()) -> Candidate:
-        """Effects without sensitivities, at ``point`` (None: where they do nothing)."""
+        """Effects without sensitivities, at ``point`` (None: nominal values)."""
         joints = source.joints
         bounds = [effect.bounds_in(source.worlds) for effect in effects]
         if point is None:
@@ -93,28 +93,28 @@ class Candidate:
 
     @cached_property
     def nominal(self) -> Array:
-        """Values at which nothing happens, ``(p,)``."""
+        """Nominal values, at which the effects change nothing, ``(p,)``."""
         return np.array([scalar.nominal for scalar in self.scalars])
 
     @cached_property
     def parts(self) -> tuple[tuple[Effect, slice], ...]:
-        """Every effect with the place of its parameters."""
+        """Every effect with the slice of its parameters."""
         ends = np.cumsum(self.sizes).tolist()
         return tuple(
             (effect, slice(end - size, end)) for effect, size, end in zip(self.effects, self.sizes, ends, strict=True)
         )
 
     def part(self, name: str) -> slice:
-        """Place of the parameters of one effect."""
+        """Slice of the parameters of one effect."""
         return next(part for effect, part in self.parts if effect.name == name)
 
     @property
     def unseen(self) -> bool:
-        """Whether some parameter moves nothing here, like the centre of a payload without mass."""
+        """Whether some parameter has zero sensitivity here, like the centre of a payload without mass."""
         return bool(np.any(np.all([np.all(jacobian == 0.0, axis=0) for jacobian in self.jacobians], axis=0)))
 
     def only(self, clusters: Sequence[int]) -> Candidate:
-        """The same in some of the clusters, by number."""
+        """The candidate restricted to some clusters, by number."""
         return replace(
             self,
             offsets=tuple(self.offsets[number] for number in clusters),
@@ -122,7 +122,7 @@ class Candidate:
         )
 
     def without(self, name: str) -> Candidate:
-        """The same without one of several effects."""
+        """The candidate without one of its effects."""
         part = self.part(name)
         kept = [number for number, effect in enumerate(self.effects) if effect.name != name]
         keep = np.setdiff1d(np.arange(self.point.size), np.arange(part.start, part.stop))
@@ -138,7 +138,7 @@ class Candidate:
         )
 
     def fixed(self, *indices: int) -> Candidate:
-        """The same with some parameters held where they do nothing, as far as sensitivities know."""
+        """The candidate with some parameters fixed at nominal, to first order."""
         chosen = list(indices)
         off = ((self.nominal - self.point) / self.scale)[chosen]
         frozen = []
@@ -152,7 +152,7 @@ class Candidate:
         return replace(self, offsets=offsets, jacobians=tuple(frozen))
 
     def split(self, vector: Array) -> Added:
-        """Effect names with their own parameter values; without those that do nothing, so that replays are shared."""
+        """Effect names with their parameter values; effects at nominal are left out, so that replays are shared."""
         return tuple(
             (effect.name, tuple(float(value) for value in vector[part]))
             for effect, part in self.parts
@@ -160,7 +160,7 @@ class Candidate:
         )
 
     def beside(self, other: Candidate) -> Candidate:
-        """Both together, each linearised where it was: exact for small effects, a start for large ones."""
+        """Both together, each with its own linearisation: exact for small effects, a start for large ones."""
         return Candidate(
             effects=self.effects + other.effects,
             sizes=self.sizes + other.sizes,
@@ -175,7 +175,7 @@ class Candidate:
 
 
 def wanted(candidate: Candidate, numbers: Sequence[int], source: Source, where: Where) -> list[tuple[int, Added]]:
-    """Predictions that :func:`linearise` needs, so that those of many effects can be made in one batch."""
+    """Predictions that :func:`linearise` needs, listed so that those of many effects run in one batch."""
     joints = source.joints
     at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
     result: list[tuple[int, Added]] = []
@@ -203,15 +203,15 @@ def linearise(
     what: str = "sensitivities",
     where: Where = concerns,
 ) -> Candidate | None:
-    """Sensitivities about the candidate's point by finite differences; None where nothing is hit.
+    """Sensitivities about the candidate's point by finite differences; None if a replay has no contact.
 
     Args:
         candidate: Effects and point.
         clusters: Evidence, with the scale of the features.
         numbers: Numbers of these clusters in the source.
-        source: Predicts.
-        what: What it is for, to tell the user.
-        where: In which clusters an effect is looked at; elsewhere its sensitivities are zero.
+        source: Predicts the features.
+        what: Purpose, shown as progress.
+        where: In which clusters an effect is evaluated; elsewhere its sensitivities are zero.
     """
     joints = source.joints
     at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
@@ -244,7 +244,7 @@ class Problem:
     Args:
         candidate: Effects with sensitivities.
         clusters: Residuals, in the same order.
-        guard: Per cluster, neighbours that are left out together with it without being judged by.
+        guard: Per cluster, neighbours left out of the fit together with it, but not counted in its held-out error.
     """
 
     def __init__(
@@ -289,12 +289,12 @@ class Problem:
         return np.maximum(self._powers[chosen] - gain / counts, 0.0)
 
     def rest(self, change: Array) -> list[Array]:
-        """What a change from the point leaves of the mean residuals, ``(F,)`` per cluster [-]."""
+        """Mean residuals after a change from the point, ``(F,)`` per cluster [-]."""
         return [t - j @ change for t, j in zip(self.targets, self.candidate.jacobians, strict=True)]
 
     @cached_property
     def left_out_rest(self) -> list[Array]:
-        """What the estimates without one cluster each leave of it, ``(F,)`` per cluster [-]."""
+        """Mean residuals of every cluster after the fit to all others, ``(F,)`` per cluster [-]."""
         return [
             target - jacobian @ change
             for target, jacobian, change in zip(self.targets, self.candidate.jacobians, self.left_out, strict=True)
@@ -341,12 +341,12 @@ class Problem:
         return np.asarray(np.linalg.solve(self.total, score))
 
     def p_value(self, reference: Reference, tested: slice | Sequence[int]) -> float:
-        """p of some parameters being nominal, beside all others of the candidate (score test).
+        """p-value of some parameters being nominal while all others of the candidate are fitted (score test).
 
         Args:
-            reference: Made of residuals at the best fit without the tested parameters, or of the model's own where
+            reference: From the residuals of the best fit without the tested parameters, or of the model itself if
                 nothing else is fitted.
-            tested: Which parameters.
+            tested: Indices of the tested parameters.
         """
         indices = np.arange(self.total.shape[0])
         picked = indices[tested] if isinstance(tested, slice) else np.asarray(tested)

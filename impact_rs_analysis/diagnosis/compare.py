@@ -7,11 +7,11 @@ Trials are compared on three levels:
 * **free motion**: torque balances and deflections in windows without contact,
 * **trial**: the replay from before the impact through the push;
 
-recordings on one, the torque balance of free motion; tables of impacts on one as well, the velocities just after. Every
-difference is given in its unit and in multiples of what repetition explains, so that torques and velocities can be
-ranked together. The score of trials is the one the diagnosis lowers: the size of the mean residuals
-(:func:`impact_rs_analysis.evidence.cluster.size_of`), 1 being what repetition alone leaves. That of recordings is the
-root mean square torque that is not explained [N m], that of impacts without repeats the root mean square velocity
+recordings on one level, the torque balance of free motion; tables of impacts on one level, the velocities just after
+the impact. Every difference is given in its unit and in multiples of repeatability, so that torques and velocities can
+be ranked together. The score of trials is the one that the diagnosis minimises: the size of the mean residuals over
+repeatability (:func:`impact_rs_analysis.evidence.cluster.size_of`) [-]. The score of recordings is the root mean square
+of the torque residual [N m], that of impacts without repeats the root mean square of the velocity residual
 (:mod:`impact_rs_analysis.evidence.impact_tables`) [m/s].
 """
 
@@ -27,7 +27,7 @@ from pydantic import Field
 
 from impact_rs_analysis.diagnosis.document import DiscrepancyDocument, ModelIdentity, RecordingDocument
 from impact_rs_analysis.diagnosis.jump import JOINTS, JumpEntry, jump_entries
-from impact_rs_analysis.evidence.cluster import TIMES, Cluster, Source, size_of
+from impact_rs_analysis.evidence.cluster import TIMES, Cluster, ErrorUnit, Source, size_of
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.replays import ReplaySource, clusters_of
@@ -38,23 +38,23 @@ from impact_rs_sim.schema import Schema
 
 LEVEL_PHASES = {"free_motion": ("free",), "trial": ("impact", "push")}
 LEVEL_TEXT = {
-    "jump": "velocity jump of the impact map against the one measured 20 to 40 ms after the impact, when the "
-    "controller has already begun to turn the joints (which are listed, and not in the number), or against the "
-    "net-feedback estimate",
+    "jump": "velocity jump of the impact map against the jump measured 20 to 40 ms after the impact, or against the "
+    "net-feedback estimate. Joint velocities are listed but not counted: by then the controller has begun to move the "
+    "joints",
     "free_motion": "torque balances and deflection in windows without contact",
     "trial": "the replay from before the impact through the push: velocity, contact force and object motion",
-    "recording": "torque balance of the arm while it touches nothing, both sides low-passed",
-    "impacts": "velocities just after every impact, measured and by the impact map from the state just before",
+    "recording": "torque balance of the arm in free motion, both sides low-passed",
+    "impacts": "velocities just after every impact, measured and predicted by the impact map from the state before",
 }
 
 
 class Cell(Schema):
-    """One place where a model may fail."""
+    """One residual by scenario, object, case, phase, signal and axis."""
 
     scenario: str = Field(description="scenario, or file of a recording")
     object: str = Field(description="object; empty of a recording")
     case: str = Field(description="case; empty of a recording")
-    phase: str = Field(description="free, impact or push; of a recording moving up, moving down or slow")
+    phase: str = Field(description="free, impact or push; for a recording moving up, moving down or slow")
     signal: str = Field(description="what was compared")
     index: str = Field(description="joint or axis")
     error: float = Field(
@@ -62,25 +62,25 @@ class Cell(Schema):
         "without repeats the root mean square with the sign of the mean; in the unit"
     )
     unit: str = Field(description="unit")
-    floor: float = Field(description="difference below which nobody cares, in the unit")
-    share: float = Field(description="share of all squares")
-    times_noise: float = Field(description="root mean square in multiples of what repetition alone gives")
+    floor: float = Field(description="relevance limit: smallest difference that matters, in the unit")
+    share: float = Field(description="share of the sum of all squares")
+    times_noise: float = Field(description="root mean square in multiples of repeatability")
 
 
 class SignalLevel(Schema):
-    """How far one signal is off."""
+    """Residual of one signal."""
 
     phase: str = Field(description="phase of the motion")
     signal: str = Field(description="what it is")
-    index: str = Field("", description="joint, where joints are told one by one")
+    index: str = Field("", description="joint, where joints are listed one by one")
     arm: str = Field("", description="arm, where there are several")
     error: float = Field(description="root mean square difference, in the unit")
     mean: float | None = Field(None, description="mean difference, in the unit")
-    noise_floor: float = Field(description="what repetition, or noise, alone gives, in the unit")
-    discrepancy: float = Field(0.0, description="how far equally valid simulations differ, in the unit")
-    floor: float = Field(0.0, description="difference below which nobody cares, in the unit")
+    noise_floor: float = Field(description="repeatability, or noise, in the unit")
+    discrepancy: float = Field(0.0, description="difference between equally valid simulations, in the unit")
+    floor: float = Field(0.0, description="relevance limit: smallest difference that matters, in the unit")
     unit: str = Field(description="unit")
-    times_noise: float = Field(description="the difference in multiples of what repetition alone gives")
+    times_noise: float = Field(description="the difference in multiples of repeatability")
 
 
 class JumpLevel(Schema):
@@ -95,14 +95,14 @@ class JumpLevel(Schema):
     predicted: float = Field(description="by the impact map, in the unit")
     error: float = Field(description="measured minus predicted, in the unit")
     unit: str = Field(description="unit")
-    times_noise: float = Field(description="the difference in multiples of what repetition alone gives")
+    times_noise: float = Field(description="the difference in multiples of repeatability")
 
 
 class Level(Schema):
     """One level of the comparison."""
 
     what: str = Field(description="what is compared")
-    times_noise: float = Field(description="root mean square difference in multiples of what repetition alone gives")
+    times_noise: float = Field(description="root mean square difference in multiples of repeatability")
     signals: tuple[SignalLevel, ...] = Field((), description="by signal")
     entries: tuple[JumpLevel, ...] = Field((), description="by jump")
 
@@ -111,8 +111,8 @@ class ConditionScore(Schema):
     """Score of one condition or recording."""
 
     name: str = Field(description="condition, or file")
-    repeats: int = Field(description="trials, or stretches of time")
-    score: float = Field(description="its score, in the unit of the whole")
+    repeats: int = Field(description="number of trials, or of stretches of time")
+    score: float = Field(description="its score, in score_unit")
 
 
 class LeftOut(Schema):
@@ -129,21 +129,21 @@ class ComparisonDocument(Schema):
     model: ModelIdentity = Field(description="compared model")
     trials: int = Field(description="trials, or recordings")
     conditions: tuple[ConditionScore, ...] = Field(description="by condition or recording")
-    score: float = Field(description="one number for the model")
-    score_is: str = Field(description="what the number is")
-    score_unit: str = Field(description="its unit")
-    noise_floor: float | None = Field(description="what the score is if only noise is left; null: nothing was repeated")
+    score: float = Field(description="score of the model")
+    score_is: str = Field(description="definition of the score")
+    score_unit: ErrorUnit = Field(description="its unit")
+    noise_floor: float | None = Field(description="score if only noise is left; null: nothing was repeated")
     levels: dict[str, Level] = Field(description="jump, free_motion and trial; recording; or impacts")
-    where: tuple[Cell, ...] = Field(description="places by size")
-    arms: tuple[ArmDocument, ...] = Field((), description="what was measured with; empty: a free body")
-    joints: tuple[SignalLevel, ...] = Field((), description="signals of trials joint by joint, arm after arm")
-    not_measured: tuple[str, ...] = Field((), description="what the measurements say nothing of")
+    where: tuple[Cell, ...] = Field(description="residuals by place, largest first")
+    arms: tuple[ArmDocument, ...] = Field((), description="arms of the measurements; empty: a free body")
+    joints: tuple[SignalLevel, ...] = Field((), description="signals of trials by arm and joint")
+    not_measured: tuple[str, ...] = Field((), description="quantities that were not measured")
     skipped: tuple[LeftOut, ...] = Field((), description="bags that were left out")
-    recording: RecordingDocument | None = Field(None, description="what was read of recordings")
+    recording: RecordingDocument | None = Field(None, description="how recordings were read")
     discrepancy: DiscrepancyDocument = Field(
-        default_factory=DiscrepancyDocument, description="of the simulation itself"
+        default_factory=DiscrepancyDocument, description="model discrepancy of the simulation"
     )
-    remarks: tuple[str, ...] = Field((), description="what a reader should know")
+    remarks: tuple[str, ...] = Field((), description="remarks for the reader")
 
 
 def compare(source: Source) -> ComparisonDocument:
@@ -161,29 +161,29 @@ def compare(source: Source) -> ComparisonDocument:
 
 
 def kind_of(source: Source) -> Literal["trials", "recordings", "impacts"]:
-    """What was measured, as documents say it."""
+    """Kind of measurement, as in documents."""
     if isinstance(source, ImpactTableSource):
         return "impacts"
     return "recordings" if isinstance(source, RecordingSource) else "trials"
 
 
 def score_of(clusters: Sequence[Cluster]) -> float:
-    """Size of mean residuals, 1 being what repetition alone leaves [-]."""
+    """Size of mean residuals in multiples of repeatability [-]."""
     return size_of([item.error for item in clusters], [item.expected for item in clusters])
 
 
 def _of_runs(source: ReplaySource) -> ComparisonDocument:
     clusters, runs = source.clusters, source.runs
-    # The map knows no run's own start: repetition is what the measured numbers themselves scatter, for every model.
+    # The map does not start from each run's own state, so repeatability is the scatter of the measured numbers.
     measured, _ = clusters_of(runs, [run.measured for run in runs.runs], source.discrepancy)
     entries, remarks = jump_entries(runs, measured, source.model)
     repeated = source.noise_size() is not None
     score_is = (
-        "size of the difference between measurement and replay over all features and conditions, 1 being what "
-        "repetition alone gives"
+        "size of the difference between measurement and replay over all features and conditions, in multiples of "
+        "repeatability"
         if repeated
         else "size of the difference between measurement and replay over all features and conditions, in multiples of "
-        "what nobody cares about"
+        "the relevance limit"
     )
     levels = {"jump": _jump(entries)}
     levels |= {name: _level(name, clusters, phases) for name, phases in LEVEL_PHASES.items()}
@@ -209,7 +209,7 @@ def _of_runs(source: ReplaySource) -> ComparisonDocument:
 
 
 def discrepancy_of(source: Source) -> DiscrepancyDocument:
-    """What is allowed for the simulation itself."""
+    """Model discrepancy that the comparison allows for."""
     if not isinstance(source, ReplaySource):
         return DiscrepancyDocument()
     return DiscrepancyDocument(used=bool(source.discrepancy.entries), provenance=source.discrepancy.in_words)
@@ -251,7 +251,7 @@ def _signal_levels(
     Args:
         clusters: The conditions.
         phases: Phases of the signals; none: all.
-        by_joint: Whether they are told joint by joint, without what belongs to no joint.
+        by_joint: Whether to list joint by joint; signals of no joint are then left out.
     """
     several = len({feature.arm for item in clusters for feature in item.features if feature.arm}) > 1
     found: dict[tuple[str, str, str, str, str], list[tuple[float, float, float, float, float]]] = {}
@@ -264,11 +264,12 @@ def _signal_levels(
                 noise = float(np.sqrt(pure**2 / item.count + own**2))
                 arm, joint = feature.arm if several else "", joint if by_joint else ""
                 key = (arm, feature.phase, feature.signal, joint, feature.unit)
-                row = (float(mean * sigma), float(pure * sigma) / item.count**0.5, float(own * sigma), feature.floor)
+                noise_of_mean = float(pure * sigma) / item.count**0.5
+                row = (float(mean * sigma), noise_of_mean, float(own * sigma), feature.relevance_limit)
                 found.setdefault(key, []).append((*row, float(mean) / max(noise, 1e-12) if noise else float(mean)))
     signals = []
     for (arm, phase, signal, joint, unit), rows in found.items():
-        error, noise, own, floor, scaled = (root_mean_square(column) for column in zip(*rows, strict=True))
+        error, noise, own, limit, scaled = (root_mean_square(column) for column in zip(*rows, strict=True))
         signals.append(
             SignalLevel(
                 phase=phase,
@@ -278,7 +279,7 @@ def _signal_levels(
                 error=rounded(error),
                 noise_floor=rounded(noise),
                 discrepancy=rounded(own),
-                floor=rounded(floor),
+                floor=rounded(limit),
                 unit=unit,
                 times_noise=rounded(scaled),
             )
@@ -287,14 +288,14 @@ def _signal_levels(
 
 
 def _where(clusters: Sequence[Cluster]) -> list[Cell]:
-    """Every object x case x phase x signal x index, largest first."""
+    """Residuals by object, case, phase, signal and index, largest first."""
     total = sum(float(np.sum(np.square(item.mean))) for item in clusters)
     found: dict[tuple[str, ...], list[tuple[float, float, float, str, float]]] = {}
     for item in clusters:
         noise = np.sqrt(np.square(item.pure) / item.count + np.square(item.discrepancy))
         noise = np.where(noise > 0.0, noise, 1.0)
         for feature, mean, sigma, own in zip(item.features, item.mean, item.sigma, noise, strict=True):
-            row = (float(mean / own), float(mean * sigma), float(mean), feature.unit, feature.floor)
+            row = (float(mean / own), float(mean * sigma), float(mean), feature.unit, feature.relevance_limit)
             found.setdefault((*item.place, *feature.group), []).append(row)
     cells = []
     for (scenario, thing, case, phase, signal, index), rows in found.items():
@@ -377,7 +378,7 @@ def _of_recordings(source: RecordingSource) -> ComparisonDocument:
         ),
         score=rounded(root_mean_square(rest)),
         score_is="root mean square of recorded minus predicted joint torque over all joints and samples",
-        score_unit=source.told_unit,
+        score_unit=source.residual_unit,
         arms=arms_of(source.worlds),
         noise_floor=rounded(root_mean_square(noise)),
         levels={
@@ -396,16 +397,14 @@ def _of_recordings(source: RecordingSource) -> ComparisonDocument:
 
 def _of_impacts(source: ImpactTableSource) -> ComparisonDocument:
     clusters = source.clusters
-    score, floor = source.size(), source.noise_size()
+    score, noise = source.size(), source.noise_size()
     if source.repeated:
-        score_is = "size of the difference between measured and predicted velocities over all conditions, 1 being what "
-        score_is += "repetition alone gives"
+        score_is = "size of the difference between measured and predicted velocities over all conditions, in multiples "
+        score_is += "of repeatability"
         conditions = [ConditionScore(name=c.name, repeats=c.count, score=rounded(score_of([c]))) for c in clusters]
     else:
-        score_is = (
-            "root mean square over the impacts of measured minus predicted velocity, turning and joints counted by "
-        )
-        score_is += "the kinetic energy in them"
+        score_is = "root mean square over the impacts of measured minus predicted velocity; angular and joint "
+        score_is += "velocities are weighted by their kinetic energy"
         conditions = [ConditionScore(name=source.table.path.name, repeats=len(clusters), score=rounded(score))]
     phases = tuple(dict.fromkeys(feature.phase for item in clusters for feature in item.features))
     return ComparisonDocument(
@@ -416,7 +415,7 @@ def _of_impacts(source: ImpactTableSource) -> ComparisonDocument:
         score=rounded(score),
         score_is=score_is,
         score_unit=source.size_unit,
-        noise_floor=None if floor is None else rounded(floor),
+        noise_floor=None if noise is None else rounded(noise),
         levels={"impacts": _level("impacts", clusters, phases)},
         where=tuple(_where(clusters) if source.repeated else _where_of_blocks(clusters)),
         arms=arms_of(source.worlds),
@@ -437,12 +436,12 @@ def _where_of_blocks(clusters: Sequence[Cluster]) -> list[Cell]:
         for feature, mean, sigma, pure in zip(item.features, item.mean, item.sigma, item.pure, strict=True):
             row = (float(mean * sigma), float(mean), float(mean / pure if pure else mean))
             found.setdefault((*item.place[:2], *feature.group), []).append(row)
-            facts[feature.group] = feature.unit, feature.floor
+            facts[feature.group] = feature.unit, feature.relevance_limit
     cells = []
     for (file, thing, *group), rows in found.items():
         phase, signal, index = group
         error, scaled, times = np.array(rows).T
-        unit, floor = facts[phase, signal, index]
+        unit, limit = facts[phase, signal, index]
         cells.append(
             Cell(
                 scenario=file,
@@ -453,7 +452,7 @@ def _where_of_blocks(clusters: Sequence[Cluster]) -> list[Cell]:
                 index=index,
                 error=rounded(math.copysign(root_mean_square(error), float(error.mean()))),
                 unit=unit,
-                floor=floor,
+                floor=limit,
                 share=rounded(float(np.sum(np.square(scaled))) / max(total, 1e-300)),
                 times_noise=rounded(root_mean_square(times)),
             )
@@ -461,15 +460,15 @@ def _where_of_blocks(clusters: Sequence[Cluster]) -> list[Cell]:
     return sorted(cells, key=lambda cell: -cell.share)
 
 
-LEAST_SAMPLES = 5  # of a phase of one joint; fewer say nothing
+LEAST_SAMPLES = 5  # of a phase of one joint; fewer are not reported
 
 
 def root_mean_square(values: Sequence[float] | Array) -> float:
-    """Root mean square; 0 of nothing."""
+    """Root mean square; 0 if empty."""
     array = np.asarray(values, dtype=float)
     return float(np.sqrt(np.mean(np.square(array)))) if array.size else 0.0
 
 
 def rounded(value: float) -> float:
-    """Nine digits: more than anyone can measure."""
+    """Rounded to nine digits, more than any sensor resolves."""
     return float(f"{value:.9g}")

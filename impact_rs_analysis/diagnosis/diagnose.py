@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnosis: search, hold out, and say what can be said; the same for every source of evidence."""
+"""Diagnosis: search for missing effects, hold out, conclude; the same for every source of evidence."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from impact_rs_analysis.diagnosis.document import (
 from impact_rs_analysis.diagnosis.experiment import next_experiment
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
-from impact_rs_analysis.diagnosis.search import Rival, Search, Told, adjusted
+from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search, adjusted
 from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P
 from impact_rs_analysis.diagnosis.verdicts import (
     MOST_RESTS,
     Findings,
     Headline,
     change_interval,
+    clip_p,
     effect_documents,
     headline,
-    noise_told,
-    p_told,
+    noise_size,
+    residual_size,
+    residual_unit,
     rests_of,
-    told,
-    unit_told,
     without_the_doubtful,
 )
 from impact_rs_analysis.diagnosis.words import summary_of
@@ -54,18 +54,18 @@ CORRELATED = 0.8
 
 
 def diagnose(
-    source: Source, model: Model, only: Sequence[str] | None = None, told: Told = lambda *_: None
+    source: Source, model: Model, only: Sequence[str] | None = None, progress: ProgressCallback = lambda *_: None
 ) -> DiagnosisDocument:
     """Find out which effects are missing in a model.
 
     Args:
         source: Measurements with the model's predictions.
-        model: The model as its file says it; that of the source may know further effects.
-        only: Names of the effects to consider; None: all that the source's model knows and has not.
-        told: Hears how well effects do while the search goes on, as :class:`Search` tells it.
+        model: The model of the file; the model of the source may know further effects.
+        only: Names of the effects to consider; None: all known effects that the model does not contain.
+        progress: Called with effects and their held-out error during the search (:class:`Search`).
 
     Raises:
-        InputError: Too few conditions to hold one out.
+        InputError: Too few conditions for a hold-out.
     """
     if source.repeated and len(source.clusters) < LEAST_CLUSTERS:
         names = ", ".join(item.name for item in source.clusters)
@@ -76,7 +76,7 @@ def diagnose(
     known = source.model.known_effects
     present = {item.name for item in source.model.effects}
     effects = [known[name] for name in known if name not in present and (only is None or name in only)]
-    search = Search.screened(effects, Evidence.of(source), told=told)
+    search = Search.screened(effects, Evidence.of(source), progress=progress)
     chosen = None if search.evidence.reference.shortage is not None else search.choose()
     rivals: Sequence[Rival] = ()
     held = None
@@ -87,7 +87,7 @@ def diagnose(
     if chosen is not None:
         held = hold_out(source, effects, search.ended)
         if held is not None and not any(held.chosen) and not search.lacking:
-            # Nothing is left to explain: significant by chance, where no five sixths of the conditions show it.
+            # No excess error remains: the effect is significant by chance, and no fold of the hold-out confirms it.
             chosen, rivals, held = None, (), None
     found = Findings(
         search=search,
@@ -100,7 +100,7 @@ def diagnose(
 
 
 def _p_values(search: Search, chosen: Fit | None) -> dict[str, float]:
-    """p of unchosen effects beside the chosen ones, and of chosen ones beside the other chosen, adjusted for all."""
+    """Adjusted p-values: of unchosen effects given the chosen ones, of chosen effects given the other chosen ones."""
     raw = search.raw_p_values(chosen)
     if chosen is not None:
         for effect, part in chosen.candidate.parts:
@@ -128,10 +128,10 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
         next_experiment=next_experiment(found, known),
         model=ModelIdentity(name=model.name, digest=model.digest),
         runs=_runs(source),
-        error_unit=unit_told(evidence),
-        noise_floor=noise_told(evidence),
-        held_out_error_before=told(evidence, before),
-        held_out_error_after=told(evidence, after),
+        error_unit=residual_unit(evidence),
+        noise_floor=noise_size(evidence),
+        held_out_error_before=residual_size(evidence, before),
+        held_out_error_after=residual_size(evidence, after),
         held_out_change_ci95=change_interval(before, after, evidence) if found.hold_out is not None else None,
         hold_out=_hold_out(found.hold_out, source),
         lack_of_fit=_lack_of_fit(verdict),
@@ -154,8 +154,8 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
 
 def _lack_of_fit(verdict: Headline) -> LackOfFit:
     return LackOfFit(
-        before=None if verdict.before is None else p_told(verdict.before),
-        after=None if verdict.after is None else p_told(verdict.after),
+        before=None if verdict.before is None else clip_p(verdict.before),
+        after=None if verdict.after is None else clip_p(verdict.after),
     )
 
 
@@ -166,7 +166,7 @@ def _runs(source: Source) -> RunsIdentity:
 
 def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
     if found is None:
-        return HoldOutDocument(what="nothing was held out, for nothing was found", folds=0)
+        return HoldOutDocument(what="no hold-out, because no effect was found", folds=0)
     count = len(found.folds)
     if source.repeated:
         what = f"conditions with all their repeats, in {count} folds"
@@ -179,7 +179,7 @@ def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
             f"{len(source.clusters)} {source.pieces} in {count} folds of neighbours; every fold is predicted from "
             "the others without those that touch it"
         )
-    return HoldOutDocument(what=f"{what}; the whole search is run again without what it shall predict", folds=count)
+    return HoldOutDocument(what=f"{what}; the whole search is repeated without the held-out data", folds=count)
 
 
 def _whole(source: Source, held: Sequence[int]) -> bool:
@@ -211,20 +211,21 @@ def _remarks(found: Findings, source: Source) -> list[str]:
     remarks = list(source.remarks)
     reference = found.evidence.reference
     if reference.shortage is not None:
-        remarks.append(f"too few repeats to decide anything: {reference.shortage}")
+        remarks.append(f"too few repeats for a verdict: {reference.shortage}")
     if source.repeated and source.of_motion and all(item.contact for item in source.clusters):
         remarks.append(
-            "no free motion there and back was measured: friction, torque offset and torque gain look alike in a push"
+            "no free motion there and back was measured: a push alone cannot distinguish friction, torque offset and "
+            "torque gain"
         )
     together = max((tuple(world.arms) for world in source.worlds), key=len, default=())
     if not source.model.arms and len(together) > 1:
         remarks.append(
-            f"arms {', '.join(together)} are of one kind and share the parameters of every effect; --each-arm looks at "
-            "each by itself"
+            f"arms {', '.join(together)} are of one kind and share the parameters of every effect; --each-arm gives "
+            "each arm its own"
         )
     if found.search.ruled_out:
         names = ", ".join(sorted(found.search.ruled_out))
-        remarks.append(f"free motion rules them out, so they were not tried in contact: {names}")
+        remarks.append(f"ruled out by free motion, and not tried in contact: {names}")
     return remarks
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The diagnosis as a file (``diagnosis.json``): one typed document, whatever was measured.
+"""The diagnosis as a file (``diagnosis.json``): one typed document for every kind of measurement.
 
 Written by ``impact-rs diagnose``, read by ``add``, ``blind score``, ``history`` and the report. Files of version 0.1.0,
 of trials and of recordings, are still read.
@@ -14,13 +14,13 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from impact_rs_analysis.evidence.cluster import TIMES
+from impact_rs_analysis.evidence.cluster import TIMES, ErrorUnit
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.schema import Schema, read_text, validate
 
-LARGEST = 50_000_000  # bytes; a diagnosis has some ten thousand
+LARGEST = 50_000_000  # bytes; a diagnosis usually has about ten thousand
 NOTHING = "NOTHING-MISSING"
 NONE = "NONE-EXPLAINS"
 SMALL = "PRESENT-BUT-SMALL"
@@ -42,29 +42,29 @@ class EstimateDocument(Schema):
     meaning: str = Field("", description="what it is")
     joint: str | None = Field(None, description="joint it belongs to; null: the effect as a whole")
     arm: str | None = Field(None, description="arm it belongs to; null: arms share it")
-    verdict: str | None = Field(None, description="what is said of this joint alone; null: nothing")
-    p_value: float | None = Field(None, description="of this joint's parameter being nominal, beside all others")
+    verdict: str | None = Field(None, description="verdict on this joint alone; null: none")
+    p_value: float | None = Field(None, description="p-value of this joint's parameter being nominal, given all others")
     error_before: float | None = Field(None, description="held-out error of the joint without it, in the joint's unit")
     error_after: float | None = Field(None, description="held-out error of the joint with it, in the joint's unit")
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval, in its unit; everything where none is known."""
+        """95 % interval, in its unit; unbounded where none is known."""
         return (-math.inf, math.inf) if self.ci95 is None else self.ci95
 
 
 class SizeDocument(Schema):
-    """How much of one signal something moves."""
+    """Largest change of one signal that an effect causes."""
 
     phase: str = Field(description="phase of the motion")
     signal: str = Field(description="what it is")
     value: float = Field(description="largest change of the signal that it causes, in the unit")
     unit: str = Field(description="unit")
-    floor: float = Field(description="difference below which nobody cares, in the unit")
+    floor: float = Field(description="relevance limit: smallest difference that matters, in the unit")
 
 
 class EffectDocument(Schema):
-    """What the diagnosis says of one effect."""
+    """Verdict on one effect, with its evidence."""
 
     name: str = Field(description="effect")
     sentence: str = Field("", description="what it is")
@@ -73,8 +73,8 @@ class EffectDocument(Schema):
         "TOO-FEW-REPEATS"
     )
     reason: str = Field("", description="why, in words")
-    rivals: tuple[str, ...] = Field((), description="effects that these measurements cannot tell from it")
-    measured: bool = Field(True, description="whether anything that was measured depends on it")
+    rivals: tuple[str, ...] = Field((), description="effects that these measurements cannot distinguish from it")
+    measured: bool = Field(True, description="whether some measured signal depends on it")
     parameters: dict[str, EstimateDocument] = Field(description="estimates by name")
     held_out_error_before: float | None = Field(description="error on unseen clusters without it; null: not measured")
     held_out_error_after: float | None = Field(description="error on unseen clusters with it; null: not measured")
@@ -83,19 +83,19 @@ class EffectDocument(Schema):
     )
     held_out_error_others: float | None = Field(
         None,
-        description="error on unseen clusters with the effects beside which the error after was taken, without this "
-        "one: what it adds is the difference; null: not measured",
+        description="error on unseen clusters with the other effects of held_out_error_after, without this one: the "
+        "difference is the contribution of this effect; null: not measured",
     )
-    p_value: float | None = Field(description="adjusted for looking at all effects; null: not measured")
-    sizes: tuple[SizeDocument, ...] = Field((), description="what it does to the signals, the most noticeable first")
-    chosen_in_folds: int | None = Field(None, description="folds of the hold-out whose search found it, too")
+    p_value: float | None = Field(description="p-value, adjusted for testing all effects; null: not measured")
+    sizes: tuple[SizeDocument, ...] = Field((), description="changes of signals that it causes, largest first")
+    chosen_in_folds: int | None = Field(None, description="folds of the hold-out whose search also found it")
 
 
 class ModelIdentity(Schema):
     """Which model was diagnosed."""
 
     name: str = Field(description="name of the model")
-    digest: str = Field(description="digest of what it says about the physics")
+    digest: str = Field(description="digest of its physics")
 
 
 class RunsIdentity(Schema):
@@ -107,41 +107,41 @@ class RunsIdentity(Schema):
 
 
 class RestDocument(Schema):
-    """One place where a difference stays."""
+    """One remaining residual."""
 
     phase: str = Field(description="phase of the motion")
     signal: str = Field(description="what it is")
     index: str = Field(description="joint or axis")
-    value: float = Field(0.0, description="root mean square that noise does not explain, in the unit")
+    value: float = Field(0.0, description="root mean square beyond noise, in the unit")
     unit: str = Field("", description="unit")
-    floor: float = Field(0.0, description="difference below which nobody cares, in the unit")
-    share: float = Field(description="share of all squares that are left")
-    times_noise: float = Field(description="root mean square in multiples of what repetition alone gives")
+    floor: float = Field(0.0, description="relevance limit: smallest difference that matters, in the unit")
+    share: float = Field(description="share of the remaining sum of squares")
+    times_noise: float = Field(description="root mean square in multiples of repeatability")
 
 
 class UnexplainedDocument(Schema):
-    """What stays unexplained."""
+    """Residuals after the diagnosis."""
 
-    share_of_excess: float | None = Field(None, description="of what noise does not explain, what is left")
-    where: tuple[RestDocument, ...] = Field((), description="where the largest remaining differences sit")
+    share_of_excess: float | None = Field(None, description="share of the error beyond noise that remains")
+    where: tuple[RestDocument, ...] = Field((), description="largest remaining residuals")
 
 
 class NextExperiment(Schema):
-    """What would split a tie."""
+    """Experiment that distinguishes effects which these data cannot."""
 
     advice: str = Field(description="what to do, in words")
-    splits: tuple[str, ...] = Field((), description="effects that it tells apart")
+    splits: tuple[str, ...] = Field((), description="effects that it distinguishes")
     scenario: str | None = Field(None, description="scenario to run")
     object: str | None = Field(None, description="its object")
     case: str | None = Field(None, description="its case")
     expected_information: float | None = Field(
-        None, description="squared distance of the two predictions in units of the noise, one more trial [-]"
+        None, description="squared distance of the two predictions in units of the noise, for one more trial [-]"
     )
     already_measured: bool | None = Field(None, description="whether it was measured before")
 
 
 class CorrelatedPair(Schema):
-    """Two estimates that move together."""
+    """Two correlated estimates."""
 
     first: str = Field(description="parameter")
     second: str = Field(description="parameter")
@@ -152,19 +152,19 @@ class Identifiability(Schema):
     """How well the chosen parameters are determined."""
 
     singular_values: tuple[float, ...] = Field((), description="of the sensitivities, in parameter scales [-]")
-    condition_number: float | None = Field(None, description="largest over smallest [-]")
+    condition_number: float | None = Field(None, description="largest over smallest singular value [-]")
     correlated: tuple[CorrelatedPair, ...] = Field((), description="pairs with a correlation above 0.8")
 
 
 class LackOfFit(Schema):
-    """p of the residuals being noise."""
+    """p-values of the residuals being noise."""
 
     before: float | None = Field(None, description="of the model; null: nothing was repeated")
     after: float | None = Field(None, description="with the chosen effects; null: nothing was repeated")
 
 
 class HoldOutDocument(Schema):
-    """How unseen data were predicted."""
+    """How data were held out."""
 
     what: str = Field("", description="what was held out, in words")
     folds: int = Field(0, description="how many times the search was run without some of the data")
@@ -178,12 +178,12 @@ class DiscrepancyDocument(Schema):
 
 
 class DesignDocument(Schema):
-    """What the measurements can decide."""
+    """Amount of data, and what a verdict lacks."""
 
     clusters: int = Field(0, description="conditions, or stretches of recordings")
     freedom: int = Field(0, description="degrees of freedom of the noise")
-    least_p: float = Field(0.0005, description="smallest p that is told")
-    shortage: str | None = Field(None, description="what is lacking for a verdict; null: nothing")
+    least_p: float = Field(0.0005, description="smallest p-value that is reported")
+    shortage: str | None = Field(None, description="missing data for a verdict; null: enough")
 
 
 class JointError(Schema):
@@ -197,14 +197,14 @@ class JointError(Schema):
 
 
 class RecordingDocument(Schema):
-    """What was read of recordings, and how it was filtered."""
+    """How recordings were read and filtered."""
 
     files: tuple[str, ...] = Field(description="paths")
-    robot: str = Field(description="robot facts that were taken")
-    end_effector_mass_kg: float = Field(description="what the mapping says is mounted [kg]")
+    robot: str = Field(description="robot facts that were used")
+    end_effector_mass_kg: float = Field(description="mounted mass by the mapping [kg]")
     samples: int = Field(description="samples read")
     recorded_s: float = Field(description="their duration [s]")
-    used_s: float = Field(description="what is left between the edges of the low-pass [s]")
+    used_s: float = Field(description="duration without the edges of the low-pass [s]")
     sampled_Hz: float = Field(description="sampling rate [Hz]")
     low_pass_Hz: float = Field(description="cut-off of the zero-phase low-pass [Hz]")
     signals: tuple[str, ...] = Field((), description="signals that were found")
@@ -219,41 +219,41 @@ class DiagnosisDocument(Schema):
         description="NOTHING-MISSING, NONE-EXPLAINS, PRESENT-BUT-SMALL, TOO-FEW-REPEATS, PARTLY{...}, or the missing "
         "effects joined by +"
     )
-    summary: str = Field("", description="the verdict in words, with what is left in units")
+    summary: str = Field("", description="the verdict in words, with the largest residuals in units")
     named: tuple[str, ...] = Field((), description="effects that the diagnosis chose")
     effects: tuple[EffectDocument, ...] = Field(description="all effects, best first")
-    confusable: tuple[tuple[str, ...], ...] = Field(description="effects that the data cannot tell apart")
+    confusable: tuple[tuple[str, ...], ...] = Field(description="effects that the data cannot distinguish")
     unexplained: UnexplainedDocument = Field(default_factory=UnexplainedDocument, description="what stays")
-    next_experiment: NextExperiment | None = Field(None, description="what would split a tie")
+    next_experiment: NextExperiment | None = Field(None, description="experiment that distinguishes confusable effects")
     model: ModelIdentity = Field(description="diagnosed model")
     runs: RunsIdentity = Field(description="measurements")
-    error_unit: str = Field(TIMES, description="unit of all held-out errors")
-    noise_floor: float = Field(description="held-out error that noise alone would give")
-    held_out_error_before: float = Field(description="error of the model on clusters that no search has seen")
-    held_out_error_after: float = Field(description="the same with what a search on the other clusters found")
+    error_unit: ErrorUnit = Field(TIMES, description="unit of all held-out errors")
+    noise_floor: float = Field(description="held-out error of noise alone")
+    held_out_error_before: float = Field(description="held-out error of the model")
+    held_out_error_after: float = Field(description="held-out error with the effects found on the other clusters")
     held_out_change_ci95: tuple[float, float] | None = Field(
         None, description="95 % interval of after minus before over the clusters"
     )
-    hold_out: HoldOutDocument = Field(default_factory=HoldOutDocument, description="how unseen data were predicted")
+    hold_out: HoldOutDocument = Field(default_factory=HoldOutDocument, description="how data were held out")
     lack_of_fit: LackOfFit = Field(default_factory=LackOfFit, description="p of the residuals being noise")
-    design: DesignDocument = Field(default_factory=DesignDocument, description="what the measurements can decide")
+    design: DesignDocument = Field(default_factory=DesignDocument, description="data, and what a verdict lacks")
     discrepancy: DiscrepancyDocument = Field(
         default_factory=DiscrepancyDocument, description="of the simulation itself"
     )
     identifiability: Identifiability = Field(default_factory=Identifiability, description="how well it is determined")
     joints: tuple[JointError, ...] = Field((), description="held-out error by joint, of recordings")
-    recording: RecordingDocument | None = Field(None, description="what was read of recordings")
-    remarks: tuple[str, ...] = Field((), description="what a reader should know")
+    recording: RecordingDocument | None = Field(None, description="how recordings were read")
+    remarks: tuple[str, ...] = Field((), description="remarks for the reader")
     formulas: tuple[FormulaSpec, ...] = Field((), description="user-defined effects that were considered")
-    arms: dict[str, int] = Field({}, description="joints of arms that have parameters of their own; none: shared")
+    arms: dict[str, int] = Field({}, description="joints of arms with parameters of their own; empty: shared")
 
     def effect(self, name: str) -> EffectDocument | None:
-        """What is said of one effect."""
+        """Document of one effect; None if there is none."""
         return next((effect for effect in self.effects if effect.name == name), None)
 
 
 def write_document(document: DiagnosisDocument, path: Path) -> None:
-    """Write ``diagnosis.json``, at once or not at all; an earlier one is replaced.
+    """Write ``diagnosis.json`` atomically; an earlier one is replaced.
 
     Raises:
         InputError: It cannot be written.
@@ -265,13 +265,13 @@ def read_document(path: Path) -> DiagnosisDocument:
     """Read ``diagnosis.json``.
 
     Raises:
-        InputError: It is missing or no diagnosis.
+        InputError: The file is missing or no diagnosis.
     """
     try:
         data = json.loads(read_text(path, LARGEST))
     except json.JSONDecodeError as error:
         raise InputError(f"not valid JSON at line {error.lineno}: {error.msg}", file=path) from None
-    except (RecursionError, ValueError) as error:  # nested without end, or a number of thousands of digits
+    except (RecursionError, ValueError) as error:  # nested too deeply, or a number of thousands of digits
         if isinstance(error, InputError):
             raise
         raise InputError(f"not a diagnosis: {shortened(str(error))}", file=path) from None
@@ -283,10 +283,10 @@ def read_document(path: Path) -> DiagnosisDocument:
 
 
 def _of_first_format(data: dict[str, Any], path: Path) -> dict[str, Any]:
-    """A diagnosis of version 0.1.0 in the words of this one; its errors are on the scale of its time.
+    """A diagnosis of version 0.1.0 in the present format; its errors stay on the scale of that version.
 
     Raises:
-        InputError: It breaks off.
+        InputError: The document is incomplete.
     """
     recording = data.get("kind") == "recording"
     known = set(DiagnosisDocument.model_fields)
@@ -320,7 +320,7 @@ def _effect_of_first_format(effect: dict[str, Any]) -> dict[str, Any]:
 
 
 def _centre_of_mass(parameters: dict[str, Any]) -> dict[str, Any]:
-    """First moments of a payload, as version 0.1.0 told them, as its centre of mass; others as they are."""
+    """First moments of a payload (version 0.1.0) as its centre of mass; other parameters unchanged."""
     moments = {name: value for name, value in parameters.items() if name.startswith("first_moment_")}
     if not moments:
         return parameters

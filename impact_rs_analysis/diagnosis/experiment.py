@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The next best experiment: where two explanations would predict the most different things."""
+"""The next best experiment: where the predictions of two explanations differ most."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ COMPANION = "excite"
 
 
 def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment | None:
-    """What to measure to split the first tie; None when there is none and trials were measured."""
+    """Experiment for the first pair of confusable effects; None for trials without such a pair."""
     tie = next((rival for rival in found.rivals if rival.tied), None)
     source = found.search.source
     if isinstance(source, RecordingSource):
@@ -62,25 +62,25 @@ def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment
 
 
 def _possible(source: ReplaySource, added: Added) -> list[MeasuredRun]:
-    """What was measured, and every other condition of these scenarios and of the free-motion companion, simulated.
+    """The measured runs, and every other condition of these scenarios and of free motion, simulated.
 
     Args:
-        source: What was measured.
-        added: Effects with which a trial is simulated that was not measured.
+        source: The measured runs.
+        added: Effects in the simulation of trials that were not measured.
     """
     found = [group[0] for group in source.conditions]
     known = set(source.runs.conditions)
     for spec in _specs(source.runs):
         if label_of(spec) in known:
             continue
-        with suppress(InputError):  # what cannot be reached, or hits nothing, is no proposal
+        with suppress(InputError):  # a pose out of reach or a trial without contact is no proposal
             physics = with_effects(source.model, spec.scene.physics, added)
             found.append(MeasuredRun.of(simulated(spec, physics)))
     return found
 
 
 def _specs(runs: Runs) -> list[TrialSpec]:
-    """Every trial of the scenarios of our own trials; of somebody else's runs none, for their controller is unknown."""
+    """All trials of the scenarios of native trials; none of a laboratory's runs, whose controller is unknown."""
     specs = {run.spec.scenario.name: run.spec for run in runs.runs if run.spec is not None}
     if specs and COMPANION not in specs:
         with suppress(InputError):
@@ -95,15 +95,15 @@ def _specs(runs: Runs) -> list[TrialSpec]:
 
 
 def _sigma(source: ReplaySource, run: MeasuredRun) -> Array:
-    """Scale of a run's features: as measured where something like it was, else what nobody cares about."""
+    """Scale of a run's features: that of measured runs of its layout, else the relevance limits."""
     for item in source.clusters:
         if item.layout == layout_of(run):
             return item.sigma
-    return np.array([feature.floor for feature in run.features])
+    return np.array([feature.relevance_limit for feature in run.features])
 
 
 def _of_recordings(found: Findings, known: dict[str, Effect]) -> NextExperiment:
-    """What to record next, in plain words: by where the effects act that are not told apart."""
+    """Advice on what to record next, by where the confusable effects act."""
     tied = {name for rival in found.rivals if rival.tied for name in (rival.name, rival.instead_of)}
     motor = sorted(name for name in tied if known[name].acts_on == "motor side")
     rigid = sorted(name for name in tied if known[name].acts_on != "motor side")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fitting a candidate through the model: Gauss-Newton whose sensitivities learn from every step (Broyden)."""
+"""Fit of a candidate by simulation: Gauss-Newton with secant updates of the sensitivities (Broyden)."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from impact_rs_analysis.evidence.cluster import Cluster, Source, size_of
 from impact_rs_sim.robot import Array
 
 STEPS = 6
-STRAIGHT = 0.75  # of the gain that sensitivities promise; with less, a candidate of few parameters gets new ones
+STRAIGHT = 0.75  # of the predicted gain; below, sensitivities of a candidate of few parameters are computed anew
 FEW = 4  # parameters
-ENOUGH = 0.02  # of the error; a fit that gains less in a step is finished
-MUCH = 0.2  # of the error; a fit that gains so much in a step has not arrived
-SHORTEST_LESSON = 0.5  # parameter scales
+ENOUGH = 0.02  # of the error; a fit that gains less in a step has converged
+MUCH = 0.2  # of the error; a fit that gains more in a step has not converged
+SHORTEST_LESSON = 0.5  # parameter scales; shorter steps update no sensitivities
 NEAR = 0.1  # parameter scales; a correction below this does not depend on where a trial starts
 MOST_LOOKS = 4
-POOR = 1.5  # times the squared error that is expected; a fit with less has nothing to look for elsewhere
-HOPELESS = 3.0  # a fit whose squared error is so many times that of the best is not followed
+POOR = 1.5  # times the expected squared error; a fit below it needs no other start
+HOPELESS = 3.0  # times the squared error of the best fit; a fit above it is dropped
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,10 @@ class Evidence:
     """Some clusters of a source, with residuals of the model or of the model with effects switched on.
 
     Attributes:
-        source: Where they come from, and what predicts them.
+        source: The measurements, with the model that predicts them.
         numbers: Their numbers in the source.
         clusters: Residuals.
-        thrifty: Whether one repeat of every condition tells what a change does to all of them.
+        thrifty: Whether one repeat stands for all repeats of its condition when features are re-evaluated.
     """
 
     source: Source
@@ -51,12 +51,12 @@ class Evidence:
 
     @cached_property
     def reference(self) -> Reference:
-        """What is due to chance."""
+        """Reference distribution of the residuals under noise alone."""
         return (RotationReference if self.source.repeated else BlockReference)(self.clusters)
 
     @cached_property
     def lack_of_fit(self) -> float | None:
-        """p of the residuals being noise and discrepancy; None where nothing tells."""
+        """p-value of the residuals being noise and discrepancy; None without repeats."""
         return self.reference.lack_of_fit([item.mean for item in self.clusters])
 
     @cached_property
@@ -66,12 +66,12 @@ class Evidence:
 
     @cached_property
     def expected(self) -> Array:
-        """What :attr:`errors` are by repetition and discrepancy alone, ``(c,)`` [-]."""
+        """Expected :attr:`errors` from repeatability and discrepancy alone, ``(c,)`` [-]."""
         return np.array([item.expected for item in self.clusters])
 
     @cached_property
     def guard(self) -> tuple[tuple[int, ...], ...] | None:
-        """Neighbours of every cluster on the same recording, which know too much of it; None for trials."""
+        """Neighbours of every cluster on the same recording, with correlated noise; None for trials."""
         if self.source.repeated:
             return None
         place = {number: position for position, number in enumerate(self.numbers)}
@@ -86,7 +86,7 @@ class Evidence:
         )
 
     def only(self, positions: Sequence[int]) -> Evidence:
-        """The same in some of the clusters, by position."""
+        """The evidence of some clusters, by position."""
         return replace(
             self,
             numbers=tuple(self.numbers[position] for position in positions),
@@ -94,11 +94,11 @@ class Evidence:
         )
 
     def excess(self, errors: Array) -> float:
-        """Mean square error above what repetition and discrepancy explain [-]."""
+        """Mean square error in excess of repeatability and discrepancy [-]."""
         return float(np.mean(np.maximum(errors - self.expected, 0.0)))
 
     def size(self, errors: Array) -> float:
-        """Mean square errors by cluster on the scale on which 1 is what repetition alone leaves."""
+        """Size of mean square errors by cluster, in multiples of repeatability [-]."""
         return size_of(errors, self.expected)
 
     def problem(self, candidate: Candidate) -> Problem:
@@ -106,7 +106,7 @@ class Evidence:
         return Problem(candidate, self.clusters, self.guard)
 
     def shifted(self, changes: Sequence[Array]) -> Evidence:
-        """The same with something taken off the residuals of every cluster, ``(F,)`` each [-]."""
+        """The evidence with ``changes`` subtracted from the residuals of every cluster, ``(F,)`` each [-]."""
         clusters = tuple(
             replace(item, residuals=item.residuals - change)
             for item, change in zip(self.clusters, changes, strict=True)
@@ -158,7 +158,7 @@ class Fit:
         return self.widths(0.95)
 
     def widths(self, confidence: float) -> Array:
-        """Half widths of intervals in parameter scales, ``(p,)``, with what the clocks may be off."""
+        """Half widths of intervals in parameter scales, ``(p,)``, with the uncertainty of the clocks."""
         clock = confidence * self.evidence.source.clock  # of equally likely offsets
         unsure = np.array([clock if scalar.unit == "s" else 0.0 for scalar in self.candidate.scalars])
         own = self.problem.half_widths(self.change, self.evidence.reference, confidence)
@@ -172,29 +172,29 @@ class Fit:
 
     @cached_property
     def rest(self) -> list[Array]:
-        """What the fit leaves of the mean residuals, ``(F,)`` per cluster [-]."""
+        """Mean residuals of the fit, ``(F,)`` per cluster [-]."""
         return self.problem.rest(self.change)
 
     @cached_property
     def left(self) -> Evidence:
-        """The evidence less what the fit explains."""
+        """The evidence with the residuals of the fit."""
         return self.evidence.shifted(
             [item.mean - rest for item, rest in zip(self.evidence.clusters, self.rest, strict=True)]
         )
 
     def lack_of_fit(self) -> float | None:
-        """p of what is left being noise and discrepancy; None where nothing tells."""
+        """p-value of the remaining residuals being noise and discrepancy; None without repeats."""
         return self.evidence.reference.lack_of_fit(self.rest)
 
 
 def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf, steps: int = STEPS) -> Fit:
-    """Fit through the model.
+    """Fit by repeated simulation.
 
     Args:
-        candidate: Where to start, linearised.
-        evidence: What to explain.
-        give_up: After its first step a fit whose held-out error is larger than this ends.
-        steps: Most of them that lower the error; as long as each takes much of what is left, there is another.
+        candidate: Start, linearised.
+        evidence: The residuals to explain.
+        give_up: A fit whose held-out error exceeds this after the first step stops.
+        steps: Number of steps that lower the error; more are made while each gains at least ``MUCH``.
     """
     best = Fit.of(candidate, evidence)
     nothing = np.zeros_like(best.change)
@@ -233,11 +233,11 @@ def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf, st
 
 
 def _turning_point(before: Candidate, after: Candidate, evidence: Evidence) -> float:
-    """Share of a step that went too far after which the error is least, between 0.05 and 0.9.
+    """Share of an overshooting step at which the error is least, between 0.05 and 0.9.
 
-    Along the step features go from here, with the slope k that the sensitivities know, to there, as
-    d k t / (1 + (k - 1) t): exact for what goes with the inverse of a parameter, as deflection does with stiffness.
-    Least squares of d gives how far they shall go.
+    Along the step, t from 0 to 1, features change by d k t / (1 + (k - 1) t), with d the change over the whole step and
+    k the slope at its start (from the sensitivities) over d. This is exact for features that vary with the inverse of a
+    parameter, as deflection varies with stiffness. Least squares gives t.
     """
     step = (after.point - before.point) / before.scale
     rows = [
@@ -256,18 +256,18 @@ def _turning_point(before: Candidate, after: Candidate, evidence: Evidence) -> f
 
 
 def _afresh(fitted: Fit) -> Fit:
-    """The same with sensitivities of its point, where those of another led astray: a bounce is nothing linear."""
+    """The fit with new sensitivities at its point: secant updates fail across contact changes."""
     return Fit.of(_relinearised(fitted.candidate, fitted.evidence), fitted.evidence)
 
 
 def _relinearised(candidate: Candidate, evidence: Evidence) -> Candidate:
-    """New sensitivities; features stay those of all repeats, of which sensitivities look at one."""
+    """New sensitivities, from one repeat per condition; features stay those of all repeats."""
     fresh = linearise(candidate, evidence.clusters, evidence.numbers, evidence.source, "new sensitivities")
     return candidate if fresh is None else replace(candidate, jacobians=fresh.jacobians)
 
 
 def see_all(fitted: Fit) -> Fit:
-    """Go on with new sensitivities where a parameter could not be seen at the nominal point."""
+    """Continue with new sensitivities where a parameter had zero sensitivity at the nominal point."""
     candidate, evidence = fitted.candidate, fitted.evidence
     if not candidate.unseen:
         return fitted
@@ -279,9 +279,9 @@ def see_all(fitted: Fit) -> Fit:
 
 
 def look_elsewhere(fitted: Fit) -> Fit:
-    """Begin again further away where a fit does not fit, since what is in contact may change on the way there.
+    """Restart a poor fit from points further away, because contacts may change between there and here.
 
-    A box that stands flat tips only with its weight beyond some offset; before that nothing tells which way to go.
+    A box that stands flat tips only once its centre of mass lies beyond an edge; before that the sensitivity is zero.
     """
     scalars = fitted.candidate.scalars
     for _ in scalars:
@@ -311,10 +311,9 @@ def look_elsewhere(fitted: Fit) -> Fit:
 
 
 def measure_again(fitted: Fit) -> Fit:
-    """The fit against residuals taken with its effects switched on, trial by trial.
+    """The fit against residuals of the model with its effects, every run replayed from its own start.
 
-    Up to here the effects were switched on where a trial should start, not where it did start; the last correction of
-    the estimate, its interval and the lack of fit come from here.
+    The last correction of the estimate, its interval and the lack of fit come from here.
     """
     like = fitted.evidence
     for look in range(MOST_LOOKS):
@@ -336,7 +335,7 @@ def measure_again(fitted: Fit) -> Fit:
 
 def evaluate_at(candidate: Candidate, point: Array, evidence: Evidence) -> Candidate | None:
     """The candidate with its features evaluated at another point, sensitivities kept."""
-    # Joints are smooth: what many parameters do is the same in all repeats, and a bounce has few.
+    # Joint effects (many parameters) are smooth and change all repeats alike; contact effects have few parameters.
     every = candidate.point.size <= FEW and not evidence.thrifty
     changes = evidence.source.differences(
         evidence.numbers, candidate.origin, candidate.split(point), "fit of the shortlist", every
@@ -348,9 +347,9 @@ def evaluate_at(candidate: Candidate, point: Array, evidence: Evidence) -> Candi
 
 
 def _broyden(before: Candidate, after: Candidate) -> Candidate:
-    """Sensitivities that give the step just made exactly, and change as little as they can otherwise.
+    """Secant update (Broyden): sensitivities that reproduce the last step and otherwise change least.
 
-    A short step teaches nothing: when an impact falls into another control tick, features jump a little.
+    Short steps are ignored: features jump a little when an impact falls into another control tick.
     """
     step = (after.point - before.point) / before.scale
     if np.max(np.abs(step)) < SHORTEST_LESSON:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects of a user's own, tried before hours are spent on measurements."""
+"""User-defined effects, checked before the measurements are read."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def try_out(effects: Iterable[FormulaEffect], file: str | Path) -> None:
         file: Where they come from, for errors.
 
     Raises:
-        InputError: One of them blows up.
+        InputError: One of them is not finite.
     """
     scenario = load_scenario("push")
     scene = Scene.resolve(scenario, next(iter(scenario.objects)), next(iter(scenario.cases)))

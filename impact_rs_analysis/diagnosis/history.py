@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the error fell from model version to model version, on what the fit has seen and on what it has not."""
+"""Fitted and held-out error from model version to model version."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.fit import Evidence
-from impact_rs_analysis.diagnosis.verdicts import told
+from impact_rs_analysis.diagnosis.verdicts import residual_size
 from impact_rs_analysis.evidence.cluster import TIMES, Cluster, Source
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model
@@ -25,7 +25,7 @@ class Version:
     Attributes:
         file: Its file.
         model: The model.
-        effect_added: What it has and its parent has not; None for the first.
+        effect_added: The effect added to its parent; None for the first.
     """
 
     file: str
@@ -35,15 +35,15 @@ class Version:
 
 @dataclass(frozen=True)
 class VersionError:
-    """Errors of one model, on the scale of the comparison (1: what repetition alone gives).
+    """Errors of one model, on the scale of the comparison.
 
     Attributes:
         version: Which model.
         error_fit: Error with the parameters of its file.
         error_held_out: Error in every condition with the added effect's parameters fitted to all other conditions;
             None where there are too few conditions.
-        noise_floor: What both would be if only repetition were left; None if nothing was repeated.
-        unit: Of the errors; they are multiples where it says so.
+        noise_floor: Both errors if only noise were left; None if nothing was repeated.
+        unit: Of the errors, ``TIMES`` for multiples of repeatability.
     """
 
     version: Version
@@ -108,22 +108,22 @@ def history(path: Path, source_of: Callable[[Model], Source]) -> list[VersionErr
         source_of: The measurements against a model; called once for every version.
 
     Raises:
-        InputError: See :func:`versions`; or with one of the models nothing is hit.
+        InputError: See :func:`versions`; or the replay with one of the models has no contact.
     """
     found: list[VersionError] = []
     for version in versions(path):
         source = source_of(version.model)
         clusters = source.clusters
-        error, floor = source.size(), source.noise_size()
+        error, noise = source.size(), source.noise_size()
         held_out: float | None = error
         if version.effect_added is not None:
             held_out = _held_out(version, clusters, source_of)
-        found.append(VersionError(version, error, held_out, floor, source.size_unit))
+        found.append(VersionError(version, error, held_out, noise, source.size_unit))
     return found
 
 
 def _held_out(version: Version, clusters: tuple[Cluster, ...], source_of: Callable[[Model], Source]) -> float | None:
-    """Leave one condition out: the added effects fitted to all others, about the estimate in the model file."""
+    """Error of every condition with the added effects fitted to all others, about the estimate in the model file."""
     if len(clusters) < 2 or version.effect_added is None:
         return None
     names = version.effect_added.split("+")
@@ -153,5 +153,5 @@ def _held_out(version: Version, clusters: tuple[Cluster, ...], source_of: Callab
         return None
     evidence = Evidence(bare, tuple(range(len(clusters))), clusters)
     if bare.size_unit != TIMES:
-        return told(evidence, evidence.problem(candidate).left_out_rest)
+        return residual_size(evidence, evidence.problem(candidate).left_out_rest)
     return evidence.size(evidence.problem(candidate).held_out)

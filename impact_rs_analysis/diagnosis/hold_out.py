@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hold-out: every cluster predicted by a search that has not seen it.
+"""Hold-out: every cluster is predicted by a search that has not seen it.
 
-What is held out has no say in what predicts it, neither in the shortlist, nor in the choice, nor in the estimate: for
-every fold the whole search (:mod:`impact_rs_analysis.diagnosis.search`) is run on the other clusters, and the model
-with what it found is run in the fold. Conditions are held out with all their repeats; whole recordings, where there are
-several; stretches of neighbours with a guard on either side, where there is one.
+Held-out data influence neither shortlist, nor choice, nor estimate of the effects that predict them. For every fold the
+whole search (:mod:`impact_rs_analysis.diagnosis.search`) runs on the other clusters, and the model with the effects it
+found predicts the fold. Conditions are held out with all their repeats. Of several recordings whole recordings are held
+out; of a single one runs of neighbouring stretches, with a guard stretch on either side.
 
-Where predictions are dear, fits of a fold may begin where those of the search over all clusters have ended, if that
-explains the fold's own clusters better than where they would begin by themselves. Approximate leave-one-out goes as far
-as to stop after one step from there (Rahnama Rad and Maleki 2020, *J. R. Stat. Soc. B* 82(4)); these go on as always.
+Where predictions are expensive, a fit of a fold may start at the result of the search over all clusters, if that
+explains the fold's training clusters better than its own start. Approximate leave-one-out stops after one step from
+there (Rahnama Rad and Maleki 2020, *J. R. Stat. Soc. B* 82(4)); these fits continue until they converge.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from impact_rs_sim.robot import Array
 
 @dataclass(frozen=True)
 class Fold:
-    """What is held out together, and what it is predicted from.
+    """Clusters that are held out together, and those that predict them.
 
     Attributes:
-        held: Numbers of the clusters that are predicted.
-        training: Numbers of those that are looked at.
+        held: Numbers of the predicted clusters.
+        training: Numbers of the clusters of the search.
     """
 
     held: tuple[int, ...]
@@ -43,13 +43,13 @@ class Fold:
 
 @dataclass(frozen=True)
 class HoldOut:
-    """Errors on clusters that nothing of the search has seen.
+    """Held-out errors.
 
     Attributes:
-        folds: What was held out.
+        folds: The folds.
         errors: Mean square scaled error by cluster, ``(c,)`` [-].
-        rest: What is left of the mean residuals, ``(F,)`` per cluster [-].
-        chosen: Names of the effects that every fold's search found.
+        rest: Mean residuals after prediction, ``(F,)`` per cluster [-].
+        chosen: Names of the effects found by the search of every fold.
     """
 
     folds: tuple[Fold, ...]
@@ -59,7 +59,7 @@ class HoldOut:
 
 
 def folds_of(source: Source) -> list[Fold]:
-    """Folds of a source; empty where too little is there to hold anything out."""
+    """Folds of a source; empty with too few clusters for a hold-out."""
     units: dict[str, list[int]] = {}
     for number, item in enumerate(source.clusters):
         units.setdefault(item.unit, []).append(number)
@@ -82,7 +82,7 @@ def folds_of(source: Source) -> list[Fold]:
 
 
 def _neighbours(source: Source, held: Sequence[int]) -> set[int]:
-    """Stretches that touch those that are held out, on the same recording."""
+    """Stretches next to the held-out ones on the same recording."""
     near = {number + step for number in held for step in (-1, 1)} - set(held)
     units = {source.clusters[number].unit for number in held}
     return {n for n in near if 0 <= n < len(source.clusters) and source.clusters[n].unit in units}
@@ -91,12 +91,12 @@ def _neighbours(source: Source, held: Sequence[int]) -> set[int]:
 def hold_out(
     source: Source, effects: Sequence[Effect], ended: Mapping[tuple[str, ...], Candidate] | None = None
 ) -> HoldOut | None:
-    """Run the search on all but one fold in turn; None where too little is there to hold anything out.
+    """Run the search on all but one fold in turn; None with too few clusters for a hold-out.
 
     Args:
         source: Measurements with the model's predictions.
         effects: Effects to consider.
-        ended: Where the fits of the search over all clusters have ended; where predictions are dear, folds begin there.
+        ended: Results of the fits over all clusters; expensive fits of folds may start there.
     """
     known = {} if source.cheap else dict(ended or {})
     folds = folds_of(source)
@@ -117,7 +117,7 @@ def hold_out(
 def _predicted(
     effects: Sequence[Effect], known: Mapping[tuple[str, ...], Candidate], source: Source, fold: Fold
 ) -> tuple[tuple[str, ...], list[Array]]:
-    """What the search finds without a fold, and what that leaves of the fold's mean residuals."""
+    """Effects that the search finds without a fold, and the mean residuals of the fold with them."""
     evidence = Evidence.of(source, fold.training, thrifty=True)
     search = Search.screened(effects, evidence, SHORTLIST_OF_FOLD, known=known)
     found = search.choose(thrifty=True)
@@ -128,7 +128,7 @@ def _predicted(
     rest = []
     for number, before, after in zip(fold.held, both[::2], both[1::2], strict=True):
         item = source.clusters[number]
-        # Where the found effects cannot be simulated they predict nothing.
+        # Effects that cannot be simulated in the fold predict nothing.
         change = 0.0 if before is None or after is None else (after - before) / item.sigma
         rest.append(item.mean - change)
     return () if found is None else found.candidate.names, rest

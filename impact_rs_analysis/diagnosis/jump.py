@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """First level of the comparison: the velocity jump of the impact map against the measured one.
 
-The map is asked at the nominal impact of a trial of our own; of anybody else's run in the measured ante-impact state,
-with the object moved along the contact normal until it touches. Where trials of a set follow several post-impact
-velocities, the experimental estimate of the net feedback is taken (:mod:`impact_rs_analysis.measure.fit`); else the
-change of velocity from just before the impact to 20 ... 40 ms after it.
+The map is evaluated at the nominal impact of a native trial. Of a laboratory's run it is evaluated in the measured
+ante-impact state, with the object moved along the contact normal until it touches. The measured jump is the
+experimental estimate from the net feedback (:mod:`impact_rs_analysis.measure.fit`) if trials of a set follow several
+post-impact velocities; else the change of velocity from just before the impact to 20 ... 40 ms after it.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ class JumpEntry:
         scenario: Scenario.
         object: Object.
         case: Case.
-        signal: What it is.
+        signal: Name of the signal.
         index: Joint, axis or both.
         measured: Mean over the repeats, in ``unit``.
         predicted: By the impact map with the model's physics, in ``unit``.
         unit: Unit.
-        noise: What repetition explains of a single trial, in ``unit``.
+        noise: Repeatability of a single trial, in ``unit``.
     """
 
     scenario: str
@@ -62,17 +62,17 @@ class JumpEntry:
 
     @property
     def times_noise(self) -> float:
-        """Size of the error over what repetition explains [-]."""
+        """Absolute error in multiples of repeatability [-]."""
         return abs(self.error) / self.noise
 
 
 def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple[list[JumpEntry], list[str]]:
-    """Predicted against measured jumps of every object and case, and what could not be said.
+    """Predicted against measured jumps of every object and case, and remarks on missing ones.
 
     Args:
         runs: All usable runs.
-        measured: Their features themselves by condition, with the scale that their own scatter gives.
-        model: What we believe.
+        measured: Measured features by condition, scaled by their own scatter.
+        model: The model.
     """
     sets: dict[tuple[str, str, str], list[tuple[list[MeasuredRun], Cluster]]] = {}
     for group, item in zip(runs.conditions.values(), measured, strict=True):

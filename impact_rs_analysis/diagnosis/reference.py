@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What sums of scores would be if nothing were missing: reference distributions with the real degrees of freedom.
+"""Null distributions of score statistics, with the degrees of freedom of the data.
 
 An effect with sensitivities J_c in cluster c is judged by its total score and that score's size in the metric of the
 information matrix,
 
     s = sum_c n_c J_c^T rbar_c,        M = sum_c n_c J_c^T J_c,        T = s^T M^-1 s
 
-which is how much of the squared residual it explains. Two references know what T is by chance.
+which is the part of the squared residual that it explains. Two references give the distribution of T under noise alone.
 
 **Repeats** (:class:`RotationReference`). Repeats of a condition are written as a mean row sqrt(n_c) rbar_c and n_c - 1
 orthonormal contrasts; if nothing is missing, all rows of a layout are independent draws of one normal distribution,
@@ -18,15 +18,15 @@ whatever its covariance. Given their Gram matrix, every rotation of them is then
 under random rotations is exact for any number of features, however correlated, and for any number of repeats. With one
 parameter and one condition it is Student's t with n - 1 degrees of freedom.
 
-Where model discrepancy is known, scores have a second cause: sum_k a_k P_k, with patterns P_k in which simulators
-differ and a_k standard normal, the same in all clusters that are alike. Patterns and not features one by one: what
-differs between simulators is the friction or the stiffness of a contact, which moves many features at a time.
-T is then held against draws of noise (normal, with the contrasts' covariance and its Student factor) plus discrepancy
-as well, and the larger p counts.
+Where the model discrepancy is known, residuals have a second source: sum_k a_k P_k, with patterns P_k in which
+simulators differ and a_k standard normal, the same in all clusters of one kind. Patterns are used instead of single
+features because simulators differ in friction or stiffness of a contact, which changes many features at once. T is then
+also compared with draws of noise (normal, with the contrasts' covariance and its Student factor) plus discrepancy, and
+the larger p-value counts.
 
-**Blocks** (:class:`BlockReference`). A recording has no repeats. Stretches longer than its noise remembers are
-independent of each other, and their scores about as likely to point one way as the other: signs are flipped at random
-(wild cluster bootstrap of the score, Cameron, Gelbach and Miller 2008, Review of Economics and Statistics 90).
+**Blocks** (:class:`BlockReference`). A recording has no repeats. Stretches longer than the correlation time of its
+noise are independent, and their scores are about symmetric: signs are flipped at random (wild cluster bootstrap of the
+score, Cameron, Gelbach and Miller 2008, Review of Economics and Statistics 90).
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ from impact_rs_analysis.diagnosis.thresholds import DRAWS, LEAST_FREEDOM, LEAST_
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
 
-TINY = 1e-12  # lest the covariance of what has none has no root
+TINY = 1e-12  # keeps a zero covariance invertible
 
 
 class Reference(ABC):
-    """What is due to chance.
+    """Distribution of statistics under noise (and model discrepancy) alone.
 
     Args:
-        clusters: Residuals of the model in question.
+        clusters: Residuals of the tested model.
     """
 
     def __init__(self, clusters: Sequence[Cluster]) -> None:
@@ -65,20 +65,20 @@ class Reference(ABC):
     @property
     @abstractmethod
     def shortage(self) -> str | None:
-        """What a design that is too small to decide lacks, for the user; None where it is large enough."""
+        """Data that are missing for a verdict, for the user; None if there are enough."""
 
     @abstractmethod
     def p_value(self, jacobians: Sequence[Array], information: Array) -> float:
-        """p of an effect doing nothing.
+        """p-value of an effect being absent.
 
         Args:
-            jacobians: Sensitivities by cluster, ``(F, p)`` each, free of what was fitted before.
+            jacobians: Sensitivities by cluster, ``(F, p)`` each, orthogonal to what was fitted before.
             information: Metric M in which scores are measured, ``(p, p)``.
         """
 
     @abstractmethod
     def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
-        """p of mean residuals ``(F,)`` by cluster being noise and discrepancy; None where nothing tells."""
+        """p-value of mean residuals ``(F,)`` by cluster being noise and discrepancy; None without repeats."""
 
     @abstractmethod
     def covariance(self, jacobians: Sequence[Array], change: Array, inverse: Array) -> Array:
@@ -115,46 +115,46 @@ class Reference(ABC):
 
 
 def _discrepancy(item: Cluster) -> Array:
-    """Covariance of the discrepancy: partly along what was measured, partly feature by feature, ``(F, F)`` [-]."""
+    """Covariance of the discrepancy: partly along measured patterns, partly feature by feature, ``(F, F)`` [-]."""
     patterns = item.moved_together
     return (1.0 - UNMEASURED) * patterns.T @ patterns + UNMEASURED * np.diag(np.square(item.discrepancy))
 
 
 def alike(item: Cluster) -> str:
-    """Clusters for which this is the same have the same discrepancy."""
+    """Key of the discrepancy: clusters with the same key share its amplitudes."""
     return item.layout if item.alike is None else item.alike
 
 
 def rarity(observed: float, null: Array) -> float:
-    """Share of a null distribution, the observation counted in, that is at least as large."""
+    """Share of a null distribution, including the observation, that is at least as large: the p-value."""
     return float((1.0 + np.count_nonzero(null >= observed * (1.0 - 1e-12))) / (1.0 + null.size))
 
 
 def smallest(observed: Array, null: Array) -> float:
-    """p of the most unlikely of several statistics, looked at together.
+    """p-value of the smallest p-value of several statistics.
 
     Args:
         observed: Statistics, ``(G,)``.
-        null: The same in draws of the null distribution, ``(B, G)``; one that is never larger than zero says nothing.
+        null: Statistics in draws of the null distribution, ``(B, G)``; one that never exceeds zero is ignored.
     """
     everything = np.vstack((observed, null))
-    below = scipy.stats.rankdata(-everything, method="max", axis=0)  # how many are at least as large
+    below = scipy.stats.rankdata(-everything, method="max", axis=0)  # number of draws at least as large
     below[:, ~np.any(everything > 0.0, axis=0)] = len(everything)
     least = below.min(axis=1)
     return float(np.count_nonzero(least <= least[0]) / least.size)
 
 
 def _even(both: Array) -> Array:
-    """Scaling in which noise and discrepancy together, ``both`` ``(F, F)``, are alike in every direction, ``(F, F)``.
+    """Scaling that whitens noise plus discrepancy, ``both`` ``(F, F)``, as ``(F, F)``.
 
-    Discrepancy moves many features at a time; where it is as large as the noise, a sum of squares would see little but
-    it.
+    Discrepancy changes many features at once. Where it is as large as the noise, it would dominate a plain sum of
+    squares.
     """
     return np.asarray(np.linalg.inv(np.linalg.cholesky(both)).T)
 
 
 def _members(item: Cluster, groups: Sequence[tuple[str, str]]) -> NDArray[np.bool_]:
-    """Which features belong to which group, the last of which is all, ``(G + 1, F)``."""
+    """Membership of features in groups, of which the last holds all, ``(G + 1, F)``."""
     own = [[feature.group[:2] == group for feature in item.features] for group in groups]
     return np.array([*own, [True] * len(item.features)])
 
@@ -168,7 +168,7 @@ def _frames(rows: int, count: int, seed: int) -> Array:
 
 
 def _squares(frames: Array, rows: Array) -> Array:
-    """Squares of what each frame makes of rows, by way of the smaller of their dimensions, ``(B,)``.
+    """Squared norms of the rows transformed by each frame, computed in the smaller dimension, ``(B,)``.
 
     Args:
         frames: ``(B, count, n)``.
@@ -237,8 +237,8 @@ class RotationReference(Reference):
         if self.freedom >= LEAST_FREEDOM:
             return None
         return (
-            f"{LEAST_FREEDOM - self.freedom} more repeat(s) of any of the {len(self.clusters)} conditions: "
-            f"{self.freedom} degree(s) of freedom of the pure error, at least {LEAST_FREEDOM} are needed"
+            f"{LEAST_FREEDOM - self.freedom} more repeat(s) of any of the {len(self.clusters)} conditions (runs minus "
+            f"conditions is {self.freedom}, at least {LEAST_FREEDOM} are needed)"
         )
 
     def p_value(self, jacobians: Sequence[Array], information: Array) -> float:
@@ -266,7 +266,7 @@ class RotationReference(Reference):
         return p
 
     def _with_discrepancy(self, jacobians: Sequence[Array], root: Array) -> Array:
-        """Draws of T from noise and discrepancy together, ``(B,)``."""
+        """Draws of T under noise and discrepancy, ``(B,)``."""
         weights, rng = self._weights[0], copy.deepcopy(self._weights[1])
         total = np.zeros((DRAWS, root.shape[1]))
         for layout, own in zip(self._layouts, weights, strict=True):
@@ -279,7 +279,7 @@ class RotationReference(Reference):
 
     @cached_property
     def _weights(self) -> tuple[list[Array | None], np.random.Generator]:
-        """:meth:`_noise` of every layout, ``(B, means * contrasts)``, None without contrasts; and who draws on."""
+        """:meth:`_noise` of every layout, ``(B, means * contrasts)``, None without contrasts; and the generator."""
         rng = np.random.default_rng(1)
         return [self._noise(rng, own).reshape(DRAWS, -1) if own.freedom else None for own in self._layouts], rng
 
@@ -292,10 +292,10 @@ class RotationReference(Reference):
     def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
         """See :meth:`Reference.lack_of_fit`; as :meth:`p_value`, with every feature a parameter of its own.
 
-        All features at once hardly see what shows in one signal of a dozen. So every signal is judged by itself beside
-        the whole, and the smallest of these p against the smallest in every draw of the same noise (Westfall and Young
-        1993, *Resampling-based multiple testing*): however many are looked at, and however correlated they are, one
-        null in a hundred has a p below 0.01.
+        A test of all features at once has little power against a misfit of one signal. So every signal is tested by
+        itself as well as all together, and the smallest p-value is compared with the smallest in every draw of the same
+        noise (Westfall and Young 1993, *Resampling-based multiple testing*). The level holds for any number of signals
+        and any correlation between them.
         """
         if self.shortage is not None:
             return None
@@ -325,7 +325,7 @@ class RotationReference(Reference):
 
     @cached_property
     def _scaled(self) -> list[tuple[_Rows, NDArray[np.bool_], list[Array]]]:
-        """Per layout: which features belong to which group, and the scaling of each group."""
+        """Per layout: membership of features in groups, and the scaling of each group."""
         result = []
         for layout in self._layouts:
             members = _members(self.clusters[layout.numbers[0]], self._groups)
@@ -335,14 +335,14 @@ class RotationReference(Reference):
 
     @cached_property
     def _by_chance(self) -> Array:
-        """Squares of scaled mean rows from noise and discrepancy together by group, whatever is left, ``(B, G)``."""
+        """Squares of scaled mean rows under noise and discrepancy, for any residuals, by group, ``(B, G)``."""
         rng = np.random.default_rng(2)
         return np.asarray(sum(self._rest_by_chance(rng, *scaled) for scaled in self._scaled))
 
     def _rest_by_chance(
         self, rng: np.random.Generator, layout: _Rows, members: NDArray[np.bool_], scales: Sequence[Array]
     ) -> Array:
-        """Squares of scaled mean rows from noise and discrepancy together by group of features, ``(B, G)``."""
+        """Squares of scaled mean rows under noise and discrepancy, by group of features, ``(B, G)``."""
         contrasts = layout.rows[layout.means :]
         squares = np.zeros((DRAWS, len(members)))
         noise = self._noise(rng, layout) if layout.freedom else np.zeros((DRAWS, layout.means, 0))
@@ -363,7 +363,7 @@ class RotationReference(Reference):
         return squares
 
     def _noise_and_discrepancy(self, layout: _Rows) -> Array:
-        """Covariance of a mean row of a layout, noise taken for independent, ``(F, F)`` [-]."""
+        """Covariance of a mean row of a layout with independent noise, ``(F, F)`` [-]."""
         items = [self.clusters[number] for number in layout.numbers]
         alone = [np.maximum(1.0 - np.square(item.discrepancy), LEAST_OWN) for item in items]
         return np.asarray(
@@ -373,7 +373,7 @@ class RotationReference(Reference):
 
     def covariance(self, jacobians: Sequence[Array], change: Array, inverse: Array) -> Array:
         """See :meth:`Reference.covariance`; trials are independent of each other, their features are not."""
-        del change  # repeats differ from their own mean, whatever was fitted
+        del change  # the scatter of repeats about their mean does not depend on the fit
         meat = np.zeros_like(inverse)
         for item, jacobian in zip(self.clusters, jacobians, strict=True):
             if item.count > 1:
@@ -385,7 +385,7 @@ class RotationReference(Reference):
 class BlockReference(Reference):
     """Reference from stretches of recordings, see the module; arguments as for :class:`Reference`."""
 
-    LEAST = 12  # blocks: two to the power of eleven patterns of signs, so that p = 0.0005 can be told
+    LEAST = 12  # blocks: 2^11 patterns of signs resolve p = 0.0005
 
     @property
     def freedom(self) -> int:
@@ -420,12 +420,12 @@ class BlockReference(Reference):
         return rarity(size, np.einsum("bp,bp->b", null, null))
 
     def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
-        """None: a recording says nothing of what is left, for nothing was repeated."""
+        """None: without repeats there is no test of the remaining residuals."""
         del rest
         return None
 
     def covariance(self, jacobians: Sequence[Array], change: Array, inverse: Array) -> Array:
-        """See :meth:`Reference.covariance`; neighbouring samples are not independent, blocks are."""
+        """See :meth:`Reference.covariance`; blocks are independent, neighbouring samples are not."""
         scores = np.array([j.T @ (item.mean - j @ change) for item, j in zip(self.clusters, jacobians, strict=True)])
         count = len(self.clusters)
         return np.asarray(inverse @ (scores.T @ scores) @ inverse * count / (count - 1.0))
@@ -436,8 +436,8 @@ def combined_half_width(
 ) -> Array:
     """Half width of intervals, ``(p,)``.
 
-    The larger of what noise and what disagreement of the clusters explain, each with the quantile of the estimator that
-    made it, and model discrepancy on top, which is neither.
+    The larger of two estimates, from the noise and from the disagreement of the clusters, each with its own quantile;
+    model discrepancy is added in squares.
 
     Args:
         noise: Standard errors from noise, ``(p,)``.

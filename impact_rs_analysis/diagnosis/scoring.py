@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a diagnosis did: held against the truth of a blind campaign."""
+"""Score of a diagnosis against the truth of a blind campaign."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from impact_rs_trials.blind import RUNS, TRUTH
 
 @dataclass(frozen=True)
 class Score:
-    """How a diagnosis did.
+    """Score of a diagnosis.
 
     Attributes:
         kind: Kind of the campaign.
-        truth: Hidden effects; for ``outside`` what was hidden instead.
+        truth: Hidden effects; for ``outside`` the hidden cause, which no effect of the library is.
         named: Effects that the diagnosis chose.
-        correct: Whether it is right, see :func:`score`.
+        correct: Whether the diagnosis is right, see :func:`held_against_truth`.
         by_own_name: Whether every hidden effect was chosen by its own name.
-        headline: Whether the headline is the hidden effects and nothing else, or what is right where there are none.
+        headline: Whether the headline is exactly the hidden effects, or the right verdict where there are none.
         intervals_cover: Whether all true parameters lie in their 95 % intervals, also of effects that were not named;
             None where no hidden effect was measured.
-        covered: Number of those that do, and of all of them.
-        also_named: Effects that were chosen and are neither hidden nor confusable with one that is.
+        covered: Number of true parameters inside their interval, and of all true parameters.
+        also_named: Chosen effects that are neither hidden nor confusable with a hidden one.
     """
 
     kind: str
@@ -43,7 +43,7 @@ class Score:
 
 
 def score(directory: Path, document: DiagnosisDocument, source: Path) -> Score:
-    """Hold a diagnosis of the runs of a blind campaign against its truth (:func:`held_against_truth`).
+    """Compare a diagnosis of the runs of a blind campaign with its truth (:func:`held_against_truth`).
 
     Args:
         directory: Blind campaign.
@@ -60,15 +60,14 @@ def score(directory: Path, document: DiagnosisDocument, source: Path) -> Score:
 
 
 def held_against_truth(directory: Path, document: DiagnosisDocument) -> Score:
-    """Hold a diagnosis against the truth of a blind campaign, whatever was diagnosed.
+    """Compare a diagnosis with the truth of a blind campaign, whatever files it was made from.
 
-    Right is: ``single``, the hidden effect is named or inside the confusable set of a named one; ``pair``, both are;
-    ``null``, NOTHING-MISSING; ``outside``, NONE-EXPLAINS, or an effect was named and the diagnosis says itself that
-    something stays.
+    Correct is: for ``single``, the hidden effect is named or confusable with a named one; for ``pair``, both are; for
+    ``null``, NOTHING-MISSING; for ``outside``, NONE-EXPLAINS, or a named effect with a verdict that residuals remain.
 
     Args:
         directory: Blind campaign.
-        document: Diagnosis of its runs, or of what was made of them.
+        document: Diagnosis of its runs, or of files made from them.
 
     Raises:
         InputError: No blind campaign.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Choosing effects: screen all, fit a shortlist through the model, accept what predicts unseen clusters better.
+"""Choosing effects: screen all, fit a shortlist by simulation, accept those that lower the held-out error.
 
-The search sees the clusters it is given and nothing else: the hold-out (:mod:`impact_rs_analysis.diagnosis.hold_out`)
-runs it again without every cluster that it shall predict.
+The search uses only the clusters it is given. The hold-out (:mod:`impact_rs_analysis.diagnosis.hold_out`) repeats it
+without the clusters to predict.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ from impact_rs_analysis.diagnosis.thresholds import (
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
 
-STEPS_OF_FOLD = 2  # of Gauss-Newton in the folds of the hold-out; the third changes the last digits
-ROUNDS = 4  # of fits with new sensitivities, where they are cheap
-PAIRS = 2  # tried where effects were found one by one
-AMONG = 10  # effects that pairs are made of
+STEPS_OF_FOLD = 2  # of Gauss-Newton in the folds of the hold-out; a third changes only the last digits
+ROUNDS = 4  # of fits with new sensitivities, where predictions are cheap
+PAIRS = 2  # fitted jointly after effects were found one by one
+AMONG = 10  # effects from which pairs are formed
 
 
 @dataclass(frozen=True)
 class Rival:
-    """An effect in the place of a chosen one.
+    """An effect in place of a chosen one.
 
     Attributes:
         name: The effect.
@@ -65,7 +65,7 @@ class Rival:
     tied: bool
 
 
-Told = Callable[[str, float], None]
+ProgressCallback = Callable[[str, float], None]
 
 
 class Search:
@@ -73,17 +73,17 @@ class Search:
 
     Args:
         effects: Effects to consider.
-        evidence: Residuals of the model in the clusters that may be looked at.
-        shortlist: Candidates that are fitted through the model in every round.
-        told: Called with effects joined by ``+`` and the error that they leave in clusters left out, on the scale of
-            :meth:`Evidence.size`, whenever they have been fitted.
-        known: Where the search over all clusters of the source has ended, see ``ended``; fits may begin there.
+        evidence: Residuals of the model in the clusters of the search.
+        shortlist: Number of candidates that are fitted by simulation in every round.
+        progress: Called after every fit with the effects joined by ``+`` and their held-out error, on the scale of
+            :meth:`Evidence.size`.
+        known: Results of the search over all clusters of the source, see ``ended``; fits may start there.
 
     Attributes:
-        singles: Every effect alone, linearised where it does nothing; not those that are never measured.
-        unmeasured: Effects that change nothing that was measured.
-        ruled_out: Effects that free motion rules out, which are not looked for in contact.
-        ended: Where fits through the model have ended, by the names of their effects.
+        singles: Every measurable effect alone, linearised at nominal.
+        unmeasured: Effects that change no measured feature.
+        ruled_out: Effects ruled out by free motion, and not searched in contact.
+        ended: Results of fits by simulation, by the names of their effects.
     """
 
     def __init__(
@@ -91,10 +91,10 @@ class Search:
         effects: Sequence[Effect],
         evidence: Evidence,
         shortlist: int = SHORTLIST,
-        told: Told = lambda *_: None,
+        progress: ProgressCallback = lambda *_: None,
         known: Mapping[tuple[str, ...], Candidate] | None = None,
     ) -> None:
-        self.evidence, self._shortlist, self._told = evidence, shortlist, told
+        self.evidence, self._shortlist, self._progress = evidence, shortlist, progress
         self.source = evidence.source
         self._effects = tuple(effects)
         self.singles: dict[str, Candidate] = {}
@@ -111,11 +111,11 @@ class Search:
         effects: Sequence[Effect],
         evidence: Evidence,
         shortlist: int = SHORTLIST,
-        told: Told = lambda *_: None,
+        progress: ProgressCallback = lambda *_: None,
         known: Mapping[tuple[str, ...], Candidate] | None = None,
     ) -> Search:
-        """A search that knows what every effect does to the clusters; arguments as for the class."""
-        search = cls(effects, evidence, shortlist, told, known)
+        """A search with the sensitivities of all effects; arguments as for the class."""
+        search = cls(effects, evidence, shortlist, progress, known)
         search._screen()
         return search
 
@@ -137,16 +137,16 @@ class Search:
     def _linearised(
         self, effects: tuple[Effect, ...], evidence: Evidence, where: Where = concerns, point: Array | None = None
     ) -> Candidate | None:
-        """Effects together about a point; None: where they do nothing."""
+        """Effects linearised together about a point; None: at nominal."""
         candidate = Candidate.of(effects, evidence.source, point)
         return linearise(candidate, evidence.clusters, evidence.numbers, evidence.source, where=where)
 
     def _start(self, candidate: Candidate) -> Candidate:
-        """Where to begin to fit: of several values of shape parameters those that fit best.
+        """Start of a fit: the best of several values of the shape parameters.
 
-        Where trying them in contact is dear, they are fitted to the motion before it.
+        If contact is expensive to simulate, they are chosen by the motion before it.
         """
-        if not _bends(candidate):
+        if not has_shape_parameter(candidate):
             return candidate
         if (known := self._from_known(candidate, self.evidence)) is not None:
             return known
@@ -160,19 +160,19 @@ class Search:
         return linearise(there, evidence.clusters, evidence.numbers, self.source, "starts of the fit") or candidate
 
     def _proposed(self, chosen: Fit | None, name: str) -> Fit:
-        """Linear fit of one more effect; where its shape bends it, about what explains the motion before contact.
+        """Linear fit of one more effect; with a shape parameter, about its best fit to the motion before contact.
 
-        Where an effect begins by itself was fitted as if it were alone: friction that fades with speed, to what an
-        offset does. Beside that offset it is fitted anew, and linearised together with it.
+        The start of an effect was fitted as if it were alone, e.g. friction that decreases with speed in place of an
+        offset. Together with the chosen effects it is fitted anew and linearised with them.
         """
         proposal = self.beside(chosen, name)
-        if chosen is None or self.source.cheap or not _bends(self._starts[name]):
+        if chosen is None or self.source.cheap or not has_shape_parameter(self._starts[name]):
             return proposal
         there = self._from_known(proposal.candidate, proposal.evidence) or self._bent_beside(chosen, name)
         return proposal if there is None else Fit.of(there, proposal.evidence)
 
     def _bent_beside(self, chosen: Fit, name: str) -> Candidate | None:
-        """Chosen effects and one more where they explain the motion before contact better; None: it does not."""
+        """Chosen effects and one more, fitted to the motion before contact; None if that does not lower the error."""
         evidence, whole = self._before_contact(), chosen.evidence
         if evidence.reference.freedom < LEAST_FREEDOM:
             return None
@@ -189,8 +189,8 @@ class Search:
         return linearise(there, whole.clusters, whole.numbers, self.source, "starts of the fit")
 
     def _fitted(self, candidate: Candidate, evidence: Evidence) -> Fit:
-        """A fit where predictions are cheap: with a shape, which bends everything, from its best value and again."""
-        if not _bends(candidate):
+        """A fit with cheap predictions: shape parameters start at their best value, and rounds are repeated."""
+        if not has_shape_parameter(candidate):
             return refine(candidate, evidence)
         fitted = refine(self._best_shape(candidate, evidence), evidence)
         for _ in range(ROUNDS):
@@ -212,17 +212,17 @@ class Search:
         for values in product(*(candidate.scalars[index].grid for index in shapes)):
             point = candidate.point.copy()
             point[shapes] = values
-            # Where the effect is off its shape moves nothing, so the features are those of the nominal point.
+            # At nominal the shape parameter has no influence, so the features are those of the nominal point.
             moved = linearise(replace(candidate, point=point), evidence.clusters, evidence.numbers, evidence.source)
             if moved is not None:
                 tried.append(moved)
         return min(tried, key=lambda entry: Fit.of(entry, evidence).misfit)
 
     def _absent(self, effects: Sequence[Effect]) -> dict[str, Candidate]:
-        """Effects that free motion there and back rules out, with their sensitivities there.
+        """Effects ruled out by free motion there and back, with their sensitivities there.
 
-        Those with several parameters, up to two for every joint, are dear to look at in every push as well. What shows
-        nothing in free motion is not there. Nor is what cannot explain it, where a single other effect does.
+        Effects with several parameters, up to two per joint, are expensive to simulate in every push. They are ruled
+        out if they are not significant in free motion, or if they cannot explain it while another single effect does.
         """
         if self.source.cheap or not any(item.contact for item in self.evidence.clusters):
             return {}
@@ -250,14 +250,14 @@ class Search:
         return {name: self._as_seen_in(alone[name], evidence) for name in absent}
 
     def _before_contact(self) -> Evidence:
-        """The evidence before anything was hit, in every cluster or in those in which nothing ever is."""
+        """The evidence of free motion: the time before contact in every cluster, or the clusters without contact."""
         free = self.source.free_motion
         if free is None:
             return self.evidence.only([n for n, item in enumerate(self.evidence.clusters) if not item.contact])
         return Evidence.of(free, self.evidence.numbers, self.evidence.thrifty)
 
     def _as_seen_in(self, candidate: Candidate, evidence: Evidence) -> Candidate:
-        """A candidate that was looked at in some clusters or features, beside all others: there it does nothing."""
+        """A candidate evaluated in some clusters or features, extended to all with zero sensitivity."""
         known = dict(zip(evidence.numbers, zip(evidence.clusters, candidate.jacobians, strict=True), strict=True))
         jacobians = []
         for number, item in zip(self.evidence.numbers, self.evidence.clusters, strict=True):
@@ -271,7 +271,7 @@ class Search:
         return replace(candidate, offsets=nothing, jacobians=tuple(jacobians))
 
     def _cannot_explain(self, candidates: dict[str, Candidate], evidence: Evidence) -> set[str]:
-        """Candidates that are far from explaining the motion before contact, where one of them does."""
+        """Candidates that cannot explain the motion before contact, if another one can."""
         enough = 2.0 * float(evidence.expected.mean())
         explained = 2.0 * enough  # no simulator is exactly right
         if evidence.excess(evidence.errors) < enough:
@@ -279,12 +279,13 @@ class Search:
         fits = self._fitted_before_contact
         linear = {name: Fit.of(candidate, evidence) for name, candidate in candidates.items()}
         far, steps = HOPELESS**2 * enough, STEPS_OF_FOLD if evidence.thrifty else STEPS
-        for name in sorted(candidates, key=lambda entry: (_bends(candidates[entry]), linear[entry].misfit)):
+        shaped = {name: has_shape_parameter(candidate) for name, candidate in candidates.items()}
+        for name in sorted(candidates, key=lambda entry: (shaped[entry], linear[entry].misfit)):
             candidate = candidates[name]
             if min((fitted.misfit for fitted in fits.values()), default=np.inf) > explained:
                 fits[name] = see_all(self._fitted(candidate, evidence))
                 continue
-            bent = linear[name].misfit <= far or _bends(candidate)
+            bent = linear[name].misfit <= far or shaped[name]
             fits[name] = refine(candidate, evidence, far, steps) if bent else linear[name]
             if fits[name].misfit <= far:
                 fits[name] = see_all(fits[name])
@@ -294,7 +295,7 @@ class Search:
         return {name for name, fitted in fits.items() if fitted.misfit > HOPELESS * max(best, enough)}
 
     def _prefetch(self, effects: Sequence[Effect], where: Where, evidence: Evidence | None = None) -> None:
-        """Make the predictions of the screening in one parallel batch."""
+        """Compute the predictions of the screening in one parallel batch."""
         evidence = evidence or self.evidence
         batch = [
             item
@@ -304,11 +305,11 @@ class Search:
         evidence.source.predict(batch, "sensitivities of all effects")
 
     def p_values(self, chosen: Fit | None) -> dict[str, float]:
-        """p per effect beside those already chosen, adjusted for looking at all (Benjamini and Hochberg)."""
+        """p-value per effect given the chosen ones, adjusted for testing all (Benjamini and Hochberg)."""
         return adjusted(self.raw_p_values(chosen))
 
     def raw_p_values(self, chosen: Fit | None) -> dict[str, float]:
-        """p per effect beside those already chosen, as if it were the only one that was looked at."""
+        """p-value per effect given the chosen ones, not adjusted."""
         raw = {}
         for name, candidate in self.singles.items():
             if chosen is None:
@@ -324,10 +325,10 @@ class Search:
         return raw
 
     def choose(self, thrifty: bool = False) -> Fit | None:
-        """Forward selection; None where nothing is accepted.
+        """Forward selection; None if no effect is accepted.
 
         Args:
-            thrifty: Leave out what only sharpens the last digits: residuals trial by trial, and pairs.
+            thrifty: Skip refinements of the last digits: residuals run by run, and pairs.
         """
         chosen = self._extend(None, thrifty)
         if chosen is not None:
@@ -337,7 +338,7 @@ class Search:
         return chosen
 
     def _extend(self, chosen: Fit | None, thrifty: bool) -> Fit | None:
-        """Add effects as long as one is accepted."""
+        """Add effects until none is accepted."""
         first = self.evidence.excess(self.evidence.errors)
         decidable = self.evidence.reference.shortage is None
         while chosen is None or len(chosen.candidate.effects) < MOST_EFFECTS:
@@ -353,8 +354,8 @@ class Search:
             likely = [n for n, p in p_values.items() if n not in self.ruled_out and (p < SIGNIFICANT or not decidable)]
             linear = sorted((self._proposed(chosen, name) for name in likely), key=lambda entry: entry.score)
             for entry in linear:
-                self._tell(entry)
-            # What is small is linear: a proposal that gains nothing there will not gain by being fitted properly.
+                self._report_progress(entry)
+            # Small effects are linear: a proposal without gain in the linear fit has none by simulation.
             if chosen is not None:
                 linear = [entry for entry in linear if excess - evidence.excess(entry.held_out) > 0.5 * needed]
             if thrifty and linear:
@@ -370,17 +371,14 @@ class Search:
         self.ended[fitted.candidate.names] = fitted.candidate
 
     def _from_known(self, candidate: Candidate, evidence: Evidence) -> Candidate | None:
-        """The effects of a candidate where the search over more clusters has ended with them; None: it had none.
-
-        The replays there are those of that search.
-        """
+        """The candidate at its result in the search over more clusters, whose replays are kept; None without one."""
         known = self._known.get(candidate.names)
         if known is None:
             return None
         return evaluate_at(replace(known, origin=candidate.origin), known.point, evidence)
 
     def _begin(self, entry: Fit) -> Candidate:
-        """Where to begin to fit: of where a proposal is linearised and where it is known to have ended, the better."""
+        """Start of a fit: the linearisation point or the known result, whichever fits better."""
         known = self._from_known(entry.candidate, entry.evidence)
         if known is None:
             return entry.candidate
@@ -388,17 +386,17 @@ class Search:
         errors = [float(np.mean(entry.evidence.problem(one).errors(nothing))) for one in (entry.candidate, known)]
         return known if errors[1] < errors[0] else entry.candidate
 
-    def _tell(self, fitted: Fit) -> None:
-        self._told("+".join(fitted.candidate.names), self.evidence.size(fitted.held_out))
+    def _report_progress(self, fitted: Fit) -> None:
+        self._progress("+".join(fitted.candidate.names), self.evidence.size(fitted.held_out))
 
     @property
     def lacking(self) -> bool:
-        """Whether the model leaves more than noise and discrepancy; if not, what is too small to matter stays out."""
+        """Whether residuals exceed noise and discrepancy; if not, effects below the relevance limit are not added."""
         left = self.evidence.lack_of_fit
         return left is None or left < SIGNIFICANT
 
     def alone(self, name: str) -> Fit:
-        """Fit of one effect by itself: of where it is linearised and where its fit has ended, the better."""
+        """Fit of one effect alone: at its linearisation or at its known result, whichever fits better."""
         fits = [self.beside(None, name)]
         ended = self.ended.get((name,))
         moved = None if ended is None else evaluate_at(replace(ended, origin=()), ended.point, self.evidence)
@@ -413,19 +411,19 @@ class Search:
         return Fit.of(chosen.candidate.beside(self._starts[name]), chosen.evidence)
 
     def _best(self, shortlist: Sequence[Fit], chosen: Fit | None, steps: int) -> Fit | None:
-        """The shortlist fitted through the model: the best, and of those as good the one with the fewest parameters."""
+        """The shortlist fitted by simulation: the best, or among equals the one with the fewest parameters."""
         found: list[Fit] = []
         for entry in shortlist:
             beat = min((proposal.score for proposal in found), default=np.inf)
             found.append(refine(self._begin(entry), entry.evidence, HOPELESS * beat, steps))
-            self._tell(found[-1])
+            self._report_progress(found[-1])
         if not found:
             return None
         top = min(proposal.score for proposal in found)
         for number, proposal in enumerate(found):
             if proposal.score <= HOPELESS * top:
                 seen = see_all(proposal)
-                # The search that knew it has looked elsewhere.
+                # The search over all clusters has already tried other starts.
                 found[number] = seen if proposal.candidate.names in self._known else look_elsewhere(seen)
             self._keep(found[number])
         first = 0 if chosen is None else chosen.change.size
@@ -433,7 +431,7 @@ class Search:
         found = [proposal for proposal in found if sure(proposal, first)]
         if self.source.repeated and chosen is None:
             enough = [proposal for proposal in found if moves_enough(proposal)]
-            if len(enough) < len(found) and not self.lacking:  # whether anything is lacking is dear to tell
+            if len(enough) < len(found) and not self.lacking:  # the lack-of-fit test is expensive
                 found = enough
         if not found:
             return None
@@ -443,7 +441,7 @@ class Search:
         return min(alike, key=lambda entry: (entry.candidate.effects[-1].complexity(joints), entry.score))
 
     def _without_the_superfluous(self, chosen: Fit) -> Fit:
-        """Without effects that later ones made superfluous."""
+        """The fit without effects that later ones made redundant."""
         for name in chosen.candidate.names:
             if len(chosen.candidate.effects) == 1:
                 break
@@ -460,12 +458,12 @@ class Search:
 
     @staticmethod
     def _others(chosen: Fit, name: str) -> Candidate:
-        """The chosen effects but one, at their estimates, with the sensitivities they have."""
+        """The chosen effects but one, at their estimates, with unchanged sensitivities."""
         return replace(chosen.candidate, point=chosen.estimate).without(name)
 
     @staticmethod
     def left_without(chosen: Fit, name: str) -> Evidence:
-        """The evidence less what the other chosen effects explain of it: residuals to test one effect by."""
+        """The evidence with the residuals of the other chosen effects, to test one effect."""
         part = chosen.candidate.part(name)
         evidence = chosen.evidence
         reduced = evidence.problem(chosen.candidate.fixed(*range(part.start, part.stop)))
@@ -473,7 +471,7 @@ class Search:
         return evidence.shifted([item.mean - left for item, left in zip(evidence.clusters, rest, strict=True)])
 
     def joint_alternatives(self, chosen: Candidate, index: int) -> list[tuple[str, Candidate]]:
-        """The chosen effects with one joint's parameter exchanged for that joint's parameter of another effect."""
+        """The chosen effects with the parameter of one joint replaced by that joint's parameter of another effect."""
         scalar = chosen.scalars[index]
         found = []
         for name, single in self._starts.items():
@@ -490,7 +488,7 @@ class Search:
         return found
 
     def _try_pairs(self, chosen: Fit) -> Fit:
-        """A pair found together may beat one found step by step."""
+        """Fit pairs jointly: they may beat effects found one by one."""
         likely = [name for name in self.singles if name not in self.ruled_out]
         linear = {name: Fit.of(self._starts[name], self.evidence).score for name in likely}
         names = sorted(likely, key=lambda name: linear[name])[:AMONG]
@@ -507,9 +505,9 @@ class Search:
         return chosen
 
     def settle(self, chosen: Fit) -> tuple[Fit, list[Rival]]:
-        """Exchange what an effect with fewer parameters explains as well, and find out what else could stand there.
+        """Replace effects by equivalent ones with fewer parameters, and list the remaining alternatives.
 
-        A constant vertical pull is a payload before it is a spring, and a payload before it is a gain of every joint.
+        A constant vertical force is attributed to a payload rather than to a spring or to gains of all joints.
         """
         joints = self.source.joints
         known = {name: single.effects[0] for name, single in self.singles.items()}
@@ -525,13 +523,13 @@ class Search:
             if not simpler:
                 break
             best = min(simpler, key=lambda rival: (known[rival.name].complexity(joints), rival.fit.score))
-            # What the other explained besides may be missing now.
+            # The replaced effect may have explained more, which is missing now.
             chosen = self._extend(measure_again(best.fit), thrifty=False) or chosen
             rivals = self.rivals(chosen)
         return chosen, rivals
 
     def rivals(self, chosen: Fit, count: int = 3) -> list[Rival]:
-        """What could stand in the place of every chosen effect, fitted beside the others that are chosen."""
+        """Alternatives to every chosen effect, fitted together with the other chosen ones."""
         found = []
         for name in chosen.candidate.names:
             others = self._others(chosen, name)
@@ -556,7 +554,7 @@ class Search:
 def tied(chosen: Fit, rival: Fit) -> bool:
     """Whether a rival predicts unseen clusters as well: mean log ratio of errors within two standard errors of 0.
 
-    Clusters in which the two do the same say nothing about it.
+    Clusters in which both predict the same are ignored.
     """
     return tied_errors(chosen.held_out, rival.held_out, chosen.evidence.expected / 2.0 + 1e-12)
 
@@ -567,7 +565,7 @@ def tied_errors(own: Array, other: Array, floor: Array | float) -> bool:
     Args:
         own: Of the one that was chosen.
         other: Of the one that could stand in its place.
-        floor: Errors below which a ratio says nothing.
+        floor: Error added to both, so that ratios of negligible errors are near 1.
     """
     ratio = np.log((other + floor) / (own + floor))
     moved = np.abs(ratio) > 1e-3
@@ -578,17 +576,17 @@ def tied_errors(own: Array, other: Array, floor: Array | float) -> bool:
     return float(ratio.mean()) < max(TIE, min(2.0 * spread, WIDE_TIE))
 
 
-def _bends(candidate: Candidate) -> bool:
-    """Whether a shape bends what the effect does, so that it has several places to begin from."""
+def has_shape_parameter(candidate: Candidate) -> bool:
+    """Whether a nonlinear shape parameter needs several starts of the fit."""
     return any(scalar.grid for scalar in candidate.scalars)
 
 
 def consistent(fitted: Fit, first: int = 0) -> bool:
-    """Whether all conditions agree that some parameter, from number ``first`` on, is not where it does nothing.
+    """Whether all conditions agree that some parameter, from number ``first`` on, differs from nominal.
 
-    A p value asks whether noise could do it. What a simulator gets wrong is no noise, but it fits other values in other
-    conditions: an interval that knows how far they disagree, of the same significance over all parameters, still has to
-    leave out that nothing happens. From too few conditions nobody knows how far they disagree.
+    A p-value accounts for noise only. Simulator errors give different estimates in different conditions, so an interval
+    from the scatter between conditions, at the same level over all parameters, must exclude the nominal value as well.
+    With too few conditions that scatter is unknown, and the test passes.
     """
     candidate = fitted.candidate
     if sum(bool(np.any(jacobian)) for jacobian in candidate.jacobians) < LEAST_TO_DISAGREE:
@@ -603,18 +601,19 @@ def consistent(fitted: Fit, first: int = 0) -> bool:
 
 
 def moves_enough(fitted: Fit, part: slice = slice(None)) -> bool:
-    """Whether some parameters of a fit move some feature by more than anybody cares about."""
+    """Whether some parameters of a fit change some feature by more than its relevance limit."""
     change = ((fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale)[part]
-    return any(
-        bool(np.any(np.abs(jacobian[:, part] @ change) * item.sigma > [feature.floor for feature in item.features]))
-        for item, jacobian in zip(fitted.evidence.clusters, fitted.candidate.jacobians, strict=True)
-    )
+    for item, jacobian in zip(fitted.evidence.clusters, fitted.candidate.jacobians, strict=True):
+        limits = [feature.relevance_limit for feature in item.features]
+        if np.any(np.abs(jacobian[:, part] @ change) * item.sigma > limits):
+            return True
+    return False
 
 
 def noticeable(fitted: Fit, first: int = 0) -> bool:
-    """Whether the interval of some parameter, from number ``first`` on, lies wholly beyond what the source counts.
+    """Whether the interval of some parameter, from number ``first`` on, lies beyond the least change of the source.
 
-    Parameters that stop at a bound do not count: there the interval means nothing.
+    Parameters at a bound do not count: their intervals are invalid.
     """
     candidate = fitted.candidate
     distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale - fitted.half_widths

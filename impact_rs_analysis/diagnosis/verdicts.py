@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of every effect and of the whole, from fits, references and the hold-out."""
+"""Verdicts on every effect and on the whole, from fits, reference distributions and the hold-out."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ MOST_SIZES = 3
 MOST_RESTS = 10
 
 NOT_MEASURED = {
-    "motor side": "the motor side is not in these measurements",
-    "actuation": "the commanded torque is not in these measurements",
+    "motor side": "no motor-side signal was measured",
+    "actuation": "no commanded torque was measured",
     "contact": "no contact was measured",
     "object": "no object was measured",
 }
@@ -53,14 +53,14 @@ NOT_MEASURED = {
 
 @dataclass(frozen=True)
 class Findings:
-    """Everything that verdicts are made from.
+    """Input of the verdicts.
 
     Attributes:
         search: Of all clusters.
-        chosen: The accepted fit; None: nothing was.
-        rivals: What could stand in the place of the chosen effects.
-        hold_out: Errors on clusters that no search has seen; None: too little to hold anything out.
-        p_values: By effect, adjusted: of unchosen ones beside the chosen, of chosen ones beside the other chosen.
+        chosen: The accepted fit; None if no effect was accepted.
+        rivals: Alternatives to the chosen effects.
+        hold_out: Held-out errors; None with too few clusters.
+        p_values: By effect, adjusted: of unchosen ones given the chosen, of chosen ones given the other chosen.
     """
 
     search: Search
@@ -81,11 +81,11 @@ class Findings:
 
     @property
     def unexplained(self) -> list[Array]:
-        """What stays of the mean residuals, ``(F,)`` per cluster [-]."""
+        """Mean residuals with the chosen effects, ``(F,)`` per cluster [-]."""
         return [item.mean for item in self.evidence.clusters] if self.chosen is None else self.chosen.rest
 
     def tied_with(self, name: str) -> tuple[str, ...]:
-        """Effects that could stand in the place of a chosen one."""
+        """Effects that predict as well in place of a chosen one."""
         tied = [rival.name for rival in self.rivals if rival.instead_of == name and rival.tied]
         if self.hold_out is not None:
             without = [names for names in self.hold_out.chosen if name not in names]
@@ -94,8 +94,8 @@ class Findings:
         return tuple(dict.fromkeys(tied))
 
 
-def told(evidence: Evidence, rest: Sequence[Array]) -> float:
-    """Size of residuals as the user reads it: in multiples of repetition, or rms in the unit of the source.
+def residual_size(evidence: Evidence, rest: Sequence[Array]) -> float:
+    """Size of residuals in reports: multiples of repeatability [-], or rms in the unit of the source.
 
     Args:
         evidence: The clusters.
@@ -103,30 +103,30 @@ def told(evidence: Evidence, rest: Sequence[Array]) -> float:
     """
     if evidence.source.repeated:
         return evidence.size(np.array([float(np.mean(np.square(values))) for values in rest]))
-    weight = evidence.source.told_weight
+    weight = evidence.source.residual_weight
     weighted = [values * weight(item) for item, values in zip(evidence.clusters, rest, strict=True)]
     return float(np.sqrt(np.mean(np.square(np.concatenate(weighted)))))
 
 
-def noise_told(evidence: Evidence) -> float:
-    """What :func:`told` is where only noise is left."""
+def noise_size(evidence: Evidence) -> float:
+    """Value of :func:`residual_size` when only noise remains."""
     if evidence.source.repeated:
         return 1.0
-    return told(evidence, [item.pure for item in evidence.clusters])
+    return residual_size(evidence, [item.pure for item in evidence.clusters])
 
 
-def unit_told(evidence: Evidence) -> str:
-    """Unit of :func:`told`."""
-    return TIMES if evidence.source.repeated else evidence.source.told_unit
+def residual_unit(evidence: Evidence) -> str:
+    """Unit of :func:`residual_size`."""
+    return TIMES if evidence.source.repeated else evidence.source.residual_unit
 
 
-def p_told(value: float) -> float:
-    """No p is told below what is known of the tails of noise."""
+def clip_p(value: float) -> float:
+    """A p-value, not below ``LEAST_P``: the tails of the noise are not known further out."""
     return max(value, LEAST_P)
 
 
 def sizes_of(fitted: Fit, name: str) -> list[SizeDocument]:
-    """What one effect of a fit does to the signals, the most noticeable first."""
+    """Changes of the signals by one effect of a fit, largest first relative to the relevance limit."""
     part = fitted.candidate.part(name)
     change = ((fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale)[part]
     largest: dict[tuple[str, str], tuple[float, str, float]] = {}
@@ -135,16 +135,16 @@ def sizes_of(fitted: Fit, name: str) -> list[SizeDocument]:
         for feature, value in zip(item.features, moved, strict=True):
             key = (feature.phase, feature.signal)
             if value > largest.get(key, (0.0, "", 0.0))[0]:
-                largest[key] = (float(value), feature.unit, feature.floor)
+                largest[key] = (float(value), feature.unit, feature.relevance_limit)
     found = [
-        SizeDocument(phase=phase, signal=signal, value=value, unit=unit, floor=floor)
-        for (phase, signal), (value, unit, floor) in largest.items()
+        SizeDocument(phase=phase, signal=signal, value=value, unit=unit, floor=limit)
+        for (phase, signal), (value, unit, limit) in largest.items()
     ]
     return sorted(found, key=lambda size: -size.value / size.floor if size.floor else -size.value)[:MOST_SIZES]
 
 
 def matters(fitted: Fit, name: str) -> bool:
-    """Whether an effect moves some signal by more than anybody cares about, or of a recording is noticeable."""
+    """Whether an effect changes some signal beyond its relevance limit, or is noticeable in a recording."""
     source = fitted.evidence.source
     if not source.repeated and source.least_change > 0.0:
         return noticeable(fitted)
@@ -152,7 +152,7 @@ def matters(fitted: Fit, name: str) -> bool:
 
 
 def certain(fitted: Fit, name: str) -> bool:
-    """Whether the 95 % interval of some parameter of an effect leaves out the value at which it does nothing."""
+    """Whether the 95 % interval of some parameter of an effect excludes its nominal value."""
     candidate = fitted.candidate
     distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale
     own = np.array([not scalar.shape for scalar in candidate.scalars])
@@ -160,7 +160,7 @@ def certain(fitted: Fit, name: str) -> bool:
 
 
 def without_the_doubtful(search: Search, chosen: Fit) -> Fit | None:
-    """The chosen effects but those that neither matter nor are certain; None: none is left."""
+    """The chosen effects without those that are neither relevant nor certain; None if none remains."""
     for name in chosen.candidate.names:
         if matters(chosen, name) or certain(chosen, name):
             continue
@@ -173,21 +173,21 @@ def without_the_doubtful(search: Search, chosen: Fit) -> Fit | None:
 
 
 def rests_of(evidence: Evidence, rest: Sequence[Array]) -> list[RestDocument]:
-    """Where differences stay: phase x signal x index, by their share of what is left."""
+    """Remaining residuals by phase, signal and index, sorted by their share."""
     squares: dict[tuple[str, str, str], list[tuple[float, float, float]]] = {}
     facts: dict[tuple[str, str, str], tuple[str, float]] = {}
     for item, values in zip(evidence.clusters, rest, strict=True):
         expected = np.square(item.pure) / item.count + np.square(item.discrepancy)
         for feature, value, noise, sigma in zip(item.features, values, expected, item.sigma, strict=True):
             squares.setdefault(feature.group, []).append((float(value**2), float(noise), float(sigma)))
-            facts[feature.group] = (feature.unit, feature.floor)
+            facts[feature.group] = (feature.unit, feature.relevance_limit)
     total = sum(row[0] for rows in squares.values() for row in rows)
     found = []
     for (phase, signal, index), rows in squares.items():
         table = np.array(rows)
         excess = float(np.mean((table[:, 0] - table[:, 1]) * table[:, 2] ** 2))
         noise = float(np.mean(table[:, 1]))
-        unit, floor = facts[phase, signal, index]
+        unit, limit = facts[phase, signal, index]
         found.append(
             RestDocument(
                 phase=phase,
@@ -195,7 +195,7 @@ def rests_of(evidence: Evidence, rest: Sequence[Array]) -> list[RestDocument]:
                 index=index,
                 value=math.sqrt(max(excess, 0.0)),
                 unit=unit,
-                floor=floor,
+                floor=limit,
                 share=float(table[:, 0].sum()) / max(total, 1e-300),
                 times_noise=math.sqrt(float(np.mean(table[:, 0])) / noise) if noise > 0.0 else 0.0,
             )
@@ -205,13 +205,13 @@ def rests_of(evidence: Evidence, rest: Sequence[Array]) -> list[RestDocument]:
 
 @dataclass(frozen=True)
 class Headline:
-    """The verdict over all.
+    """The overall verdict.
 
     Attributes:
         verdict: See :class:`~impact_rs_analysis.diagnosis.document.DiagnosisDocument`.
-        share: Share of the excess that stays.
-        before: p of the model's residuals being noise; None: nothing tells.
-        after: The same of what is left.
+        share: Share of the excess error that remains.
+        before: p-value of the model's residuals being noise; None without repeats.
+        after: The same of the remaining residuals.
     """
 
     verdict: str
@@ -221,7 +221,7 @@ class Headline:
 
 
 def headline(found: Findings) -> Headline:
-    """The verdict over all."""
+    """The overall verdict."""
     evidence, chosen = found.evidence, found.chosen
     before = evidence.lack_of_fit
     after = before if chosen is None else chosen.lack_of_fit()
@@ -230,9 +230,9 @@ def headline(found: Findings) -> Headline:
     if evidence.reference.shortage is not None:
         return Headline(TOO_FEW, share, before, after)
     if not evidence.source.repeated:
-        noise, left = noise_told(evidence), told(evidence, found.unexplained)
+        noise, left = noise_size(evidence), residual_size(evidence, found.unexplained)
         if chosen is None:
-            # Where nobody knows the noise, what no effect explains is not known to be more than that.
+            # With unknown noise (0), unexplained residuals cannot be shown to exceed it.
             return Headline(NONE if left > 2.0 * noise > 0.0 else NOTHING, share, before, after)
         if evidence.source.least_change == 0.0 and left > 2.0 * noise > 0.0:
             return Headline(_partly(found, share), share, before, after)
@@ -240,7 +240,7 @@ def headline(found: Findings) -> Headline:
     stays = after is not None and after < SIGNIFICANT
     large = any(rest.value > rest.floor for rest in rests_of(evidence, found.unexplained))
     if chosen is None:
-        # An effect may be significant alone; where all that differs is noise, it explains nothing that is missing.
+        # An effect may be significant alone; if the residuals are noise, it does not explain a deficit of the model.
         verdict = NONE if stays and large else SMALL if stays else NOTHING
     elif stays and large:
         verdict = _partly(found, share)
@@ -252,12 +252,12 @@ def headline(found: Findings) -> Headline:
 
 
 def _partly(found: Findings, share: float) -> str:
-    """The verdict where the chosen effects leave more than noise, by the share of the excess that stays."""
+    """The verdict if residuals exceed noise with the chosen effects, by the share of the excess that remains."""
     return f"{PARTLY}{{{', '.join(found.names)}}}" if share < 1.0 - MOST else NONE
 
 
 def effect_documents(found: Findings, known: dict[str, Effect]) -> list[EffectDocument]:
-    """What is said of every effect: chosen ones, then the others by their error, then those that nothing measured."""
+    """Documents of all effects: chosen ones, then the others by their error, then those not measured."""
     search = found.search
     reports = [_chosen_document(found, known[name]) for name in found.names]
     others = []
@@ -268,7 +268,7 @@ def effect_documents(found: Findings, known: dict[str, Effect]) -> list[EffectDo
     reports += others
     for name in sorted(search.unmeasured):
         effect = known[name]
-        why = NOT_MEASURED.get(effect.acts_on, "nothing of it is in these measurements")
+        why = NOT_MEASURED.get(effect.acts_on, "no measured signal depends on it")
         reports.append(
             EffectDocument(
                 name=name,
@@ -297,18 +297,18 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
     if evidence.reference.shortage is not None:
         verdict, reason = TOO_FEW, evidence.reference.shortage
     elif np.all(widths > UNSEEN):
-        verdict, reason = UNIDENTIFIABLE, "its interval is wider than anything that makes sense"
+        verdict, reason = UNIDENTIFIABLE, "the data do not determine it: its interval is too wide"
     elif np.all(bound) or (np.any(bound) and not places):
-        verdict, reason = AT_BOUND, "the best value lies at a bound; something else may be wrong"
+        verdict, reason = AT_BOUND, "the best value lies at a bound: another effect may be missing"
     elif not matters(chosen, name):
         size = sizes_of(chosen, name)[0]
         verdict = SMALL
-        reason = f"at most {size.value:.2g} {size.unit} of the {size.signal}; nobody cares below {size.floor:.2g}"
+        reason = f"at most {size.value:.2g} {size.unit} of the {size.signal}; relevance limit {size.floor:.2g}"
     elif rivals:
-        verdict, reason = f"{CONFUSABLE}{{{', '.join(sorted(rivals))}}}", "others predict unseen data as well"
+        verdict, reason = f"{CONFUSABLE}{{{', '.join(sorted(rivals))}}}", "other effects predict unseen data as well"
     else:
-        verdict, reason = CONFIRMED, "predicts what it was not fitted to, and nothing else does as well"
-    before = told(evidence, [item.mean for item in evidence.clusters])
+        verdict, reason = CONFIRMED, "predicts unseen data, and no other effect does as well"
+    before = residual_size(evidence, [item.mean for item in evidence.clusters])
     folds = None if found.hold_out is None else sum(name in names for names in found.hold_out.chosen)
     return EffectDocument(
         name=name,
@@ -318,17 +318,17 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
         rivals=rivals,
         parameters=_estimates(found, chosen, name),
         held_out_error_before=before,
-        held_out_error_after=told(chosen.evidence, chosen.problem.left_out_rest),
+        held_out_error_after=residual_size(chosen.evidence, chosen.problem.left_out_rest),
         held_out_error_alone=_error_alone(found, name),
         held_out_error_others=_error_without(found, name),
-        p_value=p_told(found.p_values[name]),
+        p_value=clip_p(found.p_values[name]),
         sizes=tuple(sizes_of(chosen, name)),
         chosen_in_folds=folds,
     )
 
 
 def _other_document(found: Findings, effect: Effect) -> EffectDocument:
-    """An effect that was not chosen, in the place of the one that it competes with, or else beside the chosen ones."""
+    """Document of an effect that was not chosen: in place of its chosen rival, or else added to the chosen ones."""
     search, evidence, name = found.search, found.evidence, effect.name
     own = [rival for rival in found.rivals if rival.name == name]
     tied = [rival for rival in own if rival.tied]
@@ -341,22 +341,22 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
     if evidence.reference.shortage is not None:
         verdict, reason = TOO_FEW, evidence.reference.shortage
     elif np.all(fitted.half_widths[part][shown] > UNSEEN):
-        verdict, reason = UNIDENTIFIABLE, "its interval is wider than anything that makes sense"
+        verdict, reason = UNIDENTIFIABLE, "the data do not determine it: its interval is too wide"
     elif rivals:
         verdict = f"{CONFUSABLE}{{{', '.join(sorted(rivals))}}}"
-        reason = "predicts unseen data as well where it takes the other's place"
+        reason = "predicts unseen data as well in place of the chosen effect"
     elif p < SIGNIFICANT and best is None:
         size = sizes_of(fitted, name)
-        verdict, reason = NO_IMPROVEMENT, "significant, but what is left is not predicted much better with it"
+        verdict, reason = NO_IMPROVEMENT, "significant, but it hardly lowers the held-out error"
         if not certain(fitted, name):
-            reason = "significant, but its interval contains the value at which it does nothing"
+            reason = "significant, but its interval contains the nominal value"
         elif size and all(entry.value <= entry.floor for entry in size):
             verdict = SMALL
             reason = f"at most {size[0].value:.2g} {size[0].unit} of the {size[0].signal}"
     else:
         verdict, reason = NO_IMPROVEMENT, ""
         if name in search.ruled_out:
-            reason = "free motion rules it out, so it was not tried in contact"
+            reason = "ruled out by free motion, and not tried in contact"
     base = [item.mean for item in evidence.clusters] if found.chosen is None else found.chosen.problem.left_out_rest
     return EffectDocument(
         name=name,
@@ -365,32 +365,32 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
         reason=reason,
         rivals=rivals,
         parameters=_estimates(found, fitted, name),
-        held_out_error_before=told(evidence, base),
-        held_out_error_after=told(fitted.evidence, fitted.problem.left_out_rest),
+        held_out_error_before=residual_size(evidence, base),
+        held_out_error_after=residual_size(fitted.evidence, fitted.problem.left_out_rest),
         held_out_error_alone=_error_alone(found, name),
-        held_out_error_others=told(evidence, base) if best is None else _error_without(found, best.instead_of),
-        p_value=p_told(p),
+        held_out_error_others=residual_size(evidence, base) if best is None else _error_without(found, best.instead_of),
+        p_value=clip_p(p),
         sizes=tuple(sizes_of(fitted, name)) if verdict != NO_IMPROVEMENT else (),
     )
 
 
 def _error_alone(found: Findings, name: str) -> float:
-    """Error on unseen clusters with one effect and no other; of a chosen one that stands alone its own."""
+    """Held-out error with one effect alone."""
     fitted = found.chosen if found.chosen is not None and found.names == (name,) else found.search.alone(name)
-    return told(fitted.evidence, fitted.problem.left_out_rest)
+    return residual_size(fitted.evidence, fitted.problem.left_out_rest)
 
 
 def _error_without(found: Findings, name: str) -> float | None:
-    """Error on unseen clusters with the chosen effects but one; None where these cannot be simulated."""
+    """Held-out error with the chosen effects but one; None if they cannot be simulated."""
     assert found.chosen is not None
     if found.names == (name,):
-        return told(found.evidence, [item.mean for item in found.evidence.clusters])
+        return residual_size(found.evidence, [item.mean for item in found.evidence.clusters])
     fitted = found.search.without(found.chosen, name)
-    return None if fitted is None else told(fitted.evidence, fitted.problem.left_out_rest)
+    return None if fitted is None else residual_size(fitted.evidence, fitted.problem.left_out_rest)
 
 
 def _at_bound(fitted: Fit) -> Array:
-    """Which estimates stop at a bound that is not their nominal value, ``(p,)`` of bool."""
+    """Whether estimates lie at a bound other than their nominal value, ``(p,)`` of bool."""
     candidate = fitted.candidate
     near = 1e-6 * candidate.scale
     low = (np.abs(fitted.estimate - candidate.lower) < near) & (np.abs(candidate.lower - candidate.nominal) > 1e-9)
@@ -399,14 +399,14 @@ def _at_bound(fitted: Fit) -> Array:
 
 
 def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDocument]:
-    """Estimates of one effect with intervals, cut off where no value makes sense."""
+    """Estimates of one effect with intervals, clipped to the bounds of the parameters."""
     candidate = fitted.candidate
     part = candidate.part(name)
     half = fitted.half_widths * candidate.scale
     result = {}
     for index in range(part.start, part.stop):
         scalar = candidate.scalars[index]
-        value = round(float(fitted.estimate[index]) / scalar.scale, 9) * scalar.scale  # a bound is met to rounding
+        value = round(float(fitted.estimate[index]) / scalar.scale, 9) * scalar.scale  # no rounding error at bounds
         low = max(value - float(half[index]), float(candidate.lower[index]))
         high = min(value + float(half[index]), float(candidate.upper[index]))
         verdict = p = before = after = None
@@ -428,7 +428,7 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
 
 
 def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float | None, float | None]:
-    """Verdict on one joint's parameter beside all others; p; held-out error of the joint without and with it."""
+    """Verdict and p-value of one joint's parameter given all others; the joint's held-out error without and with it."""
     candidate, evidence = fitted.candidate, fitted.evidence
     scalar = candidate.scalars[index]
     joint = f"joint{(scalar.joint or 0) + 1}"
@@ -454,10 +454,10 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float 
     else:
         verdict = f"{CONFUSABLE}{{{', '.join(sorted(rivals))}}}" if rivals else CONFIRMED
     if evidence.source.repeated:
-        return verdict, p_told(p), None, None
+        return verdict, clip_p(p), None, None
     item = evidence.clusters[0]
     sigma = next(float(s) for f, s in zip(item.features, item.sigma, strict=True) if f.index == joint)
-    return verdict, p_told(p), sigma * math.sqrt(error_without), sigma * math.sqrt(error)
+    return verdict, clip_p(p), sigma * math.sqrt(error_without), sigma * math.sqrt(error)
 
 
 def _of_joint(evidence: Evidence, rest: Sequence[Array], arm: str, joint: str) -> Array:
@@ -475,18 +475,18 @@ def change_interval(before: Sequence[Array], after: Sequence[Array], evidence: E
 
     Args:
         before: Mean residuals without, ``(F,)`` per cluster [-].
-        after: The same with what was found.
+        after: Mean residuals with the effects found, ``(F,)`` per cluster [-].
         evidence: The clusters.
     """
     count = len(before)
     if count < 2:
         return None
-    whole = told(evidence, after) - told(evidence, before)
+    whole = residual_size(evidence, after) - residual_size(evidence, before)
     alone = []
     for left in range(count):
         kept = [number for number in range(count) if number != left]
         part = evidence.only(kept)
-        alone.append(told(part, [after[n] for n in kept]) - told(part, [before[n] for n in kept]))
+        alone.append(residual_size(part, [after[n] for n in kept]) - residual_size(part, [before[n] for n in kept]))
     spread = math.sqrt((count - 1) / count * float(np.sum(np.square(np.array(alone) - np.mean(alone)))))
     half = float(scipy.stats.t.ppf(0.975, count - 1)) * spread
     return whole - half, whole + half

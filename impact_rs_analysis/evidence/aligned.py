@@ -54,8 +54,8 @@ class Track:
 
     Attributes:
         arms: By arm.
-        object_position: Geometric centre in A, ``(k, 3)`` [m]; NaN where it is not looked at.
-        object_yaw: Rotation about z, ``(k,)`` [rad]; NaN where it is not looked at.
+        object_position: Geometric centre in A, ``(k, 3)`` [m]; NaN where not tracked.
+        object_yaw: Rotation about z, ``(k,)`` [rad]; NaN where not tracked.
     """
 
     arms: dict[str, ArmTrack]
@@ -71,8 +71,8 @@ class AlignedRun:
         run: The measurement.
         time: Ticks of all windows, ``(k,)`` [s].
         starts: Rows in which a window begins.
-        measured: What was measured.
-        predicted: What the replay does when it starts where the window starts.
+        measured: The measurement.
+        predicted: The replay from the measured start of every window.
     """
 
     run: MeasuredRun
@@ -83,17 +83,17 @@ class AlignedRun:
 
     @property
     def impact(self) -> float | None:
-        """Begin of the impact [s]; None where nothing is hit."""
+        """Begin of the impact [s]; None without an impact."""
         return min(self.run.impacts.values()) if self.run.impacts else None
 
 
 def align(run: MeasuredRun, model: Model, added: Added = ()) -> AlignedRun:
-    """Replay a run and put both sides on one clock.
+    """Replay a run and align it with the measurement.
 
     Args:
-        run: What was measured.
-        model: What is believed.
-        added: Effects on top of it.
+        run: The measurement.
+        model: The model.
+        added: Effects added to it.
     """
     setup = run.setup
     replayed = setup.replayed(with_effects(model, setup.physics, added))
@@ -151,7 +151,7 @@ def aligned_name(condition: str) -> str:
 
 
 def check_free(runs: Runs, directory: Path) -> None:
-    """Check that no aligned bag is in the way before any is made.
+    """Check that no aligned bag exists, before any is written.
 
     Raises:
         InputError: One exists already.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What moves in a run, to be seen in 3D: arms, object, contact forces, and velocities before and after the impact.
+"""Motion of a run for the 3D view: arms, object, contact forces, and velocities before and after the impact.
 
-Contact forces are those of the momentum observer (:mod:`impact_rs_control.detection`), for a model as for what was
-measured: what the nominal rigid model of the arm lacks is in them.
+Contact forces are those of the momentum observer (:mod:`impact_rs_control.detection`), for model and measurement alike.
+They include errors of the nominal rigid model of the arm.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import BagError, JointColumns, TrialBag
 from impact_rs_trials.recordings.laboratory import LaboratoryRun
 
-OBJECT = "object"  # what the object is called beside the arms
-AFTER = JUMP_WINDOWS[SETTLED]  # s from the begin of the impact, over which the velocity after it is averaged
+OBJECT = "object"  # name of the object among the arms
+AFTER = JUMP_WINDOWS[SETTLED]  # s from the begin of the impact; window of the velocity after it
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class VelocityJump:
 
     Attributes:
         body: Name of the arm, whose end effector it is, or ``object``.
-        place: Where the body is when the impact begins, in A, ``(3,)`` [m].
+        place: Position of the body at the begin of the impact, in A, ``(3,)`` [m].
         before: Velocity 18 to 3 ms before that, in A, ``(3,)`` [m/s].
         after: Velocity 20 to 40 ms after it, of the object 6 to 40 ms, in A, ``(3,)`` [m/s].
     """
@@ -50,14 +50,14 @@ class VelocityJump:
 
 @dataclass(frozen=True)
 class Movement:
-    """What moves, measured or predicted.
+    """Motion of arms and object, measured or predicted.
 
     Attributes:
         joints: Joint positions by arm, ``(k, n)`` [rad].
-        rates: Joint velocities by arm, ``(k, n)`` [rad/s]; none where they are not known.
-        velocities: Velocity of E in A by arm, ``(k, 3)`` [m/s]; none where it is not known.
-        forces: Force of every arm on what it touches, at E, axes of A, ``(k, 3)`` [N]; none where it is not known.
-        object: Position of the object's centre in A [m] and quaternion x y z w, ``(k, 7)``; NaN where it was not seen.
+        rates: Joint velocities by arm, ``(k, n)`` [rad/s]; missing if not known.
+        velocities: Velocity of E in A by arm, ``(k, 3)`` [m/s]; missing if not known.
+        forces: Contact force of every arm on its environment, at E, axes of A, ``(k, 3)`` [N]; missing if not known.
+        object: Position of the object's centre in A [m] and quaternion x y z w, ``(k, 7)``; NaN where not tracked.
         jumps: Velocities before and after the impact.
     """
 
@@ -71,16 +71,16 @@ class Movement:
 
 @dataclass(frozen=True)
 class Animation:
-    """A run to be seen.
+    """A run for the 3D view.
 
     Attributes:
-        label: Which run.
-        physics: What stands in the scene, nominal.
+        label: Name of the run.
+        physics: Nominal physics of the scene.
         time: Of the run, ``(k,)`` [s].
-        starts: Rows in which a stretch begins; nothing is known between two stretches.
-        impact: Begin of the first impact [s]; None where nothing is hit.
-        measured: What was measured.
-        model: What the model does instead when it starts where a stretch starts; None: there is no model.
+        starts: Rows in which a stretch begins; there are no data between two stretches.
+        impact: Begin of the first impact [s]; None without an impact.
+        measured: The measurement.
+        model: The replay from the measured start of every stretch; None without a model.
     """
 
     label: str
@@ -108,7 +108,7 @@ def _of_track(aligned: AlignedRun, track: Track, models: Mapping[str, RobotModel
     thing[:, :3] = track.object_position
     thing[:, 3:] = np.column_stack((0.0 * half, 0.0 * half, np.sin(half), np.cos(half)))
     for window, rows in zip(run.setup.windows, _slices(edges), strict=True):
-        if run.hit and not window.contact:  # it stands where the impact will find it
+        if run.hit and not window.contact:  # the object rests where it will be hit
             thing[rows] = [*window.object.position, *quaternion_of(window.object.rotation)]
     forces, velocities = {}, {}
     for name, arm in track.arms.items():
@@ -129,7 +129,7 @@ def _slices(edges: Sequence[int]) -> list[slice]:
 
 
 def animation_of_motion(label: str, physics: Physics, arm: str, motion: Motion) -> Animation:
-    """A recording in free motion, of which nothing is known but the joints of one arm."""
+    """A recording of free motion, with the joints of one arm only."""
     time, kept = motion.time[motion.kept], motion.kept
     nowhere = np.full((time.size, 7), np.nan)
     moved = Movement({arm: motion.position[kept]}, {arm: motion.velocity[kept]}, {}, {}, nowhere, ())
@@ -137,11 +137,11 @@ def animation_of_motion(label: str, physics: Physics, arm: str, motion: Motion) 
 
 
 def animation_of_laboratory(item: LaboratoryRun, scenario: Scenario) -> Animation:
-    """A run of a laboratory as it was measured, stretch by stretch between its gaps.
+    """A laboratory run as measured, stretch by stretch between gaps.
 
     Args:
         item: The run.
-        scenario: What stands in its scene.
+        scenario: Its scene.
     """
     run = laboratory_run(item, scenario)
     models = run.physics.robot_models()
@@ -165,7 +165,7 @@ def animation_of_laboratory(item: LaboratoryRun, scenario: Scenario) -> Animatio
     thing = _poses_at(time, item.object_time, item.object_position, item.object_quaternion)
     try:
         impacts = {arm: begin for arm, (begin, _) in impacts_of(run).items()} if item.hit else {}
-    except InputError:  # nothing was hit, which is to be seen
+    except InputError:  # no impact: the run is shown all the same
         impacts = {}
     jumps = _jumps(time, joints, velocities, thing, impacts, models)
     return Animation(
@@ -179,7 +179,7 @@ def animation_of_laboratory(item: LaboratoryRun, scenario: Scenario) -> Animatio
 
 
 def animation_of_bag(bag: TrialBag) -> Animation:
-    """A recorded trial, from what a robot would tell: nothing below ``/truth`` is touched.
+    """A recorded trial, from the robot's own topics; ``/truth`` is not read.
 
     Raises:
         BagError: An arm's joint states are missing or damaged.
@@ -221,7 +221,7 @@ def _joint_states(bag: TrialBag, arm: str) -> JointColumns:
 
 
 def _object_poses(bag: TrialBag, time: Array) -> Array:
-    """Pose of the object at some times, ``(k, 7)``; NaN before and after it was tracked, and where there is none."""
+    """Pose of the object at some times, ``(k, 7)``; NaN where it is not tracked."""
     seen = bag.poses(topics.OBJECT_POSE)
     if bag.info.spec.scenario.excursion is not None:
         return np.full((time.size, 7), np.nan)
@@ -231,10 +231,10 @@ def _object_poses(bag: TrialBag, time: Array) -> Array:
 
 
 def _poses_at(time: Array, seen: Array, position: Array, quaternion: Array) -> Array:
-    """Poses at some times, ``(k, 7)``, of what was tracked at others; NaN before and after that.
+    """Tracked poses interpolated at some times, ``(k, 7)``; NaN outside the tracked time.
 
     Args:
-        time: Wanted times, ``(k,)`` [s].
+        time: Times of the result, ``(k,)`` [s].
         seen: Times of the poses, ``(p,)`` [s].
         position: ``(p, 3)`` [m].
         quaternion: x y z w, without changes of sign between samples, ``(p, 4)``.
@@ -260,7 +260,7 @@ def _jumps(
     impacts: Mapping[str, float],
     models: Mapping[str, RobotModel],
 ) -> tuple[VelocityJump, ...]:
-    """Of every arm that hit, and of the object; none where the windows hold no samples."""
+    """Velocity jumps of every arm that hit, and of the object; none if the windows hold no samples."""
     found = []
     for arm, begin in impacts.items():
         if arm not in velocities:
@@ -283,5 +283,5 @@ def _jumps(
 
 
 def _within(time: Array, begin: float, window: tuple[float, float]) -> Array:
-    """Which samples lie in a window that is told from the begin of the impact."""
+    """Mask of the samples in a window relative to the begin of the impact."""
     return np.asarray((time >= begin + window[0]) & (time <= begin + window[1]))

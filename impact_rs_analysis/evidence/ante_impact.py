@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The question to the impact map that a measured run asks: its state just before the impact."""
+"""Input of the impact map for a measured run: its state just before the impact."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState
 
-NEARLY = 0.2  # rad; a pad that is further from parallel hits with an edge on purpose
-TURNS = 3  # of the wrist; each leaves the square of what was there
+NEARLY = 0.2  # rad; a pad tilted further is meant to hit with an edge
+TURNS = 3  # corrections of the wrist; each squares the remaining angle
 
 
 def ante_impact_state(run: MeasuredRun) -> dict[str, ArmState]:
     """Joint states at the begin of the impact, by arm.
 
-    Lines through the samples of the last milliseconds before it, for an arm that accelerates is slower in their middle.
+    Extrapolated by lines through the last milliseconds before it; their mean would lag behind an accelerating arm.
     """
     window, states = run.signals[-1], {}
     for name, arm in run.signals[-1].arms.items():
@@ -35,7 +35,7 @@ def ante_impact_state(run: MeasuredRun) -> dict[str, ArmState]:
 
 
 def obliqueness(run: MeasuredRun) -> float:
-    """How far a hit is from face on face along the normal: the largest angle of pad or velocity against it [rad]."""
+    """Obliqueness of a hit: largest angle of pad normal or velocity to the contact normal [rad]."""
     physics, thing = run.setup.physics, run.setup.windows[-1].object
     states = ante_impact_state(run)
     models = physics.robot_models()
@@ -53,28 +53,28 @@ def obliqueness(run: MeasuredRun) -> float:
 
 
 def _nearest_face(thing: BodyState, direction: Array) -> Array:
-    """The axis of the object, of either sign, that points most along a direction, in A, ``(3,)``."""
+    """Outward axis of the object nearest to a direction, in A, ``(3,)``."""
     along = thing.rotation.T @ direction
     axis = int(np.argmax(np.abs(along)))
     return np.asarray(thing.rotation[:, axis] * np.sign(along[axis]))
 
 
 def _extrapolated(time: Array, values: Array) -> Array:
-    """A line through samples, at time 0."""
+    """Value at time 0 of the line through samples."""
     design = np.column_stack((np.ones_like(time), time))
     return np.asarray(np.linalg.lstsq(design, values, rcond=None)[0][0])
 
 
 def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced") -> ImpactProblem:
-    """What the impact map is asked about a measured run.
+    """Impact problem of a measured run.
 
-    A pad that comes tilted hits with an edge, turns, and ends face on face within milliseconds, for it is soft. The
-    velocity after that is what is measured, and what a rigid impact of parallel faces gives; so the wrist is turned
-    until they are parallel, with the velocity of the joints as measured.
+    A tilted soft pad hits with an edge and aligns with the face within milliseconds. The velocity is measured after
+    that, and corresponds to a rigid impact of parallel faces. So the wrist is turned until the faces are parallel;
+    joint velocities stay as measured.
 
     Args:
-        run: With an impact.
-        physics: What is believed.
+        run: Run with an impact.
+        physics: Physics of the model.
         motor_inertia: Motor-inertia model: ``reduced``, ``rotor`` or ``zero``.
     """
     thing = run.setup.windows[-1].object
@@ -86,7 +86,7 @@ def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced
         for meeting in meetings(physics, thing, placements)
         if meeting.partner != SUPPORT
     ]
-    # A tracker is some millimetres off, and the pad gives way; at the impact the two touch, whatever it says.
+    # Trackers err by millimetres and the pad is soft: at the impact pad and object are made to touch.
     touching = replace(thing, position=thing.position + np.mean(shifts, axis=0))
     return ImpactProblem(
         physics=physics,
@@ -99,7 +99,7 @@ def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced
 
 
 def _face_on_face(state: ArmState, model: RobotModel, thing: BodyState) -> ArmState:
-    """The arm with its pad parallel to the nearest face of the object, where it was nearly so."""
+    """The arm with its pad turned parallel to the nearest face of the object, if it nearly was."""
     q, facing = state.position.copy(), model.end_effector.pad_placement.rotation[:, 2]
     for _ in range(TURNS):
         normal = model.placement(q).rotation @ facing

@@ -1,21 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evidence: what every source of measurements comes down to before anything is explained.
+"""Evidence: scaled residuals, the common form of all measurements.
 
-A *cluster* is what is held out together: the repeats of a condition, or a stretch of a recording. Its residuals are
-measured minus predicted features, each divided by
+A *cluster* is held out as a whole: the repeats of a condition, or a stretch of a recording. Its residuals are measured
+minus predicted features, each divided by
 
-    sigma_f^2 = s_f^2 + (floor_f / 2)^2 + d_f^2
+    sigma_f^2 = s_f^2 + (l_f / 2)^2 + d_f^2
 
-with s_f the pure error (what repeats of a trial scatter, pooled over clusters of one layout, or the noise of a recorded
-signal), floor_f the difference below which nobody cares, and d_f the model discrepancy: how far equally valid
-simulations of the same parameters differ (:mod:`impact_rs_analysis.evidence.discrepancy`). Repeats share one
-sensitivity; what they average to is what a model has to explain.
+with s_f the pure error (scatter of repeats, pooled over clusters of one layout, or the noise of a recorded signal), l_f
+the relevance limit (smallest difference that matters), and d_f the model discrepancy: the difference between equally
+valid simulations of the same parameters (:mod:`impact_rs_analysis.evidence.discrepancy`). Repeats share one
+sensitivity; a model is fitted to their mean.
 
-Sizes are told on one scale, on which 1 is what repetition alone leaves:
+Sizes of residuals are multiples of repeatability:
 
     size^2 = sum_f r_f^2 / sum_f (s_f^2 / n + d_f^2) / sigma_f^2
 
-with r_f the mean residual of n repeats; where nothing is known of repetition, the scaled residual itself is told.
+with r_f the mean residual of n repeats. Without repeats the size is that of the scaled residuals.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import numpy as np
+from pydantic import AfterValidator
 
 from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.errors import InputError
@@ -36,7 +37,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array, JointType, RobotFacts
 
 Added = tuple[tuple[str, tuple[float, ...]], ...]
-"""Effects on top of a model: names with their parameter vectors."""
+"""Effects added to a model: names with their parameter vectors."""
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
@@ -44,16 +45,16 @@ Made = TypeVar("Made")
 
 @dataclass(frozen=True)
 class Feature:
-    """Where one number of a feature vector comes from.
+    """Description of one entry of a feature vector.
 
     Attributes:
-        phase: ``free``, ``impact`` or ``push``; of a recording ``moving up``, ``moving down`` or ``slow``.
-        signal: What it is.
+        phase: ``free``, ``impact`` or ``push``; for a recording ``moving up``, ``moving down`` or ``slow``.
+        signal: Name of the signal.
         index: Joint (``joint1``) or axis (``x``), with the arm's name in front where there are several.
         bin: Number of the time bin within the phase.
         unit: Unit.
-        floor: Differences below this are no concern to anyone, in the unit.
-        arm: Name of the arm; empty: of none, or of the only one that there is.
+        relevance_limit: Smallest difference that matters in practice, in the unit; 0: none is set.
+        arm: Name of the arm; empty for signals without an arm, and with a single arm.
     """
 
     phase: str
@@ -61,35 +62,35 @@ class Feature:
     index: str
     bin: int
     unit: str
-    floor: float
+    relevance_limit: float
     arm: str = ""
 
     @property
     def group(self) -> tuple[str, str, str]:
-        """Phase, signal and index: what its time bins have in common."""
+        """Phase, signal and index: the same for all time bins."""
         return self.phase, self.signal, self.index
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """Scaled residuals of what is held out together.
+    """Scaled residuals of measurements that are held out together.
 
     Attributes:
         name: Short name for tables.
-        place: Scenario, object and case; of a recording its file and the stretch.
+        place: Scenario, object and case; for a recording its file and the stretch.
         layout: Clusters of one layout have the same features, and share their pure error.
-        unit: What is held out as a whole: the cluster itself, or the recording that it is a stretch of.
-        contact: Whether something is hit.
-        features: What the entries are.
+        unit: Name of the unit that is held out: the cluster itself, or the recording of the stretch.
+        contact: Whether there is a contact.
+        features: Description of the entries.
         residuals: One row per repeat, ``(n, F)`` [-].
         sigma: Scale of each feature in its own unit, ``(F,)``.
         pure: Pure error of each feature over its scale, ``(F,)`` [-].
         discrepancy: Model discrepancy of each feature over its scale, ``(F,)`` [-].
-        patterns: How it moves the features together, ``(k, F)`` [-]: a sum of these rows with normal amplitudes, whose
-            squares add up to those of ``discrepancy``; None: every feature by itself.
-        alike: Clusters of one name have the same amplitudes; None: those of one layout.
-        late: What one standard deviation of the clock of commands, the same one everywhere, does to its residuals,
-            ``(F,)`` [-]; None: their clock is known.
+        patterns: Patterns of the discrepancy, ``(k, F)`` [-]: it is a sum of these rows with standard normal
+            amplitudes; column sums of squares equal those of ``discrepancy``. None: features are independent.
+        alike: Clusters with the same value share the amplitudes; None: clusters of one layout do.
+        late: Change of its residuals when commands act later by one standard deviation of their clock, ``(F,)`` [-];
+            None: the clock is known.
     """
 
     name: str
@@ -113,7 +114,7 @@ class Cluster:
 
     @cached_property
     def moved_together(self) -> Array:
-        """What discrepancy of amplitude 1 does, row by row, ``(k, F)`` [-]."""
+        """Change of the features by each pattern of discrepancy at amplitude 1, ``(k, F)`` [-]."""
         if self.patterns is not None:
             return self.patterns
         return np.diag(self.discrepancy)[self.discrepancy > 0.0]
@@ -123,7 +124,7 @@ class Cluster:
 
         Args:
             kept: Which of them, ``F``.
-            contact: Whether something is hit in what they tell.
+            contact: Whether these features include a contact.
         """
         rows = np.array(kept)
         return replace(
@@ -150,22 +151,31 @@ class Cluster:
 
     @property
     def expected(self) -> float:
-        """What :attr:`error` is when only repetition and model discrepancy are left [-]; 0 where nothing is known."""
+        """Expected :attr:`error` under repeatability and model discrepancy alone [-]; 0 where neither is known."""
         return float(np.mean(np.square(self.pure) / self.count + np.square(self.discrepancy)))
 
 
-TIMES = "times what repetition alone gives"
-"""Unit of sizes in multiples of repetition."""
+TIMES = "times repeatability"
+"""Unit of sizes in multiples of repeatability."""
+
+
+def _present_unit(unit: str) -> str:
+    """``TIMES`` in the words of earlier versions."""
+    return TIMES if unit == "times what repetition alone gives" else unit
+
+
+ErrorUnit = Annotated[str, AfterValidator(_present_unit)]
+"""Unit of errors in a document; documents of earlier versions are read."""
 
 
 @dataclass(frozen=True)
 class Identity:
-    """What was measured.
+    """Identity of the measurements.
 
     Attributes:
-        digest: Of all of it; empty: not known.
-        count: Runs, rows or recordings.
-        conditions: Their names.
+        digest: Digest of all measurements; empty: not known.
+        count: Number of runs, rows or recordings.
+        conditions: Names of the conditions.
     """
 
     digest: str
@@ -174,24 +184,24 @@ class Identity:
 
 
 class Source(ABC):
-    """Where residuals and sensitivities come from: measurements, and a model that predicts them.
+    """Source of residuals and sensitivities: measurements, and a model that predicts them.
 
     Attributes:
-        model: What is believed; effects are switched on on top of it.
+        model: The model, to which effects are added.
         clusters: Residuals of the model.
         physics: Physics of one cluster under the model, for the number of joints.
-        worlds: All different physics of clusters under the model, for bounds of parameters.
+        worlds: All distinct physics of the clusters under the model, for bounds of parameters.
         repeated: Whether clusters hold repeats; if not, clusters are stretches of time.
-        cheap: Whether predictions cost so little that several starting points can be tried.
-        remarks: What a reader should know of the measurements.
-        told_unit: Where nothing is repeated, unit in which the size of residuals is told.
+        cheap: Whether predictions are cheap enough to try several starts of a fit.
+        remarks: Remarks on the measurements, for the reader.
+        residual_unit: Unit of the size of residuals without repeats.
         size_unit: Unit of :meth:`size`.
-        pieces: What clusters are where nothing is repeated.
+        pieces: Name of the clusters without repeats, plural.
         of_motion: Whether motion before and after an impact was measured, or the impact alone.
-        clock: How far the stamps of commands may be off the clock of what was measured, either way [s]: that much of a
-            delay nobody can tell from them.
-        least_change: Where nothing is repeated, parameter scales beyond which the whole interval of an accepted effect
-            lies; 0: its features have floors, by which it is judged.
+        clock: Largest offset between the clocks of commands and measurements, either way [s]; a delay shorter than this
+            cannot be distinguished from it.
+        least_change: Without repeats, an effect is accepted if the interval of a parameter lies more than so many
+            parameter scales from nominal; 0: the relevance limits of the features decide.
     """
 
     model: Model
@@ -200,7 +210,7 @@ class Source(ABC):
     repeated: bool
     cheap: bool
     remarks: Sequence[str] = ()
-    told_unit: str = "N m"
+    residual_unit: str = "N m"
     size_unit: str = TIMES
     pieces: str = "stretches of time"
     of_motion: bool = True
@@ -214,50 +224,48 @@ class Source(ABC):
 
     @property
     def joints(self) -> tuple[JointType, ...]:
-        """How the joints of an arm that shares its parameters with all others move, base to tip; none without an arm.
+        """Joint types, base to tip, of an arm that shares its parameters with all others; none without an arm.
 
         Raises:
-            InputError: Arms whose joints are not alike go by one name, so that they cannot be told apart.
+            InputError: Arms with different joints have the same name.
         """
         found = {(name, joints) for world in self.worlds for name, joints in world.arm_joints}
         if not self.model.arms and len({joints for _, joints in found}) > 1:
-            told = ", ".join(f"{name} with {len(joints)} joints" for name, joints in sorted(found))
-            raise InputError(
-                f"arms {told}: parameters of different arms go by their names; expected another name for each"
-            )
+            arms = ", ".join(f"{name} with {len(joints)} joints" for name, joints in sorted(found))
+            raise InputError(f"arms {arms}: different arms need different names, which their parameters carry")
         arm = next(iter(self.physics.arms.values()), None)
         return () if arm is None else arm.facts.joint_types
 
     @property
     def identity(self) -> Identity:
-        """What was measured; where runs or rows are known, a subclass says which."""
+        """Identity of the measurements; subclasses add runs or rows."""
         units = tuple(dict.fromkeys(item.unit for item in self.clusters))
         return Identity("", len(units), units)
 
     def size(self) -> float:
-        """Size of what the model leaves, in multiples of repetition (module text) [-]."""
+        """Size of the model's residuals, in multiples of repeatability (module text) [-]."""
         return size_of([item.error for item in self.clusters], [item.expected for item in self.clusters])
 
     def noise_size(self) -> float | None:
-        """What :meth:`size` is if only repetition is left; None where nothing was repeated."""
+        """Value of :meth:`size` if only noise is left; None without repeats."""
         return 1.0 if any(np.any(item.pure > 0.0) for item in self.clusters) else None
 
-    def told_weight(self, item: Cluster) -> Array:
-        """Where nothing is repeated, what scaled residuals are multiplied by to be told in ``told_unit``, ``(F,)``."""
+    def residual_weight(self, item: Cluster) -> Array:
+        """Factors from scaled residuals to ``residual_unit``, without repeats, ``(F,)``."""
         return item.sigma
 
     @property
     def free_motion(self) -> Source | None:
-        """The same clusters before anything was hit, where a look at them alone is cheaper; None: it is not."""
+        """The clusters before contact, if they are cheaper to predict alone; else None."""
         return None
 
     def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
-        """``function(source, item)`` of every item, in processes side by side where predictions are dear.
+        """``function(source, item)`` of every item, in parallel processes if predictions are expensive.
 
         Args:
-            function: Changes nothing; another process must be able to load it.
-            items: What to do it with.
-            what: What it is for, to tell the user.
+            function: Without side effects, and loadable by another process.
+            items: Arguments.
+            what: Purpose, shown as progress.
         """
         del what
         return [function(self, item) for item in items]
@@ -267,24 +275,24 @@ class Source(ABC):
         """Features, in their units, of clusters (by number) with effects on top of the model.
 
         Args:
-            wanted: Number of the cluster, and what is switched on.
-            what: What it is for, to tell the user.
+            wanted: Number of the cluster, and the added effects.
+            what: Purpose, shown as progress.
 
         Returns:
-            ``(F,)`` each; None where nothing is hit although it should be, or where the effects leave no body.
+            ``(F,)`` each; None if a contact is missing, or if the effects give a body without positive inertia.
         """
 
     def differences(
         self, numbers: Sequence[int], before: Added, after: Added, what: str, every: bool = True
     ) -> list[Array | None]:
-        """What a change of effects does to features, in their units.
+        """Change of features with a change of effects, in their units.
 
         Args:
             numbers: Of the clusters.
-            before: What is switched on before.
-            after: What is switched on after.
-            what: What it is for, to tell the user.
-            every: Whether it is the mean over all repeats of a cluster, or one of them stands for all.
+            before: Added effects before.
+            after: Added effects after.
+            what: Purpose, shown as progress.
+            every: Whether to average over all repeats of a cluster; else one repeat stands for all.
 
         Returns:
             ``(F,)`` each; None where one of the two cannot be predicted.
@@ -295,19 +303,19 @@ class Source(ABC):
 
     @abstractmethod
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
-        """Residuals with effects on top of the model, on the scale of ``like``; None where that cannot be simulated."""
+        """Residuals of the model with effects, on the scale of ``like``; None if they cannot be simulated."""
 
 
-def apart(model: Model, worlds: Iterable[Physics], each_arm: bool = False) -> Model:
-    """The model, knowing effects with parameters of its own for every arm where arms do not share them.
+def with_per_arm_parameters(model: Model, worlds: Iterable[Physics], each_arm: bool = False) -> Model:
+    """The model with separate effect parameters for every arm, where arms do not share them.
 
-    Arms of one kind share them: what is missing in a model is looked for in the kind, with half as many parameters, and
-    a motion of one arm tells of the other. Arms of different kinds have nothing to share.
+    Arms of one kind share parameters: that halves their number, and a motion of one arm informs about the other. Arms
+    of different kinds have separate parameters.
 
     Args:
-        model: What is believed; one that knows its arms already stays as it is.
-        worlds: All physics that were measured.
-        each_arm: Whether arms of one kind have their own, too.
+        model: The model; one with arms is returned unchanged.
+        worlds: All measured physics.
+        each_arm: Whether arms of one kind have separate parameters, too.
 
     Raises:
         InputError: ``each_arm``, and one name stands for several robots.
@@ -329,28 +337,28 @@ def apart(model: Model, worlds: Iterable[Physics], each_arm: bool = False) -> Mo
 
 
 def _joints_of(facts: RobotFacts) -> Joints:
-    """The joints of an arm as a model file says them."""
+    """The joints of an arm as in a model file."""
     return facts.joint_types if "prismatic" in facts.joint_types else facts.joint_count
 
 
 def difference(before: Array | None, after: Array | None) -> Array | None:
-    """After minus before, where both are known."""
+    """After minus before; None if one is unknown."""
     return None if before is None or after is None else np.asarray(after - before)
 
 
 def size_of(errors: Array | Sequence[float], expected: Array | Sequence[float]) -> float:
-    """Size of mean square residuals on the scale on which 1 is what repetition alone leaves (module text).
+    """Size of mean square residuals in multiples of repeatability (module text).
 
     Args:
         errors: Mean square of the mean residual by cluster, ``(c,)`` [-].
-        expected: What it would be if only repetition and discrepancy were left, ``(c,)`` [-].
+        expected: Its expectation under repeatability and discrepancy alone, ``(c,)`` [-].
     """
     unit = float(np.mean(expected))
     return math.sqrt(float(np.mean(errors)) / (unit if unit > 0.0 else 1.0))
 
 
 def pooled_error(rows: Sequence[Array]) -> Array | None:
-    """Pure error of features that several clusters share, ``(F,)``; None where nothing was repeated.
+    """Pure error of features, pooled over clusters, ``(F,)``; None without repeats.
 
     Args:
         rows: Per cluster, residuals of its repeats in their own units, ``(n, F)``.

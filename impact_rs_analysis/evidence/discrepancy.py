@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Model discrepancy: how far equally valid simulations of the same parameters differ.
+"""Model discrepancy: difference between equally valid simulations of the same parameters.
 
-Nobody's simulator is exactly right. Contact settings, the regularisation of friction, the step and the physics engine
-are choices that no measurement made; what changes with them cannot be blamed on the robot. ``config/discrepancy.yaml``
-holds what was measured, per phase, signal and index, with its provenance (``benchmarks/foreign/discrepancy.py`` makes
-it), and ``config/discrepancy_patterns.csv`` how the features move together.
+No simulator is exact. Contact settings, regularisation of friction, time step and physics engine are free choices, so
+residuals that depend on them are not evidence of a missing effect. ``config/discrepancy.yaml`` holds the discrepancy by
+phase, signal and index, with its provenance (made by ``benchmarks/foreign/discrepancy.py``), and
+``config/discrepancy_patterns.csv`` its patterns over the features.
 
-Square and oblique hits have their own: where pad and face are not parallel, or meet at an angle, it is the friction of
-the contact that decides, and simulators regularise it in different ways. On square hits they differ in the same way in
-all conditions, on oblique ones in every condition in another.
+Square and oblique hits have separate values. On oblique hits (pad and face not parallel, or velocity not along the
+normal) contact friction matters, and simulators regularise it differently. Their differences are the same in all
+conditions on square hits, and vary with the condition on oblique ones.
 """
 
 from __future__ import annotations
@@ -34,26 +34,26 @@ Kind = Literal["free", "square", "oblique"]
 class DiscrepancyEntry(Schema):
     """Discrepancy of one signal."""
 
-    kind: Kind = Field(description="free: nothing is hit; square: face on face, along the normal; oblique: else")
+    kind: Kind = Field(description="free: no contact; square: face on face, along the normal; oblique: any other hit")
     phase: str = Field(description="free, impact or push")
-    signal: str = Field(description="what it is")
+    signal: str = Field(description="name of the signal")
     index: str = Field(description="joint (joint1 ...) or axis (x, y, z)")
     unit: str = Field(description="unit of the signal")
     value: float = Field(ge=0.0, description="rms of variant minus replay over conditions and time bins, in the unit")
-    largest: str = Field("", description="variant that lies furthest off, of which value and by_bin are")
+    largest: str = Field("", description="variant with the largest difference, from which value and by_bin are taken")
     by_bin: tuple[float, ...] = Field((), description="the same, bin by bin")
     by_variant: dict[str, float] = Field({}, description="rms of every variant")
     shared_over_conditions: float | None = Field(None, description="share of the square common to all conditions [-]")
     shared_over_bins: float | None = Field(None, description="share of the square common to all bins [-]")
 
     def of_bin(self, number: int) -> float:
-        """Discrepancy of one time bin, in the unit: half the signal's, half the bin's, which few trials define."""
+        """Discrepancy of one time bin, in the unit: equal shares of the signal's and of the bin's, which is less certain."""
         own = self.by_bin[number] if number < len(self.by_bin) else self.value
         return float(np.sqrt(0.5 * (self.value**2 + own**2)))
 
 
 class Patterns(Schema):
-    """How variants moved the features together, in trials of one kind."""
+    """Patterns over the features by which variants differ, in trials of one kind."""
 
     kind: Kind = Field(description="free, square or oblique")
     features: tuple[tuple[str, str, str, int], ...] = Field(description="phase, signal, index and bin, by column")
@@ -67,9 +67,9 @@ class Provenance(Schema):
     command: str = Field(description="command")
     revision: str = Field("", description="revision of the sources")
     versions: dict[str, str] = Field({}, description="versions of the packages")
-    seconds: float = Field(0.0, description="how long it took [s]")
-    conditions: tuple[str, ...] = Field((), description="what was run")
-    combined: str = Field("", description="how variants were put together")
+    seconds: float = Field(0.0, description="duration of the computation [s]")
+    conditions: tuple[str, ...] = Field((), description="simulated conditions")
+    combined: str = Field("", description="how variants were combined")
 
 
 class Discrepancy(Schema):
@@ -81,11 +81,11 @@ class Discrepancy(Schema):
     patterns: tuple[Patterns, ...] = Field((), description="from the table beside the file")
 
     def of(self, features: Sequence[Feature], kind: Kind) -> Array:
-        """Discrepancy of features in their units, ``(F,)``; 0 where none was measured.
+        """Discrepancy of features in their units, ``(F,)``; 0 where it was not measured.
 
         Args:
-            features: What they are; of two arms both have the discrepancy of one.
-            kind: Of their runs.
+            features: The features; each of several arms has the discrepancy of one arm.
+            kind: Kind of their runs.
         """
         known = {(e.phase, e.signal, e.index): e for e in self.entries if e.kind == kind}
         found = []
@@ -95,9 +95,9 @@ class Discrepancy(Schema):
         return np.array(found)
 
     def patterns_of(self, features: Sequence[Feature], kind: Kind) -> Array | None:
-        """How discrepancy moves features together, ``(k, F)`` in their units; None where nothing tells.
+        """Patterns of the discrepancy over features, ``(k, F)`` in their units; None if there are none.
 
-        The squares of a column add up to that of :meth:`of`. A feature that no pattern knows moves by itself.
+        The squares of a column add up to the square of :meth:`of`. A feature in no pattern is independent.
         """
         known = next((table for table in self.patterns if table.kind == kind), None)
         if known is None:
@@ -114,7 +114,7 @@ class Discrepancy(Schema):
 
     @property
     def in_words(self) -> str:
-        """Where it comes from."""
+        """Provenance in words."""
         if self.provenance is None:
             return "switched off"
         return (
@@ -129,7 +129,7 @@ NO_DISCREPANCY = Discrepancy(provenance=None, variants={}, entries=())
 
 @functools.cache
 def measured_discrepancy() -> Discrepancy:
-    """The shipped one.
+    """The shipped model discrepancy.
 
     Raises:
         InputError: ``config/discrepancy.yaml`` breaks the schema.
@@ -139,7 +139,7 @@ def measured_discrepancy() -> Discrepancy:
 
 
 def read_patterns(path: Path) -> list[Patterns]:
-    """The table of :func:`write_patterns`.
+    """Read the table of :func:`write_patterns`.
 
     Raises:
         InputError: It cannot be read.
@@ -172,7 +172,7 @@ def _parsed(name: str) -> tuple[str, str, str, int]:
 def write_patterns(
     path: Path, tables: Mapping[Kind, tuple[Sequence[Feature], Sequence[tuple[str, str, Sequence[float]]]]]
 ) -> None:
-    """Write what variants do to features: blocks of one kind, each with a header line.
+    """Write the feature changes of all variants: blocks of one kind, each with a header line.
 
     Args:
         path: CSV file.

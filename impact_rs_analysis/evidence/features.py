@@ -55,8 +55,8 @@ def layout(
     """What the entries of a feature vector are.
 
     Args:
-        arms: Names of the arms, each with how its joints move; floors in N and m are those in N m and rad at a lever
-            of 1 m.
+        arms: Names of the arms, each with the types of its joints. Relevance limits in N and m are those in N m and
+            rad at a lever of 1 m.
         free: Windows of free motion.
         pushes: Bins of the push that were recorded; None: nothing is hit.
         command: Whether the desired torque is known.
@@ -75,10 +75,10 @@ def layout(
         )
 
         def add(
-            phase: str, signal: str, entries: list[tuple[str, str]], bins: int, floor: float, arm: str = arm
+            phase: str, signal: str, entries: list[tuple[str, str]], bins: int, limit: float, arm: str = arm
         ) -> None:
             result.extend(
-                Feature(phase, signal, name, b, unit, floor, arm) for b in range(bins) for name, unit in entries
+                Feature(phase, signal, name, b, unit, limit, arm) for b in range(bins) for name, unit in entries
             )
 
         if command:

@@ -35,7 +35,16 @@ from functools import cached_property
 
 import numpy as np
 
-from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, Identity, Source, apart, pooled_error
+from impact_rs_analysis.evidence.cluster import (
+    TIMES,
+    Added,
+    Cluster,
+    Feature,
+    Identity,
+    Source,
+    pooled_error,
+    with_per_arm_parameters,
+)
 from impact_rs_analysis.evidence.tracks import TrackSet, TrackSignal
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.impact_map.contacts import contact_frame
@@ -50,9 +59,9 @@ from impact_rs_trials.recordings.impact_table import ImpactTable
 BLOCKS = 24  # at most: of 24, a fold of the hold-out leaves 18 to search in, and 12 are needed to tell chance
 LEAST_CONDITIONS = 3  # that are repeated, for repeats to be what is counted on
 LEAST_REPEATS = 3  # degrees of freedom of the pure error
-FLOOR_LINEAR = 0.005  # m/s; motion capture knows no velocity of a body better
-FLOOR_ANGULAR = 0.05  # rad/s; the same at a lever of 0.1 m
-FLOOR_JOINT = 0.005  # rad/s; the same at a lever of 1 m, or of a joint that slides
+RELEVANT_LINEAR = 0.005  # m/s; motion capture knows no velocity of a body better
+RELEVANT_ANGULAR = 0.05  # rad/s; the same at a lever of 0.1 m
+RELEVANT_JOINT = 0.005  # rad/s; the same at a lever of 1 m, or of a joint that slides
 LEAST_SCALE = 1e-6  # m/s; a model that leaves less is exact
 GAINED = 1.05  # kinetic energy after over before, from which a row is suspect
 
@@ -98,13 +107,13 @@ class ImpactTableSource(Source):
     """
 
     cheap = True
-    told_unit = "m/s"
+    residual_unit = "m/s"
     pieces = "blocks of rows"
     of_motion = False
     least_change = 0.0  # what matters is told by floors; rows are independent, as samples of a torque are not
 
     def __init__(self, table: ImpactTable, model: Model, each_arm: bool = False) -> None:
-        model = apart(model, [row.physics for row in table.rows], each_arm)
+        model = with_per_arm_parameters(model, [row.physics for row in table.rows], each_arm)
         self.table, self.model = table, model
         self._applied: dict[tuple[int, Added], Physics | None] = {}
         self._models: dict[int, dict[str, RobotModel]] = {}
@@ -119,7 +128,7 @@ class ImpactTableSource(Source):
         groups = _conditions(table)
         self.repeated = groups is not None
         self._groups = tuple(_blocks(table) if groups is None else groups)
-        self.size_unit = TIMES if self.repeated else self.told_unit
+        self.size_unit = TIMES if self.repeated else self.residual_unit
         self.clusters = self._clusters()
         self.remarks = tuple(self._remarks())
 
@@ -136,10 +145,10 @@ class ImpactTableSource(Source):
         for name in self.table.rows[0].impact.arms:
             label = f"{name}." if len(self.table.arms) > 1 else ""
             for joint, units in enumerate(self.table.rows[0].physics.arms[name].facts.units, start=1):
-                found.append(Feature("impact", JOINTS, f"{label}joint{joint}", 0, units.velocity, FLOOR_JOINT, name))
+                found.append(Feature("impact", JOINTS, f"{label}joint{joint}", 0, units.velocity, RELEVANT_JOINT, name))
         names = AXES if self.table.arms else CONTACT_AXES
-        found += [Feature("impact", LINEAR, axis, 0, "m/s", FLOOR_LINEAR) for axis in names]
-        found += [Feature("impact", ANGULAR, axis, 0, "rad/s", FLOOR_ANGULAR) for axis in names]
+        found += [Feature("impact", LINEAR, axis, 0, "m/s", RELEVANT_LINEAR) for axis in names]
+        found += [Feature("impact", ANGULAR, axis, 0, "rad/s", RELEVANT_ANGULAR) for axis in names]
         return tuple(found)
 
     @cached_property
@@ -156,8 +165,8 @@ class ImpactTableSource(Source):
             found.append(np.sqrt(diagonal / physics.object.mass))
         return np.array(found)
 
-    def told_weight(self, item: Cluster) -> Array:
-        """See :meth:`Source.told_weight`; the mean over all entries of a row times their number is d^2."""
+    def residual_weight(self, item: Cluster) -> Array:
+        """See :meth:`Source.residual_weight`; the mean over all entries of a row times their number is d^2."""
         rows = next(group.rows for group in self._groups if group.name == item.name)
         worth = self.worth[list(rows)]
         worth = worth.mean(axis=0) if self.repeated else worth.ravel()
@@ -293,11 +302,11 @@ class ImpactTableSource(Source):
 
     def _clusters(self) -> tuple[Cluster, ...]:
         rest = self.measured - self.predicted
-        floor = np.array([feature.floor for feature in self.signals]) / 2.0
+        limit = np.array([feature.relevance_limit for feature in self.signals]) / 2.0
         if self.repeated:
             pure = pooled_error([rest[list(group.rows)] for group in self._groups])
             assert pure is not None
-            sigma = np.broadcast_to(np.hypot(pure, floor), rest.shape)
+            sigma = np.broadcast_to(np.hypot(pure, limit), rest.shape)
             noise = np.broadcast_to(pure, rest.shape)
         else:
             sigma = max(self.size() / np.sqrt(len(self.signals)), LEAST_SCALE) / self.worth

@@ -115,7 +115,7 @@ class RecordingSource(Source):
         self.balance = TorqueBalance(list(motions))
         self.rest = self.balance.recorded - self.balance.predict(physics)
         self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.rest), axis=0)), 1e-12)
-        self.told_unit = joined_units(joint.effort for joint in physics.arms[ARM].facts.units)
+        self.residual_unit = joined_units(joint.effort for joint in physics.arms[ARM].facts.units)
         self._stretches = tuple(stretches)
         self._predicted: dict[Added, Array | None] = {}
         self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))

@@ -19,9 +19,9 @@ from impact_rs_analysis.evidence.cluster import (
     Item,
     Made,
     Source,
-    apart,
     difference,
     pooled_error,
+    with_per_arm_parameters,
 )
 from impact_rs_analysis.evidence.discrepancy import Discrepancy, Kind, measured_discrepancy
 from impact_rs_analysis.evidence.measured import MeasuredRun
@@ -65,11 +65,11 @@ def clusters_of(
     for condition, values in rows.items():
         first, layout = firsts[condition], layouts[condition]
         spread = pure[condition]
-        floor = np.array([feature.floor for feature in first.features]) / 2.0
+        limit = np.array([feature.relevance_limit for feature in first.features]) / 2.0
         kind = kind_of(first)
         systematic, patterns = discrepancy.of(first.features, kind), discrepancy.patterns_of(first.features, kind)
-        known = np.zeros_like(floor) if spread is None else spread
-        sigma = np.sqrt(known**2 + floor**2 + systematic**2)
+        known = np.zeros_like(limit) if spread is None else spread
+        sigma = np.sqrt(known**2 + limit**2 + systematic**2)
         clusters.append(
             Cluster(
                 name=condition,
@@ -222,13 +222,13 @@ class ReplaySource(Source):
             model: What is believed.
             store: Makes replays.
             discrepancy: Of the twin; None: as measured.
-            each_arm: Whether arms of one kind have parameters of their own (:func:`apart`).
+            each_arm: Whether arms of one kind have parameters of their own (:func:`with_per_arm_parameters`).
 
         Raises:
             InputError: With this model hardly anything is hit, or the model blows up.
         """
         discrepancy = measured_discrepancy() if discrepancy is None else discrepancy
-        model = apart(model, [run.setup.physics for run in runs.runs], each_arm)
+        model = with_per_arm_parameters(model, [run.setup.physics for run in runs.runs], each_arm)
         predicted = store([Replay(run.setup, model) for run in runs.runs], "replays of the model")
         residuals, kept, missed = [], [], []
         for run, values in zip(runs.runs, predicted, strict=True):

@@ -155,10 +155,10 @@ class ReplayStore:
     def spread(self, function: Callable[[Item], Made], items: Sequence[Item], what: str) -> list[Made]:
         """``function`` of every item over the map, told like replays."""
         found = []
-        self._tell(what, 0, len(items))
+        self._report_progress(what, 0, len(items))
         for result in self._map(function, items):
             found.append(result)
-            self._tell(what, len(found), len(items))
+            self._report_progress(what, len(found), len(items))
         return found
 
     def __call__(self, tasks: Sequence[Replay], what: str = "replays") -> list[Array | None]:
@@ -176,10 +176,10 @@ class ReplayStore:
                 self._known[digest] = result
                 self._save(digest, result)
             done += len(batch)
-            self._tell(what, done, len(missing))
+            self._report_progress(what, done, len(missing))
         return [self._known[digest] for digest in digests]
 
-    def _tell(self, what: str, done: int, total: int) -> None:
+    def _report_progress(self, what: str, done: int, total: int) -> None:
         if self._progress is not None:
             self._progress(what, done, total)
 

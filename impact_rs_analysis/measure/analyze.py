@@ -105,8 +105,8 @@ class ArmSet:
             "estimate_m_s": self.speed,
             "ci95_m_s": None if interval is None else sorted(sign * bound for bound in interval),
             "r_squared": self.fit.r_squared,
-            "predictions": _told(self.predictions, sign),
-            "predictions_settled": _told(self.predictions_settled, sign),
+            "predictions": _signed(self.predictions, sign),
+            "predictions_settled": _signed(self.predictions_settled, sign),
         }
 
 
@@ -198,15 +198,15 @@ class ExperimentSet:
             "ci95_m_s": None if self.interval is None else list(self.interval),
             "r_squared": self.fit.r_squared,
             "trials": self.fit.count,
-            "predictions": _told(self.predictions, self.sign),
+            "predictions": _signed(self.predictions, self.sign),
             "prediction_ci95_m_s": self._speeds(self.prediction_interval),
             "tolerance_percent": self.tolerance,
-            "predictions_settled": _told(self.predictions_settled, self.sign),
+            "predictions_settled": _signed(self.predictions_settled, self.sign),
             "arms": [arm.to_json() for arm in self.arms],
         }
 
 
-def _told(predictions: dict[str, Prediction], sign: float) -> dict[str, dict[str, float]]:
+def _signed(predictions: dict[str, Prediction], sign: float) -> dict[str, dict[str, float]]:
     return {
         model: {"v_m_s": sign * prediction.velocity, "error_percent": prediction.error}
         for model, prediction in predictions.items()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Page of a comparison: where a model fails, for trials and for recordings."""
+"""Page of a comparison: where a model fails, for trials, recordings and impact tables."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from impact_rs_analysis.evidence.tracks import TrackSet
 from impact_rs_analysis.report.animation import ReplayPart
 from impact_rs_analysis.report.history import HistoryPart, history_part
 from impact_rs_analysis.report.labels import (
-    CARED_ABOUT,
     LEVELS,
     NOISE,
-    REPETITION,
+    RELEVANCE_LIMIT,
+    REPEATABILITY,
     SPREAD,
     phase_text,
     place_text,
@@ -36,7 +36,7 @@ from impact_rs_analysis.report.page import (
 )
 from impact_rs_analysis.report.plots import scatter_plot, signals_plot, tracks_plot, where_plots
 
-HARDLY_MORE = 1.3  # of the score over repetition, below which no place is named
+HARDLY_MORE = 1.3  # times noise; below this score no place is named
 MOST_PLACES = 8
 
 
@@ -45,7 +45,7 @@ class PlaceRow:
     """One row of a table.
 
     Attributes:
-        label: What it is of.
+        label: Its name.
         content: Its numbers.
     """
 
@@ -60,10 +60,10 @@ class LevelPart:
     Attributes:
         title: Its heading.
         what: What is compared.
-        times_noise: Size of the difference in multiples of what repetition alone gives [-].
+        times_noise: Size of the difference in multiples of repeatability [-].
         jumps: Rows of predicted and measured jumps.
         signals: Rows of signals over time.
-        plot: Bars, where a signal is told joint by joint.
+        plot: Bars of signals listed joint by joint.
         open: Whether it is shown at once.
     """
 
@@ -76,7 +76,7 @@ class LevelPart:
     open: bool
 
     def has(self, column: str) -> bool:
-        """Whether some signal has something in a column."""
+        """Whether some signal has a value in a column."""
         return any(getattr(row.content, column) for row in self.signals)
 
 
@@ -113,11 +113,11 @@ class TracksPart:
     """Measured against predicted over time.
 
     Attributes:
-        sets: What the page's script reads; empty: nothing is shown.
-        plot: The empty figure that it fills.
-        of_trials: Whether the tracks are of trials; else of recordings.
-        scatter: Measured against predicted numbers, of impacts, which have no time; None: tracks.
-        replay: The same runs in 3D; None: nothing is known of what moves.
+        sets: Tracks as the script of the page reads them; empty: nothing is shown.
+        plot: The empty figure that the script fills.
+        of_trials: Whether the tracks show trials; else recordings.
+        scatter: Measured against predicted numbers of an impact table, which has no time; None: tracks.
+        replay: The same runs in 3D; None if positions are not known.
     """
 
     sets: list[dict[str, Any]]
@@ -129,20 +129,20 @@ class TracksPart:
 
 @dataclass(frozen=True)
 class ComparisonPage:
-    """What ``comparison.html.j2`` shows.
+    """Content of ``comparison.html.j2``.
 
     Attributes:
         title: Heading.
-        headline: Two sentences for a reader who sees nothing else.
-        yardstick: What differences are told in multiples of.
-        unit: Unit of the score; empty: the score is such a multiple.
+        headline: Summary in two sentences.
+        yardstick: Differences are given in multiples of this.
+        unit: Unit of the score; empty: multiples of the yardstick.
         document: The comparison.
         levels: Its levels.
         joints: A table per arm; empty: no trials.
         where: Where the model fails.
         tracks: Measured against predicted over time.
-        history: Of the model; None: it has none.
-        others: Pages of the same measurements, their titles by their paths seen from this one.
+        history: Errors of the model and its parents; None without a parent.
+        others: Titles of pages of the same measurements, by their relative paths.
     """
 
     title: str
@@ -169,10 +169,10 @@ def write_comparison(
 
     Args:
         document: Model against measurement.
-        tracks: Measured and predicted signals to be looked at.
-        versions: Errors of the model and its parents; None where it has none.
+        tracks: Measured and predicted signals over time.
+        versions: Errors of the model and its parents; None without a parent.
         directory: Folder of the report.
-        others: Pages of the same measurements to link, their titles by their paths seen from this one.
+        others: Titles of pages of the same measurements to link, by their relative paths.
 
     Returns:
         The page.
@@ -200,42 +200,40 @@ def write_comparison(
 
 
 def comparison_in_words(document: ComparisonDocument) -> str:
-    """Two sentences for a reader who sees nothing else."""
-    name, score, floor = document.model.name, number_text(document.score), document.noise_floor
+    """Score and worst place in two sentences."""
+    name, score, noise = document.model.name, number_text(document.score), document.noise_floor
     yardstick = yardstick_of(document)
     if document.source == "recordings":
-        text = f"Model '{name}' leaves {score} {document.score_unit} rms of joint torque unexplained"
-        text += "." if floor is None else f"; noise alone would leave {number_text(floor)} {document.score_unit}."
+        text = f"Torque residual of model '{name}': {score} {document.score_unit} rms"
+        text += "." if noise is None else f" (noise alone: {number_text(noise)} {document.score_unit})."
     elif not on_scale(document):
-        text = (
-            f"Model '{name}' misses the velocity after {document.trials} impacts by {score} {document.score_unit} rms"
-        )
-        text += "." if floor is None else f"; noise alone would leave {number_text(floor)} {document.score_unit}."
+        text = f"Velocity residual of model '{name}' after {document.trials} impacts: {score} {document.score_unit} rms"
+        text += "." if noise is None else f" (noise alone: {number_text(noise)} {document.score_unit})."
     else:
-        text = f"Model '{name}' differs from {document.trials} {document.source} by {score} times {yardstick}."
-    if floor is not None and document.score < HARDLY_MORE * floor:
-        return f"{text} That is hardly more than noise."
+        text = f"Residual of model '{name}' in {document.trials} {document.source}: {score} × {yardstick}."
+    if noise is not None and document.score < HARDLY_MORE * noise:
+        return f"{text} This is close to noise."
     if not document.where:
         return text
     worst = document.where[0]
     return (
-        f"{text} It fails most in {worst.signal} {worst.index} ({_place(worst)}): off by "
-        f"{quantity_text(worst.error, worst.unit)}, {number_text(worst.times_noise)} times {yardstick}."
+        f"{text} Largest in {worst.signal} {worst.index} ({_place(worst)}): "
+        f"{quantity_text(worst.error, worst.unit)}, {number_text(worst.times_noise)} × {yardstick}."
     )
 
 
 def on_scale(document: ComparisonDocument) -> bool:
-    """Whether the score is in multiples of something; else it has a unit."""
+    """Whether the score is a multiple of the yardstick; else it has a unit."""
     return document.source == "trials" or document.score_unit == TIMES
 
 
 def yardstick_of(document: ComparisonDocument) -> str:
-    """What differences are told in multiples of."""
+    """Reference of relative differences: repeatability, relevance limit, or noise."""
     if document.source == "impacts" and document.noise_floor is None:
         return SPREAD
     if not on_scale(document):
         return NOISE
-    return CARED_ABOUT if document.noise_floor is None else REPETITION
+    return RELEVANCE_LIMIT if document.noise_floor is None else REPEATABILITY
 
 
 def _place(cell: Cell, scenario: bool = False) -> str:
@@ -243,7 +241,7 @@ def _place(cell: Cell, scenario: bool = False) -> str:
 
 
 def level_parts(document: ComparisonDocument) -> tuple[LevelPart, ...]:
-    """The levels that hold something; the last one is open."""
+    """The levels with content; the last one is open."""
     found = []
     several = len({entry.scenario for level in document.levels.values() for entry in level.entries}) > 1
     filled = {name: level for name, level in document.levels.items() if level.signals or level.entries}
@@ -301,7 +299,7 @@ def where_part(document: ComparisonDocument) -> WherePart:
 
 
 def tracks_part(document: ComparisonDocument, tracks: Sequence[TrackSet]) -> TracksPart:
-    """Tracks, to be chosen in the page."""
+    """Tracks with the data for choosing one in the page."""
     if document.source == "impacts":
         scatter = Plot("scatter", scatter_plot(tracks), zoom=True) if tracks else None
         return TracksPart([], Plot("tracks-plot", tracks_plot(), zoom=True), False, scatter)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Page of a diagnosis: what is missing, how sure that is, and what stays; for trials and for recordings."""
+"""Page of a diagnosis: missing effects, their certainty, and the remaining residuals."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from impact_rs_analysis.diagnosis.compare import ComparisonDocument, SignalLevel
+from impact_rs_analysis.diagnosis.compare import ComparisonDocument
 from impact_rs_analysis.diagnosis.document import (
     DiagnosisDocument,
     EffectDocument,
@@ -26,13 +26,13 @@ from impact_rs_analysis.report.plots import effects_plot, joints_plot
 
 
 @dataclass(frozen=True)
-class Floor:
-    """Difference of a signal below which nobody cares.
+class RelevanceLimit:
+    """Relevance limit of a signal: the smallest difference that matters in practice.
 
     Attributes:
         label: Phase and signal.
-        value: The difference, in the unit.
-        discrepancy: How far equally valid simulations differ, in the unit.
+        value: The limit, in the unit.
+        discrepancy: Difference between equally valid simulations, in the unit.
         unit: Unit.
     """
 
@@ -44,7 +44,7 @@ class Floor:
 
 @dataclass(frozen=True)
 class JointRow:
-    """What is said of one joint.
+    """Verdict on one joint.
 
     Attributes:
         name: Parameter.
@@ -62,10 +62,10 @@ class EffectRow:
     """One effect of the table.
 
     Attributes:
-        effect: What is said of it.
+        effect: Its document.
         tag: Colour of the verdict.
-        estimates: Estimates on which no verdict of their own is said; none where they mean nothing.
-        joints: Estimates on which one is said, joint by joint.
+        estimates: Estimates without a verdict of their own; empty if not determined.
+        joints: Estimates with a verdict, joint by joint.
     """
 
     effect: EffectDocument
@@ -76,24 +76,24 @@ class EffectRow:
 
 @dataclass(frozen=True)
 class DiagnosisPage:
-    """What ``diagnosis.html.j2`` shows.
+    """Content of ``diagnosis.html.j2``.
 
     Attributes:
         title: Heading.
-        yardstick: What differences are told in multiples of.
-        on_scale: Whether errors are on the scale on which 1 is what repetition alone gives.
+        yardstick: Differences are given in multiples of this.
+        on_scale: Whether errors are multiples of repeatability.
         document: The diagnosis.
         comparison: The model against the same measurements.
-        arms: What arms are called, by name.
-        floors: Difference of every signal below which nobody cares.
-        effects: Effects that something measured depends on, best first.
-        effects_plot: Their errors; None: there are none.
-        unmeasured: Effects that nothing measured depends on.
-        joints_plot: Errors joint by joint; None: not told.
-        rest_is_noise: Whether what stays is no more than noise.
+        arms: Titles of the arms, by name.
+        limits: Relevance limit of every signal.
+        effects: Measurable effects, best first.
+        effects_plot: Their errors; None without effects.
+        unmeasured: Effects without influence on the measured signals.
+        joints_plot: Errors joint by joint; None if not known.
+        rest_is_noise: Whether the remaining residuals are consistent with noise.
         where: Where the model fails.
         tracks: Measured against predicted over time.
-        history: Of the model; None: it has none.
+        history: Errors of the model and its parents; None without a parent.
     """
 
     title: str
@@ -102,7 +102,7 @@ class DiagnosisPage:
     document: DiagnosisDocument
     comparison: ComparisonDocument
     arms: dict[str, str]
-    floors: tuple[Floor, ...]
+    limits: tuple[RelevanceLimit, ...]
     effects: tuple[EffectRow, ...]
     effects_plot: Plot | None
     unmeasured: tuple[str, ...]
@@ -125,8 +125,8 @@ def write_diagnosis(
     Args:
         document: The diagnosis.
         comparison: The diagnosed model against the same measurements.
-        tracks: Measured and predicted signals to be looked at.
-        versions: Errors of the model and its parents; None where it has none.
+        tracks: Measured and predicted signals over time.
+        versions: Errors of the model and its parents; None without a parent.
         directory: Folder of the report.
 
     Returns:
@@ -144,7 +144,7 @@ def write_diagnosis(
         document=document,
         comparison=comparison,
         arms={arm.name: arm.title for arm in comparison.arms},
-        floors=_floors(comparison),
+        limits=_relevance_limits(comparison),
         effects=tuple(_effect_row(effect) for effect in document.effects if effect.measured),
         effects_plot=None if bars is None else Plot("effects", bars),
         unmeasured=tuple(effect.name for effect in document.effects if not effect.measured),
@@ -159,11 +159,14 @@ def write_diagnosis(
     return write_files(directory, {"diagnosis.html": text, "diagnosis.json": data})[0]
 
 
-def _floors(comparison: ComparisonDocument) -> tuple[Floor, ...]:
-    def floor(row: SignalLevel) -> Floor:
-        return Floor(signal_text(row), row.floor, row.discrepancy, row.unit)
-
-    return tuple(floor(row) for level in comparison.levels.values() for row in level.signals if row.floor > 0.0)
+def _relevance_limits(comparison: ComparisonDocument) -> tuple[RelevanceLimit, ...]:
+    """Relevance limits of the signals that have one."""
+    return tuple(
+        RelevanceLimit(signal_text(row), row.floor, row.discrepancy, row.unit)
+        for level in comparison.levels.values()
+        for row in level.signals
+        if row.floor > 0.0
+    )
 
 
 def _effect_row(effect: EffectDocument) -> EffectRow:

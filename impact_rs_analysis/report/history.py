@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Page of a model's history: how the error fell from version to version."""
+"""Page of a model's history: its error from version to version."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.cluster import TIMES
-from impact_rs_analysis.report.labels import CARED_ABOUT, REPETITION
+from impact_rs_analysis.report.labels import RELEVANCE_LIMIT, REPEATABILITY
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import history_plot
 
@@ -21,7 +21,7 @@ class HistoryPart:
 
     Attributes:
         versions: From the first to the last.
-        yardstick: What the errors are multiples of.
+        yardstick: The errors are multiples of this.
         plot: Errors over versions.
     """
 
@@ -51,7 +51,7 @@ def write_history(versions: Sequence[VersionError], directory: Path) -> Path:
     Raises:
         InputError: It cannot be written.
     """
-    page = HistoryPage("How the error fell", history_part(versions))
+    page = HistoryPage("Error by model version", history_part(versions))
     data = json.dumps({"history": [entry.to_json() for entry in versions]}, indent=2, allow_nan=False) + "\n"
     return write_files(directory, {"history.html": render("history.html.j2", page), "history.json": data})[0]
 
@@ -59,7 +59,7 @@ def write_history(versions: Sequence[VersionError], directory: Path) -> Path:
 def history_part(versions: Sequence[VersionError]) -> HistoryPart:
     """The part of a page that shows a history."""
     repeated = all(entry.noise_floor is not None for entry in versions)
-    yardstick = REPETITION if repeated else CARED_ABOUT
+    yardstick = REPEATABILITY if repeated else RELEVANCE_LIMIT
     unit = f"times {yardstick}"
     if versions and versions[0].unit != TIMES:
         yardstick, unit = f"1 {versions[0].unit}", f"error [{versions[0].unit}]"

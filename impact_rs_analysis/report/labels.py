@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of phases, places and verdicts as a reader sees them."""
+"""Names of phases, places and verdicts in reports."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ LEVELS = {
     "impacts": "Velocities just after the impact",
 }
 NO_OBJECT = ("", "none")
-REPETITION = "what repetition alone gives"
-CARED_ABOUT = "what nobody cares about"  # where nothing was repeated
+REPEATABILITY = "repeatability"
+RELEVANCE_LIMIT = "the relevance limit"  # without repeats
 SPREAD = "the root mean square of all, by kinetic energy"  # of impacts without repeats and without known noise
-NOISE = "the noise of its signal"  # of a recorded torque
+NOISE = "the noise of the signal"  # of a recorded torque
 
 
 class Tag(StrEnum):
-    """How a verdict is coloured."""
+    """Colour class of a verdict."""
 
     GOOD = "good"
     MAYBE = "maybe"
@@ -53,7 +53,7 @@ def signal_text(row: SignalLevel) -> str:
 
 
 def place_text(entry: Cell | JumpLevel, scenario: bool = False) -> str:
-    """Object and case of an entry, with the scenario where it does not go without saying."""
+    """Object and case of an entry, with the scenario if ``scenario``."""
     parts = [entry.scenario] if scenario else []
     if entry.object not in NO_OBJECT:
         parts.append(entry.object)

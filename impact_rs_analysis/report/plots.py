@@ -29,9 +29,9 @@ TAG_COLOURS = {Tag.GOOD: GREEN, Tag.MAYBE: ORANGE, Tag.NO: GREY}
 DASHES = {"solid": "solid", "dashed": "dash", "none": "solid"}
 SIGNED = [[0.0, "#B2182B"], [0.25, "#EF8A62"], [0.5, "#F7F7F7"], [0.75, "#67A9CF"], [1.0, "#2166AC"]]
 MOST_EFFECTS = 12
-DECADE = 10.0  # between smallest and largest, from which an axis is logarithmic
-NOTICEABLE = 2.0  # multiples of repetition from which a place is shown
-DARKEST = (3.0, 20.0)  # multiples of repetition that have the darkest colour, at least and at most
+DECADE = 10.0  # ratio of largest to smallest, from which an axis is logarithmic
+NOTICEABLE = 2.0  # times repeatability, from which a place is shown
+DARKEST = (3.0, 20.0)  # times repeatability; the darkest colour lies in this range
 
 _AXIS = {
     "automargin": True,
@@ -41,7 +41,7 @@ _AXIS = {
     "title": {"standoff": 6, "font": {"size": 13}},
 }
 _BELOW = {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom", "x": 0, "xanchor": "left"}
-TEMPLATE = {  # as plain data: Plotly loads what makes an object of it, a fifth of a second, when something is drawn
+TEMPLATE = {  # plain data: a Plotly template object would load 0.2 s of modules at import
     "layout": {
         "font": {"family": "system-ui, sans-serif", "size": 12, "color": "#1A1A1A"},
         "margin": {"l": 10, "r": 10, "t": 26, "b": 10},
@@ -50,7 +50,7 @@ TEMPLATE = {  # as plain data: Plotly loads what makes an object of it, a fifth 
         "legend": _BELOW,
         "hoverlabel": {"namelength": -1},
         "paper_bgcolor": "white",
-        "plot_bgcolor": "rgba(0,0,0,0)",  # lines below the data are to be seen
+        "plot_bgcolor": "rgba(0,0,0,0)",  # keeps lines below the data visible
     }
 }
 
@@ -149,7 +149,7 @@ def _places(x: Array) -> dict[str, Any]:
 
 
 def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
-    """Held-out error of the best effects, each alone and what it adds to others; None: nothing was measured of any."""
+    """Held-out error of the best effects, alone and added to the chosen ones; None if none was measured."""
     shown = [
         (effect, effect.held_out_error_after) for effect in document.effects if effect.held_out_error_after is not None
     ][:MOST_EFFECTS]
@@ -157,14 +157,14 @@ def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
         return None
     names = [_plain(effect.name) for effect, _ in shown]
     colours = [TAG_COLOURS[tag_of(effect.verdict)] for effect, _ in shown]
-    # A document of an earlier version does not say what an effect does alone.
+    # Documents of earlier versions lack the error of an effect alone.
     alone = [effect.held_out_error_alone for effect, _ in shown]
     others = [
         effect.held_out_error_before if effect.held_out_error_others is None else effect.held_out_error_others
         for effect, _ in shown
     ]
     drawn = _figure()
-    # Where nothing was chosen every effect is alone.
+    # Without a chosen effect every effect is alone.
     beside = len(document.named) > 0 or not any(error is not None for error in alone)
     if beside:
         for name, colour, without, (_, error) in zip(names, colours, others, shown, strict=True):
@@ -197,7 +197,7 @@ def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
         drawn.add_shape(_vertical(value) | {"line": line}, name=label, showlegend=True)
     numbers = [document.held_out_error_before, document.noise_floor, *(error for _, error in shown)]
     numbers += [error for error in (*alone, *others) if error is not None]
-    unit = "× repetition" if document.error_unit == TIMES else document.error_unit
+    unit = "× repeatability" if document.error_unit == TIMES else document.error_unit
     return drawn.update_layout(
         height=130 + 24 * len(shown),
         xaxis={"title": {"text": f"held-out error [{_plain(unit)}]"}, "fixedrange": True} | _range(numbers),
@@ -206,7 +206,7 @@ def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
 
 
 def _range(numbers: Sequence[float]) -> dict[str, Any]:
-    """An axis from zero, or a logarithmic one where the smallest number could not be seen on it."""
+    """An axis from zero, or a logarithmic one if the smallest number would be invisible."""
     smallest, largest = min(numbers), max(numbers)
     if smallest <= 0.0 or largest < DECADE * smallest:
         return {"range": [0.0, 1.05 * largest]}
@@ -216,7 +216,7 @@ def _range(numbers: Sequence[float]) -> dict[str, Any]:
 
 
 def joints_plot(rows: Sequence[JointError]) -> go.Figure:
-    """Torque error of every joint before and after, over the noise of its torque."""
+    """Torque error of every joint before and after, and the noise of its torque."""
     groups = [("before", GREY, [row.before for row in rows]), ("after", GREEN, [row.after for row in rows])]
     return _joint_bars(
         [row.joint for row in rows], groups, [row.noise for row in rows], joined_units(row.unit for row in rows)
@@ -224,7 +224,7 @@ def joints_plot(rows: Sequence[JointError]) -> go.Figure:
 
 
 def signals_plot(rows: Sequence[SignalLevel]) -> go.Figure:
-    """Error of signals that are told joint by joint, over their noise; all have one unit."""
+    """Error and noise of signals listed joint by joint; all have one unit."""
     groups = [("model", BLUE, [row.error for row in rows])]
     return _joint_bars([row.index for row in rows], groups, [row.noise_floor for row in rows], rows[0].unit)
 
@@ -245,7 +245,7 @@ def _joint_bars(
 
 
 def where_plots(cells: Sequence[Cell], by_phase: bool) -> list[tuple[str, go.Figure]]:
-    """Heat maps of where a model fails, signed, with their titles.
+    """Heat maps of signed residuals, with their titles.
 
     Args:
         cells: Places, largest first.
@@ -275,13 +275,13 @@ def _order_of_phase(phase: str) -> tuple[int, str]:
 
 
 def _arm_first(row: tuple[str, str]) -> tuple[bool, str, tuple[str, str]]:
-    """Order of signals by index: arm after arm, and last what belongs to none."""
+    """Order of signals by index: by arm, signals without an arm last."""
     arm = row[1].rpartition(".")[0]
     return not arm, arm, row
 
 
 def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]], top: float) -> go.Figure | None:
-    """Rows are signals by joint or axis; those that are noticeable nowhere are left out. None: no row is left."""
+    """Rows are signals by joint or axis, without those below ``NOTICEABLE`` everywhere; None if no row remains."""
     shown = {(cell.signal, cell.index) for cell in cells if cell.times_noise > NOTICEABLE}
     if not shown:
         return None
@@ -295,7 +295,7 @@ def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]], top: f
             x=[_plain(name) for name in names],
             y=[_plain(f"{signal} {index}") for signal, index in rows],
             text=[["" if c is None else quantity_text(c.error, c.unit) for c in row] for row in found],
-            hovertemplate="%{y}<br>%{x}<br>%{z:.1f} × repetition<br>%{text}<extra></extra>",
+            hovertemplate="%{y}<br>%{x}<br>%{z:.1f} × repeatability<br>%{text}<extra></extra>",
             zmin=-top,
             zmax=top,
             colorscale=SIGNED,
@@ -305,7 +305,7 @@ def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]], top: f
         )
     )
     return drawn.update_layout(
-        # Names of columns stand upright where there is no room for them side by side.
+        # Names of columns are vertical where they do not fit side by side.
         height=90 + 20 * len(rows) + 6 * max(len(name) for name in names),
         xaxis={
             "side": "top",

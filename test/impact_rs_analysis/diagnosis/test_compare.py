@@ -119,7 +119,7 @@ def test_the_report_is_one_file_that_needs_no_network(runs: Runs, nominal: Compa
     text = path.read_text(encoding="utf-8")
     body = text.split("<script>", 1)[0]
     assert "src=" not in body and "://" not in body
-    assert "Where it fails" in body
+    assert "Where the model fails" in body
     assert text.count("plotly.js v") <= 2  # embedded once
     assert json.loads((tmp_path / "compare.json").read_text()) == json.loads(_bytes(nominal))
 

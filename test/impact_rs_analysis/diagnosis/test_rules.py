@@ -42,7 +42,7 @@ def test_a_change_of_the_error_has_the_interval_of_a_mean_over_conditions() -> N
     source = AnalyticSource(1, design=(1,) * 6, repeated=False)
     small = 1e-3 * np.array([1.0, -2.0, 3.0, 0.0, 2.0, 4.0])
     nothing, after = np.zeros((6, FEATURES)), (1.0 + small)[:, None] * np.ones((6, FEATURES))
-    source.told_weight = lambda item: 1.0  # type: ignore[assignment, method-assign, misc]
+    source.residual_weight = lambda item: 1.0  # type: ignore[assignment, method-assign, misc]
     found = change_interval(list(nothing), list(after), Evidence.of(source))
     expected = scipy.stats.t.interval(0.95, 5, loc=1.0 + small.mean(), scale=scipy.stats.sem(small))
     assert found == pytest.approx(expected, abs=1e-5)
@@ -93,8 +93,8 @@ def test_estimates_that_move_against_each_other_are_told_as_well() -> None:
 def test_what_an_effect_moves_is_told_from_the_most_noticeable_on() -> None:
     source = AnalyticSource(1)
     found = fitted(source, "straight", change=np.array([5.0]))
-    floors = {f"signal {number}": floor for number, floor in enumerate((0.1, 3.0, 0.3, 1.0))}
-    labels = tuple(replace(feature, floor=floors[feature.signal]) for feature in source.clusters[0].features)
+    limits = {f"signal {number}": limit for number, limit in enumerate((0.1, 3.0, 0.3, 1.0))}
+    labels = tuple(replace(feature, relevance_limit=limits[feature.signal]) for feature in source.clusters[0].features)
     clusters = tuple(replace(item, features=labels) for item in found.evidence.clusters)
     sizes = sizes_of(replace(found, evidence=replace(found.evidence, clusters=clusters)), "straight")
     assert [size.value / size.floor for size in sizes] == sorted((s.value / s.floor for s in sizes), reverse=True)

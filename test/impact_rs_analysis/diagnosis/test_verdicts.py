@@ -16,7 +16,7 @@ from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.search import Search
-from impact_rs_analysis.diagnosis.verdicts import p_told, rests_of, told
+from impact_rs_analysis.diagnosis.verdicts import clip_p, residual_size, rests_of
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
@@ -76,13 +76,13 @@ def test_the_headline_is_the_effect_however_large_it_is(value: float) -> None:
 
 def test_p_is_told_as_a_bound_where_noise_is_not_known() -> None:
     document = said(AnalyticSource(1, (("straight", (40.0,)),)))
-    assert document.design.least_p == p_told(1e-6) == 0.0005
+    assert document.design.least_p == clip_p(1e-6) == 0.0005
     assert document.lack_of_fit.before == pytest.approx(0.001)  # of 999 draws
     assert document.effects[0].p_value == pytest.approx(0.003)  # three effects were looked at
 
 
 def test_what_is_significant_and_too_small_to_matter_is_said_with_its_size() -> None:
-    """60 repeats see a tenth of the noise; the floor is larger than all that it moves."""
+    """60 repeats see a tenth of the noise; the relevance limit is larger than all that it moves."""
     document = said(AnalyticSource(2, (("straight", (0.06,)),), design=(60,) * 8))
     assert document.verdict == "PRESENT-BUT-SMALL" and document.named == ("straight",)
     assert document.effects[0].verdict == "PRESENT-BUT-SMALL"
@@ -146,7 +146,7 @@ def test_the_scale_of_errors_is_that_of_repetition() -> None:
     source = AnalyticSource(9, design=(4, 4, 4))
     evidence = Evidence.of(source)
     rest = [np.full(FEATURES, 2.0) / item.sigma for item in source.clusters]
-    assert told(evidence, rest) == pytest.approx(2.0 * np.sqrt(4.0))
+    assert residual_size(evidence, rest) == pytest.approx(2.0 * np.sqrt(4.0))
 
 
 def test_where_nothing_is_left_but_noise_next_to_nothing_is_told() -> None:
@@ -179,7 +179,7 @@ def test_what_is_significant_and_stops_where_it_does_nothing_is_no_improvement(b
     effect = document.effect("one_sided")
     assert effect is not None and effect.p_value is not None and effect.p_value < 0.01
     assert effect.parameters["d"].interval[0] == effect.parameters["d"].estimate == 0.0
-    assert effect.verdict == "NO-IMPROVEMENT" and "contains the value at which it does nothing" in effect.reason
+    assert effect.verdict == "NO-IMPROVEMENT" and "contains the nominal value" in effect.reason
 
 
 @pytest.mark.parametrize("beside", [(), (("one_sided", (5.0,)),)])

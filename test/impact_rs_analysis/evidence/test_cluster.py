@@ -12,7 +12,7 @@ import pytest
 from mixed_grab import MIXED
 
 from impact_rs_analysis.diagnosis.fit import Evidence
-from impact_rs_analysis.evidence.cluster import Cluster, Feature, Source, apart, pooled_error, size_of
+from impact_rs_analysis.evidence.cluster import Cluster, Feature, Source, pooled_error, size_of, with_per_arm_parameters
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
@@ -72,22 +72,22 @@ def test_neighbours_on_the_same_recording_guard_a_stretch_and_those_of_another_d
 def test_arms_of_one_kind_share_their_parameters_and_arms_of_different_kinds_do_not() -> None:
     nominal, mixed = load_model("nominal"), Physics.nominal(MIXED, "parcel")
     alike = Physics.nominal(load_scenario("grab"), "parcel")
-    assert apart(nominal, [mixed]).arms == {"left": 7, "right": 6}
-    assert apart(nominal, [alike]) is nominal
-    assert apart(nominal, [alike], each_arm=True).arms == {"left": 7, "right": 7}
+    assert with_per_arm_parameters(nominal, [mixed]).arms == {"left": 7, "right": 6}
+    assert with_per_arm_parameters(nominal, [alike]) is nominal
+    assert with_per_arm_parameters(nominal, [alike], each_arm=True).arms == {"left": 7, "right": 7}
     # Two scenes with an arm of another kind each: their names tell them apart.
     one, other = (replace(mixed, arms={name: arm}) for name, arm in mixed.arms.items())
-    assert apart(nominal, [one, other]).arms == {"left": 7, "right": 6}
+    assert with_per_arm_parameters(nominal, [one, other]).arms == {"left": 7, "right": 6}
     known = nominal.model_copy(update={"arms": {"left": 7}})
-    assert apart(known, [mixed]) is known
+    assert with_per_arm_parameters(known, [mixed]) is known
 
 
 def test_one_name_for_two_robots_is_told_where_parameters_go_by_names() -> None:
     nominal, mixed = load_model("nominal"), Physics.nominal(MIXED, "parcel")
     one, other = (replace(mixed, arms={"arm": arm}) for arm in mixed.arms.values())
-    assert apart(nominal, [one, other]) is nominal
+    assert with_per_arm_parameters(nominal, [one, other]) is nominal
     with pytest.raises(InputError, match="arm 'arm' is another robot in another scenario"):
-        apart(nominal, [one, other], each_arm=True)
+        with_per_arm_parameters(nominal, [one, other], each_arm=True)
     source = cast(Source, SimpleNamespace(model=nominal, physics=one, worlds=[one, other]))
     with pytest.raises(InputError, match="arms arm with 6 joints, arm with 7 joints: .* another name for each"):
         Source.joints.fget(source)  # type: ignore[attr-defined]

@@ -36,7 +36,7 @@ def left(run: Run, physics: Physics | None = None) -> dict[tuple[str, str], Arra
     assert predicted is not None
     found: dict[tuple[str, str], list[float]] = {}
     for feature, a, b in zip(measured.features, measured.measured, predicted, strict=True):
-        found.setdefault((feature.phase, feature.signal), []).append((a - b) / feature.floor)
+        found.setdefault((feature.phase, feature.signal), []).append((a - b) / feature.relevance_limit)
     return {key: np.array(values) for key, values in found.items()}
 
 
@@ -203,7 +203,7 @@ def test_repeats_share_the_features_that_all_of_them_have(hit: Run) -> None:
     assert {feature.bin for feature in short.features if feature.phase == "push"} == {0}
     assert len(whole.measured) == len(whole.features) < len(MeasuredRun.of(hit).features)
     predicted = whole.setup.features_of(whole.setup.replayed(hit.physics))
-    floors = np.array([feature.floor for feature in whole.features])
+    floors = np.array([feature.relevance_limit for feature in whole.features])
     assert np.sqrt(np.mean(np.square((whole.measured - predicted) / floors))) < 0.3
 
 

@@ -17,6 +17,7 @@ from mixed_grab import MIXED
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, SignalLevel
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EstimateDocument, read_document
 from impact_rs_analysis.diagnosis.history import VersionError
+from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.tracks import TrackSet, TrackSignal
 from impact_rs_analysis.measure.arms import arms_of
 from impact_rs_analysis.report import page as skeleton
@@ -93,27 +94,27 @@ def test_a_diagnosis_shows_everything_that_it_knows(diagnosed: Page) -> None:
         "Model 'nominal' lacks object_mass and joint_coulomb_friction.",
         "12 trials of 2 conditions",
         "10 degrees of freedom of the noise",
-        "1.0 is what repetition alone gives",
-        "61.8 → 1.6 times what repetition alone gives; change −60 [−71, −49]",
+        "Multiples of repeatability: 1.0 is the scatter of repeats",
+        "61.8 → 1.6 times repeatability; change −60 [−71, −49]",
         "Held out: Conditions with all their repeats.",
         "p < 0.0005 before, p = 0.0031 after",
-        "Model discrepancy is part of every number",
+        "differences between equally valid simulations with the same parameters do not count",
         "Two engines, 9 conditions.",
         "impact (first 80 ms): end-effector velocity 3 mm/s 2.2 mm/s",
         "No free motion was measured.",
         "object_mass CONFIRMED 1.4 61.8 → 1.3 < 0.0005 5 of 6 Predicts unseen data.",
         "mass = 1.101 [1.080, 1.120] kg",
-        "moves end-effector velocity by up to 4 mm/s (impact; floor 3 mm/s)",
+        "moves end-effector velocity by up to 4 mm/s (impact; relevance limit 3 mm/s)",
         "CONFUSABLE-WITH{joint_stribeck_friction}",
         "coulomb_joint4 joint4 0.310 [0.290, 0.330] N m AT-BOUND 0.004 0.44 → 0.12",
         "base_tilt NO-IMPROVEMENT – 1.3 → 60.2 0.42",
         "Not measured: restitution.",
         "joint_coulomb_friction and joint_stribeck_friction",
-        "7 % of what noise does not explain",
+        "7 % of the error beyond noise remains",
         "push: contact force z 0.21 N 0.05 N 55 % 3.3",
         "Run a motion there and back.",
         "excite none fast (not measured before)",
-        "17 squared noise units",
+        "17: squared distance of the predictions",
         "juice, case_2, impact (first 80 ms): end-effector velocity y −41 mm/s",
         "Condition number of the fit: 30",
         "Singular values: 210, 7.",
@@ -195,9 +196,9 @@ def test_a_comparison_shows_levels_places_and_units(
 ) -> None:
     page = Page(write_comparison(comparison, tracks, None, tmp_path))
     for shown in (
-        "differs from 12 trials by 61.8 times what repetition alone gives",
-        "fails most in end-effector velocity y (juice, case_2, impact (first 80 ms)): off by −41 mm/s",
-        "Velocity jump — 7.7 times",
+        "Residual of model 'nominal' in 12 trials: 61.8 × repeatability.",
+        "Largest in end-effector velocity y (juice, case_2, impact (first 80 ms)): −41 mm/s",
+        "Velocity jump — 7.7 × repeatability",
         "juice, case_2: object velocity y 0.51 0.48 0.03 m/s 7.7",
         "36 mm/s 1.1 mm/s 2.2 mm/s 3 mm/s 12",
         "push/juice/case_2 6 71.5",
@@ -279,21 +280,31 @@ def test_recordings_are_shown_on_the_same_pages_in_newton_metres(
     facts = "recording.db3 : 727 samples at 30 Hz, 22.9 of 24.2 s used; franka_fer with 0.73 kg mounted"
     assert facts in compared.text
     assert facts in found.text
-    assert "leaves 0.379 N m rms of joint torque unexplained; noise alone would leave 0.128 N m." in compared.text
+    assert "Torque residual of model 'nominal': 0.379 N m rms (noise alone: 0.128 N m)." in compared.text
     assert "Not measured Velocity jump, object." in compared.text
-    assert "In N m; noise alone gives 0.128." in found.text
+    assert "In N m; noise alone: 0.128." in found.text
     assert "0.379 → 0.19 N m" in found.text
-    assert "repetition" not in compared.text
+    assert "repeatability" not in compared.text
     bars = found.data["joints"]["data"]  # type: ignore[index]
     assert [trace["y"] for trace in bars] == [[0.48], [0.21], [0.2]]
     assert "level-recording" in compared.data
 
 
-def test_a_score_that_is_hardly_more_than_noise_names_no_place(comparison: ComparisonDocument, tmp_path: Path) -> None:
+def test_a_score_close_to_noise_names_no_place(comparison: ComparisonDocument, tmp_path: Path) -> None:
     good = comparison.model_copy(update={"score": 1.2})
     text = Page(write_comparison(good, (), None, tmp_path)).text
-    assert "hardly more than noise" in text
-    assert "fails most" not in text
+    assert "close to noise" in text
+    assert "Largest in" not in text
+
+
+def test_errors_of_earlier_versions_are_multiples_of_repeatability(
+    diagnosis: DiagnosisDocument, comparison: ComparisonDocument, tmp_path: Path
+) -> None:
+    earlier = "times what repetition alone gives"
+    path = tmp_path / "diagnosis.json"
+    path.write_text(json.dumps(diagnosis.model_dump(mode="json") | {"error_unit": earlier}))
+    assert read_document(path).error_unit == TIMES
+    assert ComparisonDocument(**dict(comparison) | {"score_unit": earlier}).score_unit == TIMES
 
 
 def test_documents_that_say_little_make_whole_pages(
@@ -302,9 +313,9 @@ def test_documents_that_say_little_make_whole_pages(
     found = Page(write_diagnosis(minimal_diagnosis, minimal_comparison, (), None, tmp_path))
     compared = Page(write_comparison(minimal_comparison, (), None, tmp_path))
     assert "NONE-EXPLAINS" in found.text
-    assert "In times the noise; noise alone gives 0.41." in found.text
-    assert "1.0 is what repetition" not in found.text
-    assert "5.2 times what nobody cares about" in compared.text
+    assert "In times the noise; noise alone: 0.41." in found.text
+    assert "1.0 is the scatter of repeats" not in found.text
+    assert "5.2 × the relevance limit" in compared.text
     for page in (found, compared):
         assert page.count("select") == 0
         assert "None" not in page.text
@@ -450,7 +461,7 @@ def test_a_page_is_replaced_at_once_and_leaves_nothing_behind(versions: Sequence
     (tmp_path / "history.html").write_text("old")
     write_history(versions, tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["history.html", "history.json"]
-    assert "How the error fell" in (tmp_path / "history.html").read_text(encoding="utf-8")
+    assert "Error by model version" in (tmp_path / "history.html").read_text(encoding="utf-8")
     document = json.loads((tmp_path / "history.json").read_text())
     assert [entry["effect_added"] for entry in document["history"]] == [None, "object_mass"]
 

@@ -97,7 +97,7 @@ def test_planted_effect_is_recovered_through_the_replay(name, runs, nominal_feat
         direction[1:] = 0.0
     if name == "pad_friction":
         direction[:] = -0.4  # more friction on a pad that sticks anyway cannot be seen; less makes it slide
-    floor = np.array([feature.floor for feature in runs[kind].features])
+    floor = np.array([feature.relevance_limit for feature in runs[kind].features])
 
     def features(size):
         values = effect.nominal(7) + size * direction
