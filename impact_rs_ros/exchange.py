@@ -200,7 +200,7 @@ class Outbox:
     def unmatched(self) -> list[str]:
         """Topics without a reader.
 
-        Whether the recorder is among the readers it finds out itself (:class:`~impact_rs_ros.presence.Acquaintance`).
-        How many others there are says nothing: a reader of another quality of service is known and never matched.
+        The recorder checks by itself that it is a reader (:class:`~impact_rs_ros.presence.SubscriptionsMatched`). The
+        number of discovered readers would not show that: one of another quality of service is never matched.
         """
         return [topic for topic, publisher in self._publishers.items() if publisher.get_subscription_count() == 0]

@@ -5,8 +5,8 @@ Every node has a publisher on ``~/alive``. The middleware of its process asserts
 thread of its own, so that long work in Python raises no alarm, and tells whoever subscribes when that has not come
 for a lease. What lives and hangs in our own code is noticed by those who wait for it.
 
-The one message that is published there is latched: who receives it has been met by that node, and so have all
-subscriptions that its process had made before (:class:`Acquaintance`).
+Its one message is latched. A process that receives it knows that the node has discovered all subscriptions that the
+process made before (:class:`SubscriptionsMatched`).
 """
 
 from __future__ import annotations
@@ -105,16 +105,17 @@ class Presence:
         return sorted({f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in named})
 
 
-class Acquaintance:
-    """Whether other nodes know the subscriptions of this process.
+class SubscriptionsMatched:
+    """Whether the publishers of other nodes have discovered the subscriptions of this process.
 
-    That a subscription has found its publisher does not say that the publisher has found the subscription, and until
-    then it is sent nothing. Number and names of its subscribers do not tell either: one that was killed is counted for
-    20 s. A process announces its subscriptions one after the other, and whoever has met the last one has met them all.
+    A subscription that knows its publisher receives nothing until the publisher knows the subscription as well. The
+    publisher's count of subscribers is no evidence: it includes a killed one for 20 s. A process announces its
+    subscriptions in order, so this class makes one more, on the latched ``~/alive`` of each node: the node that
+    delivers its message has discovered all earlier subscriptions.
 
     Args:
-        node: Who wants to be met.
-        names: Of the nodes that shall meet it, relative to its namespace.
+        node: Node of this process.
+        names: Nodes that have to discover its subscriptions, relative to its namespace.
     """
 
     def __init__(self, node: Node, names: Iterable[str]) -> None:
@@ -124,12 +125,12 @@ class Acquaintance:
         self._met: set[str] = set()
 
     def begin(self) -> None:
-        """Ask to be met, with every subscription that there is now."""
+        """Wait anew, for the discovery of every subscription that exists now."""
         self._met.clear()
         self._inbox.connect(dict.fromkeys(self._topics, "std_msgs/msg/Empty"))
 
     def awaited(self) -> list[str]:
-        """Topics of those that are there and have not met it yet."""
+        """``NAME/alive`` of the running nodes that have not discovered the subscriptions yet."""
         self._inbox.gather()
         self._met.update(topic for topic, _ in self._inbox.take())
         return [
@@ -139,5 +140,5 @@ class Acquaintance:
         ]
 
     def close(self) -> None:
-        """Ask no more."""
+        """Destroy the subscriptions to ``~/alive``."""
         self._inbox.close()

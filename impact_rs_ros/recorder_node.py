@@ -25,7 +25,7 @@ from impact_rs_ros.derived import DERIVED, DerivedMessages
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.message_types import decoded
 from impact_rs_ros.names import resolved
-from impact_rs_ros.presence import Acquaintance, Presence
+from impact_rs_ros.presence import Presence, SubscriptionsMatched
 from impact_rs_ros.process import HARDWARE, NodeProgram, run
 from impact_rs_ros.qos import RECORD
 from impact_rs_sim.errors import InputError, full_traceback
@@ -235,7 +235,7 @@ class RecorderNode(NodeProgram):
         self._failure = ""  # why the last bag is no whole trial
         self._saved = 0.0  # when the bag was put on the disk, on the monotonic clock [s]
         self._presence = Presence(self.node, ["experiment"])
-        self._acquaintance = Acquaintance(self.node, ["plant", "controller"])
+        self._subscriptions = SubscriptionsMatched(self.node, ["plant", "controller"])
 
     def rehearse(self, spec: TrialSpec) -> None:
         DerivedMessages(spec.plan, tracked=True)
@@ -278,20 +278,22 @@ class RecorderNode(NodeProgram):
         """
         deadline = time.monotonic() + MATCHING
         needed = topics.needed(self._arms)
-        self._acquaintance.begin()
-        while (unmatched := self._unmatched(needed)) or self._acquaintance.awaited():
+        self._subscriptions.begin()
+        while (unmatched := self._unmatched(needed)) or self._subscriptions.awaited():
             if time.monotonic() > deadline:
                 break
             time.sleep(0.005)
-        strangers = [topic.removesuffix("/alive") for topic in self._acquaintance.awaited()]
+        undiscovered = [topic.removesuffix("/alive") for topic in self._subscriptions.awaited()]
         absent = [topic for topic in unmatched if not self._publishers(topic)]
         unheard = [topic for topic in unmatched if topic not in absent]
         told = [f"nobody publishes {', '.join(absent)}; are plant and controller running?"] if absent else []
         if unheard:
             told.append(f"{', '.join(unheard)}: published by somebody whom the recorder does not receive; reliable?")
-        if strangers:  # the beginning of the trial would be lost
-            told.append(f"{' and '.join(strangers)} did not meet the recorder within {MATCHING:g} s")
-        if strangers or not set(needed).isdisjoint(unmatched):
+        if undiscovered:  # the beginning of the trial would be lost
+            told.append(
+                f"{' and '.join(undiscovered)} did not discover the recorder's subscriptions within {MATCHING:g} s"
+            )
+        if undiscovered or not set(needed).isdisjoint(unmatched):
             raise InputError(f"recorder: {'; '.join(told)}")
         for line in told:
             self.log.warning(line)
@@ -470,7 +472,7 @@ class RecorderNode(NodeProgram):
 
     def close(self) -> None:
         self._abort()
-        self._acquaintance.close()
+        self._subscriptions.close()
         self._inbox.close()
 
 
