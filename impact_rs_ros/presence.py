@@ -81,12 +81,12 @@ class Presence:
         latest = time.monotonic() - GRACE
         return [name for name in names if name in self._known and not self._alive[name] and self._since[name] < latest]
 
-    def twice(self, *names: str, settled: bool = False) -> list[str]:
-        """Those of these nodes that are there more than once.
+    def duplicates(self, *names: str, settled: bool = False) -> list[str]:
+        """Those of these names that several running nodes share.
 
         Args:
-            names: Of the nodes.
-            settled: Only those of which none can be the remembrance of one that died.
+            names: Names of the nodes.
+            settled: Leave out names whose count changed within the lease: one of two may have died since.
         """
         latest = time.monotonic() - (LEASE + GRACE if settled else 0.0)
         return [name for name in names if self._alive[name] > 1 and self._since[name] <= latest]

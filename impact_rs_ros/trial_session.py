@@ -176,21 +176,21 @@ class TrialSession:
         return self._finish_all(progress, reason, path)
 
     def _cause(self, reason: str) -> str:
-        """What lies behind a failure: a second node of one name may be met only while both disturb the trial.
+        """The cause of a failure: a second node of the same name, which may be discovered only after it disturbed.
 
-        Its services can be met, and answer, before it has said that it is there; it says so within a lease.
+        Its services can answer before its ``~/alive`` is discovered, which takes up to a lease.
         """
         deadline = time.monotonic() + LEASE
-        while self._answered_twice() and not self._presence.twice(*ALL) and time.monotonic() < deadline:
+        while self._has_duplicate_servers() and not self._presence.duplicates(*ALL) and time.monotonic() < deadline:
             time.sleep(LOOK)
         try:
             self._check_alone(wait=True)
-        except TrialError as twice:
-            return str(twice)
+        except TrialError as duplicate:
+            return str(duplicate)
         return reason
 
-    def _answered_twice(self) -> bool:
-        """Whether a service of a trial has several servers; of a node that was killed it is counted for 20 s."""
+    def _has_duplicate_servers(self) -> bool:
+        """Whether a service of a trial has several servers; that of a killed node is counted for 20 s."""
         return any(self._node.count_services(client.srv_name) > 1 for client in self._finish.values())
 
     def _describe(self, urdfs: dict[str, str]) -> None:
@@ -267,20 +267,20 @@ class TrialSession:
             raise TrialError(f"node {self._presence.full_name(gone[0])} was killed or froze")
 
     def _check_alone(self, wait: bool = False) -> None:
-        """Nothing, where no node is there twice; whether one of two died shows after a moment.
+        """Require that every node name is unique.
 
         Args:
-            wait: Wait for that moment; else only what is certain counts.
+            wait: Wait until it is certain that neither of two nodes has died; otherwise ignore uncertain cases.
 
         Raises:
-            TrialError: One is.
+            TrialError: Two nodes share a name.
         """
-        while wait and self._presence.twice(*ALL) and not self._presence.twice(*ALL, settled=True):
+        while wait and self._presence.duplicates(*ALL) and not self._presence.duplicates(*ALL, settled=True):
             time.sleep(LOOK)
-        if twice := self._presence.twice(*ALL, settled=True):
+        if duplicates := self._presence.duplicates(*ALL, settled=True):
             raise TrialError(
-                f"node {self._presence.full_name(twice[0])} is there twice: stop one of them, or give one another "
-                "namespace or ROS_DOMAIN_ID"
+                f"two nodes are called {self._presence.full_name(duplicates[0])}: stop one of them, or give one "
+                "another namespace or ROS_DOMAIN_ID"
             )
 
     def _check_publishers(self) -> None:

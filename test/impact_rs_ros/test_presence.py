@@ -84,15 +84,15 @@ def test_a_frozen_and_a_killed_process_are_gone_and_one_that_goes_on_is_back(wat
     assert presence.gone("one") == []
 
 
-def test_two_of_one_name_are_there_twice_until_one_of_them_leaves(watch: Watch) -> None:
+def test_two_nodes_of_one_name_are_duplicates_until_one_of_them_leaves(watch: Watch) -> None:
     presence = watch.presence
     watch.start("one")
     other = watch.start("one")
-    watch.until(lambda: presence.twice("one", "other") == ["one"], "not there twice")
-    watch.until(lambda: presence.twice("one", settled=True), "may be one that died")
+    watch.until(lambda: presence.duplicates("one", "other") == ["one"], "no duplicate")
+    watch.until(lambda: presence.duplicates("one", settled=True), "may be one that died")
     assert presence.full_name("one") == "/cell/one"
     other.kill()
-    watch.until(lambda: not presence.twice("one"), "still there twice")
+    watch.until(lambda: not presence.duplicates("one"), "still a duplicate")
     assert presence.gone("one") == []
 
 
