@@ -54,7 +54,7 @@ SERVICES: dict[str, dict[str, Any]] = {
 }
 """Services of every node, with their types: what somebody else's node in its place has to offer as well."""
 
-Tell = Callable[[str], None]
+Notify = Callable[[str], None]
 
 log = logging.getLogger(__name__)
 
@@ -74,13 +74,15 @@ class Graph:
         nodes: Processes of the nodes.
         node: Node of this process.
         foreign: Nodes that somebody else provides, by the name of the one in whose place they stand.
-        tell: Told what is waited for.
+        notify: Called with a line about what is awaited.
     """
 
-    def __init__(self, nodes: NodeProcesses, node: Node, foreign: Sequence[str] = (), tell: Tell = log.info) -> None:
+    def __init__(
+        self, nodes: NodeProcesses, node: Node, foreign: Sequence[str] = (), notify: Notify = log.info
+    ) -> None:
         self.nodes = nodes
         self.foreign = list(dict.fromkeys(foreign))
-        self._tell = tell
+        self._notify = notify
         self.processes = nodes.processes
         self.node = node
         self.run_trial = ActionClient(node, RunTrial, "run_trial")
@@ -105,7 +107,7 @@ class Graph:
         quiet: bool = True,
         root: Path | None = None,
         without: Sequence[str] = (),
-        tell: Tell = log.info,
+        notify: Notify = log.info,
         namespace: str = "",
     ) -> Iterator[Self]:
         """A context manager with the nodes, which end with it.
@@ -120,7 +122,7 @@ class Graph:
             quiet: Nodes write to a file, shown when one dies, and not to the terminal.
             root: Folder in which requests may have bags written and name scenarios; None: the working directory.
             without: Nodes that somebody else provides; they are not started, and waited for.
-            tell: Told what is waited for.
+            notify: Called with a line about what is awaited.
             namespace: ROS namespace of the nodes; empty: the root.
 
         Raises:
@@ -141,7 +143,7 @@ class Graph:
             )
             stack.callback(rclpy.try_shutdown, context=context)
             runner = rclpy.create_node(f"runner_{os.getpid()}", context=context, namespace=full_namespace(namespace))
-            graph = cls(nodes, runner, without, tell)
+            graph = cls(nodes, runner, without, notify)
             stack.callback(graph.close)
             graph.wait_until_ready()
             yield graph
@@ -198,7 +200,7 @@ class Graph:
         while missing := self._missing(name):
             what = "actions" if name == "experiment" else "services"
             if not told:
-                self._tell(f"waiting for a {name}: {what} {', '.join(missing)}; for {FOREIGN_TIMEOUT:g} s at most")
+                self._notify(f"waiting for a {name}: {what} {', '.join(missing)}; for {FOREIGN_TIMEOUT:g} s at most")
                 told = True
             for dead, how in self.nodes.dead().items():
                 raise GraphError(f"node {dead} ended with {how}: {self.nodes.last_words(dead)}")
@@ -377,7 +379,7 @@ def run_trials_through_nodes(
     domain_id: int | None = None,
     plant_model: Model | None = None,
     without: Sequence[str] = (),
-    tell: Tell = log.info,
+    notify: Notify = log.info,
     namespace: str = "",
 ) -> Iterator[TrialReport]:
     """Run trials of a campaign through the nodes, one after the other; yields a report per trial as it ends.
@@ -391,7 +393,7 @@ def run_trials_through_nodes(
         domain_id: ``ROS_DOMAIN_ID`` of the nodes; None: the environment's.
         plant_model: Effects that the plant has and nobody else knows; None: none.
         without: Nodes that somebody else provides; they are waited for before every trial.
-        tell: Told what is waited for.
+        notify: Called with a line about what is awaited.
         namespace: ROS namespace of the nodes; empty: the root.
 
     Raises:
@@ -401,7 +403,7 @@ def run_trials_through_nodes(
     if not keys:
         return
     with Graph.running(
-        manifest.scenario, domain_id, root=directory, without=without, tell=tell, namespace=namespace
+        manifest.scenario, domain_id, root=directory, without=without, notify=notify, namespace=namespace
     ) as graph:
         for key in keys:
             graph.wait_until_ready()
@@ -478,8 +480,10 @@ def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (),
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        tell = partial(print, flush=True)
-        with Graph.running(scenario, domain_id, quiet=False, without=without, tell=tell, namespace=namespace) as graph:
+        notify = partial(print, flush=True)
+        with Graph.running(
+            scenario, domain_id, quiet=False, without=without, notify=notify, namespace=namespace
+        ) as graph:
             started = True
             names = [*graph.processes, *(f"{name} (somebody else's)" for name in graph.foreign)]
             which = known.name, next(iter(known.objects)), next(iter(known.cases))

@@ -137,7 +137,7 @@ def test_a_graph_waits_for_a_node_that_others_provide_and_tells_what_is_wrong_wi
             domain_id,
             root=tmp_path,
             without=["plant"],
-            tell=lambda line: asked.append(provided.enter_context(silent_plant(domain_id))),
+            notify=lambda line: asked.append(provided.enter_context(silent_plant(domain_id))),
         ) as graph,
     ):
         assert list(graph.processes) == ["impact_map", "controller", "recorder", "experiment"]
