@@ -138,7 +138,7 @@ def joint_state_from_message(
 ) -> tuple[list[str], FloatArray, FloatArray, FloatArray]:
     """Return names, position ``(n,)`` [rad], velocity ``(n,)`` [rad/s], effort ``(n,)`` [N m].
 
-    What the message does not tell has the shape ``(0,)``.
+    Fields that the message leaves empty have the shape ``(0,)``.
     """
     return (
         list(message.name),

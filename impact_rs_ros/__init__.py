@@ -21,7 +21,7 @@ def _announce_environment() -> None:
 
 
 def _end_on_interrupt() -> None:
-    """Let Ctrl-C end a node that still imports without a word; later it handles the signal itself."""
+    """Let Ctrl-C end a node without a traceback while it imports; later it handles the signal itself."""
     started = Path(sys.argv[0])
     wrapper = started.parts[-3:-1] == ("lib", "impact_rs")  # as `ros2 run` does
     module = any(word.startswith("impact_rs_ros.") and word.endswith("_node") for word in sys.orig_argv[:4])

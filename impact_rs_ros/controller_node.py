@@ -25,9 +25,9 @@ class ControllerTrial(LockstepTrial):
     """One trial of a :class:`~impact_rs_control.controller.Controller`.
 
     Args:
-        plan: What to do.
-        inbox: Where measured states come in.
-        outbox: Where commands go out.
+        plan: The trial.
+        inbox: Subscriptions to measured states.
+        outbox: Publishers of commands.
     """
 
     def __init__(self, plan: TrialPlan, inbox: Inbox, outbox: Outbox) -> None:
@@ -38,17 +38,17 @@ class ControllerTrial(LockstepTrial):
         self._outbox = outbox
         self._arm_of = {topics.joint_states(arm): arm for arm in plan.arms}
         self._readers = {arm: JointReader(names) for arm, names in self._maker.joints.items()}
-        # What was measured last and can be used.
+        # Last valid position and velocity.
         self._known = {arm: (own.initial, np.zeros_like(own.initial)) for arm, own in plan.arms.items()}
         self._plan = plan
         self._period_ns = round(plan.scene.scenario.timing.control_period * 1e9)
-        self._tick = -1  # the last one that was answered
+        self._tick = -1  # the last answered tick
         self._answers: dict[str, bytes] = {}
         self._gathering = -1
         self._gathered: dict[str, ArmMeasurement] = {}
         self._qp = dict.fromkeys(QpStatus, 0)
         self._skipped = 0
-        self._strangers = 0  # messages whose stamp lies outside the trial
+        self._outside = 0  # messages whose stamp lies outside the trial
 
     def work(self, until: float) -> None:
         while (left := until - time.monotonic()) > 0.0:
@@ -66,8 +66,8 @@ class ControllerTrial(LockstepTrial):
     def status(self) -> tuple[str, dict[str, object]]:
         failed, relaxed = self._qp[QpStatus.FAILED], self._qp[QpStatus.RELAXED]
         line = f"{failed} QPs failed" if failed else f"{self._skipped} ticks skipped" if self._skipped else "ok"
-        if self._strangers:
-            line = f"{self._strangers} states with a stamp outside the trial: who else publishes?"
+        if self._outside:
+            line = f"{self._outside} states with a stamp outside the trial: who else publishes?"
         line = self.failure or line
         return line, {
             **self.tick_statistics(),
@@ -77,19 +77,19 @@ class ControllerTrial(LockstepTrial):
         }
 
     def _is_of_trial(self, signals: JointSignals) -> bool:
-        """Whether a state is one of this trial; if not, it is counted, and silence to whoever waits for an answer."""
+        """Whether a state belongs to this trial; others are counted and not answered."""
         if not signals.readable:
             self.unreadable += 1
             return False
         inside = 0 <= round(signals.stamp / self._period_ns) <= self._last
-        self._strangers += not inside
+        self._outside += not inside
         return inside
 
     def _answer(self, arm: str, signals: JointSignals) -> None:
-        """Take the measured state of one arm; decide for all when the last one of a tick is there."""
+        """Take the measured state of one arm; compute torques when those of all arms are there."""
         tick = round(signals.stamp / self._period_ns)
         if tick <= self._tick:
-            if tick == self._tick:  # the plant asks again
+            if tick == self._tick:  # the plant repeats its request
                 self._outbox.repeat(topics.joint_command(arm), self._answers[arm])
             return
         if tick < self._gathering:
@@ -103,7 +103,7 @@ class ControllerTrial(LockstepTrial):
         else:
             position, velocity, torque = signals.values
             self._known[arm] = position, velocity
-        # It does not read the motor's state.
+        # The controller does not use the motor's state, so the joint's stands in for it.
         self._gathered[arm] = ArmMeasurement(position, velocity, torque, position, velocity)
         if len(self._gathered) == len(self._arm_of):
             self._decide(tick)
@@ -127,7 +127,7 @@ class ControllerTrial(LockstepTrial):
         self._tick_times.append(time.monotonic() - started)
 
     def _commands(self, tick: int) -> dict[str, ArmCommand]:
-        """What the controller decides; after anything went wrong, what holds the arms."""
+        """Commands of the controller; after a failure, commands that hold the arms."""
         if not self.failure:
             at = f"at t = {1e-9 * tick * self._period_ns:.3f} s"
             try:
@@ -136,7 +136,7 @@ class ControllerTrial(LockstepTrial):
                 if not wrong:
                     return commands
                 self._fail(f"the torque for {wrong[0]} {at} is not finite")
-            except Exception as error:  # whatever was measured, the arms need a torque
+            except Exception as error:  # the arms need a torque in any case
                 self._fail(f"the controller {at}: {type(error).__name__}: {error}")
         scene, plans = self._plan.scene, self._plan.arms
         return {
@@ -150,7 +150,7 @@ class ControllerTrial(LockstepTrial):
         }
 
     def _fail(self, failure: str) -> None:
-        """Keep the first thing that went wrong, which the trial ends with."""
+        """Keep the first failure, which is the result of the trial."""
         self.failure = self.failure or f"{failure}; the arms were held from there on"
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``/tf``, ``/tf_static`` and ``/clock`` for the bag, worked out from what was measured.
+"""``/tf``, ``/tf_static`` and ``/clock`` for the bag, computed from measured signals.
 
-Several graphs share the first two, nobody can publish them where ``tf2_msgs`` is not installed (it is not on PyPI), and
-somebody else's plant need not publish any. They follow from measured joint positions and the tracked object:
-from the recorded messages the recorder works out the same ones that the plant publishes.
+They follow from measured joint positions and the pose of the object, so the recorder computes from the recorded
+messages what the plant publishes. It does not record them because several graphs share the first two, no node can
+publish those where ``tf2_msgs`` is not installed (it is not on PyPI), and a user's own plant need not publish any.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class DerivedMessages:
 
     Args:
         plan: The trial.
-        tracked: Whether somebody tells the pose of the object; else its frame is left out.
+        tracked: Whether the pose of the object is published; otherwise its frame is left out.
     """
 
     def __init__(self, plan: TrialPlan, tracked: bool = True) -> None:
@@ -40,7 +40,7 @@ class DerivedMessages:
         self._frames = FrameSource(plan.scene)
         self._sources = {topics.joint_states(arm): arm for arm in plan.arms}
         self._readers = {arm: JointReader(names, ("position",)) for arm, names in self._maker.joints.items()}
-        self._known: dict[int, dict[str, Array]] = {}  # joint positions by arm, of ticks that are not told yet
+        self._known: dict[int, dict[str, Array]] = {}  # joint positions by arm, of ticks that are not written yet
         self._seen: list[tuple[int, bytes]] = []  # when [ns], and poses of the object
 
     def static(self) -> bytes:
@@ -49,10 +49,10 @@ class DerivedMessages:
         return bytes(self._store.serialize_cdr(transforms, topics.TF_MESSAGE))
 
     def receive(self, topic: str, nanoseconds: int, data: bytes) -> Iterator[tuple[str, int, bytes]]:
-        """Take a recorded message; hands out topics with times [ns] and serialized messages as soon as they are known.
+        """Take a recorded message; yields topics, times [ns] and serialized messages as soon as they are known.
 
-        The object is where it was last seen. A tracker keeps its own times, and its poses come late: a tick waits
-        until one comes that was taken then or later.
+        The object has its last measured pose. A tracker has its own stamps, and its poses come late: a tick waits for
+        a pose of the same or a later time.
         """
         if topic == topics.OBJECT_POSE:
             self._seen.append((nanoseconds, data))
@@ -66,12 +66,12 @@ class DerivedMessages:
         yield from self._known_until(self._seen[-1][0] // self._period_ns if self._seen else -1)
 
     def rest(self) -> Iterator[tuple[str, int, bytes]]:
-        """The same of ticks that still wait for the object, at the end of a trial."""
+        """Messages of the ticks that still wait for a pose of the object at the end of a trial."""
         self._tracked = self._tracked and bool(self._seen)
         yield from self._known_until(max(self._known, default=0))
 
     def _known_until(self, last: int) -> Iterator[tuple[str, int, bytes]]:
-        """What is known of all arms, and of the object up to a tick."""
+        """Messages of the ticks with states of all arms, and a pose of the object, up to a tick."""
         for tick in sorted(self._known):
             if self._tracked and tick > last:
                 return

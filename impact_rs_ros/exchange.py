@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sending and receiving past the executor of the node, where microseconds count.
+"""Publishing and subscribing without the node's executor, where microseconds count.
 
-An rclpy executor builds a wait set of everything a node has for every single callback. What is awaited in the lockstep,
-and what the recorder stores, comes to a node of its own instead, which rclpy's events executor serves: it takes a third
-of the time, and services and parameters never come in between.
+An rclpy executor builds a wait set of all entities of a node for every single callback. Messages of the lockstep, and
+those that the recorder stores, are received by a separate node, which rclpy's events executor serves. That takes a
+third of the time, and services and parameters do not interfere.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ from impact_rs_ros.names import on_network, resolved
 from impact_rs_ros.qos import offered
 from impact_rs_trials.bags.streams import Stream
 
-BURST = 40  # samples that wait for each other, some ten ticks
-BURST_AGE = 0.1  # s, wall clock: a slow trial still shows that it goes on
+BURST = 40  # samples that are published together, some ten ticks
+BURST_AGE = 0.1  # s, wall clock: a slow trial still shows progress
 
 
 class Inbox:
-    """Subscriptions that their owner reads; none until :meth:`connect`.
+    """Subscriptions whose messages the owner takes when it wants to; none until :meth:`connect`.
 
-    They belong to a hidden node, ``_NODE_NAME``, with remappings and namespace of their owner's. Topics are named as in
+    They belong to a hidden node, ``_NODE_NAME``, with the remappings and namespace of the owner. Topics are named as in
     :mod:`impact_rs_ros.names`, here and in :class:`Outbox`.
 
     Args:
         node: Node that they are for.
         name: Name of the inbox among those of the node.
         qos: Quality of service of all subscriptions.
-        raw: Hand out serialized (CDR) messages, as they came; else those that can be read.
+        raw: Return serialized (CDR) messages as received; otherwise decoded messages, without unreadable ones.
 
     Attributes:
-        unreadable: Number of messages by topic that could not be read, and were not handed out.
+        unreadable: Number of messages that could not be decoded, by topic.
     """
 
     def __init__(self, node: Node, name: str, qos: QoSProfile, raw: bool = False) -> None:
@@ -90,7 +90,7 @@ class Inbox:
         self._executor.spin_once(timeout_sec=max(0.0, timeout))
 
     def gather(self) -> None:
-        """Receive everything that has come; costs as much as a timed wait, some 70 us, whatever there is."""
+        """Receive everything that has come; takes some 70 us however much that is, as a timed wait does."""
         self._executor.spin_until_future_complete(self._never, timeout_sec=0.0)
 
     def take(self) -> Iterator[tuple[str, Any]]:
@@ -105,7 +105,7 @@ class Inbox:
                 self.unreadable[topic] += 1
 
     def clear(self) -> None:
-        """Throw away what has come."""
+        """Discard received messages."""
         self.gather()
         self._received.clear()
 
@@ -114,7 +114,7 @@ class Inbox:
         return {topic: subscription.get_publisher_count() for topic, subscription in self._subscriptions.items()}
 
     def close(self) -> None:
-        """Take the hidden node down."""
+        """Destroy the hidden node."""
         self._executor.shutdown(timeout_sec=1.0)
         self._node.destroy_node()
 
@@ -158,32 +158,32 @@ class Outbox:
         self.counts = dict.fromkeys(self._publishers, 0)
 
     def now(self, topic: str, tick: int, sample: Any) -> bytes:
-        """Publish a sample that is awaited; returns its bytes."""
+        """Publish a sample at once; returns its bytes."""
         data = self._streams[topic].one(tick, sample)
         self._publishers[topic].publish(data)
         self.counts[topic] += 1
         return data
 
     def repeat(self, topic: str, data: bytes) -> None:
-        """Publish once more what may have got lost; it has the stamp it had, and counts as the same message."""
+        """Publish a message again that may have been lost; its stamp is unchanged, and it is counted once."""
         self._publishers[topic].publish(data)
 
     def keep(self, topic: str, tick: int, sample: Any) -> None:
-        """Publish a sample that nobody waits for with the next burst, which wakes its readers once."""
+        """Publish a sample that no node waits for with the next burst, which wakes its subscribers once."""
         self._streams[topic].add(tick, sample)
         self._samples += 1
 
     def later(self, topic: str, message: Any) -> None:
-        """Publish a message that nobody waits for with the next burst."""
+        """Publish a message that no node waits for with the next burst."""
         self._waiting.append((topic, message))
 
     @property
     def due(self) -> bool:
-        """Whether a burst has come together."""
+        """Whether the next burst is large or old enough."""
         return self._samples >= BURST or time.monotonic() - self._flushed > BURST_AGE
 
     def flush(self) -> None:
-        """Publish what waits."""
+        """Publish the burst."""
         for topic, stream in self._streams.items():
             (_, rows), publish = stream.take(), self._publishers[topic].publish
             for row in rows:
@@ -198,9 +198,9 @@ class Outbox:
         self._flushed = time.monotonic()
 
     def unmatched(self) -> list[str]:
-        """Topics without a reader.
+        """Topics without a subscriber.
 
-        Whether the recorder is among the readers it finds out itself (:class:`~impact_rs_ros.presence.Acquaintance`).
-        How many others there are says nothing: a reader of another quality of service is known and never matched.
+        The recorder checks by itself that it is a reader (:class:`~impact_rs_ros.presence.SubscriptionsMatched`). The
+        number of discovered readers would not show that: one of another quality of service is never matched.
         """
         return [topic for topic, publisher in self._publishers.items() if publisher.get_subscription_count() == 0]

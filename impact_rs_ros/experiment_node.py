@@ -47,7 +47,7 @@ class ExperimentNode(NodeProgram):
         self._servers: list[ActionServer] = []
 
     def rehearse(self, spec: TrialSpec) -> None:
-        self._session.describe(spec.plan)  # before the first trial, too, viewers have something to show
+        self._session.describe(spec.plan)  # so that viewers show the robots before the first trial
 
     def offer(self) -> None:
         group = ReentrantCallbackGroup()
@@ -87,7 +87,7 @@ class ExperimentNode(NodeProgram):
 
     def close(self) -> None:
         self._cancelling.set()
-        while self._busy.locked():  # the trial that runs closes its bag, for which it needs answers
+        while self._busy.locked():  # the running trial still needs answers of nodes to close its bag
             self.serve(IDLE)
         with self._busy:
             for server in self._servers:
@@ -106,14 +106,14 @@ class ExperimentNode(NodeProgram):
         return GoalResponse.ACCEPT
 
     def _cancelled(self, handle: Any) -> bool:
-        """Whether a goal shall come to its end now."""
+        """Whether a goal is to end now."""
         return bool(handle.is_cancel_requested or self._cancelling.is_set())
 
     def _check(self, goal: Any) -> None:
-        """Nothing, where a goal can be run.
+        """Check that a goal can be run.
 
         Raises:
-            InputError: It asks for what there is not.
+            InputError: It names something that does not exist.
         """
         self.output(goal.output_directory, "output_directory")
         if isinstance(goal, RunCampaign.Goal):
@@ -124,7 +124,7 @@ class ExperimentNode(NodeProgram):
             parse_model(goal.plant_model, "plant_model")
 
     def _manifest(self, goal: RunCampaign.Goal) -> Manifest:
-        """The campaign of a goal, with the scenario's own values where it has none.
+        """The campaign of a goal; empty fields take the values of the scenario.
 
         Raises:
             InputError: There is no such campaign.
@@ -181,7 +181,7 @@ class ExperimentNode(NodeProgram):
                     )
 
                 result = self._one(plan, key, goal.seed, directory, handle, feedback, goal.plant_model)
-            except Exception as error:  # a node outlives every trial
+            except Exception as error:  # no trial ends a node
                 return self._failed(handle, answer, error)
         answer.success = result.outcome not in FAILED
         answer.message = result.message
@@ -212,7 +212,7 @@ class ExperimentNode(NodeProgram):
                     trial = manifest.trial(key)
                     result = self._one(trial.spec.plan, key, trial.seed, directory, handle)
                     if result.outcome == "ABORTED" and self._cancelled(handle):
-                        answer.message = "cancelled"  # which is no failure of that trial
+                        answer.message = "cancelled"  # not a failure of that trial
                         break
                     reports.append(TrialReport(key, result.outcome, result.message))
                     if result.outcome == "ABORTED":
@@ -220,7 +220,7 @@ class ExperimentNode(NodeProgram):
                         answer.message = f"{key.name}: {result.message}"
                     else:
                         answer.finished += 1
-            except Exception as error:  # a node outlives every campaign
+            except Exception as error:  # no campaign ends a node
                 return self._failed(handle, answer, error)
         self.log.info(f"campaign {directory}: {answer.finished} trials finished, {answer.failed} failed")
         answer.success = answer.failed == 0 and not answer.message

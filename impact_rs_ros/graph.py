@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The five nodes and somebody who calls them: trials through the nodes, and what to do when one of them dies."""
+"""The five nodes and their caller: runs trials through the nodes and restarts a node that dies."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ from impact_rs_trials.campaign import Manifest, TrialReport, keep_failure
 from impact_rs_trials.store import open_store
 
 START_TIMEOUT = 60.0  # s, for all nodes to answer; imports take some seconds on a busy machine
-FOREIGN_TIMEOUT = 120.0  # s, for somebody else's node in the place of one of ours; a person may have to start it
+FOREIGN_TIMEOUT = 120.0  # s, for the user's own node in place of one of ours; it may have to be started by hand
 STARTS = 3  # of a node that is killed, or freezes, while it starts
-QUESTIONS = 6  # to a node whether it is there, something harmless; the first may be lost in the discovery of who asks
-ANSWER_TIMEOUT = 0.5  # s, for the answer to one; a machine that stands still for longer has only one of them unanswered
-SILENCE = 1.0  # s, after which an experiment node that tells nothing of a trial is asked whether it is there
+QUESTIONS = 6  # requests that test whether a node answers; the first may be lost during discovery
+ANSWER_TIMEOUT = 0.5  # s, for the answer to one; a longer pause of the machine leaves only one of them unanswered
+SILENCE = 1.0  # s without feedback on a trial, after which the experiment node is asked whether it still answers
 ATTEMPTS = 3  # of a trial; the next one after a kill may stall as well
 RESULT_TIMEOUT = 10.0  # s, for the answer to a goal, beyond what the experiment node may wait itself
 
@@ -52,9 +52,9 @@ SERVICES: dict[str, dict[str, Any]] = {
     "recorder": {f"recorder/{name}": kind for name, kind in _CONFIGURABLE.items()},
     "experiment": {},
 }
-"""Services of every node, with their types: what somebody else's node in its place has to offer as well."""
+"""Services of every node, with their types. A user's own node in its place has to offer the same."""
 
-Tell = Callable[[str], None]
+Notify = Callable[[str], None]
 
 log = logging.getLogger(__name__)
 
@@ -68,19 +68,21 @@ class NodeHangs(GraphError):
 
 
 class Graph:
-    """The five nodes, and this process as somebody who calls them; :meth:`running` starts them.
+    """The five nodes, and this process as their caller; :meth:`running` starts them.
 
     Args:
         nodes: Processes of the nodes.
         node: Node of this process.
-        foreign: Nodes that somebody else provides, by the name of the one in whose place they stand.
-        tell: Told what is waited for.
+        foreign: Nodes that the user provides, by the name of the node that each replaces.
+        notify: Called with a line about what is awaited.
     """
 
-    def __init__(self, nodes: NodeProcesses, node: Node, foreign: Sequence[str] = (), tell: Tell = log.info) -> None:
+    def __init__(
+        self, nodes: NodeProcesses, node: Node, foreign: Sequence[str] = (), notify: Notify = log.info
+    ) -> None:
         self.nodes = nodes
         self.foreign = list(dict.fromkeys(foreign))
-        self._tell = tell
+        self._notify = notify
         self.processes = nodes.processes
         self.node = node
         self.run_trial = ActionClient(node, RunTrial, "run_trial")
@@ -105,7 +107,7 @@ class Graph:
         quiet: bool = True,
         root: Path | None = None,
         without: Sequence[str] = (),
-        tell: Tell = log.info,
+        notify: Notify = log.info,
         namespace: str = "",
     ) -> Iterator[Self]:
         """A context manager with the nodes, which end with it.
@@ -118,9 +120,9 @@ class Graph:
             domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
             parameters: Parameter file; None: ``config/nodes.yaml``.
             quiet: Nodes write to a file, shown when one dies, and not to the terminal.
-            root: Folder in which requests may have bags written and name scenarios; None: the working directory.
-            without: Nodes that somebody else provides; they are not started, and waited for.
-            tell: Told what is waited for.
+            root: Folder below which requests may write bags and name scenarios; None: the working directory.
+            without: Nodes that the user provides; they are waited for, not started.
+            notify: Called with a line about what is awaited.
             namespace: ROS namespace of the nodes; empty: the root.
 
         Raises:
@@ -141,13 +143,13 @@ class Graph:
             )
             stack.callback(rclpy.try_shutdown, context=context)
             runner = rclpy.create_node(f"runner_{os.getpid()}", context=context, namespace=full_namespace(namespace))
-            graph = cls(nodes, runner, without, tell)
+            graph = cls(nodes, runner, without, notify)
             stack.callback(graph.close)
             graph.wait_until_ready()
             yield graph
 
     def close(self) -> None:
-        """Take down what calls the nodes."""
+        """Destroy the clients of the nodes."""
         self._executor.shutdown(timeout_sec=1.0)
         self.run_trial.destroy()
         self.run_campaign.destroy()
@@ -158,9 +160,9 @@ class Graph:
         self._executor.spin_once(timeout_sec=timeout)
 
     def wait_until_ready(self) -> None:
-        """Wait until every node offers its services and actions, somebody else's too.
+        """Wait until every node offers its services and actions, the user's own nodes included.
 
-        One of ours that is killed or freezes meanwhile is started again.
+        A node of ours that is killed or freezes meanwhile is started again.
 
         Raises:
             GraphError: A node ended by itself, or does not come up.
@@ -186,31 +188,31 @@ class Graph:
         for name in SERVICES:
             if name not in self.foreign and self._missing(name):
                 return name
-        # The middleware still knows the dead ones and takes their services for ready.
+        # The middleware still lists the services of nodes that died.
         while self._revived and self.answers(self._revived[-1]):
             self._revived.pop()
         return self._revived[-1] if self._revived else ""
 
     def _await_foreign(self, name: str) -> None:
-        """Wait for a node of somebody else, and say so."""
+        """Wait for a node that the user provides, and notify once."""
         deadline = time.monotonic() + FOREIGN_TIMEOUT
-        told = False
+        notified = False
         while missing := self._missing(name):
             what = "actions" if name == "experiment" else "services"
-            if not told:
-                self._tell(f"waiting for a {name}: {what} {', '.join(missing)}; for {FOREIGN_TIMEOUT:g} s at most")
-                told = True
+            if not notified:
+                self._notify(f"waiting for a {name}: {what} {', '.join(missing)}; for {FOREIGN_TIMEOUT:g} s at most")
+                notified = True
             for dead, how in self.nodes.dead().items():
                 raise GraphError(f"node {dead} ended with {how}: {self.nodes.last_words(dead)}")
             if time.monotonic() > deadline:
                 raise GraphError(
-                    f"no {name} came within {FOREIGN_TIMEOUT:g} s: nobody offers the {what} {', '.join(missing)} in "
+                    f"no {name} came within {FOREIGN_TIMEOUT:g} s: no node offers the {what} {', '.join(missing)} in "
                     f"ROS domain {self.node.context.get_domain_id()}"
                 )
             self.spin(0.1)
 
     def _missing(self, name: str) -> list[str]:
-        """Services and actions of a node that nobody offers."""
+        """Services and actions of a node that are not offered."""
         if name == "experiment":
             actions = {"run_trial": self.run_trial, "run_campaign": self.run_campaign}
             missing = [action for action, client in actions.items() if not client.server_is_ready()]
@@ -219,11 +221,11 @@ class Graph:
         return [self.node.resolve_service_name(service) for service in missing]
 
     def _ended(self, name: str) -> bool:
-        """Whether a node of ours does not run any more; of somebody else's nobody knows."""
+        """Whether the process of a node of ours has ended; false for the user's own nodes."""
         return name in self.processes and self.processes[name].poll() is not None
 
     def answers(self, name: str) -> bool:
-        """Whether a node answers something harmless."""
+        """Whether a node answers a request for one of its parameters."""
         client = self.node.create_client(GetParameters, f"{name}/get_parameters")
         try:
             for _ in range(QUESTIONS):
@@ -241,7 +243,7 @@ class Graph:
             self.node.destroy_client(client)
 
     def is_there(self, name: str) -> bool:
-        """Whether a node runs, and was not found frozen."""
+        """Whether a node runs and its liveliness has not lapsed."""
         return not self._ended(name) and not self.presence.gone(name)
 
     def end_frozen(self) -> list[str]:
@@ -260,11 +262,11 @@ class Graph:
         return names
 
     def died(self) -> list[str]:
-        """Nodes that run no more, other than those that were ended here because they did not answer."""
+        """Nodes whose process ended by itself or was killed from outside."""
         return [name for name in self.nodes.dead() if name not in self._hung]
 
     def revive(self) -> list[str]:
-        """Start every node of ours again that runs no more; returns a line about each."""
+        """Restart every node of ours whose process has ended; returns a line about each."""
         died, lines = self.died(), []
         for name, how in self.nodes.dead().items():
             what = f"died ({how})" if name in died else "did not answer any more"
@@ -279,8 +281,8 @@ class Graph:
     def call_trial(self, goal: RunTrial.Goal, feedback: Any = None) -> RunTrial.Result:
         """Run one trial.
 
-        When this is over, so is the trial: an experiment node of ours that does not say how it stands is ended, for it
-        would reject the next one, or run this one beside it.
+        No trial is left running when this returns. An experiment node of ours that does not answer is killed, because
+        it would reject the next trial, or run this one beside it.
 
         Raises:
             GraphError: The experiment node rejected the goal, or it or the recorder is gone.
@@ -306,7 +308,7 @@ class Graph:
         ended = handle.get_result_async()
         try:
             answer: RunTrial.Result = self._wait(ended, None, ("experiment", "recorder"), heard).result
-        except (NodeHangs, KeyboardInterrupt):  # nobody is left to ask, or all are told to stop
+        except (NodeHangs, KeyboardInterrupt):  # no node would answer, or all are stopping
             raise
         except BaseException as error:
             if not self._ended("experiment"):
@@ -315,18 +317,14 @@ class Graph:
         return answer
 
     def _cancel(self, handle: Any, ended: Any, error: BaseException) -> None:
-        """Cancel a trial and wait for its end, because of ``error``, which is what is told.
-
-        Raises:
-            NodeHangs: Nothing is heard of the end.
-        """
+        """Cancel a trial because of ``error``, and wait for its end; raises ``NodeHangs`` where it does not end."""
         try:
             self._wait(handle.cancel_goal_async(), STOP_TIMEOUT)
             self._wait(ended, RESULT_TIMEOUT)
         except NodeHangs:
             raise NodeHangs(str(error)) from error
         except GraphError:
-            pass  # it died
+            pass  # the node died
 
     def call(self, kind: Any, name: str, request: Any, timeout: float = RESULT_TIMEOUT) -> Any:
         """Call a service of a node, and wait at most ``timeout`` [s] for its answer.
@@ -352,7 +350,7 @@ class Graph:
         watched: tuple[str, ...] = ("experiment",),
         heard: list[float] | None = None,
     ) -> Any:
-        """Result of a future; ``heard`` holds when the experiment node told something of its trial [s]."""
+        """Result of a future; ``heard`` holds the time of the last feedback on the trial [s]."""
         deadline = None if timeout is None else time.monotonic() + timeout
         while not future.done():
             self.spin(0.1)
@@ -377,7 +375,7 @@ def run_trials_through_nodes(
     domain_id: int | None = None,
     plant_model: Model | None = None,
     without: Sequence[str] = (),
-    tell: Tell = log.info,
+    notify: Notify = log.info,
     namespace: str = "",
 ) -> Iterator[TrialReport]:
     """Run trials of a campaign through the nodes, one after the other; yields a report per trial as it ends.
@@ -389,19 +387,19 @@ def run_trials_through_nodes(
         manifest: The campaign.
         keys: Trials to run.
         domain_id: ``ROS_DOMAIN_ID`` of the nodes; None: the environment's.
-        plant_model: Effects that the plant has and nobody else knows; None: none.
-        without: Nodes that somebody else provides; they are waited for before every trial.
-        tell: Told what is waited for.
+        plant_model: Effects that the plant has and no other node is given; None: none.
+        without: Nodes that the user provides; they are waited for before every trial.
+        notify: Called with a line about what is awaited.
         namespace: ROS namespace of the nodes; empty: the root.
 
     Raises:
         InputError: There is no such namespace, or no node of a name in ``without``.
-        GraphError: The nodes cannot be started, or somebody else's does not come.
+        GraphError: The nodes cannot be started, or a node that the user provides does not appear in time.
     """
     if not keys:
         return
     with Graph.running(
-        manifest.scenario, domain_id, root=directory, without=without, tell=tell, namespace=namespace
+        manifest.scenario, domain_id, root=directory, without=without, notify=notify, namespace=namespace
     ) as graph:
         for key in keys:
             graph.wait_until_ready()
@@ -411,10 +409,10 @@ def run_trials_through_nodes(
 def run_trial(
     graph: Graph, directory: Path, manifest: Manifest, key: TrialKey, plant_model: Model | None = None
 ) -> TrialReport:
-    """Run one trial of a campaign; whatever goes wrong is told in the report, and what died is started again.
+    """Run one trial of a campaign; failures are in the report, and nodes that died are started again.
 
-    A trial that was aborted although no node died is run again, twice at most, and a node that does not answer any more
-    is started again first: for a moment after one process was killed, messages of the others may come too late.
+    A trial that was aborted although no node died is repeated, at most twice: shortly after one process is killed,
+    messages of the others may come too late. A node that does not answer is started again first.
     """
     goal = RunTrial.Goal(
         scenario=manifest.scenario,
@@ -451,12 +449,12 @@ def run_trial(
 
 
 def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (), namespace: str = "") -> int:
-    """Run the nodes until Ctrl-C, and tell how to call them.
+    """Run the nodes until Ctrl-C, and print how to call them.
 
     Args:
         scenario: Name or path of the scenario.
         domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
-        without: Nodes that somebody else provides; they are not started, and waited for.
+        without: Nodes that the user provides; they are waited for, not started.
         namespace: ROS namespace of the nodes; empty: the root.
 
     Returns:
@@ -464,7 +462,7 @@ def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (),
 
     Raises:
         InputError: There is no such scenario, no such node, or no such namespace.
-        KeyboardInterrupt: It was told to stop before the nodes were up.
+        KeyboardInterrupt: SIGINT or SIGTERM came before the nodes were up.
     """
     known = load_scenario(scenario)
     started = stopping = False
@@ -478,10 +476,12 @@ def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (),
 
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        tell = partial(print, flush=True)
-        with Graph.running(scenario, domain_id, quiet=False, without=without, tell=tell, namespace=namespace) as graph:
+        notify = partial(print, flush=True)
+        with Graph.running(
+            scenario, domain_id, quiet=False, without=without, notify=notify, namespace=namespace
+        ) as graph:
             started = True
-            names = [*graph.processes, *(f"{name} (somebody else's)" for name in graph.foreign)]
+            names = [*graph.processes, *(f"{name} (yours)" for name in graph.foreign)]
             which = known.name, next(iter(known.objects)), next(iter(known.cases))
             print(_instructions(names, *which, full_namespace(namespace)), flush=True)
             while not stopping:
@@ -508,10 +508,10 @@ def _instructions(nodes: Sequence[str], scenario: str, object_name: str, case: s
             "Run a trial into the folder trials/:",
             f"  ros2 action send_goal --feedback {within(namespace, 'run_trial')} impact_rs/action/RunTrial \\",
             f'    "{what}, velocity_scale: 1.0, seed: 1, output_directory: trials}}"',
-            "Ask the impact map:",
+            "Call the impact map:",
             f"  ros2 service call {within(namespace, 'compute_impact_map')} impact_rs/srv/ComputeImpactMap \\",
             f'    "{what}, motor_inertia: reduced, restitution: -1.0}}"',
-            "Look on:",
+            "Monitor the nodes:",
             "  ros2 topic echo /diagnostics",
             f"  ros2 param describe {within(namespace, 'plant')} realtime",
         )

@@ -37,7 +37,7 @@ from impact_rs_trials.spec import TrialSpec
 
 
 class ImpactMapNode(NodeProgram):
-    """Answers questions to the impact map; a bad question is answered as well."""
+    """Serves predictions of the impact map; an invalid request is answered with the reason."""
 
     kind = "impact_map"
 
@@ -69,7 +69,7 @@ class ImpactMapNode(NodeProgram):
                 response.spread = several.relative
                 response.message = several.warning  # empty as ever where u^+ is unique
             _fill_more(response, request, problem, scenario, models, contact)
-            engine = result.engine  # the settled contact has one, whatever was asked for
+            engine = result.engine  # the settled contact has only one
             response.success = True
             self._answered += 1
             self.log.info(f"answered {name}, case {request.case_name!r}, by engine {engine}, contact {contact}")
@@ -77,7 +77,7 @@ class ImpactMapNode(NodeProgram):
             self.log.warning(f"refused: {error}")
             response.message = str(error)
             self._refused += 1
-        except Exception as error:  # whatever was asked, the node goes on
+        except Exception as error:  # no request ends a node
             self.log.error(full_traceback(error))
             response.message = f"the impact map failed: {type(error).__name__}: {error}"
             self._refused += 1
@@ -89,12 +89,12 @@ class ImpactMapNode(NodeProgram):
     def _problem(
         self, request: ComputeImpactMap.Request, scenario: Scenario
     ) -> tuple[ImpactProblem, Mapping[str, RobotModel]]:
-        """The question, and the scene's models of its arms, which no request changes."""
+        """The impact of a request, and the robot models of its arms, which no request changes."""
         known = request.object_name or (next(iter(scenario.objects)) if request.use_object_description else "")
         scene = TrialSpec.of(scenario, known, request.case_name).scene  # the same one every time: its engine stays warm
-        physics, thing = scene.physics, scene.object
+        physics, body = scene.physics, scene.object
         if request.use_object_description:
-            physics, thing = _described(physics, request.object_description)
+            physics, body = _described(physics, request.object_description)
         arms = dict(scene.arms)
         for state in request.robots:
             if state.robot not in arms:
@@ -110,11 +110,11 @@ class ImpactMapNode(NodeProgram):
                     )
             arms[state.robot] = ArmState(np.array(state.joint_position), np.array(state.joint_velocity))
         restitution = physics.restitution if request.restitution < 0.0 else request.restitution
-        return ImpactProblem(physics, arms, thing, _motor_inertia(request, physics), restitution), scene.models
+        return ImpactProblem(physics, arms, body, _motor_inertia(request, physics), restitution), scene.models
 
 
 def _described(physics: Physics, described: ObjectDescription) -> tuple[Physics, BodyState]:
-    """Physics and state with the object of a request; its values are checked with the whole question."""
+    """Physics and state with the object of a request; the impact problem checks the remaining values."""
     if not (np.isfinite(described.mass) and described.mass > 0.0):
         raise InputError("expected a finite mass > 0 kg", key="object_description.mass", value=described.mass)
     size = vector_from_message(described.size)
@@ -126,10 +126,10 @@ def _described(physics: Physics, described: ObjectDescription) -> tuple[Physics,
             value=pose[3:].tolist(),
         )
     x, y, z = np.square(size)
-    thing = ObjectPhysics(described.mass, size, described.mass / 12.0 * np.array([y + z, x + z, x + y]), np.zeros(3))
+    body = ObjectPhysics(described.mass, size, described.mass / 12.0 * np.array([y + z, x + z, x + y]), np.zeros(3))
     changed = replace(
         physics,
-        object=thing,
+        object=body,
         pad_friction=described.pad_friction,
         support_friction=described.support_friction,
         support_height=described.support_height if described.has_support else None,
@@ -195,16 +195,16 @@ def _fill_more(
     models: Mapping[str, RobotModel],
     contact: str,
 ) -> None:
-    """Intervals and derivatives, where they are asked for."""
+    """Add intervals and derivatives where they are requested."""
     if not (request.uncertainty or request.derivatives):
         return
     if contact != "first":
         raise InputError("intervals and derivatives are those of the first contact", key="contact", value=contact)
     response.velocity_names = list(velocity_names(problem))
     if request.uncertainty:
-        told = predict(problem, scenario.uncertainty, models)
-        response.velocity = told.nominal.tolist()
-        response.velocity_low, response.velocity_high = told.low.tolist(), told.high.tolist()
+        prediction = predict(problem, scenario.uncertainty, models)
+        response.velocity = prediction.nominal.tolist()
+        response.velocity_low, response.velocity_high = prediction.low.tolist(), prediction.high.tolist()
     if request.derivatives:
         found = differentiate_safely(problem, models)
         response.velocity = found.velocities().tolist()

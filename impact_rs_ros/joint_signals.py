@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signals of joints as they come in, ``sensor_msgs/JointState``: decoded by hand, checked before anybody uses them."""
+"""Received joint signals, ``sensor_msgs/JointState``: decoded by hand, and checked before they are used."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 from impact_rs_sim.robot import Array
 
 FIELDS = ("position", "velocity", "effort")
-MOST_JOINTS = 1024  # in one message; bounds the time that a message can take
-MOST_NAME_BYTES = 65536  # of all names of one message; bounds what is remembered of it
+MOST_JOINTS = 1024  # in one message; bounds the time to decode it
+MOST_NAME_BYTES = 65536  # of all names of one message; bounds the memory it can take
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,9 @@ class JointSignals:
 
     Attributes:
         stamp: Time of the signals [ns].
-        names: Names of the joints as they were serialized, with what is around them.
+        names: Serialized names of the joints, with the encapsulation header before them.
         values: Position, velocity and effort, ``(n,)`` or ``(0,)`` each.
-        complaint: Why they cannot be used, in one line; empty: they can.
+        complaint: Why the signals cannot be used, in one line; empty: they can.
     """
 
     stamp: int
@@ -34,17 +34,17 @@ class JointSignals:
 
     @property
     def readable(self) -> bool:
-        """Whether the bytes were a message; else stamp, names and values mean nothing."""
+        """Whether the bytes were a message; otherwise stamp, names and values are meaningless."""
         return bool(self.names)
 
 
 def joint_signals(data: bytes) -> JointSignals:
-    """Decode a serialized ``sensor_msgs/JointState``; rclpy takes ten times as long over it.
+    """Decode a serialized ``sensor_msgs/JointState``, ten times as fast as rclpy.
 
-    Never raises: of bytes that are no such message, or have more than ``MOST_JOINTS`` joints, the result has a
+    Never raises: for bytes that are not such a message, or one of more than ``MOST_JOINTS`` joints, the result has a
     complaint, stamp 0 and no values.
 
-    XCDR1: a value is aligned to its size, counted from behind the four bytes of the encapsulation header; a sequence
+    XCDR1: a value is aligned to its size, counted from the end of the encapsulation header of four bytes; a sequence
     and a string begin with their length.
     """
     try:
@@ -104,22 +104,22 @@ def names_of(signals: JointSignals) -> list[str]:
 
 
 class JointReader:
-    """Reads the signals of some joints in their own order, and tells what cannot be used.
+    """Reads the signals of given joints in a fixed order, and says what makes a message useless.
 
     Args:
-        names: The joints.
-        needed: Which of ``FIELDS`` must be there; what is there must be finite.
+        names: Names of the joints, in the order of the result.
+        needed: Which of ``FIELDS`` a message must have; values that it has must be finite.
     """
 
     def __init__(self, names: Sequence[str], needed: Sequence[str] = FIELDS) -> None:
         self._names = list(names)
         self._needed = frozenset(needed)
-        self._orders: dict[bytes, list[int] | None] = {}  # by serialized names; None: as wanted
+        self._orders: dict[bytes, list[int] | None] = {}  # by serialized names; None: already in order
 
     def read(self, data: bytes) -> JointSignals:
-        """Signals in the order of the joints; where ``complaint`` is set, all but the stamp is worthless.
+        """Signals in the order of the joints; where ``complaint`` is set, only the stamp can be used.
 
-        Never raises; of what is no message at all ``readable`` is false and the stamp 0.
+        Never raises; for bytes that are not a message ``readable`` is false and the stamp is 0.
         """
         found = joint_signals(data)
         if found.complaint:
@@ -129,7 +129,7 @@ class JointReader:
             complaint, known = self._order_of(names_of(found))
             if complaint:
                 return replace(found, complaint=complaint)
-            if len(self._orders) < 8:  # a stranger who makes names up fills no memory
+            if len(self._orders) < 8:  # another publisher that makes up names must not fill the memory
                 self._orders[found.names] = known
         count = len(self._names)
         for field, values in zip(FIELDS, found.values, strict=True):

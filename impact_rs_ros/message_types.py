@@ -28,7 +28,7 @@ def message_type(name: str) -> Any:
 
 
 def decoded(data: bytes, kind: Any) -> Any | None:
-    """A serialized message as an object of the class ``kind``; None: the bytes are no such message."""
+    """A serialized message as an object of the class ``kind``; None: the bytes are not such a message."""
     try:
         return deserialize_message(data, kind)
     except Exception:  # of rclpy or the middleware, by what is wrong with the bytes
@@ -36,7 +36,7 @@ def decoded(data: bytes, kind: Any) -> Any | None:
 
 
 class Uninstalled:
-    """Stands for a message whose type is not installed; nobody can publish it."""
+    """Placeholder for a message whose type is not installed; it cannot be published."""
 
     def __init__(self, **fields: Any) -> None:
         del fields
@@ -50,5 +50,5 @@ class RosidlTypes:
         return message_type(name) if available(name) else Uninstalled
 
     def floats(self, values: Array) -> array[float]:
-        """Rosidl takes ``array.array``; from bytes it is made about ten times faster than element by element."""
+        """Array that rosidl accepts; made from bytes, ten times as fast as element by element."""
         return array("d", values.tobytes())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How nodes find each other: on this machine alone, unless the user's environment says anything about it.
+"""Discovery: nodes find each other on this machine alone, unless the environment of the user configures it.
 
 One rule for every node and command of impact_rs, however it is started: ``ros2 run``, ``ros2 launch``,
 ``impact-rs up``, ``./run``.
@@ -23,20 +23,20 @@ CHOICES = (
     "FASTDDS_BUILTIN_TRANSPORTS",
     "CYCLONEDDS_URI",
 )
-"""Environment variables of which any leaves discovery and transport to the user."""
+"""Environment variables: if any is set, discovery and transport are the user's choice."""
 LOCALHOST = "LOCALHOST"
 
 
 def set_middleware(environment: MutableMapping[str, str]) -> None:
-    """Keep to this machine where the environment has none of ``CHOICES``; before ``rclpy.init``.
+    """Restrict communication to this machine where none of ``CHOICES`` is set; to be called before ``rclpy.init``.
 
-    With Fast DDS that is UDP on 127.0.0.1, by ``config/loopback.xml``. With the discovery range ``LOCALHOST`` the
-    middleware layer of Fast DDS makes transports of its own, shared memory among them, whatever
-    ``FASTDDS_BUILTIN_TRANSPORTS`` says, and opens its ports to all networks; in shared memory a process that is killed
-    leaves its segments behind, and one that is frozen can hold a lock. Any other middleware gets ``LOCALHOST``.
+    Fast DDS gets ``config/loopback.xml``: UDP on 127.0.0.1. The discovery range ``LOCALHOST`` would not do: it makes
+    transports of its own, shared memory among them, whatever ``FASTDDS_BUILTIN_TRANSPORTS`` says, and opens ports to
+    all networks. In shared memory a killed process leaves its segments behind, and a frozen one can hold a lock. Any
+    other middleware gets ``LOCALHOST``.
 
     Args:
-        environment: Of this process, or of one that is started; an empty variable counts as none.
+        environment: Environment of this process, or of one to start; an empty variable counts as unset.
     """
     if any(environment.get(name) for name in CHOICES):
         return

@@ -3,9 +3,9 @@
 
     T_world_object = T_world_tracker T_tracker_object
 
-with T_world_tracker from x y z and roll pitch yaw about fixed axes (REP-103): R = Rz(yaw) Ry(pitch) Rx(roll). It is the
-result of a calibration and constant in a trial, so it is a parameter and not looked up on /tf: there it could change or
-be missing while the arm moves, and tf2 is nothing that pip brings.
+with T_world_tracker from x y z and roll pitch yaw about fixed axes (REP-103): R = Rz(yaw) Ry(pitch) Rx(roll). It comes
+from a calibration and is constant in a trial. It is therefore a parameter and not looked up on /tf, where it could
+change or be missing while the arm moves; also, pip does not install tf2.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from impact_rs_sim.rotations import quaternion_of
 MOCAP = "/mocap/object_pose"
 WORLD = "world"
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
-NOT_UNIT = 0.01  # that a quaternion's length may be off; a tracker that has lost the object sends zeros or NaN
+NOT_UNIT = 0.01  # tolerated error of a quaternion's length; a tracker that lost the object sends zeros or NaN
 
 
 class TrackerPoses:
-    """What a tracker tells of the object.
+    """Poses of the object from a tracker, transformed into ``world``.
 
     Args:
-        frame: What the tracker calls its frame, the ``frame_id`` of its poses.
+        frame: Name of the tracker's frame, the ``frame_id`` of its poses.
         placement: x y z [m] and roll pitch yaw [rad] of that frame in ``world``, ``(6,)``.
     """
 
@@ -42,19 +42,19 @@ class TrackerPoses:
         self._turn = np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]])  # q: left product by it
 
     def read(self, data: bytes) -> PoseStamped | None:
-        """A pose in ``world``, with the stamp that it came with; None: it is none, as of an object out of sight.
+        """A pose in ``world`` with its original stamp; None: no valid pose, as of an object out of sight.
 
-        Bytes that are no message are no pose either.
+        Bytes that are not a message give None as well.
 
         Raises:
-            InputError: It is in another frame than that of the tracker.
+            InputError: The pose is in another frame than that of the tracker.
         """
         pose = decoded(data, PoseStamped)
         if pose is None:
             return None
         if pose.header.frame_id != self.frame:
-            told = pose.header.frame_id
-            raise InputError(f"expected {self.frame}, see mocap_frame", key=f"frame_id of {MOCAP}", value=told)
+            found = pose.header.frame_id
+            raise InputError(f"expected {self.frame}, see mocap_frame", key=f"frame_id of {MOCAP}", value=found)
         seen = pose_from_message(pose.pose)
         position, quaternion = seen[:3], seen[3:]
         if not (np.isfinite(seen).all() and abs(np.linalg.norm(quaternion) - 1.0) < NOT_UNIT):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a graph of nodes is called on the network, so that several run side by side in namespaces of their own.
+"""Names of topics and services on the network, so that several graphs run side by side, each in its namespace.
 
-In the program and in bags a topic has the name that it has in the root namespace (``/arm/joint_states``). On the
-network it is relative to the namespace of its graph (``/cell_a/arm/joint_states``), unless all of ROS agrees on one.
+In the program and in bags a topic has its name in the root namespace (``/arm/joint_states``). On the network it is
+relative to the namespace of its graph (``/cell_a/arm/joint_states``), except for topics that all of ROS shares.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from impact_rs_trials.bags import topics
 NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")  # of ROS 2, the root aside
 
 SHARED = frozenset({topics.TF, topics.TF_STATIC, topics.DIAGNOSTICS})
-"""Topics that every graph publishes under the same name, for all of ROS reads them together.
+"""Topics that every graph publishes under the same name, because ROS tools subscribe to them by it.
 
-``/clock`` is none of them: it has one publisher, or time jumps. In the namespace ``/cell_a`` it is ``/cell_a/clock``,
-and a node of yours that uses its time is started with ``-r /clock:=/cell_a/clock``.
+``/clock`` does not belong to them: with two publishers time would jump. In the namespace ``/cell_a`` it is
+``/cell_a/clock``, and a node of yours that uses its time is started with ``-r /clock:=/cell_a/clock``.
 """
 
 
@@ -44,10 +44,10 @@ def resolved(node: Node, topic: str) -> str:
 
 
 def full_namespace(namespace: str) -> str:
-    """A namespace as a node tells it: ``cell_a`` is ``/cell_a``, and nothing is ``/``.
+    """A namespace as ``Node.get_namespace`` returns it: ``/cell_a`` for ``cell_a``, ``/`` for the empty text.
 
     Raises:
-        InputError: ROS has no such namespace.
+        InputError: ROS does not allow such a namespace.
     """
     full = f"/{namespace.strip('/')}"
     if full != "/" and not NAMESPACE.fullmatch(full):
@@ -60,13 +60,13 @@ def full_namespace(namespace: str) -> str:
 
 
 def frame_prefix(namespace: str) -> str:
-    """What stands before every frame of a graph on ``/tf``: ``cell_a/`` in ``/cell_a``, nothing in the root.
+    """Prefix of every frame of a graph on ``/tf``: ``cell_a/`` in ``/cell_a``, empty in the root namespace.
 
-    The parameter of this name of robot_state_publisher does the same.
+    The parameter ``frame_prefix`` of robot_state_publisher does the same.
     """
     return within(namespace, "").removeprefix("/")
 
 
 def within(namespace: str, name: str) -> str:
-    """Full name, ``/cell_a/run_trial``, of what a node in a full ``namespace`` calls ``name``."""
+    """Full name, ``/cell_a/run_trial``, of the relative ``name`` in a full ``namespace``."""
     return f"{namespace.rstrip('/')}/{name}"

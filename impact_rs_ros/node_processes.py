@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The five nodes as processes: started, asked how they are, and stopped together."""
+"""The five nodes as processes: started, monitored and stopped together."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenario import scenario_path
 
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
-STOP_TIMEOUT = 4.0  # s, for all nodes to leave in order
+STOP_TIMEOUT = 4.0  # s, for all nodes to end after SIGTERM
 CLOSING = 2.5  # s of it, for the experiment node to end its trial
 
 
 def ours(without: Sequence[str]) -> list[str]:
-    """The nodes that are started where somebody else provides those of ``without``.
+    """The nodes to start where the user provides those of ``without``.
 
     Raises:
         InputError: There is no such node.
@@ -76,8 +76,8 @@ class NodeProcesses:
             logs: Folder that they write into.
             domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
             parameters: Parameter file; None: ``config/nodes.yaml``.
-            quiet: Whether they write to files there, and not to the terminal; then only what is wrong.
-            root: Folder in which requests may have bags written and name scenarios; None: the working directory.
+            quiet: Whether they write only warnings and errors, to files there and not to the terminal.
+            root: Folder below which requests may write bags and name scenarios; None: the working directory.
             namespace: ROS namespace of the nodes; empty: the root.
 
         Raises:
@@ -88,11 +88,11 @@ class NodeProcesses:
         arguments = ["--params-file", str(parameters or config_directory() / "nodes.yaml"), "-p", f"scenario:={known}"]
         arguments += ["-r", f"__ns:={full_namespace(namespace)}"]
         if root is not None:
-            for name in ("config_root", "data_root"):  # nodes without it do not mind
+            for name in ("config_root", "data_root"):  # a node without such a parameter ignores it
                 arguments += ["-p", f"{name}:={root.resolve()}"]
         environment = dict(os.environ)
         set_middleware(environment)
-        environment.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small; more threads only get in the way
+        environment.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small; more threads cost time
         environment[SUPERVISOR] = str(os.getpid())
         if domain_id is not None:
             environment["ROS_DOMAIN_ID"] = str(domain_id)
@@ -110,15 +110,15 @@ class NodeProcesses:
                 stdin=subprocess.DEVNULL,
                 stdout=log if self._quiet else None,
                 stderr=subprocess.STDOUT if self._quiet else None,
-                start_new_session=True,  # Ctrl-C reaches the runner alone, which stops the nodes in order
+                start_new_session=True,  # Ctrl-C reaches only the runner, which stops the nodes in order
             )
 
     def dead(self) -> dict[str, str]:
-        """How each node ended that is not running any more, by its name."""
+        """How each node ended whose process has ended, by its name."""
         return {name: _how(process) for name, process in self.processes.items() if process.poll() is not None}
 
     def was_ended(self, name: str) -> bool:
-        """Whether a node that runs no more was killed, or told to end."""
+        """Whether a process that has ended was killed or terminated by a signal, or ended without error."""
         return (self.processes[name].poll() or 0) <= 0
 
     def kill(self, name: str) -> None:
@@ -141,14 +141,14 @@ class NodeProcesses:
         return lines[-1] if lines else "it wrote nothing" if self._quiet else "see its output above"
 
     def stop(self) -> None:
-        """Stop every node, in order where possible, by force where not."""
+        """Stop every node with SIGTERM, and with SIGKILL where it does not end in time."""
         running = {name: process for name, process in self.processes.items() if process.poll() is None}
         began = time.monotonic()
-        # The experiment first: it closes the trial that runs.
+        # The experiment first: it closes the running trial.
         for name in ("experiment", *self.processes):
             if name in running:
                 process = running.pop(name)
-                process.terminate()  # SIGTERM: also a node that still imports ends without a word
+                process.terminate()  # SIGTERM: a node that is still importing ends without a traceback
                 if name == "experiment":
                     _wait_for(process, began + CLOSING)
         deadline = began + STOP_TIMEOUT

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the nodes: each is declared here and nowhere else.
 
-``ros2 param describe``, ``config/nodes.yaml`` and ``docs/parameters.md`` all follow from this list; the last is printed
-by ``python -m impact_rs_ros.parameters``.
+``ros2 param describe``, ``config/nodes.yaml`` and ``docs/parameters.md`` follow from this list; the last is printed by
+``python -m impact_rs_ros.parameters``.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class NodeParameter:
         unit: Unit, ``-`` where it has none.
         description: What it does, in a sentence.
         range: Least and greatest value; floats only.
-        choices: Values there are; empty: any.
+        choices: Allowed values; empty: any.
         former: Values of older versions, which are accepted as well.
     """
 
@@ -47,11 +47,11 @@ class NodeParameter:
 
     @property
     def expected(self) -> str:
-        """Which values there are, in words; empty: any, or those of the range."""
+        """Allowed values, as text; empty: any, or those of the range."""
         return f"one of {', '.join(self.choices)}" if self.choices else ""
 
     def descriptor(self) -> ParameterDescriptor:
-        """What ``ros2 param describe`` tells."""
+        """Descriptor that ``ros2 param describe`` shows."""
         limits = [] if self.range is None else [FloatingPointRange(from_value=self.range[0], to_value=self.range[1])]
         return ParameterDescriptor(
             description=f"{self.description} [{self.unit}]",
@@ -61,45 +61,43 @@ class NodeParameter:
 
 
 COMMON = (
-    NodeParameter("scenario", "push", "-", "Scenario, by name or path, where a request names none"),
+    NodeParameter("scenario", "push", "-", "Name or path of the scenario for requests that name none"),
     NodeParameter(
         "config_root",
         "",
         "-",
-        "Requests may name scenarios of this folder by path, beside those that are shipped; empty: working directory",
+        "Folder whose scenarios requests may name by path, in addition to the shipped ones; empty: working directory",
     ),
     NodeParameter("diagnostics_period", 1.0, "s", "Wall-clock time between two messages on /diagnostics", (0.1, 60.0)),
 )
 
-DATA_ROOT = NodeParameter(
-    "data_root", "", "-", "Requests may have bags written below this folder alone; empty: working directory"
-)
+DATA_ROOT = NodeParameter("data_root", "", "-", "Folder below which requests may write bags; empty: working directory")
 
 ROBOT = (
     NodeParameter(
         "joints",
         "{arm}_joint{number}",
         "-",
-        "What the robot calls its joints: {arm} is the name of the arm in the scenario, {number} counts from 1",
+        "Pattern of the robot's joint names: {arm} is the name of the arm in the scenario, {number} counts from 1",
     ),
     NodeParameter(
         "robot_adds_gravity",
         True,
         "-",
-        "The robot compensates gravity itself (franka_ros2) and is sent torques without it",
+        "true: the robot compensates gravity itself (franka_ros2), and commanded torques do not contain it",
     ),
     NodeParameter(
         "state_timeout",
         0.01,
         "s",
-        "A state of the robot that is older, or does not come for so long, ends the trial",
+        "Largest age of a robot state, and longest time without one; beyond it the trial is aborted",
         (0.001, 10.0),
     ),
     NodeParameter(
         "torque_rate_limit",
         1000.0,
         "N m/s or N/s",
-        "What the robot is sent changes no faster; a torque that would is told to it over several periods",
+        "Largest rate of change of the commanded torque; a larger step is spread over several control periods",
         (1.0, 1e6),
     ),
 )
@@ -111,26 +109,28 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
             "realtime",
             False,
             "-",
-            "Pace the ticks by the wall clock; a torque that is late counts as missed tick, the last one is held, and"
-            " the late one acts from the next tick on. Otherwise the plant waits for the torque of every tick",
+            "true: the ticks follow the wall clock. A late torque counts as a missed tick: the last torque is held, and"
+            " the late one acts from the next tick on. false: the plant waits for the torque of every tick",
         ),
-        # Torques that are a tick late in 5 % of the ticks move the net feedback of a push by up to 1.2 mm/s, in runs of
-        # ten ticks by 4 mm/s; in 50 % by 3.9 and 14 mm/s.
+        # Torques one tick late change the net feedback of a push by up to 1.2 mm/s if late in 5 % of the ticks, one at
+        # a time, and by 4 mm/s in runs of ten ticks; if late in 50 % of the ticks, by 3.9 mm/s and 14 mm/s.
         NodeParameter(
             "missed_ticks_limit",
             0.05,
             "-",
-            "Share of the ticks that may be missed in real time; a trial with more is ABORTED",
+            "Largest share of missed ticks in real time; a trial with more is ABORTED",
             (0.0, 1.0),
         ),
         NodeParameter(
             "repeat_after",
             0.25,
             "s",
-            "Without an answer for so long, the measured state of the tick is sent again",
+            "Time without an answer after which the measured state of the tick is published again",
             (0.01, 10.0),
         ),
-        NodeParameter("answer_timeout", 1.5, "s", "Without an answer for so long, the trial is aborted", (0.1, 600.0)),
+        NodeParameter(
+            "answer_timeout", 1.5, "s", "Time without an answer after which the trial is aborted", (0.1, 600.0)
+        ),
     ),
     "impact_map": (
         *COMMON,
@@ -138,26 +138,34 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
             "engine",
             DEFAULT_ENGINE,
             "-",
-            "Engine where a request names none",
+            "Engine for requests that name none",
             choices=tuple(ENGINES),
             former=tuple(FORMER_NAMES),
         ),
-        NodeParameter("contact", "first", "-", "Contact where a request names none", choices=tuple(CONTACTS)),
+        NodeParameter("contact", "first", "-", "Contact for requests that name none", choices=tuple(CONTACTS)),
     ),
     "controller": COMMON,
     "cell": (
         *COMMON,
         *ROBOT,
-        NodeParameter("watchdog", False, "-", "No trial is armed, and none goes on, without the node watchdog"),
         NodeParameter(
-            "mocap", False, "-", "Pass poses of the object on from motion capture; without them no trial is armed then"
+            "watchdog", False, "-", "true: a trial is armed, and continues, only while the watchdog node runs"
         ),
         NodeParameter(
-            "mocap_frame", "world", "-", "What motion capture calls its frame (frame_id); poses in another are refused"
+            "mocap",
+            False,
+            "-",
+            "true: publish poses of the object from motion capture; a trial is armed only if they arrive",
+        ),
+        NodeParameter(
+            "mocap_frame",
+            "world",
+            "-",
+            "Name of the motion-capture frame (frame_id); poses in another frame are refused",
         ),
         *(
             NodeParameter(
-                f"mocap_{axis}", 0.0, "m", f"Where the origin of that frame is in world, along {axis}", (-100.0, 100.0)
+                f"mocap_{axis}", 0.0, "m", f"Origin of the motion-capture frame in world, along {axis}", (-100.0, 100.0)
             )
             for axis in "xyz"
         ),
@@ -166,7 +174,8 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
                 f"mocap_{name}",
                 0.0,
                 "rad",
-                f"How that frame is turned in world, about fixed {axis}; roll, then pitch, then yaw (REP-103)",
+                f"Rotation of the motion-capture frame in world about the fixed {axis} axis; roll, then pitch, then yaw"
+                " (REP-103)",
                 (-FULL_TURN, FULL_TURN),
             )
             for name, axis in (("roll", "x"), ("pitch", "y"), ("yaw", "z"))
@@ -175,28 +184,30 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
             "answer_timeout",
             0.01,
             "s",
-            "A torque of the controller that takes longer ends the trial",
+            "Longest time until the controller answers a state; beyond it the trial is aborted",
             (0.001, 10.0),
         ),
         NodeParameter(
             "late_torque_share",
             0.2,
             "-",
-            "A larger share of the last 100 ticks whose torque came after the next state, or never, ends the trial",
+            "Largest share of the last 100 ticks whose torque came after the next state, or never; above it the trial"
+            " is aborted",
             (0.0, 1.0),
         ),
         NodeParameter(
             "arm_jitter_limit",
             0.002,
             "s",
-            "No trial is armed where the time between two states of the robot differs more from that of their stamps",
+            "Largest difference between the interval at which two states arrive and that of their stamps; above it no"
+            " trial is armed",
             (1e-6, 10.0),
         ),
         NodeParameter(
             "start_tolerance",
             0.01,
             "rad or m",
-            "No trial is armed, and none begins, with a joint farther from where it starts",
+            "Largest distance of a joint from its initial position; above it no trial is armed or begins",
             (1e-4, 0.2),
         ),
     ),
@@ -204,18 +215,18 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         *COMMON,
         *ROBOT,
         NodeParameter(
-            "command_timeout", 0.05, "s", "Arms that move without a command for so long are braked", (0.01, 10.0)
+            "command_timeout", 0.05, "s", "Time without a command after which moving arms are braked", (0.01, 10.0)
         ),
     ),
     "recorder": (
         *COMMON,
         DATA_ROOT,
-        NodeParameter("drain_period", 0.01, "s", "How often what was received is written to the bag", (0.001, 0.1)),
+        NodeParameter("drain_period", 0.01, "s", "Period of writing received messages to the bag", (0.001, 0.1)),
         NodeParameter(
             "completion_timeout",
             2.0,
             "s",
-            "How long the recorder waits at the end of a trial for messages that were published",
+            "Longest time that the recorder waits at the end of a trial for messages that were published",
             (0.1, 60.0),
         ),
     ),
@@ -223,24 +234,32 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         *COMMON,
         DATA_ROOT,
         NodeParameter(
-            "service_timeout", 10.0, "s", "How long plant, controller and recorder may take to get ready", (0.5, 600.0)
+            "service_timeout",
+            10.0,
+            "s",
+            "Longest time for plant, controller and recorder to prepare a trial",
+            (0.5, 600.0),
         ),
         NodeParameter(
-            "progress_timeout", 2.5, "s", "Without a sign of life for so long, a running trial is aborted", (0.5, 600.0)
+            "progress_timeout",
+            2.5,
+            "s",
+            "Time without a newer controller state after which a running trial is aborted",
+            (0.5, 600.0),
         ),
         NodeParameter(
             "finish_timeout",
             3.5,
             "s",
-            "How long the recorder may take to close a bag: its completion_timeout, and the time to write",
+            "Longest time for the recorder to close a bag: its completion_timeout, plus the time to write",
             (0.5, 600.0),
         ),
         NodeParameter(
             "hide_model",
             True,
             "-",
-            "Keep the effects that a trial hides in the plant out of /trial_info and the bag's metadata; they are only"
-            " recorded on /truth/model",
+            "true: the effects that a trial hides in the plant are recorded on /truth/model only, and not in"
+            " /trial_info or the metadata of the bag",
         ),
         NodeParameter("feedback_period", 0.05, "s", "Wall-clock time between two action feedbacks", (0.01, 10.0)),
     ),
@@ -248,14 +267,14 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
 
 
 def declare(node: Node, kind: str) -> None:
-    """Declare the parameters of a node, which refuses values that it cannot work with.
+    """Declare the parameters of a node; invalid values are refused, now and later.
 
     Args:
         node: The node.
-        kind: Which of the five it is; its name may have been remapped.
+        kind: Its key in ``PARAMETERS``; its name may have been remapped.
 
     Raises:
-        InputError: It was started with such a value.
+        InputError: The node was started with an invalid value.
     """
     for parameter in PARAMETERS[kind]:
         node.declare_parameter(parameter.name, parameter.default, parameter.descriptor())
@@ -271,15 +290,15 @@ def declare(node: Node, kind: str) -> None:
 
 
 def complaint_about(kind: str, name: str, wanted: Any) -> str:
-    """Why a node cannot take a value for a parameter; empty: it can.
+    """Why a value of a parameter is invalid; empty: it is valid.
 
     Args:
-        kind: Which of the five nodes.
-        name: The parameter.
-        wanted: Its value.
+        kind: Node, a key of ``PARAMETERS``.
+        name: Name of the parameter.
+        wanted: Value of the parameter.
     """
     if name == "use_sim_time":
-        return "use_sim_time: the plant is what /clock comes from" if kind == "plant" and wanted else ""
+        return "use_sim_time: expected false, because the plant publishes /clock" if kind == "plant" and wanted else ""
     known = next((parameter for parameter in PARAMETERS[kind] if parameter.name == name), None)
     if known is None:
         return ""
@@ -309,13 +328,13 @@ def text(node: Node, kind: str) -> str:
 
 
 def markdown() -> str:
-    """``docs/parameters.md``."""
+    """Text of ``docs/parameters.md``."""
     lines = [
         "# Node parameters",
         "",
         "Made from `impact_rs_ros/parameters.py` by `python -m impact_rs_ros.parameters > docs/parameters.md`.",
-        "`config/nodes.yaml` is an example of all of them, `config/cell.yaml` of the cell (a node called `plant`);",
-        "a running node describes its own with `ros2 param describe /plant realtime`.",
+        "`config/nodes.yaml` sets all of them to their defaults, `config/cell.yaml` those of the cell (a node called",
+        "`plant`). `ros2 param describe /plant realtime` describes a parameter of a running node.",
     ]
     for kind, parameters in PARAMETERS.items():
         lines += ["", f"## {kind}", "", "| Name | Type | Default | Range | Unit | Meaning |", "|---" * 6 + "|"]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plant as a node: measured state out, torque in, and the truth below ``/truth``.
+"""The plant as a node: publishes measured states and, below ``/truth``, the true ones; receives torques.
 
-In lockstep the plant waits for the torque of every tick, matched by its stamp. An answer that does not come is asked
-for again: the same sample with the same stamp, which the recorder stores once. Whatever nobody waits for is published
-while the controller computes.
+In lockstep the plant waits for the torque of every tick, matched by its stamp. If none comes, it publishes the same
+sample with the same stamp again; the recorder stores it once. Signals that no node waits for are published while the
+controller computes.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ class Pace:
     """How long the plant waits for a torque; the node's parameters of these names.
 
     Attributes:
-        realtime: Pace the ticks by the wall clock, and hold the last torque where none came in time. A late one acts
-            from the next tick on.
-        missed_limit: Share of the ticks that may be without a torque in time; with more the trial is aborted [-].
-        repeat_after: Ask again after so long [s].
-        answer_timeout: Give up after so long [s].
+        realtime: Pace the ticks by the wall clock, and hold the last torque where none came in time. A late torque
+            acts from the next tick on.
+        missed_limit: Largest share of ticks without a torque in time; above it the trial is aborted [-].
+        repeat_after: Time after which the sample is published again [s].
+        answer_timeout: Time after which the trial is aborted [s].
     """
 
     realtime: bool
@@ -57,9 +57,9 @@ class PlantTrial(LeadingTrial):
         plan: The trial.
         plant: Its plant.
         pace: How long to wait for a torque.
-        inbox: Where torques come in.
-        outbox: Where the state goes out.
-        frames: Where ``/tf`` comes from.
+        inbox: Subscriptions to torques.
+        outbox: Publishers of states.
+        frames: Frames of ``/tf``.
     """
 
     def __init__(
@@ -78,12 +78,12 @@ class PlantTrial(LeadingTrial):
         self._readers = {arm: JointReader(names, ("effort",)) for arm, names in self._maker.joints.items()}
         self._tick = 0
         self._measured = plant.measure()
-        self._asked: dict[str, bytes] = {}  # what was published of this tick, by topic
+        self._asked: dict[str, bytes] = {}  # published states of this tick, by topic
         self._missing: set[str] = set()  # arms whose torque has not come
         self._torques: dict[str, Array] = {}  # the newest of every arm
         self._answered: dict[str, int] = {}  # stamps of these [ns]
-        self._told = False  # whether what nobody waits for is put aside
-        self._started = 0.0  # of real time
+        self._rest_done = False  # whether the signals that no node waits for are queued
+        self._started = 0.0  # when real time began
         self._silent_since = 0.0
         self._missed = 0
 
@@ -111,7 +111,7 @@ class PlantTrial(LeadingTrial):
             self._tick_times.append(time.monotonic() - now)
 
     def _finish(self) -> None:
-        """End at the end; a trial of too many late torques is none."""
+        """End the trial; with too many late torques it is aborted."""
         if self._missed > self._pace.missed_limit * self._tick:
             self.stop(
                 f"{self._late()}, {self._missed / self._tick:.1%}, and missed_ticks_limit is "
@@ -135,19 +135,19 @@ class PlantTrial(LeadingTrial):
         return line, {**self.tick_statistics(), "missed_ticks": self._missed}
 
     def _ask(self) -> None:
-        """Publish what the controller waits for."""
+        """Publish the states that the controller waits for."""
         self._asked = {
             topic: self._outbox.now(topic, self._tick, self._measured.arms[arm]) for arm, topic in self._states.items()
         }
         self.now = self._maker.nanoseconds(self._tick)
         self._missing = set(self._states)
-        self._told = False
+        self._rest_done = False
 
     def _rest(self) -> None:
-        """Put aside, or publish, what nobody waits for; once a tick, while the controller computes."""
-        if self._told:
+        """Queue or publish the signals that no node waits for; once a tick, while the controller computes."""
+        if self._rest_done:
             return
-        self._told = True
+        self._rest_done = True
         keep, tick = self._outbox.keep, self._tick
         truth = self._plant.truth()
         for arm, measured in self._measured.arms.items():
@@ -161,7 +161,7 @@ class PlantTrial(LeadingTrial):
             self._outbox.flush()
 
     def _await_torques(self, asked: float) -> bool:
-        """Whether this tick's torques are there; gives up for this turn, or for good, when they do not come."""
+        """Whether this tick's torques are there; if they do not come, returns, and aborts after the timeout."""
         pace = self._pace
         paced = pace.realtime and 0 < self._tick < self._last  # the last state has its answer, late or not
         deadline = self._started + self._tick * self._period if paced else asked + pace.repeat_after
@@ -205,7 +205,7 @@ class PlantTrial(LeadingTrial):
         return False
 
     def _acts(self, arm: str, stamp: int) -> bool:
-        """Whether a torque of this stamp [ns] acts: this tick's, or in real time a late one that is the newest."""
+        """Whether a torque of this stamp [ns] acts: that of this tick, or in real time the newest of the late ones."""
         return stamp == self.now or (self._pace.realtime and self._answered.get(arm, stamp) < stamp < self.now)
 
 

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is there: a node that is killed or frozen is noticed within 3 s, and one that is there twice as well.
+"""Which nodes run: a killed or frozen node is noticed within 3 s, and so are two nodes of one name.
 
-Every node has a publisher on ``~/alive``. The middleware of its process asserts that publisher's *liveliness* from a
-thread of its own, so that long work in Python raises no alarm, and tells whoever subscribes when that has not come
-for a lease. What lives and hangs in our own code is noticed by those who wait for it.
+Every node has a publisher on ``~/alive``. The middleware asserts its *liveliness* from a thread of its own, so that
+long work in Python raises no alarm. When no assertion has come for a lease, it notifies the subscribers. A node that is
+alive and hangs in our own code is noticed by the timeouts of its callers.
 
-The one message that is published there is latched: who receives it has been met by that node, and so have all
-subscriptions that its process had made before (:class:`Acquaintance`).
+Its one message is latched. A process that receives it knows that the node has discovered all subscriptions that the
+process made before (:class:`SubscriptionsMatched`).
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from std_msgs.msg import Empty
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.qos import ALIVE, LEASE, PRESENT
 
-NOT_MET = "_NODE_NAME_UNKNOWN_"  # what the middleware calls a node of which only a publisher is known yet
+NOT_MET = "_NODE_NAME_UNKNOWN_"  # the middleware's name of a node of which only a publisher is discovered yet
 GRACE = 1.0  # s; a lease can lapse and be renewed at once when another publisher of the same topic leaves
 
 
 def announce(node: Node) -> Publisher:
-    """Let others know that a node is there, for as long as its process runs."""
+    """Publish the liveliness of a node for as long as its process runs."""
     publisher = node.create_publisher(Empty, "~/alive", ALIVE)
     publisher.publish(Empty())
     return publisher
 
 
 class Presence:
-    """Which nodes are there, as one node sees it.
+    """Which nodes are alive, as one node sees it.
 
     Args:
-        node: Who wants to know; its executor brings the news.
+        node: Observing node; its executor delivers the liveliness events.
         names: Names of nodes, relative to its namespace.
     """
 
@@ -46,14 +46,14 @@ class Presence:
         self._node = node
         self._alive = dict.fromkeys(names, 0)
         self._since = dict.fromkeys(self._alive, -float("inf"))  # when that changed last, on the monotonic clock [s]
-        self._known: set[str] = set()  # names of those that were there once
+        self._known: set[str] = set()  # names of nodes that were alive at some time
         for name in self._alive:
             node.create_subscription(
                 Empty,
                 f"{name}/alive",
                 lambda _: None,
                 PRESENT,
-                raw=True,  # whatever somebody publishes there
+                raw=True,  # another publisher's bytes need not be a message
                 event_callbacks=SubscriptionEventCallbacks(liveliness=partial(self._changed, name)),
             )
 
@@ -65,28 +65,28 @@ class Presence:
             self._since[name] = time.monotonic()
 
     def forget(self, name: str) -> None:
-        """Begin anew with a node that is started again: until it was there, it is not gone."""
+        """Forget a node that is started again: it is not gone before it was alive once more."""
         self._known.discard(name)
 
     def forget_absent(self) -> None:
-        """Begin anew with every node that is not there: who was started again is met late on a busy machine."""
+        """Forget every node that is not alive: a busy machine discovers a restarted node late."""
         self._known = {name for name in self._known if self._alive[name]}
 
     def alive(self, name: str) -> bool:
-        """Whether a node is there."""
+        """Whether a node is alive."""
         return self._alive[name] > 0
 
     def gone(self, *names: str) -> list[str]:
-        """Those of these nodes that were there, and are not any more."""
+        """Those of these nodes that were alive and are not any more."""
         latest = time.monotonic() - GRACE
         return [name for name in names if name in self._known and not self._alive[name] and self._since[name] < latest]
 
-    def twice(self, *names: str, settled: bool = False) -> list[str]:
-        """Those of these nodes that are there more than once.
+    def duplicates(self, *names: str, settled: bool = False) -> list[str]:
+        """Those of these names that several running nodes share.
 
         Args:
-            names: Of the nodes.
-            settled: Only those of which none can be the remembrance of one that died.
+            names: Names of the nodes.
+            settled: Leave out names whose count changed within the lease: one of two may have died since.
         """
         latest = time.monotonic() - (LEASE + GRACE if settled else 0.0)
         return [name for name in names if self._alive[name] > 1 and self._since[name] <= latest]
@@ -96,25 +96,26 @@ class Presence:
         return self._node.resolve_topic_name(f"{name}/alive").removesuffix("/alive")
 
     def publishers(self, topic: str) -> list[str]:
-        """Names, with namespace, of the nodes that publish a topic; one that died is among them for 20 s.
+        """Names, with namespace, of the nodes that publish a topic.
 
-        Hidden nodes are among them: ``ros2 topic pub`` is one.
+        A node that died is listed for 20 s. Hidden nodes such as ``ros2 topic pub`` are included.
         """
         found = self._node.get_publishers_info_by_topic(topic)
         named = [one for one in found if one.node_name != NOT_MET]
         return sorted({f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in named})
 
 
-class Acquaintance:
-    """Whether other nodes know the subscriptions of this process.
+class SubscriptionsMatched:
+    """Whether the publishers of other nodes have discovered the subscriptions of this process.
 
-    That a subscription has found its publisher does not say that the publisher has found the subscription, and until
-    then it is sent nothing. Number and names of its subscribers do not tell either: one that was killed is counted for
-    20 s. A process announces its subscriptions one after the other, and whoever has met the last one has met them all.
+    A subscription that knows its publisher receives nothing until the publisher knows the subscription as well. The
+    publisher's count of subscribers is no evidence: it includes a killed one for 20 s. A process announces its
+    subscriptions in order, so this class makes one more, on the latched ``~/alive`` of each node: the node that
+    delivers its message has discovered all earlier subscriptions.
 
     Args:
-        node: Who wants to be met.
-        names: Of the nodes that shall meet it, relative to its namespace.
+        node: Node of this process.
+        names: Nodes that have to discover its subscriptions, relative to its namespace.
     """
 
     def __init__(self, node: Node, names: Iterable[str]) -> None:
@@ -124,12 +125,12 @@ class Acquaintance:
         self._met: set[str] = set()
 
     def begin(self) -> None:
-        """Ask to be met, with every subscription that there is now."""
+        """Wait anew, for the discovery of every subscription that exists now."""
         self._met.clear()
         self._inbox.connect(dict.fromkeys(self._topics, "std_msgs/msg/Empty"))
 
     def awaited(self) -> list[str]:
-        """Topics of those that are there and have not met it yet."""
+        """``NAME/alive`` of the running nodes that have not discovered the subscriptions yet."""
         self._inbox.gather()
         self._met.update(topic for topic, _ in self._inbox.take())
         return [
@@ -139,5 +140,5 @@ class Acquaintance:
         ]
 
     def close(self) -> None:
-        """Ask no more."""
+        """Destroy the subscriptions to ``~/alive``."""
         self._inbox.close()

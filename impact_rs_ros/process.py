@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the five nodes have in common as processes: start, main loop, signals, diagnostics."""
+"""Common parts of the nodes as processes: start, main loop, signals, diagnostics."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.spec import TrialSpec
 
 SUPERVISOR = "IMPACT_RS_SUPERVISOR"  # process id of the runner; a node does not outlive it
-OWN_SERVICES = ("impact_rs.", "std_srvs.")  # packages of the types of services that only our nodes have
-HARDWARE = "impact_rs"  # who tells, on /diagnostics
-THROTTLE = 5.0  # s, between two lines of the log that say the same
-IDLE = 0.05  # s, how long an idle node waits for work before it looks around
+OWN_SERVICES = ("impact_rs.", "std_srvs.")  # packages of the service types that rclpy does not offer by itself
+HARDWARE = "impact_rs"  # hardware_id on /diagnostics
+THROTTLE = 5.0  # s, between two equal lines of the log
+IDLE = 0.05  # s, how long an idle node waits for work in one turn
 
 
 class NodeProgram:
@@ -42,7 +42,7 @@ class NodeProgram:
     name: ClassVar[str] = ""
     """Name of the node unless it is remapped; empty: its kind."""
     background: ClassVar[bool] = True
-    """Whether the process lets others go first: a recorder that wakes up shall not interrupt plant or controller."""
+    """Whether the process has a lower priority: a recorder that wakes up must not interrupt plant or controller."""
 
     def __init__(self) -> None:
         self.node = Node(self.name or self.kind)
@@ -55,14 +55,14 @@ class NodeProgram:
         self._diagnosed = time.monotonic()
 
     def make_executor(self) -> Executor:
-        """Who runs services, actions and parameters."""
+        """Executor of services, actions and parameters."""
         return SingleThreadedExecutor()
 
     def start(self) -> None:
-        """Get ready; called once, before the first turn.
+        """Prepare the node; called once, before the first turn.
 
-        What the first trial would load comes first, for it takes a second; whoever finds a service of the node finds it
-        ready.
+        What the first trial needs is loaded before services are offered, because it takes a second: a caller that
+        discovers a service finds the node ready.
         """
         scenario = load_scenario(self.parameter("scenario"))
         self.connect(list(scenario.robots))
@@ -85,13 +85,13 @@ class NodeProgram:
         _ = spec.scene
 
     def connect(self, arms: list[str]) -> None:
-        """Publish and subscribe what there is to these arms; again with others, with theirs in place of that."""
+        """Create publishers and subscriptions for these arms, in place of those of an earlier call."""
 
     def offer(self) -> None:
         """Offer services and actions."""
 
     def served(self) -> list[str]:
-        """Services and actions of its own that it offers, by their full names."""
+        """Full names of the services and actions that the node offers by itself."""
         own = [service for service in self.node.services if service.srv_type.__module__.startswith(OWN_SERVICES)]
         return [self.node.resolve_service_name(service.srv_name) for service in own]
 
@@ -120,7 +120,7 @@ class NodeProgram:
         return load_scenario(self.scenario_name(requested))
 
     def output(self, requested: str, key: str) -> Path:
-        """Where a request wants something written.
+        """Output path of a request.
 
         Raises:
             InputError: It lies where requests may not write.
@@ -128,9 +128,9 @@ class NodeProgram:
         return below(requested, self.parameter("data_root"), key, "data_root")
 
     def serve(self, timeout: float) -> None:
-        """Serve one thing that came in, waiting for it for at most ``timeout`` [s].
+        """Serve one message or request, waiting for it for at most ``timeout`` [s].
 
-        No message and no request ends a node: the middleware raises where bytes are no message, and so may a service.
+        Neither ends a node: the middleware raises where bytes are not a message, and so may a service.
         """
         try:
             self.executor.spin_once(timeout_sec=timeout)
@@ -156,7 +156,7 @@ class NodeProgram:
         return ""
 
     def diagnose(self, now: bool = False) -> None:
-        """Publish diagnostics when they are due, or at once."""
+        """Publish diagnostics if they are due, or ``now``."""
         clock = time.monotonic()
         if not now and clock - self._diagnosed < self.parameter("diagnostics_period"):
             return
@@ -167,7 +167,7 @@ class NodeProgram:
         if failure := self.failure():
             level, line = DiagnosticStatus.ERROR, failure
         message = DiagnosticArray()
-        message.header.stamp = self.node.get_clock().now().to_msg()  # aggregators drop what is old
+        message.header.stamp = self.node.get_clock().now().to_msg()  # aggregators drop old messages
         message.status = [
             DiagnosticStatus(
                 level=level,
@@ -180,11 +180,11 @@ class NodeProgram:
         self._diagnostics.publish(message)
 
     def close(self) -> None:
-        """Leave everything in order; the process ends."""
+        """Close open files and subscriptions; the process ends."""
 
 
 def run(program: type[NodeProgram]) -> None:
-    """Run a node until it is told to stop (SIGINT, SIGTERM) or its supervisor is gone."""
+    """Run a node until SIGINT or SIGTERM, or until its supervisor has ended."""
     stopping = False
 
     def stop(number: int, frame: object) -> None:

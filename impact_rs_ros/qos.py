@@ -10,7 +10,7 @@ from impact_rs_trials.bags import topics
 
 
 def offered(topic: str) -> QoSProfile:
-    """What the publisher of a recorded topic offers, as :func:`impact_rs_trials.bags.topics.offer` has it.
+    """QoS that the publisher of a recorded topic offers, from :func:`impact_rs_trials.bags.topics.offer`.
 
     Reliable, because the recorder must not lose a sample.
 
@@ -27,7 +27,7 @@ def offered(topic: str) -> QoSProfile:
 
 
 STREAM = offered(topics.joint_states("arm"))
-"""Publishers of signals: deep, for the recorder."""
+"""Publishers of signals, with a long history for the recorder."""
 
 AWAITED = QoSProfile(
     reliability=QoSReliabilityPolicy.BEST_EFFORT,
@@ -35,15 +35,15 @@ AWAITED = QoSProfile(
     history=QoSHistoryPolicy.KEEP_LAST,
     depth=10,
 )
-"""Subscribers of the lockstep. One sample is on its way at a time, more only in real time. Best effort, because an
-acknowledgement per message costs a third of a round trip, and a sample that got lost is asked for again anyway."""
+"""Subscribers of the lockstep. One sample is under way at a time, more only in real time. Best effort, because an
+acknowledgement per message costs a third of a round trip, and a lost sample is requested again anyway."""
 
 RECORD = QoSProfile(
     reliability=QoSReliabilityPolicy.RELIABLE,
     durability=QoSDurabilityPolicy.VOLATILE,
     history=QoSHistoryPolicy.KEEP_ALL,
 )
-"""Subscribers of the recorder: reliable, and nothing is thrown away before it is written."""
+"""Subscribers of the recorder: reliable, and no sample is discarded before it is written."""
 
 WATCH = QoSProfile(
     reliability=QoSReliabilityPolicy.BEST_EFFORT,
@@ -51,8 +51,8 @@ WATCH = QoSProfile(
     history=QoSHistoryPolicy.KEEP_LAST,
     depth=1,
 )
-"""Subscribers that only want to know how things stand. Best effort: a reliable one that lost a sample shows none of the
-later ones until the publisher's next heartbeat, up to 3 s later, and looks like a dead publisher meanwhile."""
+"""Subscribers that need only the newest sample. Best effort: a reliable subscriber that lost a sample delivers no later
+ones until the publisher's next heartbeat, up to 3 s later; meanwhile the publisher seems dead."""
 
 COMMAND = QoSProfile(
     reliability=QoSReliabilityPolicy.RELIABLE,
@@ -69,10 +69,10 @@ EVENT = QoSProfile(
     history=QoSHistoryPolicy.KEEP_LAST,
     depth=10,
 )
-"""Subscribers of what is said once (``/impact_event``)."""
+"""Subscribers of events (``/impact_event``)."""
 
 LATCHED = offered(topics.TRIAL_INFO)
-"""What is said once per trial (``/trial_info``, ``/robot_description`` and the like): who comes late still hears it."""
+"""Topics with one message per trial (``/trial_info``, ``/robot_description``); late subscribers receive it, too."""
 
 
 LEASE = 1.5  # s
@@ -90,8 +90,8 @@ def _alive(durability: QoSDurabilityPolicy) -> QoSProfile:
 
 
 ALIVE = _alive(QoSDurabilityPolicy.TRANSIENT_LOCAL)
-"""Publishers of ``~/alive``, and who wants to be met by them. Asserted by the middleware every two thirds of the lease;
-asserted by our own loops it would call a node dead that loads a scene."""
+"""Publishers of ``~/alive``, and the subscribers that test for discovery by them. The middleware asserts liveliness
+every two thirds of the lease; asserted by our own loops, a node that loads a scene would seem dead."""
 
 PRESENT = _alive(QoSDurabilityPolicy.VOLATILE)
-"""Subscribers of ``~/alive`` that only want to know who is there."""
+"""Subscribers of ``~/alive`` that only observe liveliness."""

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder as a node: stores what it receives, as it receives it, in one bag per trial.
+"""The recorder as a node: stores received messages unchanged, in one bag per trial.
 
-Messages are stored undecoded; trial time is read from the stamp, which stands at a fixed place. ``/truth/model`` has no
-stamp. ``/trial_info`` and the descriptions are latched for others; the recorder is told the first when the trial is
-configured, and the others follow from it. Other graphs publish on ``/tf``, ``/clock`` and ``/diagnostics`` as well: the
-first two are worked out from what was measured in this one, and of the third only what its own nodes say is stored.
+Messages are stored undecoded; trial time is read from the stamp, which is at a fixed position. ``/truth/model`` has no
+stamp. ``/trial_info`` comes with the request that configures the trial, and the descriptions follow from it. Other
+graphs publish on ``/tf``, ``/clock`` and ``/diagnostics`` as well: the first two are computed from the measured signals
+of this graph, and of the third only the messages of its own nodes are stored.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from impact_rs_ros.derived import DERIVED, DerivedMessages
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.message_types import decoded
 from impact_rs_ros.names import resolved
-from impact_rs_ros.presence import Acquaintance, Presence
+from impact_rs_ros.presence import Presence, SubscriptionsMatched
 from impact_rs_ros.process import HARDWARE, NodeProgram, run
 from impact_rs_ros.qos import RECORD
 from impact_rs_sim.errors import InputError, full_traceback
@@ -40,33 +40,33 @@ from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.bags.writer import BagWriter, partial_path
 from impact_rs_trials.spec import TrialSpec
 
-MATCHING = 2.0  # s, for publishers to be discovered; less than a caller waits for the answer before it asks again
+MATCHING = 2.0  # s, for publishers to be discovered; less than a caller waits for the answer before it repeats
 SAVING = 0.2  # s, how much of a trial is lost when the recorder is killed
-# Topics of which some messages are as good as all.
+# Topics that need not be recorded from the first message on.
 UNAWAITED = (topics.TF, topics.TF_STATIC, topics.DIAGNOSTICS, topics.TRUTH_MODEL)
 JUDGED = (topics.joint_states, topics.controller_state)  # signals of an arm that reach the end of a trial
 EVERY_TICK = (*JUDGED, topics.joint_command)  # signals of an arm from tick 0 on
-ENDS_EARLY = ("DIVERGED", "LIMIT")  # a plant may stop for these
+ENDS_EARLY = ("DIVERGED", "LIMIT")  # outcomes for which a plant may stop early
 ROUNDING = 1e-6  # s, of stamps; far less than a period
-_HEADER_FIRST = 4  # byte of the stamp behind the CDR encapsulation
-_SEQUENCE_FIRST = 8  # the same with the length of a sequence before it
+_HEADER_FIRST = 4  # offset of the stamp, after the CDR encapsulation
+_SEQUENCE_FIRST = 8  # the same, after the length of a sequence
 
 
 class OpenTrial:
-    """One trial on its way into a bag.
+    """One trial while it is recorded.
 
     Args:
         name: Scenario and name of the trial.
         bag: Its bag, open.
         arms: Names of the arms.
         duration: When the trial ends [s].
-        plan: The trial, where it is one of ours.
-        tracked: Whether somebody tells the pose of the object.
+        plan: The trial; None: it has no scenario of impact_rs.
+        tracked: Whether the pose of the object is published.
 
     Attributes:
         counts: Number of messages in the bag, by topic.
-        refused: Number of messages that are not in the bag, because they cannot be read or have a stamp from outside
-            the trial, by topic.
+        refused: Number of messages that are not in the bag because they cannot be read or their stamp lies outside the
+            trial, by topic.
     """
 
     def __init__(
@@ -95,14 +95,14 @@ class OpenTrial:
         self._judged: dict[str, list[bytes]] = defaultdict(list)  # messages of these topics
 
     def store(self, topic: str, data: bytes) -> None:
-        """Write a message, unless it is derived here, or was sent again because the answer to it was lost."""
+        """Write a message, unless it is computed here, or is a repetition of the last one."""
         if self._derived is not None and topic in DERIVED:
             return
         if (now := self._time_of(topic, data)) is None:
             self.refused[topic] += 1
             return
         if topic in self._awaited and self._plan is not None:
-            if now and topic not in self._last:  # of an abandoned trial, which may end after this one is configured
+            if now and topic not in self._last:  # belongs to an abandoned trial that still runs
                 return
             if 1e-9 * now > self._duration + ROUNDING:
                 self.refused[topic] += 1
@@ -127,12 +127,12 @@ class OpenTrial:
         return self._readable[topic](data)
 
     def _time_of(self, topic: str, data: bytes) -> int | None:
-        """Trial time of a message [ns]; None: it is no message of this trial."""
+        """Trial time of a message [ns]; None: it does not belong to this trial."""
         if not self.readable(topic, data):
             return None
-        if topic == topics.TRUTH_MODEL:  # said once, and without a stamp
+        if topic == topics.TRUTH_MODEL:  # published once, and without a stamp
             return 0
-        if topic == topics.DIAGNOSTICS:  # its stamp is no trial time
+        if topic == topics.DIAGNOSTICS:  # its stamp is not trial time
             return max(self._last.values(), default=0)
         try:
             seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, self._stamp_at[topic])
@@ -142,7 +142,7 @@ class OpenTrial:
         return None if now < 0 else now
 
     def complete(self) -> None:
-        """Write what waited for a message that does not come any more."""
+        """Write computed messages that waited for a pose of the object."""
         if self._derived is not None:
             self._write_derived(self._derived.rest())
 
@@ -157,11 +157,11 @@ class OpenTrial:
         return 1e-9 * max(self._last.values(), default=0)
 
     def said(self, outcome: str) -> str:
-        """How it ended, for the log; a path follows."""
+        """Beginning of the log line on how it ended; a path follows."""
         return f"{self.name}: {outcome} after {self.time:.3f} s, {self.bag.messages} messages in"
 
     def missing(self, expected: dict[str, int]) -> str:
-        """Which of the expected numbers of messages are not reached yet, in words; empty: none."""
+        """Topics with fewer messages than expected, and both numbers, as text; empty: none."""
         return ", ".join(
             f"{topic} {self.counts[topic]} of {count}"
             for topic, count in expected.items()
@@ -169,7 +169,7 @@ class OpenTrial:
         )
 
     def verdict(self) -> Verdict:
-        """How the trial ended, by what was recorded; of one that is not ours, no more than whether it hit."""
+        """How the trial ended, judged by the recorded signals; without a scenario, only whether there was an impact."""
         if self._plan is not None:
             verdict = judge(self._plan, TrialRecord({arm: self._arm(arm) for arm in self._arms}, self._object()))
         else:
@@ -179,7 +179,7 @@ class OpenTrial:
         return Verdict("ABORTED", cut) if cut else verdict
 
     def cut_off(self) -> str:
-        """Which signals do not reach the end of the trial; empty: all do."""
+        """Which signals end before the trial; empty: none."""
         ends = {}
         for topic in (name(arm) for arm in self._arms for name in JUDGED):
             last, count = 1e-9 * self._last.get(topic, 0), self.counts[topic]
@@ -189,11 +189,11 @@ class OpenTrial:
         return f"{', '.join(ends.values())}; the trial ends at {self._duration:.3f} s" if ends else ""
 
     def note(self) -> str:
-        """What is worth telling of a trial whatever its outcome, in one line; empty: nothing."""
-        told = ", ".join(f"{topic} {count}" for topic, count in self.refused.items())
+        """Remark on the recording, whatever the outcome, in one line; empty: none."""
+        refused = ", ".join(f"{topic} {count}" for topic, count in self.refused.items())
         return (
-            f"{self.refused.total()} messages are not in the bag, unreadable or not of this trial: {told}"
-            if told
+            f"{self.refused.total()} messages are not in the bag, unreadable or not of this trial: {refused}"
+            if refused
             else ""
         )
 
@@ -230,17 +230,17 @@ class RecorderNode(NodeProgram):
         self._open = ExitStack()  # the bag of the trial that is recorded
         self._recording: OpenTrial | None = None
         self._configured: ConfigureTrial.Request | None = None  # the trial that is recorded
-        self._finished: FinishTrial.Response | None = None  # what was answered of the trial before
+        self._finished: FinishTrial.Response | None = None  # answer on the end of the trial before
         self._messages = 0
-        self._failure = ""  # why the last bag is no whole trial
-        self._saved = 0.0  # when the bag was put on the disk, on the monotonic clock [s]
+        self._failure = ""  # why the last bag is not a complete trial
+        self._saved = 0.0  # when the bag was last written to the disk, on the monotonic clock [s]
         self._presence = Presence(self.node, ["experiment"])
-        self._acquaintance = Acquaintance(self.node, ["plant", "controller"])
+        self._subscriptions = SubscriptionsMatched(self.node, ["plant", "controller"])
 
     def rehearse(self, spec: TrialSpec) -> None:
         DerivedMessages(spec.plan, tracked=True)
         for kind in set(topics.recorded(list(spec.plan.arms)).values()):
-            Readable(typestore(), kind)(b"")  # the code that reads a type is made at its first message
+            Readable(typestore(), kind)(b"")  # the first message of a type compiles the code that reads it
 
     def offer(self) -> None:
         self.node.create_service(ConfigureTrial, "~/configure_trial", self._on_configure)
@@ -262,42 +262,44 @@ class RecorderNode(NodeProgram):
 
     def connect(self, arms: list[str]) -> None:
         if arms != self._arms:
-            self._arms = []  # until all of it is done: names of arms may be no names of topics
+            self._arms = []  # until it has succeeded: a name of an arm may not be valid in a topic
             recorded, said = topics.recorded(arms).items(), topics.latched(arms)
             self._inbox.connect({topic: kind for topic, kind in recorded if topic not in said})
             self._arms = arms
 
     def _await_publishers(self) -> None:
-        """Wait until the topics of the trial have their publishers, and these know of the recorder.
+        """Wait until the recorder and the publishers of the trial's topics have discovered each other.
 
-        Of nodes that were just started both take a while.
+        Discovery of nodes that were just started takes a while.
 
         Raises:
-            InputError: Nobody publishes what a trial cannot do without, or not so that the recorder receives it. Or
-                plant or controller does not know of it yet.
+            InputError: A topic that every trial needs has no publisher, or one whose QoS does not match. Or plant or
+                controller has not discovered the recorder.
         """
         deadline = time.monotonic() + MATCHING
         needed = topics.needed(self._arms)
-        self._acquaintance.begin()
-        while (unmatched := self._unmatched(needed)) or self._acquaintance.awaited():
+        self._subscriptions.begin()
+        while (unmatched := self._unmatched(needed)) or self._subscriptions.awaited():
             if time.monotonic() > deadline:
                 break
             time.sleep(0.005)
-        strangers = [topic.removesuffix("/alive") for topic in self._acquaintance.awaited()]
+        undiscovered = [topic.removesuffix("/alive") for topic in self._subscriptions.awaited()]
         absent = [topic for topic in unmatched if not self._publishers(topic)]
         unheard = [topic for topic in unmatched if topic not in absent]
-        told = [f"nobody publishes {', '.join(absent)}; are plant and controller running?"] if absent else []
+        wrong = [f"no publisher of {', '.join(absent)}; are plant and controller running?"] if absent else []
         if unheard:
-            told.append(f"{', '.join(unheard)}: published by somebody whom the recorder does not receive; reliable?")
-        if strangers:  # the beginning of the trial would be lost
-            told.append(f"{' and '.join(strangers)} did not meet the recorder within {MATCHING:g} s")
-        if strangers or not set(needed).isdisjoint(unmatched):
-            raise InputError(f"recorder: {'; '.join(told)}")
-        for line in told:
+            wrong.append(f"{', '.join(unheard)}: published, but not received; is the publisher's QoS reliable?")
+        if undiscovered:  # the beginning of the trial would be lost
+            wrong.append(
+                f"{' and '.join(undiscovered)} did not discover the recorder's subscriptions within {MATCHING:g} s"
+            )
+        if undiscovered or not set(needed).isdisjoint(unmatched):
+            raise InputError(f"recorder: {'; '.join(wrong)}")
+        for line in wrong:
             self.log.warning(line)
 
     def _unmatched(self, needed: list[str]) -> list[str]:
-        """Topics with a publisher that is not met yet, and needed ones without any."""
+        """Topics with a publisher that is not matched yet, and needed ones without any."""
         return [
             topic
             for topic, count in self._inbox.publishers().items()
@@ -305,11 +307,11 @@ class RecorderNode(NodeProgram):
         ]
 
     def _publishers(self, topic: str) -> int:
-        """How many publishers there are of a topic of this graph."""
+        """Number of publishers of a topic of this graph."""
         return self.node.count_publishers(resolved(self.node, topic))
 
     def _drain(self) -> None:
-        """Write what has been received; outside a trial, throw it away."""
+        """Write received messages; outside a trial, discard them."""
         if self._recording is None:
             self._inbox.clear()
             return
@@ -324,7 +326,7 @@ class RecorderNode(NodeProgram):
             self._saved = time.monotonic()
 
     def _of_other_graph(self, data: bytes) -> bool:
-        """Whether diagnostics are those of a node like ours in another namespace."""
+        """Whether diagnostics come from a node of impact_rs in another namespace."""
         message = decoded(data, DiagnosticArray)
         return message is not None and any(
             status.hardware_id == HARDWARE and status.name.rpartition("/")[0] != self.node.get_namespace().rstrip("/")
@@ -332,7 +334,7 @@ class RecorderNode(NodeProgram):
         )
 
     def _end_abandoned(self) -> None:
-        """Close the bag of a trial that nobody is left to finish."""
+        """Close the bag of a trial whose experiment node has died."""
         recording = self._recording
         if recording is not None and self._presence.gone("experiment"):
             self._abort()
@@ -347,12 +349,12 @@ class RecorderNode(NodeProgram):
     ) -> ConfigureTrial.Response:
         recording = self._recording
         if recording is not None and request == self._configured and not recording.counts.keys() - {topics.DIAGNOSTICS}:
-            response.success = True  # it is asked once more, because the answer takes long
+            response.success = True  # a repeated request, because the answer took long
             return response
         self._abort()
         self._configured = self._finished = None
         self._failure = ""
-        self._presence.forget_absent()  # somebody asks, whether or not it has been met again
+        self._presence.forget_absent()  # the experiment node is alive, for it made this request
         try:
             info = TrialInfo.from_message(request.trial)
             plan = info.spec.plan if info.scenario_json else None
@@ -382,7 +384,7 @@ class RecorderNode(NodeProgram):
             self.log.error(f"trial refused: {error}")
             response.message = self._failure = str(error)
             return response
-        except Exception as error:  # a node outlives every trial
+        except Exception as error:  # no trial ends a node
             self._open.close()
             self.log.error(f"cannot open the bag: {full_traceback(error)}")
             response.message = self._failure = f"recorder: {type(error).__name__}: {error}"
@@ -395,18 +397,18 @@ class RecorderNode(NodeProgram):
         recording = self._recording
         if recording is None:
             response.message = "recorder: there is no bag to finish"
-            return self._finished or response  # who asks again has not heard the answer
+            return self._finished or response  # a repeated request, whose first answer was lost
         bag = recording.bag
         expected = {topic: count for topic, count in zip(request.topics, request.counts, strict=False) if count}
-        strangers = [topic for topic in expected if not recording.has(topic)]
-        if strangers and not request.aborted:
-            response.message = f"recorder: {', '.join(strangers)} is no topic of {recording.name}, which is recorded"
+        unknown = [topic for topic in expected if not recording.has(topic)]
+        if unknown and not request.aborted:
+            response.message = f"recorder: {', '.join(unknown)} is no topic of {recording.name}, which is recorded"
             return response
         missing = self._complete(recording, expected)
         verdict = Verdict("ABORTED", request.reason or f"messages were published and not received: {missing}")
         if not request.aborted and not missing:
             verdict = self._verdict(recording)
-            if verdict.outcome == "ABORTED" and recording.cut_off():  # it may be meant for another trial
+            if verdict.outcome == "ABORTED" and recording.cut_off():  # the request may concern another trial
                 response.message = f"recorder: {recording.name} is not over: {verdict.reason}"
                 return response
         recording.complete()
@@ -438,17 +440,17 @@ class RecorderNode(NodeProgram):
         return response
 
     def _verdict(self, recording: OpenTrial) -> Verdict:
-        """How the trial ended; ABORTED where that cannot be told."""
+        """How the trial ended; ABORTED where that cannot be judged."""
         try:
             return recording.verdict()
         except InputError as error:
             return Verdict("ABORTED", str(error))
-        except Exception as error:  # messages of a stranger among those that are judged
+        except Exception as error:  # another publisher's messages are among the judged ones
             self.log.error(f"cannot judge the trial: {full_traceback(error)}")
             return Verdict("ABORTED", f"what was recorded cannot be judged: {type(error).__name__}: {error}")
 
     def _complete(self, recording: OpenTrial, expected: dict[str, int]) -> str:
-        """Receive until everything is there; returns what is missing."""
+        """Receive until the expected messages are there; returns what is missing after the timeout."""
         deadline = time.monotonic() + self.parameter("completion_timeout")
         while True:
             self._drain()
@@ -459,9 +461,9 @@ class RecorderNode(NodeProgram):
             self._inbox.wait(left)
 
     def _abort(self) -> None:
-        """Close the bag as far as it got; it stays readable under its hidden name."""
+        """Close the incomplete bag; it stays readable under its hidden name."""
         try:
-            with self._open:  # it is closed, too, where what is left cannot be written
+            with self._open:  # closes it even if the remaining messages cannot be written
                 if self._recording is not None:
                     self._drain()
         except OSError as error:  # its folder is gone or full; the next trial has another bag
@@ -470,7 +472,7 @@ class RecorderNode(NodeProgram):
 
     def close(self) -> None:
         self._abort()
-        self._acquaintance.close()
+        self._subscriptions.close()
         self._inbox.close()
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a request from the network may name: files below the folders that the node's owner has chosen."""
+"""Access of network requests to files: only below the folders that parameters of the node name."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def below(path: str, root: str, key: str, parameter: str) -> Path:
-    """A path that a request names, absolute; a relative one is seen from the root.
+    """Absolute path of a request; a relative one is relative to the root.
 
     Args:
-        path: What was asked for; empty: the root.
-        root: Folder that it must lie in; empty: the working directory.
-        key: What the request calls it.
-        parameter: The node's parameter that holds the root.
+        path: Path of the request; empty: the root.
+        root: Folder that must contain it; empty: the working directory.
+        key: Name of the field in the request.
+        parameter: Name of the node parameter that holds the root.
 
     Raises:
-        InputError: It lies elsewhere, links followed.
+        InputError: The path, with links resolved, is outside of the root.
     """
     folder = Path(root or ".").resolve()
     try:
@@ -34,11 +34,11 @@ def below(path: str, root: str, key: str, parameter: str) -> Path:
 
 
 def scenario_below(name: str, own: str, root: str) -> str:
-    """A scenario that a request names: a shipped one, the node's own, or a file below a root.
+    """Name or path of the scenario of a request: a shipped one, the node's own, or a file below a root.
 
     Args:
-        name: What was asked for; empty: the node's own.
-        own: Name or path of the node's own.
+        name: Scenario of the request; empty: the node's own.
+        own: Name or path of the node's own scenario.
         root: As for :func:`below`.
 
     Raises:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Somebody who watches a running graph and takes no part in it.
+"""A passive observer of a running graph.
 
-Of every signal only the newest sample is taken, best effort, when somebody looks: a stream of 1 kHz is not decoded a
-thousand times a second, and no publisher waits for a spectator.
+It keeps the newest sample of every signal, best effort, and decodes it only on request: a stream of 1 kHz is not
+decoded a thousand times a second, and no publisher waits for the observer.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.snapshot import Situation, Snapshot
 
-STATES = "/joint_states"  # of a robot that nobody runs a trial with, beside its /robot_description
-SILENT = 1.0  # s without a joint state, after which nothing moves any more
-PRESENT_EVERY = 0.5  # s, between two looks at who is there
-SAID = {topics.TRIAL_INFO: topics.TRIAL_INFO_TYPE, topics.ROBOT_DESCRIPTION: topics.STRING}
+STATES = "/joint_states"  # of a robot without a trial, beside its /robot_description
+SILENT = 1.0  # s without a joint state, after which the robot counts as at rest
+PRESENT_EVERY = 0.5  # s, between two counts of publishers
+DESCRIBING = {topics.TRIAL_INFO: topics.TRIAL_INFO_TYPE, topics.ROBOT_DESCRIPTION: topics.STRING}
 
 
 class Spectator:
-    """The newest of what a graph tells; :meth:`watching` makes one.
+    """The newest state of a graph; :meth:`watching` makes one.
 
     Args:
         node: Node of this process, in the namespace of the graph.
@@ -47,16 +47,16 @@ class Spectator:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._place = f"ROS domain {node.context.get_domain_id()}, namespace {node.get_namespace()}"
-        self._said = Inbox(node, "said", LATCHED)
-        self._said.connect(SAID)
-        self._told = Inbox(node, "told", WATCH, raw=True)
-        self._told.connect({STATES: topics.JOINT_STATE})
+        self._latched = Inbox(node, "said", LATCHED)
+        self._latched.connect(DESCRIBING)
+        self._signals = Inbox(node, "told", WATCH, raw=True)
+        self._signals.connect({STATES: topics.JOINT_STATE})
         self._info: TrialInfo | None = None
         self._known = Snapshot("absent", self._place)
         self._arm_of: dict[str, str] = {}  # by topic of its contact wrench
         self._heard = -float("inf")  # when the last joint state came, on the monotonic clock [s]
         self._present = False
-        self._looked = -float("inf")  # when it was looked who is there [s]
+        self._looked = -float("inf")  # when publishers were last counted [s]
 
     @classmethod
     @contextmanager
@@ -67,7 +67,7 @@ class Spectator:
             namespace: ROS namespace of the graph; empty: the root.
 
         Raises:
-            InputError: ROS has no such namespace.
+            InputError: ROS does not allow such a namespace.
         """
         full = full_namespace(namespace)
         set_middleware(os.environ)
@@ -82,30 +82,30 @@ class Spectator:
             yield spectator
 
     def look(self) -> Snapshot:
-        """How the graph stands now; returns at once."""
-        self._said.gather()
-        for topic, message in self._said.take():
+        """The present state of the graph; returns at once."""
+        self._latched.gather()
+        for topic, message in self._latched.take():
             if topic == topics.TRIAL_INFO:
                 self._hear_trial(message)
             elif self._info is None:
-                self._stands(description=message.data)
-        self._told.gather()
-        for topic, data in self._told.take():
+                self._show(description=message.data)
+        self._signals.gather()
+        for topic, data in self._signals.take():
             self._hear_state(topic, data)
         return self._now()
 
     def close(self) -> None:
-        """Watch no more."""
-        self._said.close()
-        self._told.close()
+        """Destroy the subscriptions."""
+        self._latched.close()
+        self._signals.close()
 
     def _now(self) -> Snapshot:
-        """What is known, with what is going on."""
+        """The known state with the present situation."""
         clock = time.monotonic()
         if clock - self._looked > PRESENT_EVERY:
             self._looked = clock
-            told = STATES if self._info is None else topics.TRIAL_INFO
-            self._present = any(self._publishers(topic) for topic in (topics.TRIAL_INFO, told))
+            published = STATES if self._info is None else topics.TRIAL_INFO
+            self._present = any(self._publishers(topic) for topic in (topics.TRIAL_INFO, published))
         situation: Situation
         if clock - self._heard < SILENT:
             situation = "running"
@@ -119,14 +119,14 @@ class Spectator:
         return self._node.count_publishers(resolved(self._node, topic))
 
     def _with(self, **changes: Any) -> Snapshot:
-        """What is known, with changes; known from now on."""
+        """Change the known state, and return it."""
         changed = {name: value for name, value in changes.items() if getattr(self._known, name) is not value}
         if changed:
             self._known = Snapshot(**vars(self._known) | changed)
         return self._known
 
-    def _stands(self, **scene: Any) -> None:
-        """Something else stands there, of which no state is known yet."""
+    def _show(self, **scene: Any) -> None:
+        """Begin a new scene, of which no state is known yet."""
         number = self._known.number + 1
         self._known = Snapshot(self._known.situation, self._place, number, **scene)
 
@@ -140,15 +140,15 @@ class Spectator:
             return
         try:
             spec = info.spec
-            self._stands(title=title, physics=Physics.nominal(spec.scenario, spec.object))
+            self._show(title=title, physics=Physics.nominal(spec.scenario, spec.object))
         except InputError as error:
-            self._stands(title=title, complaint=f"{topics.TRIAL_INFO}: {error}")
+            self._show(title=title, complaint=f"{topics.TRIAL_INFO}: {error}")
             return
-        arms = list(spec.scenario.robots)  # whose names a topic can have
+        arms = list(spec.scenario.robots)  # their names are valid in topics
         self._arm_of = {topics.truth_contact_wrench(arm): arm for arm in arms}
         names = [*(topics.joint_states(arm) for arm in arms), topics.OBJECT_POSE, *self._arm_of]
         kinds = topics.recorded(arms)
-        self._told.connect({name: kinds[name] for name in names})
+        self._signals.connect({name: kinds[name] for name in names})
 
     def _hear_state(self, topic: str, data: bytes) -> None:
         if topic in self._arm_of:
@@ -156,7 +156,7 @@ class Spectator:
             if message is None:
                 return
             wrench = message.wrench.force
-            force = -np.array([wrench.x, wrench.y, wrench.z])  # told is what the object does to the pad
+            force = -np.array([wrench.x, wrench.y, wrench.z])  # the message has the force of the object on the pad
             if np.isfinite(force).all():
                 self._with(forces=self._known.forces | {self._arm_of[topic]: force})
         elif topic == topics.OBJECT_POSE:
@@ -169,9 +169,9 @@ class Spectator:
             names = names_of(signals)
             if position.size != len(names) or not np.isfinite(position).all():
                 return
-            told = dict(zip(names, position.tolist(), strict=True))
+            positions = dict(zip(names, position.tolist(), strict=True))
             stamp = None if topic == STATES else 1e-9 * signals.stamp
-            self._with(positions=self._known.positions | told, time=stamp)
+            self._with(positions=self._known.positions | positions, time=stamp)
             self._heard = time.monotonic()
 
 

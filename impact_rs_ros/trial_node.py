@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What plant, cell and controller have in common: a trial is configured, runs, and is finished."""
+"""Common part of plant, cell and controller: a trial is configured, runs, and is finished."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.spec import TrialSpec
 
 SLICE = 0.02  # s, how long a running trial may keep a node from its services
-MATCHING = 0.002  # s, between two looks whether everybody listens
-CONNECTING = 8.0  # s, that a controller which was just started may take to hear the first state
+MATCHING = 0.002  # s, between two checks whether all topics have subscribers
+CONNECTING = 8.0  # s, that a newly started controller may take to receive the first state
 
 
 class LockstepTrial(ABC):
@@ -37,8 +37,8 @@ class LockstepTrial(ABC):
 
     Attributes:
         now: Trial time [ns].
-        failure: Why it could not go on; empty: it did.
-        unreadable: Number of messages that were none, and counted as silence.
+        failure: Why the trial failed; empty: it did not.
+        unreadable: Number of messages that could not be decoded; they are ignored.
     """
 
     def __init__(self, plan: TrialPlan) -> None:
@@ -51,22 +51,22 @@ class LockstepTrial(ABC):
 
     @abstractmethod
     def work(self, until: float) -> None:
-        """Do what there is to do, at least until ``until`` on the monotonic clock."""
+        """Process messages until ``until`` on the monotonic clock [s], or a little longer."""
 
     @abstractmethod
     def end(self) -> str:
-        """Leave the trial; returns its outcome as this node sees it."""
+        """End the trial; returns its outcome as this node sees it."""
 
     @abstractmethod
     def status(self) -> tuple[str, dict[str, object]]:
         """A line and numbers for ``/diagnostics``."""
 
     def note(self) -> str:
-        """What is worth telling of a trial that ended well, in one line; empty: nothing."""
+        """Remark on a trial that ended well, in one line; empty: none."""
         return f"{self.unreadable} messages could not be read" if self.unreadable else ""
 
     def tick_statistics(self) -> dict[str, object]:
-        """Wall-clock time per tick since the last time this was asked for."""
+        """Wall-clock time per tick since the last call."""
         times, self._tick_times = sorted(self._tick_times), []
         if not times:
             return {"ticks": 0}
@@ -84,8 +84,8 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     """A node that takes part in the lockstep.
 
     Attributes:
-        trial: The trial that runs, or the last one; None before the first.
-        running: Whether there is a trial that was configured and not finished.
+        trial: The current trial, or the last one; None before the first.
+        running: Whether a trial is configured and not finished.
     """
 
     background = False
@@ -97,17 +97,17 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self.running = False
         self._name = ""
         self._configured: ConfigureTrial.Request | None = None  # the trial that runs
-        self._finished: FinishTrial.Response | None = None  # what was answered of the trial before
+        self._finished: FinishTrial.Response | None = None  # answer on the end of the trial before
         self.inbox = Inbox(self.node, "inbox", AWAITED, raw=True)
         self.outbox = Outbox(self.node)
 
     @abstractmethod
     def received(self, arms: list[str]) -> dict[str, str]:
-        """Topics that are awaited, with their types."""
+        """Topics that the node subscribes to, with their types."""
 
     @abstractmethod
     def published(self, arms: list[str]) -> dict[str, str]:
-        """Topics that are published, with their types."""
+        """Topics that the node publishes, with their types."""
 
     @abstractmethod
     def streams(self, maker: StreamMaker) -> dict[str, Stream]:
@@ -115,12 +115,12 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
 
     @abstractmethod
     def prepare(self, plan: TrialPlan, info: TrialInfo) -> AnyTrial:
-        """A trial that can begin, as if there had been none before."""
+        """A trial that is ready to begin and independent of earlier ones."""
 
     def start(self) -> None:
         super().start()
         gc.collect()
-        gc.freeze()  # the collection before a trial looks at what is new, and no more
+        gc.freeze()  # the collection before a trial then considers only newer objects
 
     def rehearse(self, spec: TrialSpec) -> None:
         self.streams(StreamMaker(spec.plan))
@@ -144,7 +144,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self.diagnose()
 
     def work(self, trial: AnyTrial, until: float) -> None:
-        """Do what there is to do in a trial, at least until ``until`` on the monotonic clock."""
+        """Run a trial until ``until`` on the monotonic clock [s], or a little longer."""
         trial.work(until)
 
     def trial_time(self) -> int:
@@ -164,7 +164,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
 
     def connect(self, arms: list[str]) -> None:
         if arms != self.arms:
-            self.arms = []  # until all of it is done: names of arms may be no names of topics
+            self.arms = []  # until it has succeeded: a name of an arm may not be valid in a topic
             self.inbox.connect(self.received(arms))
             self.outbox.connect(self.published(arms))
             self.arms = arms
@@ -173,7 +173,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
         if self.running and request == self._configured and not any(self.outbox.counts.values()):
-            response.success = True  # it is asked once more, because the answer takes long
+            response.success = True  # a repeated request, because the answer took long
             return response
         self._configured = self._finished = None
         try:
@@ -189,7 +189,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             self.log.error(f"trial refused: {error}")
             response.message = str(error)
             return response
-        except Exception as error:  # a node outlives every trial
+        except Exception as error:  # no trial ends a node
             self.log.error(f"cannot prepare the trial: {full_traceback(error)}")
             response.message = f"{self.kind}: {type(error).__name__}: {error}"
             return response
@@ -205,7 +205,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
         if not self.running or self.trial is None:
             response.message = f"{self.kind}: there is no trial to finish"
-            return self._finished or response  # who asks again has not heard the answer
+            return self._finished or response  # a repeated request, whose first answer was lost
         self.outbox.flush()
         self.diagnose(now=True)
         outcome, failure = self._leave(), self.trial.failure
@@ -236,11 +236,11 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
 
 
 class LeadingTrial(LockstepTrial):
-    """One trial of the node that measures: it says when the trial begins, and when it is over.
+    """One trial of the node that publishes measured states; this node begins and ends the trial.
 
     Attributes:
         begun: Whether the first state was published.
-        over: Whether there is nothing left to do; ``failure`` says whether that was so at the end.
+        over: Whether the trial has ended; ``failure`` says why, if it ended early.
     """
 
     def __init__(self, plan: TrialPlan) -> None:
@@ -250,10 +250,10 @@ class LeadingTrial(LockstepTrial):
 
     @abstractmethod
     def begin(self) -> None:
-        """Begin: everybody listens."""
+        """Begin the trial; all its topics have subscribers."""
 
     def stop(self, failure: str) -> None:
-        """End before the end."""
+        """End the trial early; ``failure`` says why."""
         self.over = True
         self.failure = failure
 
@@ -262,7 +262,7 @@ AnyLeadingTrial = TypeVar("AnyLeadingTrial", bound=LeadingTrial)
 
 
 class LeadingNode(TrialNode[AnyLeadingTrial]):
-    """Who serves ``~/run_trial``, which is answered when the trial is over."""
+    """The node that serves ``~/run_trial``, whose answer comes when the trial is over."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -274,7 +274,7 @@ class LeadingNode(TrialNode[AnyLeadingTrial]):
         self.node.create_service(Trigger, "~/run_trial", self._on_run, callback_group=MutuallyExclusiveCallbackGroup())
 
     def wait(self) -> None:
-        """Let some milliseconds pass before or after the ticks of a trial."""
+        """Serve requests for some milliseconds, before or after the ticks of a trial."""
         self.serve(MATCHING)
 
     def work(self, trial: AnyLeadingTrial, until: float) -> None:
@@ -289,7 +289,7 @@ class LeadingNode(TrialNode[AnyLeadingTrial]):
             trial.begin()
         try:
             trial.work(until)
-        except Exception as error:  # a node outlives every trial
+        except Exception as error:  # no trial ends a node
             self.log.error(f"the trial cannot go on: {full_traceback(error)}")
             trial.stop(f"{self.kind} at t = {1e-9 * trial.now:.3f} s: {type(error).__name__}: {error}")
         if trial.over:
@@ -308,7 +308,7 @@ class LeadingNode(TrialNode[AnyLeadingTrial]):
         return response
 
     def _answer(self, over: Future, trial: AnyLeadingTrial) -> None:
-        """Tell whoever waits for the end of the trial."""
+        """Answer the caller of ``~/run_trial``."""
         self._over = None
         over.set_result(trial.failure)
 

@@ -39,21 +39,21 @@ from impact_rs_trials.bags.record import descriptions
 from impact_rs_trials.bags.trial_info import Outcome, TrialInfo, TrialKey
 from impact_rs_trials.bags.writer import partial_path
 
-ATTEMPT = 1.0  # s; a request into the discovery of a restarted node can be lost and is sent again
-LOOK = 0.1  # s, between two looks whether who is to answer is there
+ATTEMPT = 1.0  # s, after which a request is repeated; it can be lost while a restarted node is being discovered
+LOOK = 0.1  # s, between two checks whether the node that is to answer is alive
 MEMBERS = ("recorder", "controller", "plant")
-ALL = (*MEMBERS, "experiment")  # who must be there once for a trial
+ALL = (*MEMBERS, "experiment")  # nodes of a trial, whose names must be unique
 LAST_SAMPLE = 0.5  # s, how long the last controller state may take
-FINISH = 1.0  # s, how long plant or controller may take to leave a trial
+FINISH = 1.0  # s, how long plant or controller may take to end a trial
 
 
 class TrialError(RuntimeError):
-    """A trial could not be run to its end; the message says why and what to do."""
+    """A trial was aborted; the message says why, and what to do."""
 
 
 @dataclass
 class Progress:
-    """How a trial stands.
+    """State of a running trial.
 
     Attributes:
         time: Trial time of the newest controller state [s]; NaN before the first.
@@ -74,9 +74,9 @@ class TrialResult:
 
     Attributes:
         outcome: One of ``OUTCOMES``.
-        message: Why, in one line; empty for ``OK``.
-        bag_path: Its bag.
-        progress: How far it came.
+        message: The reason, in one line; empty for ``OK``.
+        bag_path: Path of its bag.
+        progress: State of the trial when it ended.
     """
 
     outcome: Outcome
@@ -111,7 +111,7 @@ class TrialSession:
         self._newest: dict[str, Any] = {}  # controller states by topic
 
     def watch(self, arms: list[str]) -> None:
-        """Follow the controllers of these arms."""
+        """Subscribe to the controller states and impact events of these arms."""
         if arms != self._arms:
             kinds = topics.recorded(arms)
             for inbox, name in ((self._states, topics.controller_state), (self._events, topics.impact_event)):
@@ -119,11 +119,11 @@ class TrialSession:
             self._arms = arms
 
     def describe(self, plan: TrialPlan) -> None:
-        """Publish what the arms and the object of a trial are, for viewers; nothing before is kept."""
+        """Publish the URDFs of the arms and the object of a trial, in place of earlier ones, for viewers."""
         self._describe(descriptions(plan))
 
     def close(self) -> None:
-        """Follow nothing any more."""
+        """Destroy the subscriptions."""
         self._states.close()
         self._events.close()
 
@@ -137,15 +137,15 @@ class TrialSession:
         cancelled: Callable[[], bool] = lambda: False,
         plant_model: str = "",
     ) -> TrialResult:
-        """Run one trial; every failure is told in the result.
+        """Run one trial; failures are in the result.
 
         Args:
-            plan: What to do.
-            key: Which trial.
+            plan: The trial.
+            key: Its object, case, velocity scale and repeat.
             seed: Seed of scatter and noise.
             directory: Folder of the bag.
-            feedback: Called now and then.
-            cancelled: Whether to stop.
+            feedback: Progress callback, called every ``feedback_period``.
+            cancelled: Returns whether to stop.
             plant_model: Text of a model file whose effects the plant has; empty: none.
         """
         self._presence.forget_absent()
@@ -176,25 +176,25 @@ class TrialSession:
         return self._finish_all(progress, reason, path)
 
     def _cause(self, reason: str) -> str:
-        """What lies behind a failure: a second node of one name may be met only while both disturb the trial.
+        """The cause of a failure: a second node of the same name, which may be discovered only after it disturbed.
 
-        Its services can be met, and answer, before it has said that it is there; it says so within a lease.
+        Its services can answer before its ``~/alive`` is discovered, which takes up to a lease.
         """
         deadline = time.monotonic() + LEASE
-        while self._answered_twice() and not self._presence.twice(*ALL) and time.monotonic() < deadline:
+        while self._has_duplicate_servers() and not self._presence.duplicates(*ALL) and time.monotonic() < deadline:
             time.sleep(LOOK)
         try:
             self._check_alone(wait=True)
-        except TrialError as twice:
-            return str(twice)
+        except TrialError as duplicate:
+            return str(duplicate)
         return reason
 
-    def _answered_twice(self) -> bool:
-        """Whether a service of a trial has several servers; of a node that was killed it is counted for 20 s."""
+    def _has_duplicate_servers(self) -> bool:
+        """Whether a service of a trial has several servers; that of a killed node is counted for 20 s."""
         return any(self._node.count_services(client.srv_name) > 1 for client in self._finish.values())
 
     def _describe(self, urdfs: dict[str, str]) -> None:
-        """Publish what there is, and take back what there was of other arms."""
+        """Publish URDFs by topic, and destroy the publishers of other topics."""
         for topic in self._descriptions.keys() - urdfs.keys():
             self._node.destroy_publisher(self._descriptions.pop(topic))
         for topic, urdf in urdfs.items():
@@ -203,10 +203,9 @@ class TrialSession:
             self._descriptions[topic].publish(String(data=urdf))
 
     def _call(self, name: str, client: Client, request: Any, timeout: float) -> Any:
-        """Answer of a service to a request that is sent again where none comes.
+        """Answer of a service; the request is repeated if none comes.
 
-        A node that is slow answers every one of them, and any answer counts: who is asked once more for what it has
-        done does not begin again.
+        A slow node answers every request, and any of its answers counts: it does not act on a repeated request again.
 
         Raises:
             TrialError: No answer.
@@ -215,7 +214,7 @@ class TrialSession:
         deadline = began + timeout
 
         def check() -> None:
-            if time.monotonic() > began + GRACE:  # one that was just started again is met late
+            if time.monotonic() > began + GRACE:  # a restarted node is discovered late
                 self._check_present(name)
 
         answered = threading.Event()
@@ -240,7 +239,7 @@ class TrialSession:
         raise TrialError(f"{name} does not answer {service}; is the node running?")
 
     def _call_all(self, calls: dict[str, tuple[Client, Any]], timeout: float) -> tuple[dict[str, Any], dict[str, str]]:
-        """Answers, and failures, of several services at once."""
+        """Answers and failures of several services that are called at once, by node."""
         answers: dict[str, Any] = {}
         failures: dict[str, str] = {}
 
@@ -258,37 +257,29 @@ class TrialSession:
         return answers, failures
 
     def _check_present(self, *names: str) -> None:
-        """Nothing, where these nodes are there.
-
-        Raises:
-            TrialError: One of them was killed or froze.
-        """
+        """Raise ``TrialError`` if one of these nodes was killed or froze."""
         if gone := self._presence.gone(*names):
             raise TrialError(f"node {self._presence.full_name(gone[0])} was killed or froze")
 
     def _check_alone(self, wait: bool = False) -> None:
-        """Nothing, where no node is there twice; whether one of two died shows after a moment.
+        """Require that every node name is unique.
 
         Args:
-            wait: Wait for that moment; else only what is certain counts.
+            wait: Wait until it is certain that neither of two nodes has died; otherwise ignore uncertain cases.
 
         Raises:
-            TrialError: One is.
+            TrialError: Two nodes share a name.
         """
-        while wait and self._presence.twice(*ALL) and not self._presence.twice(*ALL, settled=True):
+        while wait and self._presence.duplicates(*ALL) and not self._presence.duplicates(*ALL, settled=True):
             time.sleep(LOOK)
-        if twice := self._presence.twice(*ALL, settled=True):
+        if duplicates := self._presence.duplicates(*ALL, settled=True):
             raise TrialError(
-                f"node {self._presence.full_name(twice[0])} is there twice: stop one of them, or give one another "
-                "namespace or ROS_DOMAIN_ID"
+                f"two nodes are called {self._presence.full_name(duplicates[0])}: stop one of them, or give one "
+                "another namespace or ROS_DOMAIN_ID"
             )
 
     def _check_publishers(self) -> None:
-        """Nothing, where measured states and torques come from one node each.
-
-        Raises:
-            TrialError: They do not.
-        """
+        """Raise ``TrialError`` if several nodes publish the measured states or the torques of an arm."""
         for arm in self._arms:
             for topic in (topics.joint_states(arm), topics.joint_command(arm)):
                 publishers = self._presence.publishers(on_network(topic))
@@ -297,7 +288,7 @@ class TrialSession:
                     raise TrialError(f"{full} is published by {' and '.join(publishers)}: stop all but one")
 
     def _configure_all(self, plan: TrialPlan, trial: Any, secret: Any, path: Path) -> None:
-        """Only the plant is told the ``secret`` variant of the trial, and where everything stands."""
+        """Configure the nodes; only the plant gets the ``secret`` trial with hidden effects, and the initial state."""
         requests = {name: ConfigureTrial.Request(trial=trial) for name in self._configure}
         requests["plant"].trial = secret
         requests["plant"].start = [
@@ -317,7 +308,7 @@ class TrialSession:
             raise TrialError("; ".join(failures.values()))
 
     def _refusals(self, names: list[str], requests: dict[str, Any], timeout: float) -> dict[str, str]:
-        """Configure some nodes at once; returns why those are not ready that are not."""
+        """Configure some nodes at once; returns the reasons of those that refuse, by node."""
         calls = {name: (self._configure[name], requests[name]) for name in names}
         answers, failures = self._call_all(calls, timeout)
         return failures | {name: answer.message for name, answer in answers.items() if not answer.success}
@@ -329,7 +320,7 @@ class TrialSession:
         feedback: Callable[[Progress], None],
         cancelled: Callable[[], bool],
     ) -> None:
-        """Let the plant run, and watch."""
+        """Start the plant, and report progress until the trial is over."""
         period = parameters.value(self._node, "feedback_period")
         patience = parameters.value(self._node, "service_timeout")  # until the first sample: discovery takes its time
         over = threading.Event()
@@ -409,12 +400,8 @@ class TrialSession:
         return TrialResult(closed.outcome, closed.message, path, progress)
 
     def _close_bag(self, request: FinishTrial.Request) -> FinishTrial.Response:
-        """Let the recorder close the bag.
-
-        Raises:
-            TrialError: It does not answer.
-        """
-        # It may wait for late messages, and is given the time to.
+        """Let the recorder close the bag; raises ``TrialError`` if it does not answer."""
+        # The recorder may wait for late messages.
         patience = FINISH if request.aborted else parameters.value(self._node, "finish_timeout")
         self._check_present("recorder")
         answer: FinishTrial.Response = self._call("recorder", self._finish["recorder"], request, patience)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Starts the five nodes: ``ros2 launch impact_rs impact_rs.launch.py scenario:=push namespace:=cell_a``.
 
-``without:=plant`` leaves one out, or several (``without:="plant controller"``), because you provide it yourself.
-A node that dies is started again, ``RESPAWNS`` times; one that refuses its parameters (exit code 2) is not.
-How nodes find each other is decided by the nodes themselves, from the environment, as everywhere in impact_rs.
+``without:=plant`` does not start a node that you provide yourself; ``without:="plant controller"`` names several.
+A node that dies is started again, at most ``RESPAWNS`` times; one that refuses its parameters (exit code 2) is not.
+Each node configures discovery from the environment, as everywhere in impact_rs.
 """
 
 from pathlib import Path
@@ -19,31 +19,31 @@ from launch_ros.substitutions import FindPackageShare
 
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
 LEVELS = ["debug", "info", "warn", "error", "fatal"]
-REFUSED = 2  # exit code of a node that cannot work with its parameters: starting it again changes nothing
+REFUSED = 2  # exit code of a node with invalid parameters: starting it again would not help
 RESPAWNS = 5  # of each node
 VIEWED = ("/robot_description", "/object/robot_description", "/object/pose", "/clock")  # topics of impact_rs.rviz
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the five nodes, or those that are wanted of them, all with the same parameter file and scenario."""
+    """Return the nodes to start, all with the same parameter file and scenario."""
     share = FindPackageShare("impact_rs")
     return LaunchDescription(
         [
             DeclareLaunchArgument("scenario", default_value="push", description="Name or path of the scenario."),
             DeclareLaunchArgument("namespace", default_value="", description="Namespace of the nodes."),
             DeclareLaunchArgument(
-                "without", default_value="", description="Nodes that are not started: names with a space in between."
+                "without", default_value="", description="Nodes that are not started: names separated by spaces."
             ),
             DeclareLaunchArgument(
                 "params_file",
                 default_value=PathJoinSubstitution([share, "config", "nodes.yaml"]),
-                description="Parameters of the nodes; must exist.",
+                description="YAML file with the parameters of the nodes; must exist.",
             ),
             DeclareLaunchArgument(
                 "use_sim_time",
                 default_value="false",
                 choices=["true", "false"],
-                description="The nodes take their time from /clock, the plant aside, which publishes it.",
+                description="The nodes take their time from /clock, except the plant, which publishes it.",
             ),
             DeclareLaunchArgument(
                 "log_level", default_value="info", choices=LEVELS, description="Least severity that the nodes log."
@@ -66,11 +66,11 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def wanted_nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
-    """Return the nodes that ``without`` does not name, and RViz where it is wanted.
+    """Return the nodes that ``without`` does not name, and RViz if ``rviz`` is true.
 
     Raises:
-        RuntimeError: ``without`` names a node that there is not, or there is no parameter file; ``ros2 launch`` says so
-            and starts nothing.
+        RuntimeError: ``without`` names an unknown node, or there is no such parameter file; ``ros2 launch`` prints the
+            message and starts nothing.
     """
     without = LaunchConfiguration("without").perform(context).split()
     for name in without:
@@ -99,7 +99,7 @@ def wanted_nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
                         "use_sim_time": sim_time and name != "plant",
                     },
                 ],
-                remappings=[("/clock", "clock")],  # that of its own namespace
+                remappings=[("/clock", "clock")],  # of its own namespace
                 ros_arguments=["--log-level", LaunchConfiguration("log_level")],
             )
             started += [node, RegisterEventHandler(OnProcessExit(target_action=node, on_exit=stay_down_if_refused))]
@@ -109,7 +109,7 @@ def wanted_nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 
 
 def stay_down_if_refused(event: ProcessExited, context: LaunchContext) -> list[LaunchDescriptionEntity] | None:
-    """Do not start a node again that refused its parameters."""
+    """Prevent the restart of a node that refused its parameters."""
     del context
     if event.returncode != REFUSED:
         return None
@@ -118,7 +118,7 @@ def stay_down_if_refused(event: ProcessExited, context: LaunchContext) -> list[L
 
 
 def viewer() -> Node:
-    """Return RViz on the topics of this namespace; stamps are trial time, so it takes its time from the clock."""
+    """Return RViz with the topics of this namespace, on the time of ``/clock``, because stamps are trial time."""
     layout = PathJoinSubstitution([FindPackageShare("impact_rs"), "config", "viewers", "impact_rs.rviz"])
     return Node(
         package="rviz2",

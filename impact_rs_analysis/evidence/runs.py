@@ -13,7 +13,7 @@ from impact_rs_analysis.evidence.measured import MeasuredRun
 from impact_rs_analysis.evidence.run import run_of_trial
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.checksums import says_so, unsealed_words
-from impact_rs_trials.bags.reader import BagError, TrialBag, told
+from impact_rs_trials.bags.reader import BagError, TrialBag, reason_of
 from impact_rs_trials.store import Folder
 from impact_rs_trials.workers import Map
 
@@ -105,7 +105,7 @@ def read_trial(path: Path) -> MeasuredRun | tuple[str, str]:
             return str(path), f"{bag.outcome}: {bag.reason}"
         return MeasuredRun.of(run_of_trial(bag))
     except Exception as error:  # whatever is wrong with one bag, the others are read
-        return str(path), told(error)
+        return str(path), reason_of(error)
 
 
 def read_runs(directory: Path, map_tasks: Map) -> Runs:

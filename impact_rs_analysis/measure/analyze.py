@@ -28,7 +28,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import CONTACTS, ImpactMapError
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
 from impact_rs_sim.schema import load
-from impact_rs_trials.bags.reader import TrialBag, told
+from impact_rs_trials.bags.reader import TrialBag, reason_of
 from impact_rs_trials.campaign import MANIFEST, Manifest
 from impact_rs_trials.sensitivity import varied_folders
 from impact_rs_trials.spec import recorded_scenario
@@ -357,7 +357,7 @@ def feedback_of(path: Path) -> tuple[TrialFeedback | str, bool]:
         bag = TrialBag.open(path)
         return net_feedback(bag), bag.sealed
     except Exception as error:  # whatever is wrong with one bag, the others are analysed
-        return told(error), True
+        return reason_of(error), True
 
 
 def analyze_campaign(

@@ -23,7 +23,7 @@ from impact_rs_analysis.measure.export import check_package, table_of, trial_row
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole
 from impact_rs_sim.version import package_version
-from impact_rs_trials.bags.reader import told
+from impact_rs_trials.bags.reader import reason_of
 from impact_rs_trials.store import Folder, Store, open_store, owned
 from impact_rs_trials.workers import Map
 
@@ -99,7 +99,7 @@ def _row(store: Store, name: str) -> dict[str, Any] | SkippedBag:
         with store.getting(name) as directory:
             return trial_row(directory / name)
     except Exception as error:  # as for whatever is wrong with one bag
-        return SkippedBag(name, told(error))
+        return SkippedBag(name, reason_of(error))
 
 
 def _paths(folder: Path) -> list[Path]:

@@ -24,7 +24,7 @@ from impact_rs_sim.files import whole
 from impact_rs_sim.robot import Array, joined_units
 from impact_rs_sim.version import package_version
 from impact_rs_trials.bags import topics
-from impact_rs_trials.bags.reader import TrialBag, told
+from impact_rs_trials.bags.reader import TrialBag, reason_of
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.workers import Map
 
@@ -124,14 +124,14 @@ def trial_row(path: Path) -> dict[str, Any] | SkippedBag:
         bag = TrialBag.open(path)
         impact_times = {f"{arm}_impact_time_s": _or_none(bag.impact_time(arm)) for arm in bag.info.robots}
     except Exception as error:  # whatever is wrong with one bag, the others are exported
-        return SkippedBag(path.name, told(error))
+        return SkippedBag(path.name, reason_of(error))
     net, impact, remark = None, None, ""
     try:
         measured = net_feedback(bag)
         net, impact = measured.net, measured.impact
         remark = "" if impact else "no impact in the window"
     except Exception as error:
-        remark = told(error)
+        remark = reason_of(error)
     info = bag.info
     return {
         "trial": path.name,
@@ -220,7 +220,7 @@ def _hdf5(directory: Path, bags: list[Path], target: Path, map_tasks: Map) -> It
             except Exception as error:  # as in a table
                 if name in file:
                     del file[name]
-                skip = SkippedBag(path.name, told(error))
+                skip = SkippedBag(path.name, reason_of(error))
             if raw.error is not None:
                 break
             yield skip

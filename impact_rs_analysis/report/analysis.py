@@ -22,7 +22,7 @@ from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_analysis.report.png import write_png
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole_folder
-from impact_rs_trials.bags.reader import BagError, TrialBag, told
+from impact_rs_trials.bags.reader import BagError, TrialBag, reason_of
 
 logger = logging.getLogger(__name__)
 POINTS_OF_ALL = 2400  # of a curve over time, summed over the sets of a page: it is to stay below 3 MB
@@ -243,7 +243,7 @@ def _animation(entry: ExperimentSet) -> Animation | None:
     try:
         return replace(animation_of_bag(TrialBag.open(trial.path)), label=f"{entry.label}: {trial.name}")
     except (BagError, InputError) as error:  # the estimate needs less of a bag than the picture
-        logger.warning("%s is not seen in 3D: %s", trial.name, told(error))
+        logger.warning("%s is not seen in 3D: %s", trial.name, reason_of(error))
         return None
 
 

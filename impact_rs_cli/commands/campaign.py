@@ -178,7 +178,7 @@ def through_nodes(
     with owned(store):
         todo = open_campaign(store, manifest)
         for report in run_trials_through_nodes(
-            store.path, manifest, todo, namespace=namespace, without=without, tell=tell
+            store.path, manifest, todo, namespace=namespace, without=without, notify=tell
         ):
             yield store, report
 

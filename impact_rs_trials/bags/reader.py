@@ -35,7 +35,7 @@ class BagError(Exception):
         super().__init__(f"{path}: {reason}")
 
 
-def told(error: Exception) -> str:
+def reason_of(error: Exception) -> str:
     """Why one bag cannot be used, in one line, whatever went wrong with it."""
     if isinstance(error, BagError):
         return error.reason

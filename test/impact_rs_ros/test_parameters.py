@@ -72,7 +72,7 @@ def test_a_value_out_of_range_is_refused(graph: Graph) -> None:
         ("impact_map", "engine", "foo", "expected exact or bullet"),
         ("impact_map", "contact", "last", "expected first or settled"),
         ("plant", "scenario", "nonsense", "no scenario 'nonsense'"),
-        ("plant", "use_sim_time", True, "what /clock comes from"),
+        ("plant", "use_sim_time", True, "the plant publishes /clock"),
         ("recorder", "data_root", "/nowhere/at/all", "expected a folder that exists"),
     ],
 )

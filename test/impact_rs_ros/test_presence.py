@@ -15,7 +15,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
-from impact_rs_ros.presence import Acquaintance, Presence
+from impact_rs_ros.presence import Presence, SubscriptionsMatched
 
 PATIENCE = 60.0  # s, of the tests; never reached on a machine that works
 PROGRAM = """
@@ -75,40 +75,40 @@ def test_a_frozen_and_a_killed_process_are_gone_and_one_that_goes_on_is_back(wat
     watch.until(lambda: presence.alive("one"), "not there")
     assert presence.gone("one", "other") == []
     one.send_signal(signal.SIGSTOP)
-    watch.until(lambda: presence.gone("one", "other") == ["one"], "nobody noticed that it froze")
+    watch.until(lambda: presence.gone("one", "other") == ["one"], "not noticed that it froze")
     one.send_signal(signal.SIGCONT)
-    watch.until(lambda: not presence.gone("one"), "nobody noticed that it goes on")
+    watch.until(lambda: not presence.gone("one"), "not noticed that it goes on")
     one.kill()
-    watch.until(lambda: presence.gone("one"), "nobody noticed that it was killed")
+    watch.until(lambda: presence.gone("one"), "not noticed that it was killed")
     presence.forget_absent()
     assert presence.gone("one") == []
 
 
-def test_two_of_one_name_are_there_twice_until_one_of_them_leaves(watch: Watch) -> None:
+def test_two_nodes_of_one_name_are_duplicates_until_one_of_them_leaves(watch: Watch) -> None:
     presence = watch.presence
     watch.start("one")
     other = watch.start("one")
-    watch.until(lambda: presence.twice("one", "other") == ["one"], "not there twice")
-    watch.until(lambda: presence.twice("one", settled=True), "may be one that died")
+    watch.until(lambda: presence.duplicates("one", "other") == ["one"], "no duplicate")
+    watch.until(lambda: presence.duplicates("one", settled=True), "may be one that died")
     assert presence.full_name("one") == "/cell/one"
     other.kill()
-    watch.until(lambda: not presence.twice("one"), "still there twice")
+    watch.until(lambda: not presence.duplicates("one"), "still a duplicate")
     assert presence.gone("one") == []
 
 
-def test_who_asks_is_met_by_those_that_run_and_waits_for_those_that_do_not(watch: Watch) -> None:
-    acquaintance = Acquaintance(watch.node, ["one", "other"])
+def test_subscriptions_are_matched_by_running_nodes_and_wait_for_a_frozen_one(watch: Watch) -> None:
+    matched = SubscriptionsMatched(watch.node, ["one", "other"])
     try:
-        acquaintance.begin()
-        assert acquaintance.awaited() == []  # nobody is there
+        matched.begin()
+        assert matched.awaited() == []  # no node runs
         one = watch.start("one")
         watch.until(lambda: watch.presence.alive("one"), "not there")
-        watch.until(lambda: not acquaintance.awaited(), "it was not met")
+        watch.until(lambda: not matched.awaited(), "not discovered")
         one.send_signal(signal.SIGSTOP)
-        watch.until(lambda: not watch.presence.alive("one"), "nobody noticed that it froze")
-        acquaintance.begin()
-        watch.until(lambda: acquaintance.awaited() == ["one/alive"], "a frozen process cannot have met anybody")
+        watch.until(lambda: not watch.presence.alive("one"), "not noticed that it froze")
+        matched.begin()
+        watch.until(lambda: matched.awaited() == ["one/alive"], "a frozen process discovers nothing")
         one.send_signal(signal.SIGCONT)
-        watch.until(lambda: not acquaintance.awaited(), "it was not met when it went on")
+        watch.until(lambda: not matched.awaited(), "not discovered when it went on")
     finally:
-        acquaintance.close()
+        matched.close()

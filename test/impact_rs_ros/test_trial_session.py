@@ -95,7 +95,7 @@ def stage(domain_ids: Callable[[], int]) -> Iterator[tuple[TrialSession, Actors]
 
 @pytest.mark.parametrize(
     ("twice", "reason"),
-    [(False, "controller: there is no trial to finish"), (True, "node /controller is there twice")],
+    [(False, "controller: there is no trial to finish"), (True, "two nodes are called /controller")],
 )
 def test_a_second_controller_that_is_met_at_the_end_of_a_trial_is_what_the_failure_names(
     stage: tuple[TrialSession, Actors], tmp_path: Path, twice: bool, reason: str

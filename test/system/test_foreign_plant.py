@@ -137,11 +137,11 @@ def test_a_graph_waits_for_a_node_that_others_provide_and_tells_what_is_wrong_wi
             domain_id,
             root=tmp_path,
             without=["plant"],
-            tell=lambda line: asked.append(provided.enter_context(silent_plant(domain_id))),
+            notify=lambda line: asked.append(provided.enter_context(silent_plant(domain_id))),
         ) as graph,
     ):
         assert list(graph.processes) == ["impact_map", "controller", "recorder", "experiment"]
-        nobody = graph.call_trial(goal)
+        unpublished = graph.call_trial(goal)
         request = asked[0][0]
         with silent_plant(domain_id, best_effort=True):
             unheard = graph.call_trial(goal)
@@ -154,9 +154,11 @@ def test_a_graph_waits_for_a_node_that_others_provide_and_tells_what_is_wrong_wi
         with pytest.raises(GraphError, match=f"no plant came within 0.5 s: .* in ROS domain {domain_id}"):
             graph.wait_until_ready()
     assert told == [f"{WAITING}0.5 s at most"]
-    assert (nobody.success, nobody.outcome) == (False, "ABORTED")
-    assert nobody.message == "recorder: nobody publishes /arm/joint_states; are plant and controller running?"
-    assert unheard.message.startswith("recorder: /arm/joint_states: published by somebody whom the recorder does not")
+    assert (unpublished.success, unpublished.outcome) == (False, "ABORTED")
+    assert unpublished.message == "recorder: no publisher of /arm/joint_states; are plant and controller running?"
+    assert unheard.message.startswith(
+        "recorder: /arm/joint_states: published, but not received; is the publisher's QoS"
+    )
     assert [state.robot for state in request.start] == ["arm"]
     assert len(request.start[0].joint_position) == 7
     assert request.object_pose.position.z == pytest.approx(0.405 + 0.16 / 2)

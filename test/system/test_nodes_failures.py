@@ -122,12 +122,12 @@ def test_a_node_that_is_there_twice_is_named_and_no_trial_runs(
     command = [sys.executable, "-m", f"impact_rs_ros.{name}_node"]
     with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT) as second:
         try:
-            spin_until(graph, lambda: graph.presence.twice(name) == [name], "the second one is not met")
+            spin_until(graph, lambda: graph.presence.duplicates(name) == [name], "the second one is not met")
             result = graph.call_trial(goal(tmp_path))
         finally:
             second.terminate()
     assert (result.success, result.outcome) == (False, "ABORTED")
-    assert f"node /{name} is there twice" in result.message
+    assert f"two nodes are called /{name}" in result.message
     assert not [path for path in tmp_path.iterdir() if path.name[0] != "."]
     after = graph.call_trial(goal(tmp_path, scenario=short))
     assert after.outcome == "OK", after.message
