@@ -77,7 +77,7 @@ def solve_impacts(
     rules: tuple[float, float, float, float],
     points: tuple[Sequence[int], Array, Array, Array] | None = None,
 ) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array]:
-    """Solve ``count`` questions; what has no such first axis holds for all of them.
+    """Solve ``count`` problems; arrays without such a first axis hold for all of them.
 
     Args:
         count: N.
@@ -87,11 +87,11 @@ def solve_impacts(
         contact: Friction of pads and of the support, restitution.
         support: Centre and half extents of the support in A, ``(6,)`` [m]; None: no support.
         rules: ``ALIGNED``, ``GAP_TOLERANCE``, ``PENETRATION_TOLERANCE`` [m] and ``COMPLIANCE`` [-].
-        points: Partner, position, normal and gap of contact points that hold for all questions, as they are returned;
+        points: Partner, position, normal and gap of contact points that hold for all problems, as they are returned;
             None: those where the boxes touch.
 
     Returns:
-        Status (0 solved, 1 a question that is not sound, 2 no answer) ``(N,)``; u^+ ``(N, nv)``; twists of E
+        Status (0 solved, 1 invalid data, 2 not converged) ``(N,)``; u^+ ``(N, nv)``; twists of E
         ``(N, 6 k)``; residuals ``(N, 4)``; kinetic energy before and its gain ``(N, 2)``; steps ``(N,)``; number of the
         first contact point ``(N + 1,)``; and of all points partner (arm; the number of arms: the support), state (0
         open, 1 stick, 2 slide), position on the object, normal, gap and impulse.

@@ -37,7 +37,7 @@ from impact_rs_sim.urdf import joint_names, write_urdf
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Bullet prints banners to the C-level standard output and error, which belong to the command line alone."""
+    """Suppress Bullet's banners on the C-level standard output and error."""
     sys.stdout.flush()
     sys.stderr.flush()
     kept, null = (os.dup(1), os.dup(2)), os.open(os.devnull, os.O_WRONLY)
@@ -63,7 +63,7 @@ SLOWEST_SLIDING = 2e-3  # m/s; what slides more slowly stops within a few steps,
 
 
 class BulletWorld:
-    """Arms, object and support in a Bullet world of its own; :meth:`load` makes one.
+    """Arms, object and support in a separate Bullet world; :meth:`load` makes one.
 
     Args:
         physics: Parameters of the scene.
@@ -168,7 +168,7 @@ class BulletWorld:
         return cls(physics, client, arms, object_, support, shears, small_steps)
 
     def close(self) -> None:
-        """Give the connection back."""
+        """Release the connection."""
         if self._open:
             self._open = False
             _give_back(self.client)
@@ -192,7 +192,7 @@ class BulletWorld:
             shear.release()
 
     def rest_object(self) -> None:
-        """Let the object sleep until something comes near it; a body at rest costs as much as a whole arm.
+        """Let the object sleep until a body comes near it; simulating it at rest costs as much as an arm.
 
         Bullet wakes it when its bounding box meets that of a moving body, which is before any contact.
         """
@@ -215,7 +215,7 @@ class BulletWorld:
         return position + quaternion
 
     def tracked(self, poses: Array) -> tuple[Array, Array]:
-        """What a tracker sees of the object along its motion.
+        """Pose of the object along its motion, as a tracker measures it.
 
         Args:
             poses: Rows of :meth:`object_pose`, ``(k, 7)``.
@@ -247,7 +247,7 @@ class BulletWorld:
         self._set_torques(self.arms[name], self.joints[name], pybullet.TORQUE_CONTROL, forces=torque.tolist())
 
     def set_support_friction(self, coefficient: float) -> None:
-        """Give the support another friction coefficient, from the next step on; for extensions of a plant."""
+        """Set the friction coefficient of the support, from the next step on; for extensions of a plant."""
         self._support_friction = coefficient
         self.client.changeDynamics(self.support, -1, lateralFriction=coefficient)
 
@@ -260,7 +260,7 @@ class BulletWorld:
         self._step()
 
     def _turn_friction(self) -> None:
-        """What turns the support's friction on the sliding object against the sliding, over the next step.
+        """Correct the direction of the support's friction on the sliding object, over the next step.
 
         In plain numbers, along z of A, the normal of every support: with arrays it would cost more than Bullet's step.
         """
@@ -280,7 +280,7 @@ class BulletWorld:
                 self._push(self.object, -1, force, place, pybullet.WORLD_FRAME)
 
     def _shear(self, name: str, shear: PadShear) -> None:
-        """Friction of a pad that yields along its face, over the next step."""
+        """Friction of a pad that is compliant along its face, over the next step."""
         points = self._get_contacts(self.arms[name], self.object)
         touch = Touch(
             points=np.array([point[6] for point in points]).reshape(-1, 3),
@@ -327,7 +327,7 @@ _IDLE = 4  # connections kept; to make one takes as long as half a window of a r
 
 
 def _connected() -> BulletClient:
-    """A connection with nothing in it."""
+    """A connection to an empty world."""
     if _idle:
         client = _idle.pop()
         client.resetSimulation()
@@ -345,7 +345,7 @@ def _give_back(client: BulletClient) -> None:
 
 
 def mass_matrices(facts: RobotFacts, end_effector: EndEffector, positions: Array) -> Array:
-    """Bullet's mass matrices of an arm that is alone in the world, ``(k, n, n)`` [kg m^2].
+    """Bullet's mass matrices of a single arm, ``(k, n, n)`` [kg m^2].
 
     Args:
         facts: Kinematics, inertials and limits.
@@ -430,7 +430,7 @@ def _make_object(client: BulletClient, object_: ObjectPhysics) -> int:
 
 
 def _shears(physics: Physics, period: float) -> dict[str, PadShear]:
-    """Shear of every pad that yields along its face."""
+    """Shear of every pad that is compliant along its face."""
     yielding = {name: arm for name, arm in physics.arms.items() if arm.pad_shear_compliance or arm.pad_creep}
     return {
         name: PadShear(arm.pad_shear_compliance, arm.pad_creep, physics.pad_friction, period, pads=len(yielding))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one exception that means: the user's input is wrong, and this is what to change.
+"""The exception for mistakes of the user; its message says what to change.
 
     InputError
     +-- NotABody              mass and inertia of no body; a fit then tries a smaller step
@@ -21,7 +21,7 @@ LONGEST_ECHO = 200  # characters of a value that an error repeats
 
 
 class InputError(ValueError):
-    """A mistake in what the user gave: a file, a key, a command-line argument or a service request.
+    """A mistake in the input of the user: a file, a key, a command-line argument or a service request.
 
     The command line prints it as one line and exits with code 2; the impact-map service answers it as
     ``success: false``.
@@ -56,11 +56,11 @@ class InputError(ValueError):
 
 
 class NotABody(InputError):
-    """Mass and inertia that no rigid body has, for example because more was taken away than was there."""
+    """Mass and inertia that no rigid body has, for example after a subtraction."""
 
 
 class Infeasible(InputError):
-    """A state that cannot be: beyond a joint limit, out of reach, or with two bodies in one place."""
+    """An impossible state: beyond a joint limit, out of reach, or with overlapping bodies."""
 
 
 class UnreachablePose(Infeasible):
@@ -68,7 +68,7 @@ class UnreachablePose(Infeasible):
 
 
 def shortened(text: str, most: int = LONGEST_ECHO) -> str:
-    """Text from outside in one line, with ``...`` in place of what is beyond so many characters."""
+    """Foreign text in one line, cut with ``...`` after so many characters."""
     line = " ".join(text[: 2 * most].split())
     return line if len(text) <= most else f"{line[: most - 3]}..."
 
@@ -87,7 +87,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 def full_traceback(error: BaseException) -> str:
-    """Traceback of an error and of all that lay behind it, also where its message stands for that (``from None``)."""
+    """Traceback of an error and of all its causes, also of those hidden by ``from None``."""
     link: BaseException | None = error
     while link is not None:
         link.__suppress_context__ = False

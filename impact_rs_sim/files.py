@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results are written aside and renamed: what has a name is whole, and what was there before stays until then."""
+"""Results are written to a temporary file and renamed: a file is complete, and an earlier one stays until then."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from impact_rs_sim.errors import InputError
 
 
 def is_file(path: str | Path) -> bool:
-    """Whether there is such a file; a path that is none, because it is too long for example, leads to none."""
+    """Whether the file exists; False for an invalid path, for example one that is too long."""
     try:
         return Path(path).is_file()
     except (OSError, ValueError):
@@ -43,7 +43,7 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a file of text, at once or not at all.
+    """Write a text file, completely or not at all.
 
     Raises:
         InputError: It cannot be written.

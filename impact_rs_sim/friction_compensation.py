@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Friction compensation files: what the control tasks feed forward against joint friction (paper Appendix A).
+"""Friction compensation files: feedforward of the control tasks against joint friction (paper Appendix A).
 
 Such a file is made by ``impact-rs friction identify`` for one scenario and named in it; a recorded scenario holds its
 content, so that a bag explains itself.
@@ -80,7 +80,7 @@ class FrictionCompensation(Schema):
         return cases[case_name]
 
     def check(self, name: str, digest: str, sets: dict[str, dict[str, set[str]]], duration: float) -> None:
-        """Check it against the scenario that it shall serve.
+        """Check it against its scenario.
 
         Args:
             name: Name of the scenario.

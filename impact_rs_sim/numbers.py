@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates with their intervals as people read them: as many digits as the width of the interval needs."""
+"""Text of estimates with intervals: as many digits as the width of the interval justifies."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ LEAST_DECIMALS = 3  # of a speed with its half interval, m/s
 
 
 def estimate_text(estimate: float, ci95: tuple[float, float] | None, least: int = 0) -> tuple[str, ...]:
-    """An estimate and the ends of its interval, with two digits of the half width; alone with three where none is.
+    """An estimate and the ends of its interval, with two digits of the half width; without interval three digits.
 
     Args:
         estimate: The estimate.

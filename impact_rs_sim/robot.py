@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robot facts and end effector: what a URDF is written from, and nothing derived from it.
+"""Robot facts and end effector: the data a URDF is written from, without derived values.
 
 A joint turns about the z of its own frame (``revolute``) or slides along it (``prismatic``). Values per joint have
 the units of its coordinate, :data:`UNITS`; where a docstring says rad, N m, kg m^2, one that slides has m, N, kg.
@@ -29,7 +29,7 @@ JointType = Literal["revolute", "prismatic"]
 
 @dataclass(frozen=True)
 class JointUnits:
-    """Units of the coordinate of a joint and of what belongs to it.
+    """Units of the coordinate of a joint and of the quantities derived from it.
 
     Attributes:
         position: Of q.
@@ -62,7 +62,7 @@ def joined_units(units: Iterable[str]) -> str:
 
 
 class JointOrigin(Schema):
-    """Placement of a joint in the link before it, and how it moves: about its own +z, or along it."""
+    """Placement of a joint in the previous link, and its type: rotation about its own +z, or translation along it."""
 
     type: JointType = Field("revolute", description="revolute: turns about +z; prismatic: slides along +z")
     xyz: Vector3 = Field(description="origin of the joint in the previous link [m]")
@@ -75,7 +75,7 @@ class JointOrigin(Schema):
 
     @model_serializer(mode="wrap")
     def _without_the_usual_type(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Bags of arms whose joints all turn read as they always did."""
+        """Omit defaults, so that bags of arms whose joints all turn stay as they were."""
         data: dict[str, Any] = handler(self)
         if self.type == "revolute":
             data.pop("type", None)
@@ -95,7 +95,7 @@ class Flange(Schema):
 
     @model_serializer(mode="wrap")
     def _without_the_usual_axes(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A flange with the axes of the last link reads as it always did."""
+        """Omit defaults, so that a flange with the axes of the last link stays as it was."""
         data: dict[str, Any] = handler(self)
         if not any(self.rpy):
             data.pop("rpy", None)
@@ -103,7 +103,7 @@ class Flange(Schema):
 
 
 class Mesh(Schema):
-    """What viewers show of a link in the place of simple shapes; physics knows nothing of it."""
+    """Mesh of a link for viewers; without influence on the physics."""
 
     file: str = Field(pattern=r"^(package|file)://", description="where a viewer finds it, package://... or file://...")
     xyz: Vector3 = Field((0.0, 0.0, 0.0), description="origin of the mesh in the link [m]")
@@ -123,7 +123,7 @@ class Link(Schema):
 
     @model_serializer(mode="wrap")
     def _without_no_meshes(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Bags of arms without meshes read as they always did."""
+        """Omit defaults, so that bags of arms without meshes stay as they were."""
         data: dict[str, Any] = handler(self)
         if not self.meshes:
             data.pop("meshes", None)
@@ -175,7 +175,7 @@ class RobotFacts(Schema):
 
     @model_serializer(mode="wrap")
     def _without_what_is_usual(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Bags of robots with a torque loop, or without meshes, read as they always did."""
+        """Omit defaults, so that bags of robots with a torque loop, or without meshes, stay as they were."""
         data: dict[str, Any] = handler(self)
         if self.joint_torque_loop:
             data.pop("joint_torque_loop", None)
@@ -202,7 +202,7 @@ class RobotFacts(Schema):
 
     @property
     def joint_types(self) -> tuple[JointType, ...]:
-        """How every joint moves, base to tip."""
+        """Type of every joint, base to tip."""
         return tuple(joint.type for joint in self.joints)
 
     @property

@@ -136,8 +136,8 @@ def _check_limits(facts: RobotFacts) -> Check:
             found = f"joint {number}: position from {lower:g} to {upper:g} {joint.units.position}"
             return Check(name, "failed", f"{found}, expected lower < upper")
         spans.setdefault(joint.type, []).append(upper - lower)
-    ranges = (f"{MOVE[kind]} by {min(of):.3g} to {max(of):.3g} {UNITS[kind].position}" for kind, of in spans.items())
-    return Check(name, "ok", f"joints {', '.join(ranges)}")
+    texts = (f"{MOVE[kind]} by {min(of):.3g} to {max(of):.3g} {UNITS[kind].position}" for kind, of in spans.items())
+    return Check(name, "ok", f"joints {', '.join(texts)}")
 
 
 def _check_engines(model: RobotModel, positions: Array) -> Check:

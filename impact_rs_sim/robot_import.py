@@ -36,7 +36,7 @@ INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 @dataclass(frozen=True)
 class ImportedRobot:
-    """Facts, and what became of the rest of the URDF.
+    """Facts, and notes on the rest of the URDF.
 
     Attributes:
         facts: The facts.
@@ -191,7 +191,7 @@ def save_facts(robot: ImportedRobot, title: str, path: Path) -> None:
 
 
 def _check_inertials(tree: UrdfTree, chain: Chain) -> None:
-    """Refuse what Pinocchio would read as something else: half an <inertial>, or numbers that are none."""
+    """Refuse what Pinocchio would misread: an incomplete <inertial>, or invalid numbers."""
     robot = Xml.fromstring(chain.urdf)
     for link in robot.findall("link"):
         key = f"link {link.get('name')}"
@@ -278,7 +278,7 @@ def _link(body: pin.Inertia, turn: Array, meshes: Iterable[tuple[str, pin.SE3, l
 
 
 def _clean(values: Iterable[float]) -> tuple[float, ...]:
-    """The numbers without the noise of a multiplication: 0.3 for 0.30000000000000004, and no -0."""
+    """The numbers without rounding noise: 0.3 for 0.30000000000000004, and no -0."""
     short = [(float(value), round(float(value), 12) + 0.0) for value in values]
     return tuple(brief if abs(brief - value) <= 1e-15 * max(1.0, abs(value)) else value for value, brief in short)
 

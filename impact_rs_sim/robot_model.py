@@ -91,7 +91,7 @@ class RobotModel:
 
     @functools.cached_property
     def chain(self) -> Chain:
-        """The same arm, compiled: what a replay asks thousands of times."""
+        """The same arm, compiled, for simulations that evaluate it thousands of times."""
         model, tip = self.pinocchio, self.pinocchio.frames[self._frame].placement
         inertias = list(model.inertias)[1:]
         return Chain(
@@ -143,7 +143,7 @@ class RobotModel:
         return self.data.oMf[self._frame].copy()
 
     def at_impact(self, q: Array) -> tuple[Array, Array, pin.SE3]:
-        """What an impact at q needs, from one pass over the chain.
+        """Terms of an impact at q, from one pass over the chain.
 
         Returns:
             M(q), of which only the upper triangle counts, ``(n, n)`` [kg m^2]; J(q) of frame E in E[A], ``(6, n)``; and
@@ -177,7 +177,7 @@ class RobotModel:
         tolerance: float = 1e-9,
         further_starts: int = FURTHER_STARTS,
     ) -> Array:
-        """Joint positions that reach ``target`` with frame E while some joints stand where they shall.
+        """Joint positions that reach ``target`` with frame E while some joints are held.
 
         Newton's method where six joints are free; where it leaves the joint limits or leads nowhere, and for any other
         number, least squares within the limits. Where the guess leads nowhere, others are tried; of what they find
@@ -234,7 +234,7 @@ class RobotModel:
         return q
 
     def _newton(self, target: pin.SE3, q: Array, free: Array) -> Array | None:
-        """Joint positions that reach ``target`` up to rounding by six joints; None: steps end outside, or never."""
+        """Joint positions that reach ``target`` up to rounding by six joints; None: not converged or outside limits."""
         least = np.inf
         for _ in range(NEWTON_STEPS):
             placement = self.placement(q)
@@ -253,7 +253,7 @@ class RobotModel:
         return None
 
     def effective_mass(self, q: Array, direction: Array, motor_inertia: Array) -> float:
-        """Mass felt along ``direction`` at E: ``1 / (n^T J (M + B)^-1 J^T n)`` [kg].
+        """Effective mass along ``direction`` at E: ``1 / (n^T J (M + B)^-1 J^T n)`` [kg].
 
         Args:
             q: Joint positions, ``(n,)`` [rad].
@@ -267,12 +267,12 @@ class RobotModel:
 
 @functools.lru_cache(maxsize=64)
 def _built(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
-    """The arm on a base at the origin; a search replays thousands of times the few arms that its effects make."""
+    """The arm on a base at the origin, cached: a search simulates the same few arms thousands of times."""
     return pin.buildModelFromXML(write_urdf(facts, end_effector))
 
 
 def _missing(target: pin.SE3, placement: pin.SE3) -> Array:
-    """What a placement lacks, ``(6,)``: translation in A [m], then the rotation vector in its own axes [rad]."""
+    """Error of a placement, ``(6,)``: translation in A [m], then the rotation vector in its own axes [rad]."""
     return np.concatenate(
         (target.translation - placement.translation, pin.log3(placement.rotation.T @ target.rotation))
     )

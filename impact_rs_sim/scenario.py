@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenario files: what is in the scene, what the robots shall do, and how it is measured.
+"""Scenario files: the scene, the motion of the robots, and the measurement.
 
 A scenario (``config/scenarios/*.yaml``) is the human-readable scene language. It says nothing about what
 we *believe* of the physics beyond nominal values; beliefs that change live in model files.
@@ -45,7 +45,7 @@ Item = TypeVar("Item")
 
 
 class Base(Schema):
-    """Where an arm is mounted."""
+    """Mounting of an arm."""
 
     position: Vector3 = Field(description="origin of the arm's base in the inertial frame [m]")
     yaw: float = Field(0.0, description="rotation of the arm's base about z [rad]")
@@ -75,7 +75,7 @@ class EndEffectorSpec(Schema):
     pad: Pad = Field(description="the pad")
 
     def build(self) -> EndEffector:
-        """The rigid body that the URDF is written from."""
+        """The rigid body for the URDF."""
         return EndEffector(
             mass=self.mass,
             com=np.array(self.com),
@@ -113,7 +113,7 @@ class DriveSettings(Schema):
 
     @model_serializer(mode="wrap")
     def _without_the_usual_type(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Bags of robots with a torque loop read as they always did."""
+        """Omit defaults, so that bags of robots with a torque loop stay as they were."""
         data: dict[str, Any] = handler(self)
         data.pop("type" if self.type == "torque_loop" else "motor_inertia_reduced", None)
         return data
@@ -131,7 +131,7 @@ class DriveSettings(Schema):
 
     @property
     def reflected_inertia(self) -> tuple[float, ...]:
-        """Motor inertia per joint that the links feel: B_theta with a torque loop, else B_rho [kg m^2]."""
+        """Motor inertia per joint, seen at the links: B_theta with a torque loop, else B_rho [kg m^2]."""
         return self.motor_inertia_rotor if self.motor_inertia_reduced is None else self.motor_inertia_reduced
 
 
@@ -139,7 +139,7 @@ POSE = ("position", "pad_normal", "pad_up", "joint_guess")
 
 
 class ImpactPose(Schema):
-    """Where the arm is when its pad touches the object: the pose of frame E, or the position of every joint."""
+    """Configuration of the arm at the impact: the pose of frame E, or the position of every joint."""
 
     position: Vector3 | None = Field(None, description="origin of frame E at impact [m]")
     pad_normal: Vector3 | None = Field(None, description="direction out of the pad at impact, unit vector")
@@ -155,7 +155,7 @@ class ImpactPose(Schema):
 
     @model_serializer(mode="wrap")
     def _as_it_was_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Bags of scenarios with a pose read as they always did."""
+        """Omit defaults, so that bags of scenarios with a pose stay as they were."""
         data: dict[str, Any] = handler(self)
         return {key: value for key, value in data.items() if value is not None}
 
@@ -251,7 +251,7 @@ class Robot(Schema):
 
     @property
     def facts_name(self) -> str:
-        """What an error calls the robot: its name in config/robots, or where its facts come from."""
+        """Name of the robot in errors: that in config/robots, or the source of its facts."""
         return self.facts if isinstance(self.facts, str) else self.facts.source
 
 
@@ -292,7 +292,7 @@ class Contact(Schema):
 
     @model_serializer(mode="wrap")
     def _without_the_usual_law(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Bags of scenarios with Newton's law read as they always did."""
+        """Omit defaults, so that bags of scenarios with Newton's law stay as they were."""
         data: dict[str, Any] = handler(self)
         if self.restitution_law == "newton":
             data.pop("restitution_law", None)
@@ -300,7 +300,7 @@ class Contact(Schema):
 
 
 class CaseRobot(Schema):
-    """What one arm does in one case."""
+    """Motion of one arm in one case."""
 
     ante_velocity: Vector3 = Field(description="end-effector velocity just before impact [m/s]")
     joint_1: float | None = Field(
@@ -319,7 +319,7 @@ class CaseRobot(Schema):
 
     @model_serializer(mode="wrap")
     def _without_what_is_usual(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Bags of scenarios whose posture task is joint 1 read as they always did."""
+        """Omit defaults, so that bags of scenarios whose posture task is joint 1 stay as they were."""
         data: dict[str, Any] = handler(self)
         if not self.posture:
             data.pop("posture", None)
@@ -448,7 +448,7 @@ class Control(Schema):
 
     @model_serializer(mode="wrap")
     def _without_the_default_contact(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Bags and digests of scenarios that follow the first impact read as they always did."""
+        """Omit defaults, so that bags and digests of scenarios that follow the first impact stay as they were."""
         data: dict[str, Any] = handler(self)
         if self.reference_contact == "first":
             data.pop("reference_contact", None)
@@ -456,7 +456,7 @@ class Control(Schema):
 
 
 class Sensors(Schema):
-    """What the measurement adds to the truth."""
+    """Errors of the measurement."""
 
     joint_position_resolution: NonNegative = Field(description="encoder step [rad], prismatic [m]")
     joint_velocity_noise: NonNegative = Field(description="standard deviation [rad/s], prismatic [m/s]")
@@ -467,7 +467,7 @@ class Sensors(Schema):
 
 
 class Scatter(Schema):
-    """What differs from trial to trial, standard deviations."""
+    """Scatter from trial to trial, standard deviations."""
 
     object_position: NonNegative = Field(description="object position in the plane [m]")
     object_yaw: NonNegative = Field(description="object orientation about z [rad]")
@@ -476,7 +476,7 @@ class Scatter(Schema):
 
 
 class Uncertainties(Schema):
-    """How well the numbers of a prediction are known: half the width of a 95 % interval, and where that comes from."""
+    """Uncertainty of the numbers of a prediction: half the width of a 95 % interval, and its source."""
 
     motor_inertia: NonNegative = Field(
         0.10, description="B_theta, relative, each joint by itself; the paper: known to 10 % [-]"
@@ -555,7 +555,7 @@ class Scenario(Schema):
 
     @model_serializer(mode="wrap")
     def _without_absent_compensation(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Bags of scenarios without it, or with usual uncertainties, read as they always did."""
+        """Omit defaults, so that bags of scenarios without it, or with usual uncertainties, stay as they were."""
         data: dict[str, Any] = handler(self)
         if self.uncertainty == Uncertainties():
             data.pop("uncertainty", None)
@@ -642,7 +642,7 @@ class Scenario(Schema):
         return float(15.0 / 8.0 * way / np.linalg.norm(robot.ante_velocity))
 
     def excursion_end(self, robot: CaseRobot) -> float:
-        """When the arm is back [s]."""
+        """End of the excursion [s]."""
         assert self.excursion is not None
         return self.excursion.begin + 2.0 * self.excursion_leg(robot) + self.excursion.rest
 
@@ -738,7 +738,7 @@ def _check_compensation(compensation: FrictionCompensation, scenario: Scenario) 
 
 
 def _read_robot_files(data: dict[str, Any], directory: Path) -> None:
-    """Put facts of robots in the place of paths to them, so that bags carry them wherever they are read."""
+    """Replace paths to facts of robots by the facts, so that bags contain them."""
     robots = data.get("robots")
     for robot in robots.values() if isinstance(robots, dict) else ():
         facts = robot.get("facts") if isinstance(robot, dict) else None
@@ -748,7 +748,7 @@ def _read_robot_files(data: dict[str, Any], directory: Path) -> None:
 
 @functools.lru_cache(maxsize=32)
 def _load_cached(path: Path, modified: int) -> tuple[Scenario, Path | None]:
-    """The scenario as its file says it, and the file of its friction compensation."""
+    """The scenario of a file, and the file of its friction compensation."""
     del modified
     data = load_mapping(path)
     named = data.get("friction_compensation")

@@ -131,7 +131,7 @@ def _rows(schema: type[Schema]) -> Iterator[tuple[str, ...]]:
 
 
 def _sections(prefix: str, schema: type[Schema], presence: str) -> Iterator[tuple[str, type[Schema], str]]:
-    """Every section, parents first: its dotted path, its schema, what it is for."""
+    """Every section, parents first: dotted path, schema, purpose."""
     yield prefix, schema, presence
     for name, field in schema.model_fields.items():
         key, below = _key(name, field.annotation)

@@ -122,7 +122,7 @@ class Scene:
 
 
 def _impact_velocity(model: RobotModel, q: Array, linear: Array, joint_1: float | None) -> Array:
-    """The least joint velocity with the wanted end-effector velocity, no rotation, and joint 1 as asked.
+    """Smallest joint velocity with the desired end-effector velocity, no rotation, and the given joint 1.
 
     Raises:
         UnreachablePose: There is none: too few joints, or a singular pose.
@@ -156,7 +156,7 @@ def _within_limits(model: RobotModel, q: Array) -> Array:
 
 
 def _velocity_of_given_joints(model: RobotModel, q: Array, linear: Array) -> Array:
-    """The least joint velocity with the wanted velocity of E, that turns E as little as these joints let it, ``(n,)``.
+    """Smallest joint velocity with the desired velocity of E and the least rotation of E, ``(n,)``.
 
     Raises:
         UnreachablePose: There is none with that velocity.
@@ -174,7 +174,7 @@ def _velocity_of_given_joints(model: RobotModel, q: Array, linear: Array) -> Arr
 
 
 def resting_pose(scenario: Scenario, object_name: str) -> BodyState:
-    """Where an object rests on the support: as the scenario says, or with a face in the plane of the only pad.
+    """Rest position of an object on the support: from the scenario, or with a face in the plane of the only pad.
 
     Raises:
         InputError: The scenario has no such object.

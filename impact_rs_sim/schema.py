@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Validated YAML: every border of the program reads its files through :func:`load`.
+"""Validated YAML: all files of users are read through :func:`load`.
 
 A schema is a frozen pydantic model whose fields carry a description that ends in the unit, so that an error
 can say what was expected, and in which unit.
@@ -72,7 +72,7 @@ _TEXT = yaml.resolver.BaseResolver.DEFAULT_SCALAR_TAG
 
 
 class _Mistake(Exception):
-    """Something in a YAML text that no file of ours needs, at a node."""
+    """A YAML feature that is refused, at a node."""
 
     def __init__(self, message: str, mark: yaml.Mark, path: tuple[str, ...] = ()) -> None:
         super().__init__(message)
@@ -99,7 +99,7 @@ class _Loader(yaml.SafeLoader):
         return node
 
     def value(self, node: yaml.Node | None, path: tuple[str, ...] = ()) -> Any:
-        """What a node says; ``path`` are the keys that lead to it."""
+        """Value of a node; ``path`` are the keys that lead to it."""
         if node is None:
             return None
         if isinstance(node, yaml.MappingNode) and node.tag == _MAPPING:
@@ -132,7 +132,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def parse_value(text: str, file: str | Path) -> Any:
-    """Parse YAML of whatever kind, within limits of size and depth; without references, and every key once.
+    """Parse any YAML, within limits of size and depth; without references, and every key once.
 
     Args:
         text: The YAML.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a measurement adds to the truth: quantisation, noise and a slow object tracker."""
+"""Errors of the measurement: quantisation, noise and a slow object tracker."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects that are *not* in the library: the diagnosis has to say that none of its own explains them.
+"""Effects that are *not* in the library: the diagnosis must report that no effect of the library explains them.
 
 Each acts inside the plant and is parametrised by a magnitude (1: noticeable) and the number of the repeat.
 """
@@ -19,7 +19,7 @@ from impact_rs_sim.robot_model import RobotModel
 
 
 class LooseContents(PlantExtension):
-    """A slab that slides on top of the object: part of its mass comes along late."""
+    """A slab that slides on top of the object: part of its mass moves with a delay."""
 
     def __init__(self, magnitude: float, repeat: int) -> None:
         self._share = min(0.2 * magnitude, 0.8)
@@ -54,7 +54,7 @@ class FlexibleBase(PlantExtension):
         self._model: RobotModel | None = None
 
     def joint_torque(self, plant: Plant, arm: str) -> Array | None:
-        """Inertial torque -J^T m a of the shaking base: what the model calls gravity torque when gravity is a."""
+        """Inertial torque -J^T m a of the shaking base: the gravity torque of the model for the gravity a."""
         if self._model is None:
             self._model = RobotModel(
                 plant.physics.arms[arm].facts, plant.physics.arms[arm].end_effector, plant.physics.arms[arm].base
@@ -99,7 +99,7 @@ class Backlash(PlantExtension):
         self._play = 3e-4 * magnitude  # rad
 
     def after_sense(self, plant: Plant, arm: str, drive: Drive) -> None:
-        """Take the dead zone out of the elastic torque."""
+        """Apply the dead zone to the elastic torque."""
         stiffness = plant.physics.arms[arm].stiffness
         stretch = drive.elastic_torque / stiffness
         passed = np.sign(stretch) * np.maximum(np.abs(stretch) - self._play, 0.0)
@@ -114,21 +114,21 @@ class LubricatedSupport(PlantExtension):
         self._slope = 0.5 * magnitude  # s/m, of the friction coefficient over its value at rest
 
     def joint_torque(self, plant: Plant, arm: str) -> Array | None:
-        """Set the support's friction for the next period; the links feel nothing of it themselves."""
+        """Set the friction of the support for the next period; no torque on the links."""
         speed = float(np.linalg.norm(plant.world.object_state().twist[:2]))
         plant.world.set_support_friction(plant.physics.support_friction * (1.0 + self._slope * speed))
         return None
 
 
 class TorqueRipple(PlantExtension):
-    """Torque of the motors that comes and goes with their angle, as cogging and harmonic drives have it."""
+    """Torque of the motors that is periodic in their angle, as from cogging and harmonic drives."""
 
     def __init__(self, magnitude: float, repeat: int) -> None:
         self._amplitude = 0.1 * magnitude  # N m
         self._periods = 60.0  # along one turn of the joint
 
     def joint_torque(self, plant: Plant, arm: str) -> Array | None:
-        """Torque on the links; the motors turn with them, but for the springs."""
+        """Torque on the links; the angle of the motors is that of the links, up to the springs."""
         return np.asarray(self._amplitude * np.sin(self._periods * plant.link_state(arm).position))
 
 

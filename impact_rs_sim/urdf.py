@@ -153,7 +153,7 @@ def write_description(
     support: tuple[float, tuple[float, float]] | None,
     meshes: bool = True,
 ) -> str:
-    """URDF of mounted arms, and of what they stand beside, from link ``world`` on; for viewers and other programs.
+    """URDF of mounted arms and their support, from link ``world`` on; for viewers and other programs.
 
     Links are ``ARM_base``, ``ARM_link1`` ... ``ARM_end_effector``; joints ``ARM_joint1`` ..., as in every
     ``sensor_msgs/JointState``, and ``ARM_mount``, ``ARM_end_effector_mount``, which are fixed.

@@ -36,7 +36,7 @@ ONCE = {  # elements that may stand once in an element; of two a reader would ta
 
 @dataclass(frozen=True)
 class Chain:
-    """The way from base to tip.
+    """The chain from base to tip.
 
     Attributes:
         file: The URDF.
@@ -220,7 +220,7 @@ class UrdfTree:
             self._fail("this joint of the chain mimics another; expected joints that move by themselves", key)
 
     def _beside(self, link: str, way: list[Xml.Element]) -> Iterator[Xml.Element]:
-        """Joints that fix something to ``link``, and to what is fixed there, beside the way."""
+        """Fixed joints of ``link`` and of the links fixed to it, beside the chain."""
         for joint in self.below[link]:
             if joint in way:
                 continue

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects at the contacts: restitution, stiffness, friction, mounting of pads; friction and stiffness of the support."""
+"""Effects at the contacts: restitution, stiffness, friction, mounting of pads; friction, stiffness of the support."""
 
 from __future__ import annotations
 

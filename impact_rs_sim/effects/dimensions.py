@@ -59,7 +59,7 @@ def text_of(dimension: Dimension) -> str:
 
 
 def check_units(spec: FormulaSpec) -> dict[str, str]:
-    """What every formula of an effect gives, by where it stands; empty: its numbers leave that open.
+    """Unit of every formula of an effect, by its key; empty: unknown because of its numbers.
 
     Raises:
         InputError: A unit is not understood, or two of them clash.

@@ -50,7 +50,7 @@ class EachArm(Effect):
         return replace(physics, arms=arms)
 
     def spelled(self, joints: Joints) -> list[tuple[str, list[ScalarParameter]]]:
-        """See :meth:`Effect.spelled`; it knows which joints every arm has."""
+        """See :meth:`Effect.spelled`; the joints of every arm are known."""
         del joints
         scalars = (
             [replace(scalar, arm=arm) for scalar in replace(parameter, name=f"{parameter.name}_{arm}").scalars(own)]
@@ -79,16 +79,16 @@ class EachArm(Effect):
         return digest(super().identity, self.effect.identity, repr(self.joints))
 
     def _joints(self, physics: Physics) -> Joints:
-        """None that all arms share."""
+        """Empty: the arms share no joints."""
         del physics
         return ()
 
     def _check(self, physics: Physics) -> None:
         for name, joints in physics.arm_joints:
             if name not in self.joints or types_of(self.joints[name]) != joints:
-                known = ", ".join(f"{own} with {_told(types_of(has))}" for own, has in self.joints.items())
+                known = ", ".join(f"{own} with {_text(types_of(has))}" for own, has in self.joints.items())
                 raise InputError(
-                    f"effect {self.name!r} has parameters for arms {known}; here is arm {name!r} with {_told(joints)}"
+                    f"effect {self.name!r} has parameters for arms {known}; here is arm {name!r} with {_text(joints)}"
                 )
 
 
@@ -102,8 +102,8 @@ def of_each(effect: Effect, joints: Mapping[str, Joints]) -> Effect:
     return EachArm(effect, joints) if joints and isinstance(effect, ArmEffect) else effect
 
 
-def _told(joints: Sequence[JointType]) -> str:
-    """Joints in words."""
+def _text(joints: Sequence[JointType]) -> str:
+    """Text of the joints."""
     sliding = joints.count("prismatic")
     return f"{len(joints)} joints" + (f", {sliding} of them sliding" if sliding else "")
 

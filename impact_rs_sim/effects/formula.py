@@ -247,7 +247,7 @@ class FormulaEffect(Effect):
 
     @property
     def identity(self) -> str:
-        """See :attr:`Effect.identity`; the formulas count."""
+        """See :attr:`Effect.identity`; includes the formulas."""
         return digest(super().identity, self.spec.model_dump_json())
 
 

@@ -24,7 +24,7 @@ class PayloadEffect(ArmEffect):
     """A point mass on the end effector, with its mass as first parameter."""
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
-        """See :meth:`Effect.bounds`; most of what is on the flange stays, and from a bare flange nothing can go."""
+        """See :meth:`Effect.bounds`; only part of the mass on the flange is removable, none of a bare flange."""
         lower, upper = super().bounds(physics)
         lightest = min((arm.end_effector.mass for arm in physics.arms.values()), default=0.0)
         lower[0] = max(lower[0], 0.0 - REMOVABLE * lightest)

@@ -84,7 +84,7 @@ class ImpactBatch:
         """N, from all shapes; 1 where no value has a first axis.
 
         Raises:
-            InputError: A shape fits neither one question nor N, or the arms are not those of the scene.
+            InputError: A shape fits neither one problem nor N, or the arms are not those of the scene.
         """
         expected: list[tuple[str, Array | float, tuple[int, ...]]] = []
         for label, table in (("arms", self.arms), ("motor_inertia", self.motor_inertia)):

@@ -23,7 +23,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState
 
-SOLVED = 0  # status of a question that has an answer
+SOLVED = 0  # status of a solved problem
 STATES = ("open", "stick", "slide")
 
 _RULES = (ALIGNED, GAP_TOLERANCE, PENETRATION_TOLERANCE, COMPLIANCE)
@@ -96,10 +96,10 @@ class CompiledMap:
         self._support = None if support is None else np.concatenate((support.centre, support.half))
 
     def answer(self, problem: ImpactProblem, points: Sequence[ContactPoint] | None = None) -> Compiled | None:
-        """The answer to one question about this scene, N = 1; None: not one for the compiled map.
+        """The solution of one problem of this scene, N = 1; None: not a problem for the compiled map.
 
         Args:
-            problem: The question.
+            problem: The problem.
             points: Contact points, whose friction is that of the scene all the same; None: where bodies touch.
         """
         if problem.restitution_law != "newton" or not 0.0 <= problem.restitution <= 1.0:
@@ -155,7 +155,7 @@ class CompiledMap:
         contact: tuple[Array | float, Array | float, Array | float],
         points: _Parts | None = None,
     ) -> Compiled:
-        """Answers to ``count`` questions; arguments as :func:`impact_rs_sim._kernel.solve_impacts` takes them."""
+        """Solutions of ``count`` problems; arguments as :func:`impact_rs_sim._kernel.solve_impacts` takes them."""
         object_ = (*body, *self._object)
         return Compiled(*_kernel.solve_impacts(count, arms, object_, contact, self._support, _RULES, points=points))
 

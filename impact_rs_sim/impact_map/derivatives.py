@@ -134,12 +134,12 @@ def differentiate(
     """Derivatives of u^+ with respect to every parameter of a problem.
 
     Args:
-        problem: The question; Newton's law.
+        problem: The problem; Newton's law of restitution.
         models: Rigid-body models by arm, where the caller has them already.
         compliance: rho of the contact points [-].
 
     Raises:
-        InputError: The question has no answer (see :func:`check_problem`).
+        InputError: The problem is refused (see :func:`check_problem`).
         ImpactMapError: Newton's method does not converge, so that there are no contact states to hold.
     """
     if models is None:

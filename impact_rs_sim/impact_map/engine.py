@@ -138,7 +138,7 @@ class Engine(ABC):
         """The post-impact state of ``problem``.
 
         Raises:
-            InputError: The question has no answer (see :func:`check_problem`).
+            InputError: The problem is refused (see :func:`check_problem`).
             ImpactMapError: The answer breaks a law by more than ``tolerance``; the message names the law. Or it gains
                 energy, which Newton's law allows and nature does not.
         """

@@ -81,7 +81,7 @@ class Changed:
     """A problem with some parameters changed.
 
     Attributes:
-        problem: The question as far as it can say so.
+        problem: The problem with the changes that it can represent.
         link_inertia: Change of the factor on M(q) by arm [-].
         contact_point: Shift of the contact points along x and y of frame E by arm, ``(2,)`` [m].
     """

@@ -185,7 +185,7 @@ def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
     """Refuse a problem without solution.
 
     Args:
-        problem: The question.
+        problem: The problem.
         models: Rigid-body models by arm, where the caller has them already.
 
     Returns:

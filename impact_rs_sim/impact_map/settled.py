@@ -76,7 +76,7 @@ def settle(problem: ImpactProblem) -> ImpactResult:
         support. Its residual judges the laws above; penetration counts whatever turns a pad on its face.
 
     Raises:
-        InputError: The question has no answer (see :func:`~impact_rs_sim.impact_map.problem.check_problem`).
+        InputError: The problem is refused (see :func:`~impact_rs_sim.impact_map.problem.check_problem`).
         ImpactMapError: The answer breaks a law by more than the tolerance of the engine ``exact``.
     """
     start = time.perf_counter()

@@ -190,14 +190,14 @@ def predict(
     """Predict with intervals.
 
     Args:
-        problem: The question; Newton's law.
+        problem: The problem; Newton's law of restitution.
         stated: What is not known exactly.
         models: Rigid-body models by arm, where the caller has them already.
         draws: From all uncertainties; a quarter as many of every source where the interval is that of the draws.
         seed: Of the draws.
 
     Raises:
-        InputError: The question has no answer, or its law of restitution is Poisson's.
+        InputError: The problem is refused, or its law of restitution is Poisson's.
         ImpactMapError: No answer was found.
     """
     if problem.restitution_law != "newton":
@@ -260,7 +260,7 @@ def interval_of_draws(
     too narrow.
 
     Args:
-        problem: The question; Newton's law.
+        problem: The problem; Newton's law of restitution.
         stated: What is not known exactly.
         models: Rigid-body models by arm.
         draws: From all uncertainties.

@@ -72,11 +72,11 @@ def uniqueness_of(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
     """Spread of the solutions of a problem; under Poisson's law that of its compression.
 
     Args:
-        problem: The question.
+        problem: The problem.
         models: Rigid-body models by arm, where the caller has them already.
 
     Raises:
-        InputError: The question has no answer (see :func:`check_problem`).
+        InputError: The problem is refused (see :func:`check_problem`).
     """
     if models is None:
         models = problem.physics.robot_models()

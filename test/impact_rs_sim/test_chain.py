@@ -100,7 +100,7 @@ def test_motors_feel_the_friction_that_is_said_times_what_shapes_their_inertia(f
         np.testing.assert_allclose(drive.friction_torque, wanted, rtol=1e-13, atol=1e-15)
 
 
-def test_several_arms_at_once_glide_as_each_does_step_by_step() -> None:
+def test_several_arms_at_once_move_freely_as_each_does_step_by_step() -> None:
     rng = np.random.default_rng(8)
     physics = replace(
         ARM, friction=FRICTION, torque_gain=rng.uniform(0.9, 1.1, 7), torque_offset=rng.normal(0.0, 0.5, 7)
