@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where residuals and sensitivities come from: one module per source."""
+"""Sources of residuals and sensitivities, one module each."""

@@ -232,7 +232,7 @@ class Source(ABC):
         found = {(name, joints) for world in self.worlds for name, joints in world.arm_joints}
         if not self.model.arms and len({joints for _, joints in found}) > 1:
             arms = ", ".join(f"{name} with {len(joints)} joints" for name, joints in sorted(found))
-            raise InputError(f"arms {arms}: different arms need different names, which their parameters carry")
+            raise InputError(f"arms {arms}: parameters carry the name of their arm; expected another name for each")
         arm = next(iter(self.physics.arms.values()), None)
         return () if arm is None else arm.facts.joint_types
 

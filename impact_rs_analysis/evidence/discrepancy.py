@@ -47,7 +47,7 @@ class DiscrepancyEntry(Schema):
     shared_over_bins: float | None = Field(None, description="share of the square common to all bins [-]")
 
     def of_bin(self, number: int) -> float:
-        """Discrepancy of one time bin, in the unit: equal shares of the signal's and of the bin's, which is less certain."""
+        """Discrepancy of one time bin, in the unit: rms of the signal's and of the bin's value."""
         own = self.by_bin[number] if number < len(self.by_bin) else self.value
         return float(np.sqrt(0.5 * (self.value**2 + own**2)))
 

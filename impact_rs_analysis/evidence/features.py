@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Features of replayed windows: what was measured and what the replay did, boiled down to the same numbers.
+"""Features of windows: measurement and replay reduced to the same numbers.
 
-Torque enters as balances that the nominal rigid model would close, so that small differences of the path cancel:
+Torques enter as balances that are zero for the nominal rigid model, so that small differences of the path cancel:
 
     motor side   b_m = tau_d - tau_J - B_theta ddtheta               friction, offset, gain, delay, motor inertia
     link side    b_l = tau_J - M ddq - h                             payload, tilt, pulling cables, contact
     elasticity   b_e = (theta - q) - tau_J / K                       joint stiffness
 
-each as mean over a window, its acceleration part from the change of momentum over it. In contact b_l is turned into the
-wrench at E. Where the motor is not measured its velocity is that of the link and of the spring, dq + dtau_J / K, in the
-replay as in the measurement.
+each as mean over a window, with the acceleration part from the change of momentum. In contact b_l is converted to the
+wrench at E. Without motor measurement, replay and measurement both use the motor velocity dq + dtau_J / K.
 """
 
 from __future__ import annotations
@@ -27,19 +26,19 @@ from impact_rs_sim.robot import UNITS, Array, JointType
 from impact_rs_sim.robot_model import RobotModel
 
 EDGE = 0.006  # s, averaged at each end of a bin for its momentum change
-ONSET = 0.05  # share of the ante-impact speed that is lost when an impact is said to have begun
-MOST_OF_LOSS = 0.4  # share of all that is lost, which a light object may keep below ONSET
-TIMES_NOISE = 6.0  # the least of it over the noise of the velocity
-LEAST_LOSS = 0.004  # share of the speed; less is no impact
-QUIET = 0.008  # s, in the begin of a window, before the impact
+ONSET = 0.05  # share of the ante-impact speed whose loss marks the begin of an impact
+MOST_OF_LOSS = 0.4  # upper limit of the same, as a share of the total loss (light objects take little speed)
+TIMES_NOISE = 6.0  # lower limit of the same, over the noise of the velocity
+LEAST_LOSS = 0.004  # share of the speed; a smaller loss is no impact
+QUIET = 0.008  # s at the begin of a window, before the impact
 LOSS_WITHIN = 0.08  # s after the window's begin
 JUMP_BEFORE = (-0.018, -0.003)  # s from the begin of the impact
 JUMP_WINDOWS = ((0.0, 0.004), (0.004, 0.010), (0.010, 0.020), (0.020, 0.040), (0.040, 0.080))  # s
 SETTLED = 3
 OBJECT_WINDOWS = ((0.006, 0.040), (0.040, 0.100))  # s
 PUSH = (0.10, 0.175, 0.25, 0.325, 0.395)  # s, edges of the bins in which both bodies move together
-STRIDE = 5  # samples of a free motion, of which one is looked at for gravity and Coriolis torque
-RATE_SPAN = 0.009  # s, over which the slope of the joint torque is taken where the motor is not measured
+STRIDE = 5  # in free motion gravity and Coriolis torque are computed for one of so many samples
+RATE_SPAN = 0.009  # s, window of the slope of the joint torque, without motor measurement
 AXES = ("x", "y", "z")
 
 
@@ -52,13 +51,13 @@ def layout(
     motor: bool,
     tracked: bool,
 ) -> tuple[Feature, ...]:
-    """What the entries of a feature vector are.
+    """Description of the entries of a feature vector.
 
     Args:
         arms: Names of the arms, each with the types of its joints. Relevance limits in N and m are those in N m and
             rad at a lever of 1 m.
         free: Windows of free motion.
-        pushes: Bins of the push that were recorded; None: nothing is hit.
+        pushes: Number of recorded bins of the push; None: free motion.
         command: Whether the desired torque is known.
         motor: Whether the motor's position is known.
         tracked: Whether the object was tracked.
@@ -116,17 +115,17 @@ def extract(
     pushes: int | None,
     levels: dict[str, float],
 ) -> Array | None:
-    """Feature vector of windows; None if nothing was hit where something should be.
+    """Feature vector of windows; None if an expected impact is missing.
 
     Args:
         windows: Measured or replayed.
-        commands: Per window desired torque by arm and tick, ``(k, n)`` [N m]; empty where it is not known.
-        contact: Which of them hold the impact.
+        commands: Per window desired torque by arm and tick, ``(k, n)`` [N m]; empty if not known.
+        contact: Whether each window holds the impact.
         arms: Nominal physics and rigid-body model by arm.
         motor: Whether motor position and velocity are looked at.
-        tracked: Whether the object is.
+        tracked: Whether object features are used.
         pushes: Bins of the push.
-        levels: By arm, loss of speed with which the impact begins [m/s].
+        levels: By arm, loss of speed that marks the begin of the impact [m/s].
     """
     parts: list[Array] = []
     onsets: dict[str, float] = {}
@@ -169,9 +168,9 @@ def extract(
 
 
 def onset_level(time: Array, velocity: Array) -> float | None:
-    """Loss of speed at which an impact is said to have begun [m/s]; None where no more than noise is lost.
+    """Loss of speed that marks the begin of an impact [m/s]; None if the loss is within noise.
 
-    A share of the speed, above the noise, and not so much that a light object does not take it.
+    A share of the speed, at least above the noise, and at most a share of the total loss.
 
     Args:
         time: Ticks, ``(k,)`` [s]; the first 8 ms are before the impact.
@@ -184,12 +183,12 @@ def onset_level(time: Array, velocity: Array) -> float | None:
 
 
 def onset_of(time: Array, velocity: Array, level: float) -> float | None:
-    """When the end effector had lost so much speed, between two ticks [s]; None where it never does.
+    """Time at which the loss of speed reaches a level, interpolated between ticks [s]; None if it never does.
 
     Args:
         time: Ticks, ``(k,)`` [s]; the first 8 ms are before the impact.
         velocity: Of the end effector, ``(k, 3)`` [m/s].
-        level: Loss, as measured runs have it (:func:`onset_level`) [m/s].
+        level: Loss of speed, from the measured run (:func:`onset_level`) [m/s].
     """
     loss, _ = _loss(time, velocity)
     rising = np.nonzero((loss[:-1] < level) & (loss[1:] >= level))[0]
@@ -201,7 +200,7 @@ def onset_of(time: Array, velocity: Array, level: float) -> float | None:
 
 
 def _loss(time: Array, velocity: Array) -> tuple[Array, float]:
-    """Loss of speed along the direction before the impact, for a while after it, ``(k,)``, and that speed [m/s]."""
+    """Loss of speed along the direction before the impact, shortly after it, ``(k,)``, and that speed [m/s]."""
     before = velocity[time <= time[0] + QUIET].mean(axis=0)
     speed = float(np.linalg.norm(before))
     near = time <= time[0] + LOSS_WITHIN
@@ -209,7 +208,7 @@ def _loss(time: Array, velocity: Array) -> tuple[Array, float]:
 
 
 def _impact_features(onset: float, dynamics: Balances) -> list[Array]:
-    """Jump and first 80 ms; windows begin between two ticks, so that an impact a little later changes nothing much."""
+    """Jump and first 80 ms; windows begin between ticks, so features are continuous in the time of the impact."""
     time = dynamics.time
     velocity, twist = _Integral(time, dynamics.arm.velocity), _Integral(time, dynamics.twists)
     before = (onset + JUMP_BEFORE[0], onset + JUMP_BEFORE[1])
@@ -243,7 +242,7 @@ def _push_features(onset: float, dynamics: Balances, pushes: int) -> list[Array]
 
 
 class _Integral:
-    """Means of sampled signals over windows that begin and end between samples.
+    """Means of sampled signals over windows whose ends lie between samples.
 
     Args:
         time: Samples, ``(k,)`` [s].
@@ -273,9 +272,9 @@ def _between(time: Array, values: Array, moment: float) -> Array:
 
 @functools.lru_cache(maxsize=16)
 def _slopes(samples: int, length: int) -> Array:
-    """Slopes per sample of parabolas through ``length`` samples, as a matrix on the signal, ``(samples, samples)``.
+    """Matrix from a signal to slopes per sample of parabolas through ``length`` samples, ``(samples, samples)``.
 
-    Savitzky and Golay's filter is linear; its ends alone, fitted anew in every call, cost more than the product.
+    The Savitzky-Golay filter is linear; a matrix product is cheaper than fitting its ends in every call.
     """
     return np.asarray(scipy.signal.savgol_filter(np.eye(samples), length, 2, deriv=1, axis=0))
 
@@ -290,7 +289,7 @@ class Balances:
         physics: Nominal, of the drives.
         model: Nominal rigid-body model.
         motor: Whether motor position and velocity are looked at.
-        coarse: Whether only the balance of the whole is asked for; nothing else is right then.
+        coarse: Whether only the balance over the whole motion is needed; the rest is then not valid.
     """
 
     def __init__(
@@ -305,7 +304,7 @@ class Balances:
     ) -> None:
         self.time, self.arm, self.command, self.physics, self.model = time, arm, command, physics, model
         rows = np.arange(time.size)
-        if coarse:  # momentum counts at the ends alone, and what else there is changes slowly
+        if coarse:  # momentum matters at the ends only, and the other terms change slowly
             ends = (time <= time[0] + 1.5 * EDGE) | (time >= time[-1] - 1.5 * EDGE)
             rows = rows[ends | (rows % STRIDE == 0)]
         momentum, known, self.twists = model.chain.momentum(arm.position[rows], arm.velocity[rows])
@@ -325,11 +324,11 @@ class Balances:
 
     @staticmethod
     def middle(start: float, end: float) -> tuple[float, float]:
-        """What a bin is averaged over [s]: means over its ends, of the momentum, stand at their middles."""
+        """Effective limits of a bin [s]: momentum is averaged over its ends, so it refers to their middles."""
         return start + 0.5 * EDGE, end - 0.5 * EDGE
 
     def motor_terms(self, start: float, end: float) -> tuple[Array, Array]:
-        """Mean motor acceleration over a bin, ``(n,)`` [rad/s^2], and mean torque that is passed on [N m]."""
+        """Mean motor acceleration over a bin, ``(n,)`` [rad/s^2], and mean transmitted torque [N m]."""
         begin, stop = self.middle(start, end)
         ramp = self._motor_velocity.mean(end - EDGE, end) - self._motor_velocity.mean(start, start + EDGE)
         return ramp / (stop - begin), self._damped.mean(begin, stop)
@@ -350,7 +349,7 @@ class Balances:
         return (self._damped.mean(start, end) + self._known.mean(start, end)) - change
 
     def wrench_at(self, moment: float, balance: Array) -> Array:
-        """Wrench of the arm on what it touches that explains a link-side balance, at E in E[A], ``(6,)`` [N, N m]."""
+        """Contact wrench of the arm on its environment from a link-side balance, at E in E[A], ``(6,)`` [N, N m]."""
         row = min(int(np.searchsorted(self.time, moment)), self.time.size - 1)
         q = self.arm.position[row]
         jacobian = self.model.jacobian(q)
@@ -361,8 +360,8 @@ class Balances:
 def _object_velocity(signals: Signals, start: float, end: float) -> Array:
     """Slope of position (x, y) and yaw over a window, ``(3,)`` [m/s, m/s, rad/s]; zero where it is not tracked.
 
-    Between the means over the first and the last third: nearly as sure as a least-squares line, and it does not jump
-    when a sample enters the window.
+    Between the means over the first and the last third: nearly as precise as a least-squares line, and continuous when
+    a sample enters the window.
     """
     time = signals.object_time
     if time.size < 2 or np.count_nonzero((time >= start) & (time <= end)) < 2:
@@ -373,5 +372,5 @@ def _object_velocity(signals: Signals, start: float, end: float) -> Array:
 
 
 def pushes_recorded(onset: float, end: float) -> int:
-    """How many bins of the push lie before the end of a window [s]."""
+    """Number of bins of the push before the end of a window [s]."""
     return sum(onset + edge <= end + 1e-9 for edge in PUSH[1:])

@@ -2,19 +2,18 @@
 """Tables of impacts as a source of evidence: the impact map predicts what every row measured just after.
 
 Features are the post-impact velocities: of the joints, of the body's centre, and its angular velocity. Those of a free
-body are told in axes of its contact, where they mean something in every row alike: along the ``normal``, along the
-``sliding`` of the contact just before, and ``across`` both. Those of an object are told in x, y and z. Two kinds of
-clusters:
+body are given in contact axes, which are comparable between rows: along the ``normal``, along the ``sliding`` direction
+just before the impact, and ``across`` both. Those of an object are given in x, y and z. Two kinds of clusters:
 
-* **Conditions.** Where enough rows are repeats of each other, a cluster is a condition. Every repeat is predicted from
-  its own ante-impact state, and the prediction of a condition is the mean over its repeats, so that its mean residual
-  is linear in what the map gets wrong. Repeats scatter, and that is the pure error.
-* **Blocks.** Else a cluster is a block of neighbouring rows, as a stretch of a recording is. Nothing was repeated; how
-  the scores of blocks vary tells chance. Blocks are held out in runs of neighbours, without those next to them: what
-  drifts from row to row, like wear or the temper of whoever tosses, must not be learnt from next door.
+* **Conditions.** With enough repeats a cluster is a condition. Every repeat is predicted from its own ante-impact
+  state, and the prediction of a condition is the mean over its repeats, so that its mean residual is linear in the
+  error of the map. The pure error is the scatter of the repeats.
+* **Blocks.** Without repeats a cluster is a block of neighbouring rows, like a stretch of a recording. The scatter of
+  the scores between blocks replaces the pure error. Blocks are held out in runs of neighbours, with a guard on either
+  side, because drift from row to row (wear, the person who tosses) would leak into the prediction.
 
-Linear and angular velocities of blocks are weighed by the kinetic energy in them. A difference du of a row is worth the
-velocity at which the body holds the same energy, coordinate by coordinate,
+Linear and angular velocities of blocks are weighted by kinetic energy. A difference du of a row counts as the velocity
+at which the body has the same energy, coordinate by coordinate,
 
     d = sqrt(sum_i H_ii du_i^2 / m)                                      [m/s]
 
@@ -23,8 +22,8 @@ where H is diagonal, as for a free body whose moments are alike. Every entry has
 
     sigma_i = s / sqrt(H_ii / m),        s^2 = mean of d^2 over the rows / number of entries of a row
 
-so that fits minimise what is told. A scale by what the model leaves in each signal would not do: a real impact is never
-quite that of a rigid body, and the signal that an effect is missing in most would count least in estimating it.
+so that fits minimise the reported error. Scaling each signal by its own residual would be wrong: the signal with the
+largest effect of a missing term would then have the smallest weight in its estimate.
 """
 
 from __future__ import annotations
@@ -56,29 +55,29 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.impact_table import ImpactTable
 
-BLOCKS = 24  # at most: of 24, a fold of the hold-out leaves 18 to search in, and 12 are needed to tell chance
-LEAST_CONDITIONS = 3  # that are repeated, for repeats to be what is counted on
+BLOCKS = 24  # at most: of 24 blocks a fold leaves 18 for the search, and the test needs 12
+LEAST_CONDITIONS = 3  # with repeats; with fewer, blocks are used
 LEAST_REPEATS = 3  # degrees of freedom of the pure error
-RELEVANT_LINEAR = 0.005  # m/s; motion capture knows no velocity of a body better
+RELEVANT_LINEAR = 0.005  # m/s; resolution of body velocities by motion capture
 RELEVANT_ANGULAR = 0.05  # rad/s; the same at a lever of 0.1 m
-RELEVANT_JOINT = 0.005  # rad/s; the same at a lever of 1 m, or of a joint that slides
-LEAST_SCALE = 1e-6  # m/s; a model that leaves less is exact
-GAINED = 1.05  # kinetic energy after over before, from which a row is suspect
+RELEVANT_JOINT = 0.005  # rad/s; the same at a lever of 1 m; m/s for a prismatic joint
+LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
+GAINED = 1.05  # kinetic energy after over before; rows above it are reported
 
 JOINTS, LINEAR, ANGULAR = "joint velocity after", "velocity after", "angular velocity after"
 AXES = ("x", "y", "z")
 CONTACT_AXES = ("normal", "sliding", "across")
-STICKING = 1e-6  # m/s; a contact that slides no faster has no direction, and any tangent is taken
+STICKING = 1e-6  # m/s; slower contacts have no sliding direction, and any tangent is taken
 NO_DISCREPANCY_KNOWN = (
-    "no discrepancy of the rigid impact map is measured, so 0 is taken: what no rigid body does (finite duration, "
-    "compliance) counts against the model"
+    "model discrepancy of the rigid impact map is not known and taken as 0: finite duration and compliance of real "
+    "impacts count against the model"
 )
 NO_REPEATS = (
     "too few rows are repeats of each other (column 'condition'), so blocks of neighbouring rows are held out instead"
 )
 NO_NOISE = (
-    "how large the noise is, nothing says: neither repeats nor columns 'v_noise [m/s]' and 'w_noise [rad/s]'; what no "
-    "effect explains may be noise or not"
+    "the noise is not known: there are neither repeats nor columns 'v_noise [m/s]' and 'w_noise [rad/s]'; unexplained "
+    "residuals may be noise"
 )
 
 
@@ -95,22 +94,22 @@ class ImpactTableSource(Source):
     """A table of impacts against the impact map of a model.
 
     Args:
-        table: What was measured.
-        model: What is believed.
+        table: The measurements.
+        model: The model.
 
     Attributes:
         predicted: u^+ of the model in the axes of the features, ``(rows, nv)`` [rad/s, m/s].
-        measured: The same as measured.
+        measured: Measured u^+, as ``predicted``.
 
     Raises:
-        InputError: With this model some row has no answer.
+        InputError: The impact map has no solution for some row.
     """
 
     cheap = True
     residual_unit = "m/s"
     pieces = "blocks of rows"
     of_motion = False
-    least_change = 0.0  # what matters is told by floors; rows are independent, as samples of a torque are not
+    least_change = 0.0  # relevance limits decide; rows are independent, unlike samples of a torque
 
     def __init__(self, table: ImpactTable, model: Model, each_arm: bool = False) -> None:
         model = with_per_arm_parameters(model, [row.physics for row in table.rows], each_arm)
@@ -134,13 +133,13 @@ class ImpactTableSource(Source):
 
     @property
     def identity(self) -> Identity:
-        """See :attr:`Source.identity`; where nothing was repeated, the table stands for its conditions."""
+        """See :attr:`Source.identity`; without repeats the table counts as its only condition."""
         names = tuple(item.name for item in self.clusters) if self.repeated else (self.table.path.name,)
         return Identity(self.table.digest, len(self.table.rows), names)
 
     @cached_property
     def signals(self) -> tuple[Feature, ...]:
-        """What the entries of a row are, whatever it hits with, ``nv`` of them."""
+        """Description of the entries of a row, the same for all rows, ``nv`` of them."""
         found = []
         for name in self.table.rows[0].impact.arms:
             label = f"{name}." if len(self.table.arms) > 1 else ""
@@ -153,7 +152,7 @@ class ImpactTableSource(Source):
 
     @cached_property
     def worth(self) -> Array:
-        """Velocity of the body that holds the energy of 1 rad/s or 1 m/s, ``(rows, nv)`` [m, -]; see the module."""
+        """Velocity of the body with the energy of 1 rad/s or 1 m/s, ``(rows, nv)`` [m, -]; see the module."""
         found = []
         for number in range(len(self.table.rows)):
             physics = self._physics(number, ())
@@ -182,7 +181,7 @@ class ImpactTableSource(Source):
         return found
 
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
-        """See :meth:`Source.measure_again`; every repeat starts where it started."""
+        """See :meth:`Source.measure_again`; every repeat starts from its own state."""
         numbers = {item.name: number for number, item in enumerate(self.clusters)}
         result = []
         for item in like:
@@ -195,10 +194,10 @@ class ImpactTableSource(Source):
         return result
 
     def predicted_with(self, added: Added) -> Array:
-        """u^+ of all rows with effects on top of the model, as ``predicted``, ``(rows, nv)`` [rad/s, m/s].
+        """u^+ of all rows for the model with effects, as ``predicted``, ``(rows, nv)`` [rad/s, m/s].
 
         Raises:
-            InputError: The effects leave no body, or some row has no answer.
+            InputError: The effects give a body without positive inertia, or some row has no solution.
         """
         return self._predict_all(added)
 
@@ -209,7 +208,7 @@ class ImpactTableSource(Source):
         return float(np.sqrt(np.mean(np.sum(np.square((self.measured - self.predicted) * self.worth), axis=1))))
 
     def noise_size(self) -> float | None:
-        """What :meth:`size` is if only noise is left; None where nothing is known of it."""
+        """Value of :meth:`size` if only noise is left; None if the noise is not known."""
         if self.repeated:
             return super().noise_size()
         if self.table.noise is None:
@@ -217,15 +216,15 @@ class ImpactTableSource(Source):
         return float(np.sqrt(np.mean(np.sum(np.square(self.table.noise * self.worth), axis=1))))
 
     def tracks(self, added: Added = ()) -> tuple[TrackSet, ...]:
-        """Measured and predicted velocities by row, to be drawn against each other.
+        """Measured and predicted velocities by row, for a scatter plot.
 
         Args:
-            added: Effects that were found on top of the model; shown beside it.
+            added: Effects found in addition to the model; shown as a second prediction.
         """
         predictions = {"the model": self.predicted}
         if added:
             found = self.predicted_with(added)
-            predictions = {"the model as it is": self.predicted, "the model with what was found": found}
+            predictions = {"model": self.predicted, "model with the effects found": found}
         number = np.array([float(row.number) for row in self.table.rows])
         return tuple(
             TrackSet(
@@ -245,7 +244,7 @@ class ImpactTableSource(Source):
         for number, row in enumerate(self.table.rows):
             physics = self._physics(number, added)
             if physics is None:
-                raise InputError("with these effects there is no body", file=self.table.path)
+                raise InputError("with these effects the body has no positive inertia", file=self.table.path)
             try:
                 found.append(self._solve(number, physics))
             except ImpactMapError as error:
@@ -258,7 +257,7 @@ class ImpactTableSource(Source):
         return self._worlds
 
     def _rows(self, number: int, added: Added) -> Array | None:
-        """u^+ of the rows of a cluster, ``(n, nv)``; None where there is none."""
+        """u^+ of the rows of a cluster, ``(n, nv)``; None without a solution."""
         found = []
         for row in self._groups[number].rows:
             physics = self._physics(row, added)
@@ -271,7 +270,7 @@ class ImpactTableSource(Source):
         return np.array(found)
 
     def _physics(self, number: int, added: Added) -> Physics | None:
-        """Physics of a row with effects on top of the model; None where they leave no body."""
+        """Physics of a row with added effects; None if they give a body without positive inertia."""
         base = id(self.table.rows[number].physics)
         if (base, added) not in self._applied:
             physics = self._applied[base, ()]
@@ -286,7 +285,7 @@ class ImpactTableSource(Source):
         return self._applied[base, added]
 
     def _solve(self, number: int, physics: Physics) -> Array:
-        """u^+ of one row as a feature, ``(nv,)``; what the map does not depend on makes no new question."""
+        """u^+ of one row as a feature, ``(nv,)``; cached by everything the map depends on."""
         key = (number, _what_the_map_knows(physics))
         if key not in self._known:
             impact = self.table.rows[number].impact
@@ -295,7 +294,7 @@ class ImpactTableSource(Source):
         return self._known[key]
 
     def _robots(self, physics: Physics) -> dict[str, RobotModel]:
-        """Rigid-body models; kept with physics that are kept, so an id cannot come to mean another."""
+        """Rigid-body models, cached by id; the cached physics are kept alive, so ids stay unique."""
         if id(physics) not in self._models:
             self._models[id(physics)] = physics.robot_models()
         return self._models[id(physics)]
@@ -333,7 +332,7 @@ class ImpactTableSource(Source):
         )
 
     def _phase(self, number: int) -> str:
-        """What a body is hit on."""
+        """Phase name of a row: the part of the body that is hit."""
         impact = self.table.rows[number].impact
         if impact.arms:
             return "on the pad"
@@ -350,11 +349,11 @@ class ImpactTableSource(Source):
             shown = ", ".join(str(number) for number in gained[:5]) + (" ..." if len(gained) > 5 else "")
             remarks.append(
                 f"{len(gained)} of {len(self.table.rows)} rows leave with over {100.0 * (GAINED - 1.0):.0f} % more "
-                f"kinetic energy than they came with (rows {shown}): no impact does that; something pushed, or "
-                "velocities are off"
+                f"kinetic energy than before (rows {shown}), which no impact can cause: an external force acted, or "
+                "velocities are wrong"
             )
         if self.table.unread:
-            remarks.append(f"columns that mean nothing here: {', '.join(self.table.unread)}")
+            remarks.append(f"columns that are not used: {', '.join(self.table.unread)}")
         return remarks
 
     def _energy_ratio(self, number: int) -> float:
@@ -368,7 +367,7 @@ class ImpactTableSource(Source):
 
 
 def _conditions(table: ImpactTable) -> list[_Group] | None:
-    """Conditions with their repeats; None where too little is repeated."""
+    """Conditions with their repeats; None with too few repeats."""
     grouped: dict[str, list[int]] = {}
     for number, row in enumerate(table.rows):
         name = ", ".join(filter(None, (row.thing, row.condition))) if row.condition else f"row {row.number}"
@@ -380,7 +379,7 @@ def _conditions(table: ImpactTable) -> list[_Group] | None:
 
 
 def _blocks(table: ImpactTable) -> list[_Group]:
-    """Runs of neighbouring rows of about one length, all of one unit."""
+    """Blocks of neighbouring rows of about equal length, within one unit."""
     count = len(table.rows)
     blocks = min(count, BLOCKS)
     edges = np.arange(blocks + 1) * count // blocks
@@ -392,7 +391,7 @@ def _blocks(table: ImpactTable) -> list[_Group]:
 
 
 def _axes_of(impact: MeasuredImpact) -> Array:
-    """Axes of the features in A, as rows, ``(3, 3)``: of the contact of a free body, else those of A."""
+    """Axes of the features in A, as rows, ``(3, 3)``: contact axes of a free body, else the axes of A."""
     if impact.arms:
         return np.eye(3)
     normal = impact.points[0].normal
@@ -404,19 +403,19 @@ def _axes_of(impact: MeasuredImpact) -> Array:
 
 
 def _turned(velocity: Array, axes: Array) -> Array:
-    """u ``(nv,)`` with velocity and angular velocity of the body in other axes."""
+    """u ``(nv,)`` with velocity and angular velocity of the body expressed in other axes."""
     count = velocity.size - 6
     return np.concatenate((velocity[:count], axes @ velocity[count : count + 3], axes @ velocity[count + 3 :]))
 
 
 def _what_the_map_knows(physics: Physics) -> bytes:
-    """All numbers that the answer of an impact map depends on, besides its state."""
+    """All numbers that the solution of an impact map depends on, besides its state."""
     thing = physics.object
     parts = [np.array([physics.support_friction, physics.pad_friction, restitution_of(physics)]), thing.com_offset]
     if physics.arms:
         parts += [np.array([thing.mass]), thing.inertia]
     else:
-        # Against something fixed the mass cancels; what is left of it are last digits.
+        # Against a fixed body the mass cancels, up to rounding.
         parts += [np.array([float(f"{moment:.12g}") for moment in thing.inertia / thing.mass])]
     for arm in physics.arms.values():
         tool = arm.end_effector

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When something was hit, from joint signals alone: the momentum observer with a threshold above its own noise."""
+"""Detection of impacts from joint signals: momentum observer with a threshold above its own noise."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from impact_rs_sim.scenario import Detection
 
 OBSERVER_GAIN = 500.0  # 1/s
 TIMES_NOISE = 8.0  # the threshold over the noise of the observed force
-SHARE_OF_PEAK = 0.15  # the threshold over the largest force: what begins there leads up to it
-FAST = 0.25  # share of the largest speed; nothing is hit on purpose below it
+SHARE_OF_PEAK = 0.15  # the threshold over the largest force
+FAST = 0.25  # share of the largest speed; slower contacts are no planned impact
 SETTLES = 0.01  # s, five time constants of the observer
 QUIET = 0.02  # s before the largest force that may belong to the impact
 
 
 def impacts_of(run: Run) -> dict[str, tuple[float, float]]:
-    """By arm, begin of the impact [s] and the loss of speed that says so [m/s].
+    """Begin of the impact [s] and its loss of speed [m/s], by arm.
 
     Raises:
-        InputError: An arm hits nothing.
+        InputError: An arm has no impact.
     """
     found = {}
     for name, arm in run.signals.arms.items():
@@ -36,7 +36,7 @@ def impacts_of(run: Run) -> dict[str, tuple[float, float]]:
         time = run.signals.time
         observed = observe(time, arm.position, arm.velocity, arm.torque, model)
         velocity, force = observed.velocity, observed.sudden
-        for start, end in run.gaps:  # what was interpolated ends with a start, which is no impact
+        for start, end in run.gaps:  # the end of an interpolated gap looks like an impact
             force[(time > start) & (time < end + SETTLES)] = 0.0
         row = first_rise(force, np.linalg.norm(velocity, axis=1), run.period)
         begin, level = None, None
@@ -53,7 +53,7 @@ def impacts_of(run: Run) -> dict[str, tuple[float, float]]:
 
 @dataclass(frozen=True)
 class Observed:
-    """What joint signals say of the end effector.
+    """End-effector signals estimated from joint signals.
 
     Attributes:
         velocity: Of the origin of E in A, ``(k, 3)`` [m/s].
@@ -67,7 +67,7 @@ class Observed:
 
 
 def observe(time: Array, position: Array, velocity: Array, torque: Array, model: RobotModel) -> Observed:
-    """Velocity of the end effector, and the force on it by the momentum observer.
+    """Velocity of the end effector, and the external force from the momentum observer.
 
     Args:
         time: Samples, ``(k,)`` [s].
@@ -79,7 +79,7 @@ def observe(time: Array, position: Array, velocity: Array, torque: Array, model:
     moving = np.array([(model.jacobian(q) @ dq)[:3] for q, dq in zip(position, velocity, strict=True)])
     fastest = moving[int(np.argmax(np.linalg.norm(moving, axis=1)))]
     period = float(np.median(np.diff(time)))
-    gain = min(OBSERVER_GAIN, 1.0 / period)  # from twice that on, the observer's steps grow without bound
+    gain = min(OBSERVER_GAIN, 1.0 / period)  # above 2 / period the discrete observer is unstable
     settings = Detection(observer_gain=gain, threshold=1e9, arm_before=1.0)
     direction = fastest / (np.linalg.norm(fastest) or 1.0)  # an arm at rest has none
     detector = ImpactDetector(model, settings, direction, period)
@@ -91,7 +91,7 @@ def observe(time: Array, position: Array, velocity: Array, torque: Array, model:
 
 
 def first_rise(force: Array, speed: Array, period: float) -> int | None:
-    """Sample in which a sudden force begins; None where there is none.
+    """Sample in which a sudden force begins; None without one.
 
     Args:
         force: Sudden part of the force, ``(k,)`` [N].

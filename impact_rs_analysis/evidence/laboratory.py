@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of a laboratory as measured runs: what its experiment file says, and a clock that command and state share."""
+"""Laboratory runs as measured runs: experiment file, and synchronisation of command and state clocks."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from impact_rs_trials.recordings.experiment import Experiment
 from impact_rs_trials.recordings.laboratory import LaboratoryRun, read_laboratory
 from impact_rs_trials.workers import Map
 
-OUT_OF_REACH = 5.0  # m, where the object stands in a free motion
-LARGEST_OFFSET = 0.5  # sampling periods; a later command is a delay, which the diagnosis shall find
-SLOPE = 0.002  # s, over which the command is averaged at both ends of a window for its slope
-SURE = 3.0  # standard errors; an offset that is so far beyond the largest is a delay
+OUT_OF_REACH = 5.0  # m, distance of the object in free motion
+LARGEST_OFFSET = 0.5  # sampling periods; a larger offset is a delay, left to the diagnosis
+SLOPE = 0.002  # s, averaging time of the command at both ends of a window, for its slope
+SURE = 3.0  # standard errors; an offset this far beyond the largest is a delay
 LEAST_WINDOWS = 8  # of a joint, for five terms
 
 
@@ -38,18 +38,18 @@ def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map
 
     Args:
         directory: Folder of the recordings.
-        experiment: Says what they are.
+        experiment: Description of the recordings.
         map_tasks: Parallel map.
 
     Raises:
-        InputError: Something cannot be used; says what and where.
+        InputError: A file cannot be used; the message names it.
     """
     recorded_runs, skipped = read_laboratory(directory, experiment, map_tasks)
     scenario = experiment.load_scenario()
     runs = [run_of(item, scenario) for item in recorded_runs]
     remarks = [f"{item.name}: {remark}" for item in recorded_runs for remark in item.remarks]
-    told = {arm: command_offset(runs, arm) for arm in scenario.robots}
-    offsets = {arm: offset for arm, (offset, _) in told.items()}
+    estimates = {arm: command_offset(runs, arm) for arm in scenario.robots}
+    offsets = {arm: offset for arm, (offset, _) in estimates.items()}
     runs = [_shifted(run, offsets) for run in runs]
     for arm, offset in offsets.items():
         if offset == 0.0:
@@ -57,20 +57,20 @@ def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map
         whose = f"commands of arm {arm!r}" if len(offsets) > 1 else "commands"
         remarks.append(
             f"{whose} act {1e3 * abs(offset):.2f} ms {'after' if offset > 0.0 else 'before'} their stamps, by the "
-            "torque balance of free motion: shifted by that, as it is less than half a sampling period and says "
-            "nothing of the robot"
+            "torque balance of free motion; they are shifted by that (below half a sampling period it is an offset of "
+            "clocks)"
         )
     measured = list(map_tasks(measured_or_why_not, runs))
     names = {str(item.path): item.name for item in recorded_runs}
     remarks += [
-        f"{names[str(run.path)]}: {len(run.lost)} of {run.free} windows of free motion are left out, for a gap "
-        "falls into them, and of all runs like it the same ones"
+        f"{names[str(run.path)]}: {len(run.lost)} of {run.free} windows of free motion touch a gap, and are dropped "
+        "from all runs of this kind"
         for run in measured
         if isinstance(run, MeasuredRun) and run.lost
     ]
     found = Runs.of(directory, [*measured, *skipped])
     clock = LARGEST_OFFSET * max((run.period for run in runs if run.command), default=0.0)
-    late = _late(found, runs, {arm: error for arm, (_, error) in told.items()}, map_tasks)
+    late = _late(found, runs, {arm: error for arm, (_, error) in estimates.items()}, map_tasks)
     return replace(found, remarks=tuple(_merged(remarks)), clock=clock, late=late)
 
 
@@ -89,7 +89,7 @@ def _late(found: Runs, runs: Sequence[Run], errors: Mapping[str, float], map_tas
 
 
 def measured_or_why_not(run: Run) -> MeasuredRun | tuple[str, str]:
-    """The measured run, or its path and why it cannot be used."""
+    """The measured run, or its path and the reason why it cannot be used."""
     try:
         return MeasuredRun.of(run)
     except InputError as error:
@@ -97,7 +97,7 @@ def measured_or_why_not(run: Run) -> MeasuredRun | tuple[str, str]:
 
 
 def run_of(item: LaboratoryRun, scenario: Scenario) -> Run:
-    """A run of a laboratory in the scene of its scenario."""
+    """A laboratory run in the scene of its scenario."""
     thing = item.object or next(iter(scenario.objects))
     place = resting_pose(scenario, thing)
     if not item.hit:
@@ -114,7 +114,7 @@ def run_of(item: LaboratoryRun, scenario: Scenario) -> Run:
         )
         for name, own in item.arms.items()
     }
-    known = all(own.command_time.size for own in item.arms.values())  # the same drives all arms of a replay
+    known = all(own.command_time.size for own in item.arms.values())  # all arms of a replay have the same drive
     return Run(
         path=item.path,
         condition="/".join(part for part in (item.object or "free motion", item.condition) if part),
@@ -138,19 +138,19 @@ def _shifted(run: Run, offsets: Mapping[str, float]) -> Run:
 
 
 def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
-    """How much later than their stamps an arm's commands act, and its standard error [s]; 0 where it is a delay.
+    """Offset of an arm's commands after their stamps, and its standard error [s]; 0 for an offset that is a delay.
 
     In free motion the motor-side balance of a window is
 
-        b_m = delta dtau_d/dt + (what friction, offset, gain and inertia of the joint leave of it)
+        b_m = delta dtau_d/dt + (contributions of friction, offset, gain and inertia of the joint)
 
-    to first order in the offset delta: a regression over all windows, with one delta and, for every joint, a constant,
-    the sign and the mean of its velocity, the mean torque and the acceleration beside it. A window in which a joint
-    turns back says nothing of that joint, for its dry friction has no one sign. Free motions are looked at where there
-    are any, because windows before an impact are few.
+    to first order in the offset delta. A regression over all windows has one delta and, for every joint, a constant,
+    the sign and the mean of its velocity, the mean torque and the acceleration. Windows in which a joint reverses are
+    not used for that joint, because the sign of its dry friction changes. Runs in free motion are preferred, because
+    there are few windows before an impact.
 
-    Told are mean and standard deviation of delta under the regression and the belief that any offset of less than half
-    a sampling period is as likely as any other.
+    Returned are posterior mean and standard deviation of delta, with a uniform prior over half a sampling period either
+    way.
 
     Args:
         runs: Of one laboratory.
@@ -174,33 +174,33 @@ def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
         basis = np.linalg.qr(design / np.maximum(np.linalg.norm(design, axis=0), 1e-12))[0]
         slopes.append(slope - basis @ (basis.T @ slope))
         rests.append(balance - basis @ (basis.T @ balance))
-    # Joints with less noise say more.
+    # Weights: joints with less noise count more.
     weights = [1.0 / max(float(np.std(rest)), 1e-9) for rest in rests]
     a = np.concatenate([weight * slope for weight, slope in zip(weights, slopes, strict=True)])
     b = np.concatenate([weight * rest for weight, rest in zip(weights, rests, strict=True)])
     offset = float(a @ b / (a @ a))
     error = float(np.sqrt(np.mean(np.square(b - offset * a)) / (a @ a)))
-    # When within its period a torque loop takes a command nobody tells: uniform over half of it either way.
+    # The time at which the torque loop takes a command within its period is unknown: uniform, half a period either way.
     error = math.hypot(error, chosen[0].drive_period / math.sqrt(12.0))
     largest = LARGEST_OFFSET * chosen[0].period
     if abs(offset) > largest + SURE * error:
         return 0.0, 0.0
-    believed = largest**2 / 3.0  # variance of what is equally likely up to the largest
+    believed = largest**2 / 3.0  # variance of a uniform distribution
     share = believed / (believed + error**2)
     return float(np.clip(share * offset, -largest, largest)), math.sqrt(share) * error
 
 
 def _rough_impact(run: Run) -> dict[str, float]:
-    """Before any impact: where joint velocities change fastest."""
+    """Rough time of the impact by arm: where joint velocities change fastest."""
     change = np.max([np.abs(np.diff(arm.velocity, axis=0)).max(axis=1) for arm in run.signals.arms.values()], axis=0)
     return {name: float(run.signals.time[int(np.argmax(change))]) for name in run.signals.arms}
 
 
 def _window_terms(run: Run, name: str, arm: ArmSignals, start: float) -> tuple[Array, Array]:
-    """What :func:`command_offset` needs of a window.
+    """Terms of :func:`command_offset` for one window.
 
     Returns:
-        By joint its balance, the slope of its command, and what stands beside it, ``(n, 6)``; whether it turns back,
+        By joint its balance, the slope of its command and the other regressors, ``(n, 6)``; whether it reverses,
         ``(n,)``.
     """
     time = run.signals.time
@@ -217,18 +217,18 @@ def _window_terms(run: Run, name: str, arm: ArmSignals, start: float) -> tuple[A
     ) / (end - begin)
     balance = torque - passed - physics.motor_inertia_reduced * ramp
     speed = cut.velocity.mean(axis=0)
-    # Held later by delta, the mean of the command is smaller by delta times its slope.
+    # A delay delta lowers the mean of the command by delta times its slope.
     turns = np.min(cut.velocity, axis=0) * np.max(cut.velocity, axis=0) < 0.0
     return np.column_stack((balance, slope, np.sign(speed), speed, torque, ramp)), turns
 
 
 def _held_mean(sent: Array, values: Array, start: float, end: float) -> Array:
-    """Mean over a window of commands that are held until the next, ``(n,)`` [N m]."""
+    """Mean over a window of zero-order-hold commands, ``(n,)`` [N m]."""
     return np.asarray(held_means(sent, values, np.array([start, end]))[0])
 
 
 def _merged(remarks: Sequence[str]) -> list[str]:
-    """Remarks with the runs that share them told once."""
+    """Remarks, each once with the runs that share it."""
     grouped: dict[str, list[str]] = {}
     for remark in remarks:
         name, separator, text = remark.partition(": ")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run boiled down: its windows, what a replay of them starts from, and its features."""
+"""A measured run with its windows, the start of their replay, and its features."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.spec import TrialSpec
 
 Made = TypeVar("Made")
-KEPT = 64  # free motions, or models, in the memory of a process, at most about 0.2 MB each
+KEPT = 64  # free motions, or models, cached by a process, at most about 0.2 MB each
 
 
 @dataclass(frozen=True)
 class Setup:
-    """All that a replay starts from and is driven by; no more, for it travels to worker processes.
+    """Start state and inputs of a replay; small, because it is sent to worker processes.
 
     Attributes:
-        windows: What is replayed.
+        windows: The windows of the replay.
         physics: Nominal physics of the scene.
         drive_period: Period of the torque loop [s].
-        drive: What the recorded torque goes through.
-        motor: Whether motor position and velocity are looked at.
-        tracked: Whether the object is.
-        pushes: Bins of the push; None: nothing is hit.
-        kept: Which of the features are looked at.
-        levels: By arm, loss of speed with which the impact begins [m/s].
+        drive: Model between the recorded torque and the links.
+        motor: Whether motor position and velocity are used.
+        tracked: Whether object features are used.
+        pushes: Number of bins of the push; None: free motion.
+        kept: Mask of the features that are used.
+        levels: By arm, loss of speed that marks the begin of the impact [m/s].
     """
 
     windows: tuple[Window, ...]
@@ -59,7 +59,7 @@ class Setup:
 
     @cached_property
     def digest(self) -> str:
-        """Identity of all of it."""
+        """Digest of the content."""
         facts = self.physics, self.drive_period, self.drive, self.motor, self.tracked, self.pushes, self.kept
         with np.printoptions(floatmode="unique", threshold=sys.maxsize):  # to the last bit
             text = [repr((facts, self.levels))]
@@ -75,7 +75,7 @@ class Setup:
         return hashlib.sha256("\n".join(text).encode()).hexdigest()
 
     def features_of(self, signals: Sequence[Signals]) -> Array | None:
-        """Features of its windows, measured or replayed, ``(F,)``; None where nothing is hit."""
+        """Features of its windows, measured or replayed, ``(F,)``; None without an expected impact."""
         arms = {
             name: (arm, _models.of((self.digest, name), partial(self.physics.robot_model, name)))
             for name, arm in self.physics.arms.items()
@@ -96,12 +96,12 @@ class Setup:
         return None if found is None else found[list(self.kept)]
 
     def replayed(self, physics: Physics) -> list[Signals]:
-        """What the plant does in the windows under other physics.
+        """Simulation of the windows under other physics.
 
-        Free motion knows nothing of pad, object and support: where nothing else changed, it is taken as it was.
+        Free motion does not depend on pad, object and support: if only these change, it is taken from the cache.
 
         Raises:
-            NotABody: Mass and inertia of an end effector are those of no body.
+            NotABody: Mass and inertia of an end effector are not those of a body.
         """
         free = [window for window in self.windows if not window.contact]
         if not free or len(free) == len(self.windows):
@@ -118,17 +118,17 @@ class MeasuredRun:
 
     Attributes:
         path: Where it was read from.
-        condition: What it shares with its repeats.
+        condition: Name of the condition, the same for repeats.
         place: Scenario, object and case or condition.
-        hit: Whether something is hit.
+        hit: Whether there is an impact.
         axis: Axis of A along which the scenario moves.
-        spec: What was planned, of a trial of our own.
-        setup: What a replay starts from.
-        features: What the entries of its feature vector are.
-        measured: The measured ones, ``(F,)``.
-        signals: What was measured in its windows.
-        impacts: Begin of the impact by arm [s]; empty where nothing is hit.
-        free: Windows of free motion that there are without gaps.
+        spec: Plan of a native trial.
+        setup: Start state and inputs of a replay.
+        features: Description of the entries of its feature vector.
+        measured: Measured features, ``(F,)``.
+        signals: Signals in its windows.
+        impacts: Begin of the impact by arm [s]; empty in free motion.
+        free: Number of windows of free motion, including those with gaps.
     """
 
     path: Path
@@ -146,17 +146,17 @@ class MeasuredRun:
 
     @classmethod
     def of(cls, run: Run) -> MeasuredRun:
-        """Find the impact, cut the run into windows, and boil them down.
+        """Find the impact, cut the run into windows, and compute their features.
 
         Raises:
-            InputError: Nothing is hit where something should be, or the signals do not cover the windows.
+            InputError: An expected impact is missing, or the signals do not cover the windows.
         """
         found = impacts_of(run) if run.hit else {}
         impacts = {name: begin for name, (begin, _) in found.items()}
         windows = windows_of(run, impacts)
         starts = free_starts(run, impacts)
         if not windows:
-            what = "gaps leave no window" if starts else "nothing moves for as long as a window"
+            what = "gaps leave no window" if starts else "no joint moves for the length of a window"
             raise InputError(f"{what} of free motion")
         pushes = pushes_recorded(max(impacts.values()), float(windows[-1].time[-1])) if impacts else None
         tracked = bool(impacts) and run.signals.object_time.size > 1
@@ -169,7 +169,7 @@ class MeasuredRun:
             run.motor_measured,
             tracked,
         )
-        if run.gaps:  # what lies at the same place of the motion has the same name in every repeat
+        if run.gaps:  # windows at the same place of the motion have the same name in every repeat
             features = tuple(replace(f, bin=numbers[f.bin]) if f.phase == "free" else f for f in features)
         setup = Setup(
             windows=tuple(windows),
@@ -185,7 +185,7 @@ class MeasuredRun:
         signals = tuple(_within(run.signals, window) for window in windows)
         measured = setup.features_of(signals)
         if measured is None:
-            raise InputError("nothing is hit: the end effector loses no speed")
+            raise InputError("no impact found: the end effector loses no speed")
         if not np.isfinite(measured).all():
             raise InputError("its signals do not cover the windows about the impact")
         return cls(
@@ -205,7 +205,7 @@ class MeasuredRun:
 
     @property
     def free_part(self) -> MeasuredRun | None:
-        """The run before anything was hit; None where no window of free motion is."""
+        """The run before the impact; None without a window of free motion."""
         windows = tuple(window for window in self.setup.windows if not window.contact)
         if len(windows) == len(self.setup.windows):
             return self
@@ -236,17 +236,17 @@ class MeasuredRun:
 
     @property
     def lost(self) -> tuple[int, ...]:
-        """Windows of free motion that gaps took, of this run or of a repeat."""
+        """Windows of free motion dropped for gaps, in this run or in a repeat."""
         return tuple(sorted(set(range(self.free)) - {f.bin for f in self.features if f.phase == "free"}))
 
     @property
     def family(self) -> tuple[object, ...]:
-        """What it has in common with runs that have the same features but for gaps."""
+        """Key of runs that would have the same features without gaps."""
         further = tuple(feature for feature in self.features if feature.phase != "free")
         return (self.hit, *self.setup.physics.arms, self.free, further)
 
     def only(self, features: set[Feature]) -> MeasuredRun:
-        """The same with some of its features."""
+        """The run with some of its features."""
         rows = [number for number, feature in enumerate(self.features) if feature in features]
         if len(rows) == len(self.features):
             return self
@@ -260,13 +260,13 @@ class MeasuredRun:
 
 
 class _Recent(Generic[Made]):
-    """What a process made last."""
+    """Cache of the results that a process made last."""
 
     def __init__(self) -> None:
         self._kept: OrderedDict[Hashable, Made] = OrderedDict()
 
     def of(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """What was made for a key, made now if it is not there."""
+        """The result for a key, made if missing."""
         if key not in self._kept:
             self._kept[key] = make()
             if len(self._kept) > KEPT:
@@ -280,13 +280,13 @@ _free_motions = _Recent[list[Signals]]()
 
 
 def _free_physics(physics: Physics) -> bytes:
-    """What free motion depends on, to the last bit."""
+    """Digest of everything that free motion depends on."""
     arms = {name: replace(arm, pad_stiffness=None, pad_damping=0.0) for name, arm in physics.arms.items()}
     return pickle.dumps((arms, physics.gravity))
 
 
 def _within(signals: Signals, window: Window) -> Signals:
-    """What was measured in a window."""
+    """Signals in a window."""
     first = int(np.argmin(np.abs(signals.time - window.time[0])))
     rows = slice(first, first + window.time.size)
     arms = {name: arm.at(rows) for name, arm in signals.arms.items()}

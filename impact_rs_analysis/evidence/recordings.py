@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of free motion as a source of evidence: clusters are stretches of time, a torque balance predicts them.
+"""Recordings of free motion as a source of evidence: clusters are stretches of time, predicted by a torque balance.
 
-Stretches are about a second long, longer than the noise of a low-passed torque remembers. Torques are divided by the
-root mean square of what the model leaves in their joint, so that every joint counts alike; the pure error is the noise
+Stretches last about a second, longer than the correlation time of the low-passed torque noise. Torques are divided by
+the root mean square of the residual of their joint, so that all joints have equal weight; the pure error is the noise
 of the recorded torque below the cut-off.
 """
 
@@ -30,25 +30,25 @@ SIGNAL = "torque"
 PHASES = ("moving up", "moving down", "slow")
 
 REMARKS = (
-    "one recording is one condition: stretches of time are held out in its place, and whether the estimates hold at "
-    "other speeds, poses or temperatures is not tested",
-    "nothing was repeated, so there is no pure error: the noise floor is that of the torque signal, and a model error "
-    "larger than it does not have to come from an effect of the library",
+    "a recording is one condition: stretches of it are held out, so estimates are not tested at other speeds, poses or "
+    "temperatures",
+    "without repeats there is no pure error: the noise is that of the torque signal, and residuals above it need not "
+    "come from an effect of the library",
 )
 BEHIND_MOTORS = "the torque was measured behind the motors, so their inertia is not in it"
 
 
 @dataclass(frozen=True)
 class RecordingFacts:
-    """What was read, and how it was filtered.
+    """How recordings were read and filtered.
 
     Attributes:
         files: Paths of the recordings.
-        robot: Robot facts that were taken.
-        end_effector_mass_kg: What the mapping says is mounted [kg].
+        robot: Robot facts that were used.
+        end_effector_mass_kg: Mounted mass by the mapping [kg].
         samples: Samples read.
         recorded_s: Their duration [s].
-        used_s: What is left between the edges [s].
+        used_s: Duration without the edges [s].
         sampled_Hz: Sampling rate [Hz].
         low_pass_Hz: Cut-off of the low-pass [Hz].
         signals: Signals that were found.
@@ -84,18 +84,18 @@ class RecordingSource(Source):
     """Recordings of free motion against the torque balance of a model.
 
     Args:
-        recordings: What was recorded.
-        mapping: What is where in it, and what was mounted.
-        model: What is believed.
+        recordings: The recordings.
+        mapping: Mapping of their signals, and the mounted mass.
+        model: The model.
         motions: Filtered recordings.
         physics: Of the arm under the model.
-        stretches: How they are cut.
+        stretches: Their stretches.
 
     Attributes:
-        balance: Predicts their torque.
+        balance: Prediction of their torque.
         rest: Recorded minus predicted torque of the model, ``(k, n)`` [N m].
         sigma: Scale of every joint, ``(n,)`` [N m].
-        reading: What the user should know of how the recordings were read.
+        reading: Remarks on how the recordings were read.
     """
 
     repeated = False
@@ -129,7 +129,7 @@ class RecordingSource(Source):
         """Filter recordings and predict them.
 
         Raises:
-            InputError: Sampled too slowly, or too short to hold anything out.
+            InputError: Sampled too slowly, or too short for a hold-out.
         """
         motions = [prepare(recording, mapping.low_pass) for recording in recordings]
         physics = model.apply(physics_of(mapping, motions))
@@ -137,7 +137,7 @@ class RecordingSource(Source):
 
     @property
     def facts(self) -> RecordingFacts:
-        """What was read."""
+        """How the recordings were read."""
         return RecordingFacts(
             files=tuple(dict.fromkeys(str(recording.path) for recording in self.recordings)),
             robot=self.mapping.robot,
@@ -177,18 +177,18 @@ class RecordingSource(Source):
         ]
 
     def rest_with(self, added: Added) -> Array:
-        """Recorded minus predicted torque with effects on top of the model, ``(k, n)`` [N m].
+        """Recorded minus predicted torque of the model with effects, ``(k, n)`` [N m].
 
         Raises:
-            InputError: The effects leave no body.
+            InputError: The effects give a body without positive inertia.
         """
         torque = self._torque(added)
         if torque is None:
-            raise InputError("with these effects the arm is no body")
+            raise InputError("with these effects the arm has no positive inertia")
         return np.asarray(self.balance.recorded - torque)
 
     def _torque(self, added: Added) -> Array | None:
-        """Predicted torque of all recordings, ``(k, n)`` [N m]; None where the effects leave no body."""
+        """Predicted torque of all recordings, ``(k, n)`` [N m]; None without positive inertia."""
         if added not in self._predicted:
             physics = self.physics
             known = self.model.known_effects
@@ -229,7 +229,7 @@ def _cut(recordings: Sequence[Recording], motions: Sequence[Motion]) -> list[Str
     """Cut the motions into stretches of one length.
 
     Raises:
-        InputError: Too short to hold anything out.
+        InputError: Too short for a hold-out.
     """
     lengths = [(motion.time[motion.kept].size, motion.rate) for motion in motions]
     total = sum(size / rate for size, rate in lengths)
@@ -245,7 +245,7 @@ def _cut(recordings: Sequence[Recording], motions: Sequence[Motion]) -> list[Str
         first += size
     if len(found) < LEAST_STRETCHES:
         raise InputError(
-            f"{total:.3g} s of usable motion, at least {LEAST_STRETCHES * SHORTEST:g} s are needed to hold some out",
+            f"{total:.3g} s of usable motion, at least {LEAST_STRETCHES * SHORTEST:g} s are needed for a hold-out",
             file=recordings[0].path,
         )
     return found

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The replay twin: the plant from a measured state, driven by recorded torque, over short windows.
 
-No controller is needed and none is modelled, so anybody's run can be replayed. Two drives:
+No controller is modelled, so runs of any controller can be replayed. Two drives:
 
-    command         recorded desired torque through torque loop, motor and transmission; explains all of them
-    joint torque    recorded tau_J straight into the links; explains links, contact and object, and knows no gear
+    command         recorded desired torque through torque loop, motor and transmission
+    joint torque    recorded tau_J applied to the links; covers links, contact and object only
 
-Windows are stretches of free motion, and one about the impact. Their start is a local fit of what was measured: q and
-dq together (cubic), tau_J (quadratic), from which the motor's state follows by the spring,
+Windows are stretches of free motion, and one about the impact. Their start is a local fit to the measurement: q and dq
+together (cubic), and tau_J (quadratic), from which the motor state follows by the spring,
 
     theta = q + tau_J / K,    dtheta = dq + dtau_J / K                                     (paper eq. EOM_motor)
 
-Open loop, errors grow with time: a window is long enough to show an effect and short enough to stay near the path.
+Errors grow with time in open loop: windows are long enough to show an effect, and short enough to stay near the path.
 """
 
 from __future__ import annotations
@@ -36,29 +36,29 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState
 
 FREE = 0.1  # s, length of a window of free motion
-FREE_OF_HIT, FREE_ALONE = 4, 12  # windows of free motion in a run that hits something, and in one that does not
-MOVING = 0.05  # share of the largest joint speed from which on an arm is said to move
-BEFORE_IMPACT = 0.02  # s, the window about the impact begins so long before it
-AFTER_IMPACT = 0.4  # s, and ends so long after it
+FREE_OF_HIT, FREE_ALONE = 4, 12  # windows of free motion in a run with an impact, and in one without
+MOVING = 0.05  # share of the largest joint speed above which an arm counts as moving
+BEFORE_IMPACT = 0.02  # s, from the begin of the window about the impact to the impact
+AFTER_IMPACT = 0.4  # s, from the impact to the end of that window
 FIT = 0.008  # s, half width of the local fit for the start; ends before the impact begins
 RESTING = 25  # samples of the object before the impact, averaged for its pose
-EARLIER = 0.03  # s, commands before the start that a delayed actuation may still deliver
+EARLIER = 0.03  # s before the start, whose commands a delayed actuation may still deliver
 
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of a run to be replayed.
+    """A stretch of a run for replay.
 
     Attributes:
         contact: Whether it holds the impact.
-        number: Place among the windows of free motion that there are without gaps; 0 of the one about the impact.
+        number: Number among all windows of free motion, including those with gaps; 0 for the one about the impact.
         time: Ticks, ``(k,)`` [s].
         arms: Joint states at its start.
         drives: State of the drives at its start.
         object: State of the object at its start.
         torque: By arm, driving torques in the order in which they act, ``(m, n)`` [N m].
-        acting: By arm, which of them acts in every period of the torque loop, ``((k - 1) s,)``.
-        seen: When the object was tracked, ``(m,)`` [s].
+        acting: By arm, row of ``torque`` in every period of the torque loop, ``((k - 1) s,)``.
+        seen: Times at which the object was tracked, ``(m,)`` [s].
     """
 
     contact: bool
@@ -79,7 +79,7 @@ class Window:
     def delivered(self, arm: str, delay: float, period: float) -> Array:
         """Driving torque that arrives in every period of the torque loop after a delay, ``(s, n)`` [N m].
 
-        The mean of the held torques over the period that began ``delay`` ago, as the drive has it.
+        The mean of the held torques over the period that began ``delay`` ago, as in the drive.
 
         Args:
             arm: Name of the arm.
@@ -102,11 +102,11 @@ class Window:
 
 
 def windows_of(run: Run, impacts: dict[str, float]) -> list[Window]:
-    """How a run is cut: windows of free motion, then the one about the impact.
+    """Windows of a run: those of free motion, then the one about the impact.
 
     Args:
         run: The run.
-        impacts: Begin of the impact by arm [s]; empty where nothing is hit.
+        impacts: Begin of the impact by arm [s]; empty in free motion.
 
     Raises:
         InputError: A gap lies in the window about the impact.
@@ -131,14 +131,14 @@ def windows_of(run: Run, impacts: dict[str, float]) -> list[Window]:
 
 
 def recorded(run: Run, start: float) -> bool:
-    """Whether no gap lies in the window of free motion that begins at ``start`` [s], nor in what it is fitted to."""
+    """Whether the window of free motion from ``start`` [s], and the fit of its start, are free of gaps."""
     return not run.within_gap(start - FIT, start + FREE + FIT)
 
 
 def free_starts(run: Run, impacts: dict[str, float]) -> list[float]:
-    """Where windows of free motion begin [s], spread evenly over what moves before an impact.
+    """Begin of the windows of free motion [s], spread evenly over the motion before an impact.
 
-    Gaps do not shift them, so that those of repeats lie at the same place of the motion.
+    Gaps do not shift them, so that windows of repeats lie at the same place of the motion.
     """
     time = run.signals.time
     speed = np.max([np.abs(arm.velocity).max(axis=1) for arm in run.signals.arms.values()], axis=0)
@@ -158,7 +158,7 @@ def free_starts(run: Run, impacts: dict[str, float]) -> list[float]:
 
 
 def _window(run: Run, start: float, end: float, thing: BodyState, number: int | None) -> Window:
-    """A window of free motion, or without a number the one about the impact."""
+    """Window of free motion; without a number, the one about the impact."""
     contact = number is None
     time = run.signals.time
     first, last = (int(np.argmin(np.abs(time - moment))) for moment in (start, end))
@@ -187,19 +187,19 @@ def _window(run: Run, start: float, end: float, thing: BodyState, number: int | 
 
 
 def _held(sent: Array, values: Array, grid: Array, period: float) -> tuple[Array, NDArray[np.int32]]:
-    """Commands that are held until the next, by period of the torque loop.
+    """Zero-order-hold commands by period of the torque loop.
 
     Args:
-        sent: When they begin to act, ``(c,)`` [s].
+        sent: Times at which they take effect, ``(c,)`` [s].
         values: What they are, ``(c, n)`` [N m].
-        grid: Where the periods begin, ``(s,)`` [s].
-        period: How long they are [s].
+        grid: Begin of the periods, ``(s,)`` [s].
+        period: Duration of a period [s].
 
     Returns:
-        Torques in the order in which they act, ``(m, n)``, and which of them acts in every period, ``(s,)``; where a
-        command begins within a period, the means over the periods.
+        Torques in the order in which they act, ``(m, n)``, and the row that acts in every period, ``(s,)``; with
+        commands that change within a period, the means over the periods.
     """
-    edge = 4e-3 * period  # a command on the edge of a period belongs to it, whatever rounding says
+    edge = 4e-3 * period  # tolerance: a command on the edge of a period belongs to it
     rows, last = (
         np.maximum(np.searchsorted(sent, moments, side="right") - 1, 0)
         for moments in (grid + edge, grid + period - edge)
@@ -210,12 +210,12 @@ def _held(sent: Array, values: Array, grid: Array, period: float) -> tuple[Array
 
 
 def held_means(sent: Array, values: Array, edges: Array) -> Array:
-    """Means, from edge to edge, of commands that are held until the next, ``(s, n)`` [N m].
+    """Means of zero-order-hold commands from edge to edge, ``(s, n)`` [N m].
 
     Args:
-        sent: When they begin to act, ``(c,)`` [s]; the first has acted before, too.
+        sent: Times at which they take effect, ``(c,)`` [s]; the first one also acts before.
         values: What they are, ``(c, n)`` [N m].
-        edges: Moments, ``(s + 1,)`` [s].
+        edges: Edges in time, ``(s + 1,)`` [s].
     """
     first = max(int(np.searchsorted(sent, edges[0], side="right")) - 1, 0)
     last = max(int(np.searchsorted(sent, edges[-1])), first + 1)
@@ -229,7 +229,7 @@ def held_means(sent: Array, values: Array, edges: Array) -> Array:
 def _near(time: Array, moment: float) -> slice:
     first = int(np.searchsorted(time, moment - FIT - 1e-9))
     last = int(np.searchsorted(time, moment + FIT + 1e-9))
-    if last - first < 5:  # sampled too slowly for the fit's width: the nearest five
+    if last - first < 5:  # slow sampling: the nearest five samples
         first = max(0, min(first - 2, time.size - 5))
         last = first + 5
     return slice(first, last)
@@ -261,22 +261,22 @@ def _slope_fit(time: Array, values: Array, moment: float) -> tuple[Array, Array]
 
 
 def _noise(values: Array, least: float) -> float:
-    """Noise of a smooth signal, from its third differences (an impact is rare: their median counts)."""
+    """Noise of a smooth signal, from the median of its third differences, which ignores the impact."""
     third = np.diff(values, 3)
     return max(float(np.median(np.abs(third))) / (0.6745 * math.sqrt(20.0)), least)
 
 
 def replay(windows: Sequence[Window], physics: Physics, drive_period: float, drive: DriveName) -> list[Signals]:
-    """What the plant does in every window.
+    """Simulated signals of every window.
 
     Args:
         windows: Windows of one run.
-        physics: What is believed.
+        physics: Physics of the model.
         drive_period: Period of the torque loop [s].
-        drive: What the recorded torque goes through.
+        drive: Model between the recorded torque and the links.
 
     Raises:
-        NotABody: Mass and inertia of an end effector are those of no body.
+        NotABody: Mass and inertia of an end effector are not those of a body.
     """
     kind = Drive if drive == "command" else LinkTorque
     for name, arm in physics.arms.items():
@@ -302,7 +302,7 @@ def replay(windows: Sequence[Window], physics: Physics, drive_period: float, dri
 def _freely(
     windows: Sequence[Window], physics: Physics, period: float, kind: type[Drive] | type[LinkTorque]
 ) -> list[Signals]:
-    """Windows without contact, all of one length, at once."""
+    """Simulated windows of free motion, all of one length, in one batch."""
     arms: list[dict[str, ArmSignals]] = [{} for _ in windows]
     for name, arm in physics.arms.items():
         stretches = [
@@ -333,7 +333,7 @@ def _replayed(window: Window, mechanics: Mechanics) -> Signals:
     }
     poses = np.empty((ticks, 7))
     substeps = window.substeps
-    # One object for as long as a command is held: the torque loop works it out once.
+    # One torque object per held command, so that the torque loop evaluates it once.
     held = {name: list(window.torque[name]) for name in names}
     desired = {name: [held[name][row] for row in window.acting[name]] for name in names}
     for tick in range(ticks):
@@ -349,19 +349,19 @@ def _replayed(window: Window, mechanics: Mechanics) -> Signals:
         name: ArmSignals(own["q"], own["dq"], own["tau"], own["m"], own["dm"], np.zeros(0))
         for name, own in columns.items()
     }
-    # The object as it was tracked, for means over few samples depend on when they were taken.
+    # The object at the times of tracking, because means over few samples depend on their times.
     centre, yaw = mechanics.world.tracked(poses)
     seen = [np.interp(window.seen, window.time, column) for column in (*centre.T, yaw)]
     return Signals(window.time, arms, window.seen, np.column_stack(seen[:3]), seen[3])
 
 
 def _resting(signals: Signals, nominal: BodyState, until: float) -> BodyState:
-    """Where the object stands before ``until`` [s]: place and yaw as measured, upright on its support.
+    """State of the object before ``until`` [s]: position and yaw as measured, upright on its support.
 
     Args:
-        signals: What was measured; without a tracker the object stands where the scenario says.
-        nominal: Where it should stand.
-        until: When it is hit at the earliest.
+        signals: The measurement; without tracking the object is at its place in the scenario.
+        nominal: Its nominal state.
+        until: Earliest time of the impact.
     """
     rows = np.nonzero(signals.object_time < until)[0][-RESTING:]
     if rows.size == 0:

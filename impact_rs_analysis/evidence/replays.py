@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs as a source of evidence: clusters are conditions with their repeats, the replay twin predicts them."""
+"""Runs as a source of evidence: clusters are conditions with their repeats, predicted by the replay twin."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 
-MOST_MISSED = 0.5  # of the runs with a hit; with more of them left out, the model says nothing of what was measured
-SQUARE = 0.02  # rad; measured: up to 1 degree off, two simulators agree as they do on square hits
+MOST_MISSED = 0.5  # of the runs with an impact; if the replay misses more, the model is refused
+SQUARE = 0.02  # rad; up to 1 degree simulators agree as well as on square hits
 
 
 def clusters_of(
@@ -41,8 +41,7 @@ def clusters_of(
 ) -> tuple[tuple[Cluster, ...], list[str]]:
     """Residuals of all runs as clusters, in order of appearance.
 
-    Where nothing of a layout was repeated, its features have no pure error: they are scaled by what nobody cares about,
-    and a remark says so.
+    Without repeats of a layout its features have no pure error: they are scaled by the relevance limits, with a remark.
 
     Args:
         runs: The runs.
@@ -83,7 +82,7 @@ def clusters_of(
                 pure=known / sigma,
                 discrepancy=systematic / sigma,
                 patterns=None if patterns is None else patterns / sigma,
-                # How two simulators differ on an oblique hit depends on how it is oblique.
+                # On oblique hits the difference between simulators depends on the condition.
                 alike=condition if kind == "oblique" else f"{layout}, {kind}",
             )
         )
@@ -91,17 +90,16 @@ def clusters_of(
     remarks = []
     if alone:
         remarks.append(
-            f"not repeated, so differences are in multiples of a fixed small size and not of pure error: "
-            f"{', '.join(alone)}; two trials of one condition are enough to compare with repetition"
+            f"not repeated, so differences are in multiples of the relevance limit and not of repeatability: "
+            f"{', '.join(alone)}; two trials of one condition give the repeatability"
         )
     return tuple(clusters), remarks
 
 
 def pure_errors(firsts: dict[str, MeasuredRun], rows: dict[str, Array]) -> dict[str, Array | None]:
-    """Pure error by condition, ``(F,)`` in the features' units; None where nothing like it was repeated.
+    """Pure error by condition, ``(F,)`` in the features' units; None without repeats of its kind.
 
-    A feature has that of all conditions which have it and would be alike without gaps: a gap takes windows away, and
-    leaves the others what they are.
+    It is pooled over all conditions that have the feature and would have the same features without gaps.
 
     Args:
         firsts: A run of every condition.
@@ -128,14 +126,14 @@ def pure_errors(firsts: dict[str, MeasuredRun], rows: dict[str, Array]) -> dict[
 
 
 def kind_of(run: MeasuredRun) -> Kind:
-    """Which discrepancy a run has."""
+    """Kind of the model discrepancy of a run."""
     if not run.hit:
         return "free"
     return "oblique" if obliqueness(run) > SQUARE else "square"
 
 
 def layout_of(run: MeasuredRun) -> str:
-    """Name of what a run's feature vector is made of."""
+    """Key of the composition of a run's feature vector."""
     counted = dict.fromkeys(feature.group[:2] for feature in run.features)
     bins = ", ".join(f"{phase} {signal} {max_bin(run, phase, signal)}" for phase, signal in counted)
     lost = f", without {', '.join(map(str, run.lost))}" if run.lost else ""
@@ -151,7 +149,7 @@ def max_bin(run: MeasuredRun, phase: str, signal: str) -> int:
 def _with_late(
     clusters: Sequence[Cluster], runs: Runs, residuals: Sequence[Array], model: Model, store: ReplayStore
 ) -> tuple[Cluster, ...]:
-    """Clusters with what the clock of commands may do to them."""
+    """Clusters with the effect of the clock of commands (``late``)."""
     firsts = {run.condition: values for run, values in zip(reversed(runs.runs), reversed(residuals), strict=True)}
     late = {name: run for name, run in runs.late.items() if name in firsts}
     predicted = store([Replay(run.setup, model) for run in late.values()], "clock of the commands")
@@ -172,10 +170,10 @@ class ReplaySource(Source):
         store: Makes replays.
         clusters: Residuals of the model by condition, in the order of ``runs.conditions``.
         discrepancy: Of the twin.
-        remarks: What a reader should know.
+        remarks: Remarks for the reader.
 
     Attributes:
-        conditions: Repeats of every cluster, in its order.
+        conditions: Runs of every cluster, in the order of clusters.
     """
 
     repeated = True
@@ -215,17 +213,17 @@ class ReplaySource(Source):
         discrepancy: Discrepancy | None = None,
         each_arm: bool = False,
     ) -> ReplaySource:
-        """Replay every run with the model; runs in which it hits nothing are left out, which is told.
+        """Replay every run with the model; runs whose replay has no impact are left out, with a remark.
 
         Args:
             runs: The runs.
             model: What is believed.
             store: Makes replays.
             discrepancy: Of the twin; None: as measured.
-            each_arm: Whether arms of one kind have parameters of their own (:func:`with_per_arm_parameters`).
+            each_arm: Whether arms of one kind have separate parameters (:func:`with_per_arm_parameters`).
 
         Raises:
-            InputError: With this model hardly anything is hit, or the model blows up.
+            InputError: Most replays with this model have no impact, or one is not finite.
         """
         discrepancy = measured_discrepancy() if discrepancy is None else discrepancy
         model = with_per_arm_parameters(model, [run.setup.physics for run in runs.runs], each_arm)
@@ -252,7 +250,7 @@ class ReplaySource(Source):
 
     @cached_property
     def free_motion(self) -> ReplaySource | None:
-        """See :attr:`Source.free_motion`; windows of free motion cost a tenth of the one about an impact."""
+        """See :attr:`Source.free_motion`; free motion takes a tenth of the time of the impact window."""
         parts = [run.free_part for run in self.runs.runs]
         known = [part for part in parts if part is not None]
         if len(known) < len(parts):
@@ -263,14 +261,14 @@ class ReplaySource(Source):
         )
 
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
-        """See :meth:`Source.predict`; of every condition the first run is replayed."""
+        """See :meth:`Source.predict`; the first run of every condition is replayed."""
         return self.store(
             [Replay(self.conditions[number][0].setup, self.model, added) for number, added in wanted], what
         )
 
     def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
-        """See :meth:`Source.spread`; every process has the replays that were made so far, and makes its own."""
-        bare = tuple(replace(run, signals=()) for run in self.runs.runs)  # signals are for pictures, late for clusters
+        """See :meth:`Source.spread`; every process gets a copy of the replays made so far."""
+        bare = tuple(replace(run, signals=()) for run in self.runs.runs)  # for figures and clusters only
         runs, store = replace(self.runs, runs=bare, late={}), self.store.in_one_process()
         alone = ReplaySource(runs, self.model, store, self.clusters, self.discrepancy, self.remarks)
         return self.store.spread(partial(function, alone), items, what)
@@ -278,7 +276,7 @@ class ReplaySource(Source):
     def differences(
         self, numbers: Sequence[int], before: Added, after: Added, what: str, every: bool = True
     ) -> list[Array | None]:
-        """See :meth:`Source.differences`; repeats are replayed one by one, for a bounce is another in each of them."""
+        """See :meth:`Source.differences`; every repeat is replayed, because contacts differ between repeats."""
         groups = [self.conditions[number][: None if every else 1] for number in numbers]
         tasks = [Replay(run.setup, self.model, added) for added in (before, after) for group in groups for run in group]
         found = self.store(tasks, what)
@@ -291,7 +289,7 @@ class ReplaySource(Source):
         return means
 
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
-        """See :meth:`Source.measure_again`; every run is replayed from where it started."""
+        """See :meth:`Source.measure_again`; every run is replayed from its own start."""
         groups = [self.conditions[self._numbers[item.name]] for item in like]
         tasks = [Replay(run.setup, self.model, added) for group in groups for run in group]
         found = self.store(tasks, "every run again")

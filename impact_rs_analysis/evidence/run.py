@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One measured run, whoever measured it, with what stands in its scene."""
+"""One measured run of any origin, with its scene."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ class Run:
 
     Attributes:
         path: Where it was read from.
-        condition: What it shares with its repeats, a short name for tables.
+        condition: Short name of the condition, the same for repeats.
         place: Scenario, object and case or condition.
-        hit: Whether something is hit.
-        physics: What is in the scene, nominal.
-        object: Where the object should stand before it is hit; where nothing is hit, out of reach.
+        hit: Whether there is an impact.
+        physics: Nominal physics of the scene.
+        object: Nominal state of the object before the impact; out of reach in free motion.
         drive_period: Period of the torque loop [s].
         axis: Axis of A along which the scenario moves, for figures.
-        signals: What was measured, on an even grid.
-        command_time: When desired torques were sent, by arm, ``(m,)`` [s]; empty where they are not known.
+        signals: Measured signals, on an even grid.
+        command_time: Times at which desired torques were sent, by arm, ``(m,)`` [s]; empty if not known.
         command: The desired torques, by arm, ``(m, n)`` [N m].
-        spec: What was planned, of a trial of our own; None: somebody else's run.
-        gaps: Begin and end of stretches in which nothing was recorded [s]; signals there are interpolated.
+        spec: Plan of a native trial; None for a laboratory's run.
+        gaps: Begin and end of gaps in the recording [s]; signals there are interpolated.
     """
 
     path: Path
@@ -52,12 +52,12 @@ class Run:
     gaps: tuple[tuple[float, float], ...] = ()
 
     def within_gap(self, start: float, end: float) -> bool:
-        """Whether nothing was recorded in some of the time from ``start`` to ``end`` [s]."""
+        """Whether a gap overlaps the time from ``start`` to ``end`` [s]."""
         return any(start < last and first < end for first, last in self.gaps)
 
     @property
     def drive(self) -> DriveName:
-        """What drives a replay."""
+        """Drive of its replay."""
         return "command" if self.command else "joint torque"
 
     @property
@@ -73,7 +73,7 @@ class Run:
 
 
 def run_of_trial(bag: TrialBag) -> Run:
-    """A recorded trial of our own.
+    """A recorded native trial.
 
     Raises:
         BagError: A topic is missing, damaged, has NaN, gaps or stamps that run backwards.
@@ -83,10 +83,10 @@ def run_of_trial(bag: TrialBag) -> Run:
 
 
 def run_of_signals(spec: TrialSpec, signals: Signals, path: Path) -> Run:
-    """A trial of our own, recorded or simulated.
+    """A native trial, recorded or simulated.
 
     Args:
-        spec: What was run.
+        spec: Plan of the trial.
         signals: Measured or simulated, with commands.
         path: Where it was read from.
 

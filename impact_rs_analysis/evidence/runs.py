@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RUNS: a folder of bags, read into measured runs with what they are to be compared with."""
+"""RUNS: a folder of bags, read into measured runs."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from impact_rs_trials.bags.reader import BagError, TrialBag, reason_of
 from impact_rs_trials.store import Folder
 from impact_rs_trials.workers import Map
 
-LARGEST_LOSS = 0.5  # share of the windows of free motion that all runs give up for gaps in some of them
+LARGEST_LOSS = 0.5  # largest share of windows of free motion that all runs drop for gaps in some
 
 
 @dataclass(frozen=True)
 class Runs:
-    """Everything usable in a folder.
+    """The usable runs of a folder.
 
     Attributes:
         directory: The folder.
         runs: Measured runs; repeats of a condition have the same features.
-        skipped: Path and reason of everything that cannot be used.
-        remarks: What a reader should know of how they were read.
+        skipped: Path and reason of every bag that cannot be used.
+        remarks: Remarks on how they were read.
         clock: See :class:`~impact_rs_analysis.evidence.cluster.Source` [s].
-        late: By condition, its first run with commands that act one standard deviation of their clock later; none
-            where that clock is known.
+        late: By condition, its first run with commands that act one standard deviation of their clock later; empty if
+            the clock is known.
     """
 
     directory: Path
@@ -43,7 +43,7 @@ class Runs:
 
     @property
     def digest(self) -> str:
-        """Identity of the runs; where they lie does not count."""
+        """Digest of the runs, independent of their location."""
         if all(run.spec is not None for run in self.runs):
             return runs_digest(self.directory)
         rows = sorted(f"{run.condition} {run.setup.digest}" for run in self.runs)
@@ -59,10 +59,10 @@ class Runs:
 
     @staticmethod
     def of(directory: Path, results: Iterable[MeasuredRun | tuple[str, str]]) -> Runs:
-        """What was read, and what was not.
+        """Runs from the results of reading.
 
         Raises:
-            InputError: Nothing can be used.
+            InputError: No run can be used.
         """
         listed = list(results)
         runs = [result for result in listed if isinstance(result, MeasuredRun)]
@@ -71,7 +71,7 @@ class Runs:
             reason = f"; {len(skipped)} bag(s) cannot be used, the first because: {skipped[0][1]}" if skipped else ""
             raise InputError(f"no usable trials here{reason}", file=directory)
         common: dict[str, set] = {}
-        free: dict[str, int] = {}  # a repeat that moves for less time has fewer windows, without any gap
+        free: dict[str, int] = {}  # a shorter repeat has fewer windows, even without gaps
         for run in runs:
             common.setdefault(run.condition, set(run.features)).intersection_update(run.features)
             free[run.condition] = min(run.free, free.get(run.condition, run.free))
@@ -80,9 +80,9 @@ class Runs:
 
 
 def _alike(runs: list[MeasuredRun]) -> tuple[MeasuredRun, ...]:
-    """Without the windows that gaps took in any run of a family, so that its conditions share their pure error.
+    """The runs without windows that a gap drops in any run of their family, so that conditions share a pure error.
 
-    Where that would be too many, conditions stay as they are.
+    If that would drop too many windows, the runs stay unchanged.
     """
     left: dict[tuple[object, ...], set[Feature]] = {}
     for run in runs:
@@ -98,13 +98,13 @@ def find_bags(directory: Path) -> list[Path]:
 
 
 def read_trial(path: Path) -> MeasuredRun | tuple[str, str]:
-    """One trial, or path and reason why it cannot be used."""
+    """One trial, or its path and the reason why it cannot be used."""
     try:
         bag = TrialBag.open(path)
         if bag.outcome not in ("OK", "DROPPED", "EARLY"):
             return str(path), f"{bag.outcome}: {bag.reason}"
         return MeasuredRun.of(run_of_trial(bag))
-    except Exception as error:  # whatever is wrong with one bag, the others are read
+    except Exception as error:  # a damaged bag must not stop the others
         return str(path), reason_of(error)
 
 
@@ -122,12 +122,12 @@ def read_runs(directory: Path, map_tasks: Map) -> Runs:
 
 
 def runs_digest(directory: Path) -> str:
-    """Identity of the trials in a folder: names, scenarios and seeds; where the folder lies does not count."""
+    """Digest of the trials in a folder: names, scenarios and seeds, independent of its location."""
     rows = []
     for path in find_bags(directory):
         try:
             info = TrialBag.open(path).info
-        except BagError:  # and so not one of the trials
+        except BagError:  # not a usable trial
             continue
         scenario = hashlib.sha256(info.scenario_json.encode()).hexdigest()
         rows.append(f"{path.name} {scenario} {info.seed}")

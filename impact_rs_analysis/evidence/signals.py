@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was measured in one trial, whoever measured it: a plant, a real robot, or the model twin."""
+"""Signals of one trial: of a plant, a real robot, or the model twin."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class ArmSignals:
         position: q [rad].
         velocity: dq [rad/s].
         torque: tau_J [N m].
-        motor_position: theta [rad]; empty where it is not measured.
-        motor_velocity: dtheta [rad/s]; empty where it is not measured.
-        command: tau_d [N m]; empty where it is not known.
+        motor_position: theta [rad]; empty if not measured.
+        motor_velocity: dtheta [rad/s]; empty if not measured.
+        command: tau_d [N m]; empty if not known.
     """
 
     position: Array
@@ -37,7 +37,7 @@ class ArmSignals:
     command: Array
 
     def at(self, rows: slice | NDArray[np.bool_]) -> ArmSignals:
-        """Some of the samples; what is not measured stays empty."""
+        """Some of the samples; empty signals stay empty."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return ArmSignals(**{name: value[rows] if value.size else value for name, value in values.items()})
 
@@ -49,7 +49,7 @@ class Signals:
     Attributes:
         time: Control ticks, ``(k,)`` [s].
         arms: Signals by arm.
-        object_time: When the object was tracked, ``(m,)`` [s].
+        object_time: Times at which the object was tracked, ``(m,)`` [s].
         object_position: Position of its geometric centre in A, ``(m, 3)`` [m].
         object_yaw: Its rotation about z, ``(m,)`` [rad].
     """
@@ -62,7 +62,7 @@ class Signals:
 
 
 def signals_of_bag(bag: TrialBag) -> Signals:
-    """Signals of a recorded trial; nothing below ``/truth`` is touched.
+    """Signals of a recorded trial; ``/truth`` is not read.
 
     Raises:
         BagError: A topic is missing, damaged, has NaN, gaps or stamps that run backwards.
@@ -136,7 +136,7 @@ class SignalCollector:
         self._object: list[tuple[float, Array, float]] = []
 
     def add(self, tick: int, measurement: object, commands: object) -> None:
-        """Take one control tick (``Measurement`` and ``dict[str, ArmCommand]``)."""
+        """Add one control tick (``Measurement`` and ``dict[str, ArmCommand]``)."""
         self._ticks = tick + 1
         for name, columns in self._arms.items():
             measured, command = measurement.arms[name], commands[name]  # type: ignore[attr-defined, index]
@@ -152,7 +152,7 @@ class SignalCollector:
             self._object.append((tracked.time, tracked.position, float(yaw)))
 
     def signals(self) -> Signals:
-        """Everything collected so far."""
+        """The signals collected so far."""
         count = self._ticks
         arms = {
             name: ArmSignals(**{key: values[:count] for key, values in columns.items()})

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Replays that were made before are kept: comparing, diagnosing and comparing again ask for many more than once.
+"""Cache of replays, because comparisons and diagnoses need many of them repeatedly.
 
-A result depends on what the replay starts from, the model and the effects on top, and on nothing else.
+A result depends only on the start of the replay, the model and the added effects.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from impact_rs_trials.workers import Map
 
 CACHE_VERSION = 11
 EFFORT_OF_CONTACT = 20.0  # of a sample with contact, in samples of free motion
-# Such samples that a worker is sent together, 30 to 200 ms of work: a task costs the scheduler, and us, some ms.
+# Samples of free motion per task, 30 to 200 ms of work: a task has an overhead of some milliseconds.
 LEAST_BATCH, LARGEST_BATCH = 4_000.0, 30_000.0
-BATCHES = 16  # rather than larger ones, so that workers end together
+BATCHES = 16  # at least, so that workers finish at about the same time
 
 Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
 class Replay:
-    """One replay to be made: a run under a model with further effects at given values.
+    """One replay: a run under a model with added effects at given values.
 
     Attributes:
-        setup: What it starts from.
-        model: Model underneath.
-        added: Effect name and its parameter vector, on top of the model.
+        setup: Its start state and inputs.
+        model: The model.
+        added: Names of added effects with their parameter vectors.
     """
 
     setup: Setup
@@ -48,7 +48,7 @@ class Replay:
 
     @property
     def digest(self) -> str:
-        """Identity of its result."""
+        """Digest that identifies its result."""
         known = self.model.known_effects
         used = (*(item.name for item in self.model.effects), *(name for name, _ in self.added))
         code = tuple(known[name].identity for name in used)
@@ -57,7 +57,7 @@ class Replay:
 
     @property
     def physics(self) -> Physics:
-        """What is believed in it.
+        """Its physics.
 
         Raises:
             NotABody: The effects leave no body.
@@ -66,7 +66,7 @@ class Replay:
 
 
 def with_effects(model: Model, physics: Physics, added: Added) -> Physics:
-    """Nominal physics with a model and further effects.
+    """Nominal physics with a model and added effects.
 
     Raises:
         NotABody: The effects leave no body.
@@ -78,13 +78,13 @@ def with_effects(model: Model, physics: Physics, added: Added) -> Physics:
 
 
 def run_replay(task: Replay) -> Array | None:
-    """Features of one replay; None where nothing is hit although it should be.
+    """Features of one replay; None if an expected impact is missing.
 
-    None also where the added effects leave an arm that is no body or that blows up: a fit that asks for it will try a
+    None also if the added effects give a body without positive inertia or an unstable simulation: a fit then tries a
     smaller step.
 
     Raises:
-        InputError: The model itself cannot be.
+        InputError: The model itself is not valid.
     """
     try:
         found = task.setup.features_of(task.setup.replayed(task.physics))
@@ -102,7 +102,7 @@ def run_batch(tasks: Sequence[Replay]) -> list[Array | None]:
 
 
 def _batches(missing: dict[str, Replay]) -> list[list[str]]:
-    """Replays of one run side by side: what they start from travels once, and shares its free motion."""
+    """Batches of replays of one run: its start state is sent once, and its free motion is shared."""
     grouped: dict[str, list[str]] = {}
     for digest, task in missing.items():
         grouped.setdefault(task.setup.digest, []).append(digest)
@@ -122,18 +122,18 @@ def _batches(missing: dict[str, Replay]) -> list[list[str]]:
 
 
 def _effort(setup: Setup) -> float:
-    """What a replay takes, in samples of free motion."""
+    """Computation time of a replay, in samples of free motion."""
     return sum(window.time.size * (EFFORT_OF_CONTACT if window.contact else 1.0) for window in setup.windows)
 
 
 def cache_directory() -> Path:
-    """Where results are kept: ``$XDG_CACHE_HOME/impact_rs`` or ``~/.cache/impact_rs``."""
+    """Folder of the results: ``$XDG_CACHE_HOME/impact_rs`` or ``~/.cache/impact_rs``."""
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "impact_rs" / "replays"
 
 
 class ReplayStore:
-    """Makes replays that were not made before, in parallel, and keeps their results.
+    """Makes missing replays in parallel, and caches their results.
 
     Args:
         map_tasks: Parallel map.
@@ -147,13 +147,13 @@ class ReplayStore:
         self._directory = cache_directory()
 
     def in_one_process(self) -> ReplayStore:
-        """A store of the same replays that makes further ones where it is, and says nothing; others can load it."""
+        """A copy that makes replays in its own process, without progress reports; it can be pickled."""
         store = ReplayStore(map)
         store._known = self._known
         return store
 
     def spread(self, function: Callable[[Item], Made], items: Sequence[Item], what: str) -> list[Made]:
-        """``function`` of every item over the map, told like replays."""
+        """``function`` of every item over the map, with progress reports."""
         found = []
         self._report_progress(what, 0, len(items))
         for result in self._map(function, items):
@@ -201,4 +201,4 @@ class ReplayStore:
                 np.save(file, np.zeros(0) if result is None else result, allow_pickle=False)
             temporary.replace(path)
         except OSError:
-            temporary.unlink(missing_ok=True)  # a cache that cannot be written is no reason to stop
+            temporary.unlink(missing_ok=True)  # the result is valid without the cache

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The torque balance of a moving arm that touches nothing: all that a recording without command and contact can show.
+"""Torque balance of an arm in free motion, for recordings without command and contact.
 
     tau + eps = (M(q) ddq + h(q, dq) [+ B ddq] - tau_fric(dq) - tau_load - offset) / gain         (cf. paper eq. eom)
 
@@ -7,8 +7,8 @@ tau is what was recorded; B only where the torque was measured at the motor. Pos
 same zero-phase low-pass (Butterworth, order 4, forwards and backwards), accelerations are central differences of the
 filtered velocity, the prediction passes the low-pass once more and so does the recorded torque; both ends are cut off.
 
-Effects are applied through :class:`~impact_rs_sim.physics.Physics`, as plant and twin apply them. An effect that
-changes no torque is not measured.
+Effects are applied through :class:`~impact_rs_sim.physics.Physics`, as in plant and twin. An effect that changes no
+torque counts as not measured.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class Motion:
         velocity: dq [rad/s].
         acceleration: ddq [rad/s^2].
         torque: Recorded torque, low-passed twice [N m].
-        kept: What is left between the edges.
-        noise: Noise of the recorded torque that is left in ``torque``, ``(n,)`` [N m].
+        kept: Mask of the samples between the edges.
+        noise: Noise of the recorded torque in ``torque``, ``(n,)`` [N m].
         cut_off: Of the low-pass [Hz].
         rate: Of the grid [Hz].
     """
@@ -115,7 +115,7 @@ def prepare(recording: Recording, cut_off: float) -> Motion:
 
 
 def _noise(raw: Array, cut_off: float, rate: float) -> Array:
-    """Noise below the cut-off if it is as dense there as just above, where no motion is meant to be, ``(n,)`` [N m]."""
+    """Noise below the cut-off, from the spectral density just above it, where motion is absent, ``(n,)`` [N m]."""
     frequency, density = scipy.signal.welch(raw, rate, nperseg=min(raw.shape[0], 256), axis=0)
     above = (frequency >= 1.5 * cut_off) & (frequency <= min(3.0 * cut_off, 0.45 * rate))
     if not np.any(above):
@@ -124,7 +124,7 @@ def _noise(raw: Array, cut_off: float, rate: float) -> Array:
 
 
 def physics_of(mapping: Mapping, motions: list[Motion]) -> Physics:
-    """Nominal physics of the recorded arm: rigid, frictionless, level, with what the mapping says is mounted."""
+    """Nominal physics of the recorded arm: rigid, frictionless, level, with the mounted mass of the mapping."""
     facts = mapping.facts
     count = facts.joint_count
     base = pin.SE3(pin.rpy.rpyToMatrix(*mapping.base_rpy), np.zeros(3))
@@ -168,7 +168,7 @@ class TorqueBalance:
         self._rigid: dict[tuple[bytes, ...], list[Array]] = {}
 
     def predict(self, physics: Physics) -> Array:
-        """Torque as it would have been recorded, all motions below each other between their edges, ``(k, n)`` [N m]."""
+        """Predicted recorded torque, all motions stacked between their edges, ``(k, n)`` [N m]."""
         arm = physics.arms[ARM]
         rows = []
         for motion, rigid in zip(self.motions, self._rigid_torques(physics), strict=True):
@@ -182,7 +182,7 @@ class TorqueBalance:
         return np.concatenate(rows)
 
     def _rigid_torques(self, physics: Physics) -> list[Array]:
-        """M ddq + h, remembered: most effects do not change it."""
+        """M ddq + h, cached, because most effects do not change it."""
         end = physics.arms[ARM].end_effector
         key = tuple(np.asarray(value, float).tobytes() for value in (end.mass, end.com, end.inertia, physics.gravity))
         if key not in self._rigid:
@@ -200,7 +200,7 @@ class TorqueBalance:
 
     @staticmethod
     def _load_torques(physics: Physics, motion: Motion) -> Array:
-        """Of everything outside the model on links and motors, ``(k, n)`` [N m]."""
+        """Torques of loads outside the rigid model on links and motors, ``(k, n)`` [N m]."""
         model = physics.robot_model(ARM)
         rows = zip(motion.time, motion.position, motion.velocity, strict=True)
         return np.array([sum(physics.load_torques(ARM, model, float(time), q, dq)) for time, q, dq in rows])

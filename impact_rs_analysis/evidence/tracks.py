@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured against predicted signals over time, whoever measured them: what a reader looks at after the numbers."""
+"""Measured and predicted signals over time, for figures."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from impact_rs_analysis.evidence.animation import Animation, animation_of_motion
 from impact_rs_analysis.evidence.torque_balance import ARM
 from impact_rs_sim.robot import Array
 
-if TYPE_CHECKING:  # a page that shows tracks does not need what they are made from
+if TYPE_CHECKING:  # pages with tracks do not import their sources
     from impact_rs_analysis.evidence.aligned import AlignedRun
     from impact_rs_analysis.evidence.recordings import RecordingSource
 
@@ -26,10 +26,10 @@ class TrackSignal:
     """One signal, measured and predicted.
 
     Attributes:
-        name: What it is.
+        name: Name of the signal.
         unit: Its unit.
         measured: Measured values, ``(k,)`` in the unit.
-        predicted: What the model says, ``(k,)`` in the unit.
+        predicted: Predicted values, ``(k,)`` in the unit.
     """
 
     name: str
@@ -43,11 +43,11 @@ class TrackSet:
     """Signals on one clock.
 
     Attributes:
-        label: Which trial, or which recording and model.
-        impact: Begin of the impact [s]; None where nothing is hit.
+        label: Name of the trial, or of recording and model.
+        impact: Begin of the impact [s]; None without an impact.
         time: Of the trial or since the start of the recording, ``(k,)`` [s].
         signals: The signals, ``(k,)`` each.
-        animation: The same to be seen in 3D; None: nothing is known of what moves.
+        animation: The run for the 3D view; None if positions are not known.
     """
 
     label: str
@@ -58,7 +58,7 @@ class TrackSet:
 
 
 def tracks_of_runs(aligned: Sequence[AlignedRun]) -> tuple[TrackSet, ...]:
-    """Tracks of runs against their replays, those with an impact first; a gap parts the windows."""
+    """Tracks of runs against their replays, those with an impact first; windows are separated by NaN."""
     return tuple(
         TrackSet(
             label=label,
@@ -80,7 +80,7 @@ def tracks_of_runs(aligned: Sequence[AlignedRun]) -> tuple[TrackSet, ...]:
 
 
 def _parted(values: Array, starts: Sequence[int]) -> Array:
-    """Values with a NaN before every window but the first, at which a line breaks."""
+    """Values with a NaN before every window but the first, which breaks the line."""
     return np.insert(values.astype(float), list(starts[1:]), np.nan)
 
 
@@ -89,7 +89,7 @@ def tracks_of_recordings(source: RecordingSource, rests: Mapping[str, Array]) ->
 
     Args:
         source: The recordings.
-        rests: By label, what a model leaves of the torque of all recordings, ``(k, n)`` [N m].
+        rests: By label, torque residuals of a model for all recordings, ``(k, n)`` [N m].
     """
     found = []
     recorded = source.balance.recorded
@@ -118,7 +118,7 @@ def tracks_of_recordings(source: RecordingSource, rests: Mapping[str, Array]) ->
 
 
 def _signals(item: AlignedRun) -> list[TrackSignal]:
-    """What is shown of a run: end effectors along the main axis first, then their joints, then the object."""
+    """Signals of a run: end effectors along the main axis first, then joints, then the object."""
     found: list[TrackSignal] = []
     main = item.run.axis
     axes = [(axis, AXES[axis], "m/s") for axis in (main, *(axis for axis in range(3) if axis != main))]
@@ -146,7 +146,7 @@ def _signals(item: AlignedRun) -> list[TrackSignal]:
 
 
 def _rate(item: AlignedRun, values: Array) -> Array:
-    """Derivative over time, window by window, of what is measured as a position; NaN where a window is one sample."""
+    """Time derivative of a position, window by window; NaN for a window of one sample."""
     found = np.full(values.shape, np.nan)
     for start, end in pairwise([*item.starts, len(values)]):
         if end - start > 1:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The twin in closed loop: a trial that was not measured, simulated with our own controller, without noise and scatter.
+"""Closed-loop simulation of a trial that was not measured, with the native controller, without noise and scatter.
 
-Only what has not been measured needs it (:mod:`impact_rs_analysis.diagnosis.experiment`); what was is replayed.
+Used to propose experiments (:mod:`impact_rs_analysis.diagnosis.experiment`); measured trials are replayed instead.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from impact_rs_sim.plant import Plant
 from impact_rs_sim.scenario import Scenario
 from impact_rs_trials.spec import TrialSpec
 
-MARGIN = 0.1  # s, after the last window: the impact may come late
+MARGIN = 0.1  # s after the last window, for a late impact
 
 
 def quiet(scenario: Scenario) -> Scenario:
@@ -34,7 +34,7 @@ def quiet(scenario: Scenario) -> Scenario:
 
 
 def observed_until(plan: TrialPlan) -> float:
-    """When the last window of a trial ends [s]; a twin need not run longer."""
+    """End of the last window of a trial [s], where its simulation may stop."""
     scenario = plan.scene.scenario
     if scenario.excursion is None:
         return scenario.timing.nominal_impact + AFTER_IMPACT + MARGIN
@@ -43,14 +43,14 @@ def observed_until(plan: TrialPlan) -> float:
 
 
 def simulated(spec: TrialSpec, physics: Physics) -> Run:
-    """A trial as it would be measured without noise and scatter.
+    """A simulated trial without noise and scatter.
 
     Args:
-        spec: What is run.
-        physics: What is believed.
+        spec: Plan of the trial.
+        physics: Physics of the model.
 
     Raises:
-        InputError: There is no such trial, or the physics cannot be.
+        InputError: There is no such trial, or the physics is not valid.
     """
     plan = spec.plan
     scene = plan.scene
@@ -59,7 +59,7 @@ def simulated(spec: TrialSpec, physics: Physics) -> Run:
 
 
 def observed(spec: TrialSpec, plant: RobotCell) -> Run:
-    """A trial on a plant as far as it is looked at; closes the plant."""
+    """A trial on a plant up to the end of its last window; closes the plant."""
     plan = spec.plan
     collector, until = SignalCollector(plan), observed_until(plan)
     try:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The net-feedback measure: integrals, fits, tables, the whole study."""
+"""The net-feedback measure: integrals, fits, tables and the study."""

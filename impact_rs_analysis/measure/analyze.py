@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A folder of trials in, experimental estimates and prediction errors out.
+"""Experimental estimates and prediction errors from a folder of trials.
 
-Reads whatever is there: bags that are damaged, foreign or unfinished are reported and left out, trials without impact
-are reported and never enter a fit, trials of the manifest that do not exist yet are listed.
+Damaged, foreign or unfinished bags are reported and left out. Trials without impact are reported and do not enter a
+fit. Missing trials of the manifest are listed.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from impact_rs_trials.sensitivity import varied_folders
 from impact_rs_trials.spec import recorded_scenario
 from impact_rs_trials.workers import Map
 
-MANY = 100  # bags; fewer are read before processes have started
-LARGEST_SPREAD = 0.05  # s between the impacts of two arms; later, velocity feedback fights the second one
+MANY = 100  # bags; fewer are read faster in one process
+LARGEST_SPREAD = 0.05  # s between the impacts of two arms; later, velocity feedback disturbs the second one
 
 
 @dataclass(frozen=True)
 class SkippedBag:
-    """Something in the folder that did not enter the analysis.
+    """A bag that did not enter the analysis.
 
     Attributes:
         name: Folder or file name.
-        reason: Why not.
+        reason: The reason.
     """
 
     name: str
@@ -53,7 +53,7 @@ class SkippedBag:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What one motor-inertia model predicts for a set.
+    """Prediction of one motor-inertia model for a set.
 
     Attributes:
         velocity: Post-impact velocity along the measured axis [m/s].
@@ -65,13 +65,13 @@ class Prediction:
 
     @classmethod
     def of(cls, velocity: float, fit: LineFit) -> Prediction:
-        """A predicted velocity beside the estimate of a fit."""
+        """A predicted velocity with its error against the estimate of a fit."""
         return cls(velocity, 100.0 * (velocity - fit.estimate) / fit.estimate)
 
 
 @dataclass(frozen=True)
 class ArmSet:
-    """What a set says of one of its arms.
+    """Result of a set for one of its arms.
 
     Attributes:
         name: The arm.
@@ -112,7 +112,7 @@ class ArmSet:
 
 @dataclass(frozen=True)
 class ExperimentSet:
-    """All trials of one object and case, and what they say.
+    """All trials of one object and case, with their result.
 
     Attributes:
         scenario: Name of the scenario.
@@ -127,8 +127,8 @@ class ExperimentSet:
         prediction_interval: 95 % interval of the nominal prediction (B_theta, first contact) from the uncertainties
             that the scenario states, signed along the axis, low then high [m/s]; None where there is none.
         ante_velocity: Ante-impact velocity, signed along the axis [m/s]; NaN where it is not known.
-        published: Row of the paper that it repeats, with the paper's robot, object and velocity; None: none.
-        arms: The same arm by arm, where there are several.
+        published: Row of the paper with the same robot, object and velocity; None if there is none.
+        arms: Results by arm, if there are several.
     """
 
     scenario: str
@@ -167,15 +167,15 @@ class ExperimentSet:
     @property
     def interval(self) -> tuple[float, float] | None:
         """95 % interval of the estimate as speeds [m/s]."""
-        told = self._speeds(self.fit.interval)
-        return None if told is None else (told[0], told[1])
+        speeds = self._speeds(self.fit.interval)
+        return None if speeds is None else (speeds[0], speeds[1])
 
     @property
     def tolerance(self) -> float | None:
         """Error up to which a prediction agrees with the estimate [%]; None where the estimate has no interval.
 
-        The wider halves of the 95 % intervals of estimate and nominal prediction, added in squares. What the scenario
-        says of its uncertainties holds for every motor inertia and contact, so all predictions count as that uncertain.
+        The wider halves of the 95 % intervals of estimate and nominal prediction, added in squares. The uncertainties
+        of the scenario apply to every motor inertia and contact, so all predictions have this tolerance.
         """
         if self.fit.interval is None:
             return None
@@ -215,13 +215,13 @@ def _signed(predictions: dict[str, Prediction], sign: float) -> dict[str, dict[s
 
 @dataclass(frozen=True)
 class Incomplete:
-    """A set that determines no estimate, or not yet.
+    """A set without an estimate.
 
     Attributes:
         scenario: Name of the scenario.
         object: Name of the object.
         case: Full name of the case.
-        reason: What is missing.
+        reason: Missing data.
     """
 
     scenario: str
@@ -232,22 +232,22 @@ class Incomplete:
 
 @dataclass(frozen=True)
 class Analysis:
-    """What a folder of trials says.
+    """Result of a folder of trials.
 
     Attributes:
         directory: The folder.
         sets: One per object and case that has enough trials.
         incomplete: Sets with too few trials.
         skipped: Bags that could not be used.
-        missing: Trials of the manifest that are not there.
-        no_impact: Trials in which nothing was hit.
+        missing: Trials of the manifest that do not exist.
+        no_impact: Trials without impact.
         apart: Trials in which one arm hit long before another, with the time between [s] (``LARGEST_SPREAD``); they
             stay in the fit.
-        limited: Trials in which a joint was at its torque limit in the window, with its name and for how long [s]; they
-            stay in the fit.
-        sensitivity: How far the estimates move with settings; empty where none was varied.
-        unsealed: Bags that carry no checksums, and so may have changed unnoticed.
-        arms: What the trials were run with.
+        limited: Trials with a joint at its torque limit in the window, with its name and duration [s]; they stay in the
+            fit.
+        sensitivity: Sensitivity of the estimates to settings; empty if none was varied.
+        unsealed: Bags without checksums, in which changes are not detected.
+        arms: Arms of the trials.
     """
 
     directory: Path
@@ -298,12 +298,12 @@ class Analysis:
         return {model: _mean([abs(error) for error in self.errors(model, contact)]) for model in MOTOR_INERTIA_MODELS}
 
     def nearest(self, contact: str) -> dict[str, int]:
-        """In how many sets each model is nearest to the estimate."""
+        """Number of sets in which each model is nearest to the estimate."""
         found = Counter(_nearest(entry.of_contact(contact)) for entry in self.sets)
         return {model: found[model] for model in MOTOR_INERTIA_MODELS}
 
     def to_json(self) -> dict[str, Any]:
-        """The document that ``analyze --json`` prints."""
+        """Document of ``analyze --json``."""
         return {
             "arms": [arm.model_dump(mode="json") for arm in self.arms],
             "sets": [
@@ -337,7 +337,7 @@ def _mean(values: list[float]) -> float | None:
 
 
 def find_bags(directory: Path) -> list[Path]:
-    """What looks like a bag in a campaign folder: subfolders with bag files, and empty ones."""
+    """Bags of a campaign folder: subfolders with bag files, and empty ones."""
     found = []
     for path in sorted(directory.iterdir()):
         if path.name.startswith("."):
@@ -352,11 +352,11 @@ def find_bags(directory: Path) -> list[Path]:
 
 
 def feedback_of(path: Path) -> tuple[TrialFeedback | str, bool]:
-    """What a bag shows, or why it cannot be used; and whether it carries the checksums of a whole one."""
+    """Feedback of a bag or the reason why it cannot be used; and whether the bag has complete checksums."""
     try:
         bag = TrialBag.open(path)
         return net_feedback(bag), bag.sealed
-    except Exception as error:  # whatever is wrong with one bag, the others are analysed
+    except Exception as error:  # a damaged bag must not stop the others
         return reason_of(error), True
 
 
@@ -367,11 +367,11 @@ def analyze_campaign(
 
     Args:
         directory: Folder whose subfolders are bags.
-        progress: Told how many of how many bags are read.
+        progress: Called with the number of bags read, and of all bags.
         map_tasks: Parallel map, for campaigns of many trials.
 
     Raises:
-        InputError: No such folder, or none of its bags is a trial that can be used.
+        InputError: No such folder, or none of its bags is a usable trial.
     """
     if not directory.is_dir():
         raise InputError("no such folder", file=directory)
@@ -446,7 +446,7 @@ def analyze_campaign(
 
 
 def _missing(directory: Path, skipped: list[SkippedBag]) -> list[str]:
-    """Names of the manifest's trials that have no folder; a broken manifest is reported and does not stop anything."""
+    """Names of the manifest's trials without a folder; a broken manifest is only reported."""
     if not (directory / MANIFEST).exists():
         return []
     try:
@@ -485,10 +485,12 @@ def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedba
     )
     arms = []
     for arm in info.robots if len(info.robots) > 1 else ():
-        with suppress(FitError):  # the mean of the arms may have an estimate where one of them has none
+        with suppress(FitError):  # the mean of the arms may have an estimate even if one arm has none
             own = fit_zero_crossing(references, np.array([trial.nets[arm] for trial in trials]))
-            told = [{model: Prediction.of(entry[arm], own) for model, entry in found.items()} for found in by_arm]
-            arms.append(ArmSet(arm, own, *told))
+            first_settled = [
+                {model: Prediction.of(entry[arm], own) for model, entry in found.items()} for found in by_arm
+            ]
+            arms.append(ArmSet(arm, own, *first_settled))
     return ExperimentSet(
         scenario=info.scenario,
         object=info.object,
@@ -507,11 +509,11 @@ def _evaluate(directory: Path, trials: list[TrialFeedback], example: TrialFeedba
 
 
 def _in_order(sets: list[ExperimentSet], trials: list[TrialFeedback]) -> list[ExperimentSet]:
-    """Sets as the scenario lists its objects and cases, not as folders sort."""
+    """Sets in the order of objects and cases in the scenario."""
     order: dict[tuple[str, str, str], tuple[str, int, int]] = {}
     for text, name in {(trial.info.scenario_json, trial.info.scenario) for trial in trials}:
         scenario = recorded_scenario(text, name)
-        for i, thing in enumerate(scenario.objects):
+        for i, name_of_object in enumerate(scenario.objects):
             for j, case in enumerate(scenario.cases):
-                order[name, thing, case] = (name, i, j)
+                order[name, name_of_object, case] = (name, i, j)
     return sorted(sets, key=lambda entry: order[entry.scenario, entry.object, entry.case])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arms that something was measured with, as every report tells them."""
+"""The arms of measurements, as all reports show them."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class ArmDocument(Schema):
     """One arm."""
 
     name: str = Field(description="name in the scenario")
-    robot: str = Field(description="robot in config/robots; of another one where its facts come from")
+    robot: str = Field(description="name in config/robots, or else the source of its facts")
     joints: int = Field(description="number of joints")
-    torque_loop: bool = Field(description="whether the joints have torque sensors and a loop about them")
+    torque_loop: bool = Field(description="whether the joints have torque sensors and a torque loop")
     motor_inertia_rotor_kg_m2: tuple[float, ...] = Field(description="B_rho by joint [kg m^2]")
-    motor_inertia_reduced_kg_m2: tuple[float, ...] = Field(description="what the links feel, B_theta [kg m^2]")
+    motor_inertia_reduced_kg_m2: tuple[float, ...] = Field(description="reflected at the links, B_theta [kg m^2]")
     torque_limits_Nm: tuple[float, ...] = Field(description="torque limits by joint [N m]")
 
     @property
@@ -31,7 +31,7 @@ class ArmDocument(Schema):
 
 
 def robot_name(facts: RobotFacts) -> str:
-    """Name of a robot in ``config/robots``; of one that is not there, where its facts come from."""
+    """Name of a robot in ``config/robots``, or else the source of its facts."""
     for file in sorted((config_directory() / "robots").glob("*.yaml")):
         if load_facts(file.stem) == facts:
             return file.stem
@@ -39,7 +39,7 @@ def robot_name(facts: RobotFacts) -> str:
 
 
 def arms_of(worlds: Iterable[Physics]) -> tuple[ArmDocument, ...]:
-    """The different arms of some physics, in order of appearance."""
+    """The distinct arms of some physics, in order of appearance."""
     found: dict[ArmDocument, None] = {}
     names: dict[RobotFacts, str] = {}
     for physics in worlds:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rows of a campaign as a folder of Parquet files that grows with it: no bag is read twice.
 
-``part-*.parquet`` hold the rows of :func:`~impact_rs_analysis.measure.export.trial_row` with two columns more: ``bag``
-is where the bag lies below the campaign, and ``stamp`` changes when it is written again. A bag that has no row, or one
-with another stamp, is read. A part is whole or has no name, and is written anew for two reasons only. Where a bag was
-written again its old row goes before it is read, so none has two. Where a row has an arm that no row had before, every
-part gets its column: many readers take the columns of the first file for those of all.
+``part-*.parquet`` hold the rows of :func:`~impact_rs_analysis.measure.export.trial_row` with two more columns: ``bag``
+is the path of the bag below the campaign, and ``stamp`` changes when the bag is rewritten. Bags without a row, or with
+another stamp, are read. Parts are written atomically, and rewritten in two cases only. The old row of a rewritten bag
+is removed before the bag is read, so that no bag has two rows. A new arm adds its columns to every part, because many
+readers take the columns of the first file for all.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from impact_rs_trials.bags.reader import reason_of
 from impact_rs_trials.store import Folder, Store, open_store, owned
 from impact_rs_trials.workers import Map
 
-ROWS = 2000  # of a part: so many are held in memory, and lost where an export is killed
+ROWS = 2000  # per part; held in memory, and lost if an export is killed
 PART = re.compile(r"part-\d+\.parquet")
-CAMPAIGN = b"impact_rs_campaign"  # key in every part's metadata: where its bags lie
+CAMPAIGN = b"impact_rs_campaign"  # key in every part's metadata: location of its bags
 
 
 @dataclass(frozen=True)
 class Extended:
-    """What an export into a data set did.
+    """Result of an export into a data set.
 
     Attributes:
-        trials: Number of trials that the data set holds now.
-        read: How many of them were read this time.
-        skipped: Bags that could not be read; they are tried again next time.
+        trials: Number of trials in the data set now.
+        read: Number of them that were read this time.
+        skipped: Bags that could not be read; the next export tries them again.
     """
 
     trials: int
@@ -50,18 +50,18 @@ class Extended:
 def extend(
     place: str | Path | Store, folder: Path, map_tasks: Map, progress: Callable[[int, int], None], rows: int = ROWS
 ) -> Extended:
-    """Bring a data set up to date with a campaign. Rows of bags that are gone stay.
+    """Bring a data set up to date with a campaign. Rows of deleted bags stay.
 
     Args:
-        place: Folder with bags of trials, however deep, or its URL; it may grow meanwhile.
-        folder: Folder of the data set; it is made.
+        place: Folder with bags of trials at any depth, or its URL; it may grow meanwhile.
+        folder: Folder of the data set; made if missing.
         map_tasks: Parallel map.
-        progress: Told how many of how many new bags are read.
-        rows: How many a part has at most.
+        progress: Called with the number of new bags read, and of all new bags.
+        rows: Largest number of rows of a part.
 
     Raises:
-        InputError: Another folder than a data set of this campaign, one that another process works on, a part that
-            cannot be read or written, no bags, no readable trial, or a package that is not installed.
+        InputError: The folder is no data set of this campaign, or in use by another process; a part cannot be read or
+            written; no bags, no readable trial, or a package is not installed.
     """
     check_package("pyarrow", folder)
     store = open_store(place)
@@ -84,7 +84,7 @@ def extend(
                     else:
                         read.append({**row, "bag": name, "stamp": stamps[name]})
                     progress(number, len(new))
-            finally:  # what was read before an interrupt stays
+            finally:  # keep rows that were read before an interrupt
                 parts.add(read)
             added += len(read)
         trials = len(known.keys() - new) + added
@@ -98,7 +98,7 @@ def _row(store: Store, name: str) -> dict[str, Any] | SkippedBag:
     try:
         with store.getting(name) as directory:
             return trial_row(directory / name)
-    except Exception as error:  # as for whatever is wrong with one bag
+    except Exception as error:  # a damaged bag must not stop the others
         return SkippedBag(name, reason_of(error))
 
 
@@ -107,7 +107,7 @@ def _paths(folder: Path) -> list[Path]:
 
 
 def _check(folder: Path) -> None:
-    """A data set, an empty folder, or none yet; hidden files do not count."""
+    """Check for a data set, an empty folder, or no folder; hidden files are ignored."""
     if folder.exists() and not folder.is_dir():
         raise InputError("this is a file; expected the name of a folder", file=folder)
     foreign = {path.name for path in folder.glob("[!.]*") if not PART.fullmatch(path.name)}
@@ -119,8 +119,8 @@ class _Parts:
     """The parts of a data set, all with the same columns.
 
     Args:
-        folder: Where they lie; this process owns it.
-        campaign: Where their bags lie, for the metadata of every part.
+        folder: Their folder, locked by this process.
+        campaign: Location of their bags, for the metadata of every part.
 
     Raises:
         InputError: One cannot be read, or is not of this data set.
@@ -129,7 +129,7 @@ class _Parts:
     def __init__(self, folder: Path, campaign: str) -> None:
         self._folder = folder
         self._metadata = {CAMPAIGN: campaign.encode(), b"made_by": f"impact-rs {package_version()}".encode()}
-        for path in folder.glob(".part-*.partial"):  # of an export that was killed
+        for path in folder.glob(".part-*.partial"):  # left by a killed export
             path.unlink(missing_ok=True)
         schemas = [self._of_campaign(path) for path in _paths(folder)]
         self._schema = self._united(schemas)
@@ -145,7 +145,7 @@ class _Parts:
         return found
 
     def drop(self, names: Collection[str]) -> None:
-        """Take the rows of bags away, and parts that are empty then."""
+        """Remove the rows of bags, and parts that become empty."""
         import pyarrow.compute
 
         for path in _paths(self._folder) if names else ():
@@ -171,7 +171,7 @@ class _Parts:
         self._write(self._folder / f"part-{last + 1:05d}.parquet", table)
 
     def _of_campaign(self, path: Path) -> Any:
-        """Schema of a part, which is one of this data set."""
+        """Schema of a part, checked to belong to this data set."""
         with _opened(path) as part:
             schema = part.schema_arrow
         theirs, ours = (schema.metadata or {}).get(CAMPAIGN), self._metadata[CAMPAIGN]
@@ -216,7 +216,7 @@ class _Parts:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """A part to read from.
+    """A part, opened for reading.
 
     Raises:
         InputError: It is damaged, or no Parquet file.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A campaign as one file for other tools: a row per trial (Parquet), or all measured signals (HDF5).
 
-What is exported is what a robot would give; ``/truth`` stays in the bags. Names of columns end with their unit, and
-datasets have it as their attribute ``units``.
+Only the robot's own topics are exported; ``/truth`` stays in the bags. Column names end with their unit; datasets have
+it in their attribute ``units``.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ CONTROLLER_UNITS = {
 
 @dataclass(frozen=True)
 class Exported:
-    """What an export holds.
+    """Result of an export.
 
     Attributes:
         trials: Number of trials in the file.
@@ -61,10 +61,10 @@ class Exported:
 
 
 def check_target(path: Path) -> None:
-    """Check that a file of that name can be made, before anything is read.
+    """Check the target file before bags are read.
 
     Raises:
-        InputError: Another ending than .parquet, .h5 or .hdf5, a folder, or a package that is not installed.
+        InputError: The ending is not .parquet, .h5 or .hdf5, it is a folder, or a package is not installed.
     """
     if path.suffix not in NEEDS:
         raise InputError(f"expected a name that ends with {', '.join(NEEDS)}, or a folder without ending", file=path)
@@ -74,7 +74,7 @@ def check_target(path: Path) -> None:
 
 
 def check_package(package: str, path: Path) -> None:
-    """Check that the package is installed that a result is written with.
+    """Check that the package which writes a result is installed.
 
     Raises:
         InputError: It is not.
@@ -86,13 +86,13 @@ def check_package(package: str, path: Path) -> None:
 
 
 def export(directory: Path, path: Path, map_tasks: Map, progress: Callable[[int, int], None]) -> Exported:
-    """Write all readable trials below a folder into one file, which is there when it is complete.
+    """Write all readable trials below a folder into one file, atomically.
 
     Args:
-        directory: Folder with bags of trials, however deep.
-        path: File that ends with .parquet, .h5 or .hdf5; one that is there is replaced.
+        directory: Folder with bags of trials at any depth.
+        path: File that ends with .parquet, .h5 or .hdf5; an existing one is replaced.
         map_tasks: Parallel map; not used for signals.
-        progress: Told how many of how many bags are read.
+        progress: Called with the number of bags read, and of all bags.
 
     Raises:
         InputError: As :func:`check_target`, no readable trial in the folder, or a file that cannot be written.
@@ -115,15 +115,14 @@ def export(directory: Path, path: Path, map_tasks: Map, progress: Callable[[int,
 
 
 def trial_row(path: Path) -> dict[str, Any] | SkippedBag:
-    """One trial in one row: what was run, how it ended and what was measured; or why it cannot be read.
+    """One trial as a row: plan, outcome and measurements; or the reason why it cannot be read.
 
-    Where the net feedback is no measurement (nothing was hit, the object was dropped, the recording has holes),
-    ``remark`` says why.
+    If the net feedback is not valid (no impact, object dropped, gaps in the recording), ``remark`` has the reason.
     """
     try:
         bag = TrialBag.open(path)
         impact_times = {f"{arm}_impact_time_s": _or_none(bag.impact_time(arm)) for arm in bag.info.robots}
-    except Exception as error:  # whatever is wrong with one bag, the others are exported
+    except Exception as error:  # a damaged bag must not stop the others
         return SkippedBag(path.name, reason_of(error))
     net, impact, remark = None, None, ""
     try:
@@ -192,7 +191,7 @@ def table_of(rows: list[dict[str, Any]]) -> Any:
 
 
 def _column(name: str, values: list[Any]) -> Any:
-    """A column whose type does not depend on whether anything was measured."""
+    """A column of fixed type, also if all its values are missing."""
     import pyarrow
 
     kind = {
@@ -227,10 +226,10 @@ def _hdf5(directory: Path, bags: list[Path], target: Path, map_tasks: Map) -> It
 
 
 class _Target(io.FileIO):
-    """A file for HDF5, whose library crashes where a write fails: the first error is kept, and nothing written after.
+    """A file for HDF5, whose library crashes on a failed write: the first error is kept, and later writes are ignored.
 
     Attributes:
-        error: Why nothing more is written; None: all is well.
+        error: Error of the first failed write; None without one.
     """
 
     def __init__(self, path: Path) -> None:
@@ -239,7 +238,7 @@ class _Target(io.FileIO):
 
     @contextmanager
     def failing_in_words(self) -> Iterator[None]:
-        """Raise the first error of a write where the context ends, in place of what the library makes of it."""
+        """Raise the first write error at the end of the context, in place of the library's own."""
         try:
             yield
         except Exception:
@@ -249,7 +248,7 @@ class _Target(io.FileIO):
             raise self.error
 
     def write(self, data: Any) -> int:
-        """Write all of it, or keep why not."""
+        """Write all of it, or keep the error."""
         size = memoryview(data).nbytes
         left = memoryview(data).cast("B")
         try:
@@ -260,7 +259,7 @@ class _Target(io.FileIO):
         return size
 
     def truncate(self, size: int | None = None) -> int:
-        """Change the length, or keep why not."""
+        """Change the length, or keep the error."""
         try:
             return super().truncate(size)
         except OSError as error:

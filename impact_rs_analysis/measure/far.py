@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predictions that lie far outside of what was measured.
+"""Predictions that lie far from the measurement.
 
-A missing effect moves a prediction by some percent. One that is off by much more is no finding about physics: another
-robot, object or speed was measured than was predicted. The statistic is
+A missing effect changes a prediction by some percent. A much larger error usually means that another robot, object or
+speed was measured than predicted. The statistic is
 
     |v+_predicted - v+_measured| / |v-|
 
-with B_theta, for the first contact. Over v+, as errors are told, a heavy object that hardly moves would always be far.
+with B_theta, for the first contact. It refers to v-, because v+ of a heavy object is close to zero.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ FAR = 0.2  # twice the worst that the paper publishes for B_theta (0.10, parcel 
 
 @dataclass(frozen=True)
 class Jump:
-    """One predicted and measured jump.
+    """One predicted and measured velocity jump.
 
     Attributes:
-        label: What was measured, in words.
-        ante: Ante-impact velocity v- [m/s]; NaN where it is not known, which makes nothing far.
+        label: Object and case in words.
+        ante: Ante-impact velocity v- [m/s]; NaN if not known, which never counts as far.
         predicted: Predicted post-impact velocity [m/s].
         measured: Measured post-impact velocity [m/s].
     """
@@ -36,25 +36,25 @@ class Jump:
 
     @property
     def mismatch(self) -> float:
-        """Prediction from measurement, over the ante-impact speed [-]."""
+        """Distance of prediction and measurement over the ante-impact speed [-]."""
         return abs(self.predicted - self.measured) / abs(self.ante) if self.ante else math.nan
 
 
 def far_jumps(jumps: Iterable[Jump]) -> list[Jump]:
-    """Those that are far, the farthest first."""
+    """The jumps that are far, the farthest first."""
     return sorted((jump for jump in jumps if jump.mismatch > FAR), key=lambda jump: -jump.mismatch)
 
 
 def far_words(jumps: Iterable[Jump]) -> str:
-    """What is to be said of those that are far, in one line; empty where none is."""
+    """Warning about far jumps in one line; empty without one."""
     listed = list(jumps)
     found = far_jumps(listed)
     if not found:
         return ""
     worst = found[0]
     return (
-        f"{len(found)} of {len(listed)} predictions are far from what was measured, most for {worst.label}: "
-        f"{worst.predicted:+.3f} m/s predicted, {worst.measured:+.3f} m/s measured, {worst.mismatch:.0%} of the "
-        f"ante-impact speed apart (far: beyond {FAR:.0%}). An ordinary missing effect is smaller: was another robot, "
-        "object or speed measured?"
+        f"{len(found)} of {len(listed)} predictions are far from the measurement, most for {worst.label}: "
+        f"{worst.predicted:+.3f} m/s predicted, {worst.measured:+.3f} m/s measured, a difference of "
+        f"{worst.mismatch:.0%} of the ante-impact speed (far: beyond {FAR:.0%}). A missing effect is usually smaller: "
+        "was another robot, object or speed measured?"
     )

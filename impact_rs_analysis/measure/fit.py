@@ -27,7 +27,7 @@ from impact_rs_sim.robot import Array
 
 
 class FitError(Exception):
-    """These trials determine no estimate; the message says what is missing."""
+    """The trials determine no estimate; the message names the missing data."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def fit_zero_crossing(velocity: Array, net: Array, confidence: float = 0.95) -> 
     residuals = net - intercept - slope * velocity
     total = float(np.sum(np.square(net - level)))
     squares = float(residuals @ residuals)
-    # A slope that is rounding noise divides by zero in all but name.
+    # A slope within rounding errors would divide by zero.
     if abs(slope) * math.sqrt(spread) <= 1e-12 * max(1.0, float(np.max(np.abs(net)))):
         raise FitError("the net feedback does not depend on the post-impact velocity: there is no zero crossing")
     estimate = -intercept / slope

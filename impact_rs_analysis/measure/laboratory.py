@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The jump of a laboratory's runs: measured post-impact velocity with its interval, beside three motor inertias.
+"""Velocity jump of laboratory runs: measured post-impact velocity with its interval, and three predictions.
 
-Without reference spreading there is no net feedback to cross zero. What there is: the velocity of the end effector 20
-to 40 ms after the impact, and the impact map asked in the ante-impact state of every run. Until then the controller has
-already pushed on, which says nothing of the impact; its recorded torque does so in the prediction as well,
+Without reference spreading there is no zero crossing of the net feedback. Instead, the velocity of the end effector 20
+to 40 ms after the impact is compared with the impact map from the ante-impact state of every run. By then the
+controller has accelerated the arm; the prediction includes this by its recorded torque,
 
     (M + B + J_p^T m J_p) ddq = tau_d - h - J_p^T mu m g v / |v|      (paper eq. eom; the object goes with the pad)
 
-J_p has the horizontal rows of J and v is the pad's horizontal velocity: a pad that comes at an angle inside the cone of
-friction takes the object along sideways as well, and slides up or down its face. That is integrated from the impact on.
-Errors are taken run by run, prediction minus measurement over measurement; repeats make the interval (Student's t).
+J_p has the horizontal rows of J and v is the pad's horizontal velocity: a pad inside the friction cone moves the object
+sideways as well, and slides vertically on its face. The equation is integrated from the impact on. Errors are
+(prediction - measurement) / measurement of every run; the interval is from repeats (Student's t).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import STANDARD_GRAVITY
 
-SLOWEST = 1e-3  # m/s, below which the support's friction has no direction
+SLOWEST = 1e-3  # m/s; below, the friction of the support has no direction
 GRAVITY = -STANDARD_GRAVITY[2]
 
 
@@ -43,11 +43,11 @@ class MeasuredJump:
 
     Attributes:
         condition: Condition.
-        runs: Runs of it.
+        runs: Number of its runs.
         before: Mean speed before the impact [m/s].
         after: Mean speed 20 to 40 ms after it, along the same direction [m/s].
-        interval: 95 % interval of ``after`` [m/s]; None of a single run.
-        predicted: Mean speed then, by motor inertia [m/s].
+        interval: 95 % interval of ``after`` [m/s]; None for a single run.
+        predicted: Mean predicted speed at that time, by motor inertia [m/s].
         errors: Mean of (predicted - measured) / measured, by motor inertia [%].
     """
 
@@ -67,8 +67,8 @@ class LaboratoryJumps:
     Attributes:
         jumps: By condition.
         errors: Mean absolute error of every motor inertia over the conditions [%].
-        remarks: What could not be said.
-        contact: How far the impact map carries the impact on.
+        remarks: Remarks on missing results.
+        contact: Contact of the predictions, ``first`` or ``settled``.
     """
 
     jumps: tuple[MeasuredJump, ...]
@@ -78,7 +78,7 @@ class LaboratoryJumps:
 
     @property
     def compared(self) -> list[Jump]:
-        """Prediction with B_theta beside measurement of every condition."""
+        """Prediction with B_theta and measurement of every condition."""
         return [Jump(jump.condition, jump.before, jump.predicted["reduced"], jump.after) for jump in self.jumps]
 
     @property
@@ -110,7 +110,7 @@ class LaboratoryJumps:
 
 
 def jumps_of(runs: Runs, contact: str = "first") -> LaboratoryJumps:
-    """Measured and predicted jumps of every condition in which something is hit.
+    """Measured and predicted jumps of every condition with an impact.
 
     Args:
         runs: The runs.
@@ -118,11 +118,11 @@ def jumps_of(runs: Runs, contact: str = "first") -> LaboratoryJumps:
             lasts is closed.
 
     Raises:
-        InputError: Nothing is hit in any run, no impact map can be computed, or there are several arms.
+        InputError: No run has an impact, no impact map can be computed, or there are several arms.
     """
     if any(len(run.setup.physics.arms) > 1 for run in runs.runs):
         raise InputError(
-            "the jump is analysed for one arm, which the object follows; compare and diagnose take runs of several",
+            "the jump is analysed for a single arm only; use compare or diagnose for several arms",
             file=runs.directory,
         )
     found, remarks = [], list(runs.remarks)
@@ -134,7 +134,7 @@ def jumps_of(runs: Runs, contact: str = "first") -> LaboratoryJumps:
         except (ImpactMapError, InputError) as error:
             remarks.append(f"impact map of {condition}: {error}")
     if not found:
-        why = f": {remarks[-1]}" if remarks else ": nothing is hit in any run"
+        why = f": {remarks[-1]}" if remarks else ": no run has an impact"
         raise InputError(f"no jump to analyse{why}", file=runs.directory)
     errors = {name: float(np.mean([abs(jump.errors[name]) for jump in found])) for name in MOTOR_INERTIA_MODELS}
     return LaboratoryJumps(tuple(found), errors, tuple(remarks), contact)
@@ -170,7 +170,7 @@ def _speeds(run: MeasuredRun, ante: dict[str, Array]) -> tuple[float, float]:
         if f.phase == "impact"
     }
     for name, direction in _directions(ante).items():
-        # The feature is the change against the mean over the last milliseconds before the impact.
+        # The feature is the change from the mean over the last milliseconds before the impact.
         change = np.array([values["end-effector velocity", axis, SETTLED] for axis in AXES])
         baseline = _baseline(run, name)
         pairs.append((float(ante[name] @ direction), float((baseline + change) @ direction)))
@@ -191,7 +191,7 @@ def _directions(ante: dict[str, Array]) -> dict[str, Array]:
 
 
 def _baseline(run: MeasuredRun, name: str) -> Array:
-    """Mean velocity of the end effector over the window that the features are changes against, ``(3,)`` [m/s]."""
+    """Mean end-effector velocity over the reference window before the impact, ``(3,)`` [m/s]."""
     window, model = run.signals[-1], run.setup.physics.robot_model(name)
     onset, arm = run.impacts[name], window.arms[name]
     rows = (window.time >= onset + JUMP_BEFORE[0]) & (window.time <= onset + JUMP_BEFORE[1])
@@ -213,10 +213,10 @@ def _predicted(run: MeasuredRun, ante: dict[str, Array], motor_inertia: str, con
 
 
 def _pushed_on(run: MeasuredRun, name: str, way: Array, motor_inertia: str) -> float:
-    """What the recorded torque adds to the speed along ``way`` until 20 to 40 ms after the impact [m/s].
+    """Change of the speed along ``way`` by the recorded torque until 20 to 40 ms after the impact [m/s].
 
-    The object goes with the pad in the plane of the support, and counts in full for every arm that pushes it; where
-    only the joint torque was recorded that drives.
+    The object moves with the pad in the plane of the support, with its full mass for every arm. Without recorded
+    commands the joint torque is used.
     """
     setup = run.setup
     physics, window, signals = setup.physics.arms[name], setup.windows[-1], run.signals[-1]

@@ -23,11 +23,11 @@ from impact_rs_trials.bags.reader import BagError, ControllerColumns, TrialBag
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.spec import recorded_scenario
 
-AT_LIMIT = 1e-3  # relative; a torque this near its limit is at it
-SHORTEST_LIMIT = 0.005  # s at a limit; less takes from the feedback what its noise does as well
-# Outcomes; a bag of a real robot may have none, and where nothing was hit in time nothing is fitted.
+AT_LIMIT = 1e-3  # relative; a torque this close to its limit counts as limited
+SHORTEST_LIMIT = 0.005  # s at a limit; shorter times change the feedback by less than its noise
+# Outcomes that are analysed; a bag of a real robot may have none, and trials without impact are not fitted.
 MEASURES = ("OK", "NO-IMPACT", "EARLY")
-LARGEST_GAP = 0.02  # s; a hole this long in a 1 kHz signal hides more feedback than the measure resolves
+LARGEST_GAP = 0.02  # s; the feedback in a longer gap exceeds the resolution of the measure
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class TrialFeedback:
         post_reference: Velocity of the post-impact reference, ``(k,)`` [m/s].
         net: a_fb,net [m/s].
         nets: The same of every arm by itself [m/s].
-        limited: Joints whose torque was at its limit within the window, with the time they were [s]: what the feedback
-            asked for was not delivered, so that its integral is no measure.
+        limited: Joints at their torque limit within the window, with the duration [s]; their feedback was not
+            delivered, so the integral is not valid.
     """
 
     path: Path
@@ -100,7 +100,7 @@ def held_integral(time: Array, signal: Array, start: float, end: float) -> tuple
 
 
 def net_feedback(bag: TrialBag) -> TrialFeedback:
-    """Measure one trial. Reads what a robot would give, nothing below ``/truth``.
+    """Net feedback of one trial; ``/truth`` is not read.
 
     Raises:
         BagError: The trial went wrong, the bag is damaged, has holes, or does not cover the window from t1 to t2.
@@ -148,7 +148,7 @@ def net_feedback(bag: TrialBag) -> TrialFeedback:
 
 
 def _limited(bag: TrialBag, arm: str, state: ControllerColumns) -> Iterator[tuple[str, float]]:
-    """Joints of an arm at their torque limit within the window, with the time they were [s]."""
+    """Joints of an arm at their torque limit within the window, with the duration [s]."""
     info = bag.info
     limit = np.array(recorded_scenario(info.scenario_json, bag.path).robots[arm].robot_facts.limits.torque_Nm)
     inside = (state.time >= info.window_start) & (state.time < info.window_end)

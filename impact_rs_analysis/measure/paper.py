@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The published experiment as a measurement: what a motor-inertia scale can and cannot explain in it.
+"""The published experiment: mismatch that a scale of the motor inertia can explain.
 
 Each of the 18 rows (``config/paper/tables.yaml``, paper tables II and III) has an experimental estimate v of the
 post-impact speed and the mismatch of three predictions, with B = 0, B_theta and B_rho = 3 B_theta. As a function of a
 scale s with B = s B_theta the predicted speed is therefore known at s = 0, 1 and 3. In between it is taken from the
 parabola through the three points. An effective mass along the normal that is linear in s would give the hyperbola
-p_0 + a s / (s + h) instead; the fit is repeated with it, to show what the interpolation is worth. In five rows of the
+p_0 + a s / (s + h) instead; the fit is repeated with it, to check the interpolation. In five rows of the
 grab the parabola has its peak below s = 3, which no rigid impact of one effective mass has.
 
 s minimises the mean absolute mismatch over the rows, the measure of the paper's last lines.
@@ -87,14 +87,14 @@ def paper_results() -> list[PaperResult]:
 
 @dataclass(frozen=True)
 class ScaleFit:
-    """The scale that suits some rows best.
+    """Best motor-inertia scale for some rows.
 
     Attributes:
         scale: s, B = s B_theta [-].
         interval: 95 % interval from resampling rows [-].
         error_nominal: Mean absolute mismatch at s = 1 [%].
         error_fitted: The same at the fitted scale [%].
-        error_held_out: The same, each row predicted with the scale that the other rows want [%].
+        error_held_out: The same, each row predicted with the scale fitted to the other rows [%].
     """
 
     scale: float
@@ -106,7 +106,7 @@ class ScaleFit:
 
 @dataclass(frozen=True)
 class PaperStudy:
-    """What the published rows say about the motor inertia.
+    """Fits of the motor inertia to the published rows.
 
     Attributes:
         results: The rows.
@@ -141,7 +141,7 @@ class PaperStudy:
         fit = self.all_rows
         if self.verdict == "CONFIRMED":
             return f"one motor-inertia scale of {fit.scale:.2f} explains the published rows"
-        scales = ", ".join(f"{name} alone wants {one.scale:.2f}" for name, one in self.by_scenario.items())
+        scales = ", ".join(f"{name} alone gives {one.scale:.2f}" for name, one in self.by_scenario.items())
         return (
             f"one motor-inertia scale does not explain the published rows: the best, {fit.scale:.2f}, lowers the mean "
             f"absolute mismatch from {fit.error_nominal:.2f} to {fit.error_fitted:.2f} % ({fit.error_held_out:.2f} % "

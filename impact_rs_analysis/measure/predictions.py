@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the impact map predicts for a set of trials, for the paper's three motor-inertia models."""
+"""Predictions of the impact map for a set of trials, with the paper's three motor-inertia models."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from impact_rs_trials.spec import recorded_scenario
 logger = logging.getLogger(__name__)
 
 KEPT = 64  # intervals; the study has 18 sets
-DRAWS = 100  # of which 2.5 lie beyond each end: a figure shows no more
+DRAWS = 100  # enough for the digits shown in a figure
 
 MODEL_LABELS = {
     "reduced": "reduced motor inertia B_θ (nominal)",
@@ -35,7 +35,7 @@ def prediction_interval(scenario_json: str, object_name: str, case_name: str) ->
     From the uncertainties that the scenario states (:mod:`impact_rs_sim.impact_map.uncertainty`).
 
     Args:
-        scenario_json: The scenario as bags carry it.
+        scenario_json: The scenario, as in a bag.
         object_name: Name of the object.
         case_name: Name of the case.
 
@@ -45,11 +45,11 @@ def prediction_interval(scenario_json: str, object_name: str, case_name: str) ->
     scenario = recorded_scenario(scenario_json, "")
     scene = Scene.resolve(scenario, object_name, case_name)
     try:
-        told = uncertain(ImpactProblem.at_nominal_impact(scene), scenario.uncertainty, scene.models, draws=DRAWS)
+        predicted = uncertain(ImpactProblem.at_nominal_impact(scene), scenario.uncertainty, scene.models, draws=DRAWS)
     except (InputError, ImpactMapError) as error:
         logger.info("no interval of the prediction for %s %s: %s", object_name, case_name, error)
         return None
-    return told.interval_of({f"{arm}.velocity.{scenario.axis}": 1.0 / len(scene.arms) for arm in scene.arms})
+    return predicted.interval_of({f"{arm}.velocity.{scenario.axis}": 1.0 / len(scene.arms) for arm in scene.arms})
 
 
 def predict(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's result tables, and which sets of trials repeat one of their rows.
+"""The paper's result tables, and the sets of trials that repeat one of their rows.
 
-A name is no experiment: ``push`` with another arm or a heavier box is still called so, and numbers that were published
-of something else must not stand beside it.
+Names are not enough: ``push`` with another arm or a heavier box keeps its name, but must not be compared with the
+published numbers.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class PaperTables(RootModel[dict[str, dict[str, dict[str, PaperRow]]]]):
 
 
 def paper_row(scenario: str, object_name: str, case: str) -> PaperRow | None:
-    """The paper's row of these names, where it has one."""
+    """The paper's row of these names; None if there is none."""
     path = config_directory() / "paper" / "tables.yaml"
     if not path.is_file():
         return None
@@ -65,7 +65,7 @@ def published(scenario: Scenario, object_name: str, case: str) -> PaperRow | Non
 
 
 def _object(scenario: Scenario, name: str) -> dict[str, object]:
-    """What an object is, whatever it is called."""
+    """Physical properties of an object, without its name."""
     return scenario.object(name).model_dump(exclude={"label"})
 
 

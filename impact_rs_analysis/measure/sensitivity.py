@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The systematic band of an estimate: how far it moves with settings that it should not depend on.
+"""Systematic band of an estimate: its change with settings on which it should not depend.
 
 With x0 the zero crossing of some trials of a campaign, and x0(k) that of the same trials with setting k put to another
 value (:mod:`impact_rs_trials.sensitivity`, same seeds; the window is varied in the trials as they are),
 
     s_k = (x0(k) - x0) / x0,    band = [-sqrt(sum over k of min(s_k, 0)^2), +sqrt(sum over k of max(s_k, 0)^2)]
 
-with the lowest and the highest s_k of every setting. Settings are chosen one by one, so their shifts add in squares. A
-band is no confidence interval: it says how far two laboratories that chose their settings otherwise may lie apart with
-one robot and one object.
+with the lowest and the highest s_k of every setting. Settings are independent choices, so their shifts add in squares.
+The band is no confidence interval: it is the possible difference between two laboratories with different settings, for
+the same robot and object.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ WINDOW_FACTORS = (2.0 / 3.0, 4.0 / 3.0)  # of the time after the nominal impact;
 LABELS = {setting.name: setting.label for setting in SETTINGS} | {WINDOW: "end of the window after the impact"}
 
 Set = tuple[str, str]  # scenario and object
-Key = tuple[str, str, str, float, int]  # scenario, object, case, scale and seed: the trial to hold a varied one against
+Key = tuple[str, str, str, float, int]  # scenario, object, case, scale and seed: identifies the unvaried trial
 Point = tuple[float, float]  # reference velocity and net feedback [m/s]
 
 
 @dataclass(frozen=True)
 class Shift:
-    """What one other value of one setting does to the estimate of one object.
+    """Change of the estimate of one object with one value of one setting.
 
     Attributes:
         scenario: Name of the scenario.
@@ -58,7 +58,7 @@ class Sensitivity:
 
     Attributes:
         shifts: One per object, setting and value.
-        missing: What could not be evaluated, and why.
+        missing: Settings that could not be evaluated, with the reason.
     """
 
     shifts: tuple[Shift, ...] = ()
@@ -67,17 +67,17 @@ class Sensitivity:
     def __add__(self, other: Sensitivity) -> Sensitivity:
         return Sensitivity(self.shifts + other.shifts, self.missing + other.missing)
 
-    def of(self, scenario: str, thing: str) -> dict[str, dict[float, float]]:
+    def of(self, scenario: str, object_name: str) -> dict[str, dict[float, float]]:
         """s_k of an object, by setting and factor [%]."""
         found: dict[str, dict[float, float]] = {}
         for shift in self.shifts:
-            if (shift.scenario, shift.object) == (scenario, thing):
+            if (shift.scenario, shift.object) == (scenario, object_name):
                 found.setdefault(shift.setting, {})[shift.factor] = shift.percent
         return found
 
-    def band(self, scenario: str, thing: str) -> tuple[float, float] | None:
-        """Band about the estimates of an object, low then high [%]; None where nothing was varied."""
-        settings = self.of(scenario, thing).values()
+    def band(self, scenario: str, object_name: str) -> tuple[float, float] | None:
+        """Band about the estimates of an object, low then high [%]; None if no setting was varied."""
+        settings = self.of(scenario, object_name).values()
         if not settings:
             return None
         low, high = (
@@ -94,7 +94,7 @@ class Sensitivity:
 def sensitivity_of(
     trials: Sequence[TrialFeedback], varied: Mapping[tuple[str, float], Sequence[TrialFeedback]]
 ) -> Sensitivity:
-    """How far the estimates of a campaign move.
+    """Sensitivity of the estimates of a campaign to settings.
 
     Args:
         trials: The campaign.
@@ -112,7 +112,7 @@ def sensitivity_of(
                 pairs[key[:2]].append(key)
                 held[key[:2]][key] = base[key]
         if not pairs:
-            missing.append((setting_words(setting, factor), "no trial with impact to hold it against"))
+            missing.append((setting_words(setting, factor), "no trial with impact to compare with"))
         for where, keys in pairs.items():
             before, after = ([_point(side[key]) for key in keys] for side in (base, found))
             comparisons.append((where, setting, factor, before, after))
@@ -122,11 +122,12 @@ def sensitivity_of(
             stretched = [(_point(trial)[0], _net(trial, factor)) for trial in trials_of.values()]
             comparisons.append((where, WINDOW, factor, points, stretched))
     shifts = []
-    for (scenario, thing), setting, factor, before, after in comparisons:
+    for (scenario, object_name), setting, factor, before, after in comparisons:
         try:
-            shifts.append(Shift(scenario, thing, setting, factor, 100.0 * (_crossing(after) / _crossing(before) - 1.0)))
+            percent = 100.0 * (_crossing(after) / _crossing(before) - 1.0)
+            shifts.append(Shift(scenario, object_name, setting, factor, percent))
         except FitError as error:
-            missing.append((f"{setting_words(setting, factor)}, {thing}", str(error)))
+            missing.append((f"{setting_words(setting, factor)}, {object_name}", str(error)))
     return Sensitivity(tuple(shifts), tuple(missing))
 
 

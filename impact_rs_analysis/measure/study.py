@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole published study: both scenarios with every object, case, reference and repeat, in one folder.
+"""The published study: both scenarios with every object, case, reference and repeat, in one folder.
 
 A study is a folder of campaigns, one per scenario; each is resumed and analysed as any campaign is.
 """
@@ -18,7 +18,7 @@ SCENARIOS = ("push", "grab")
 
 
 def study_manifests(trials: int | None = None, seed: int = 0) -> dict[str, Manifest]:
-    """What to run, by scenario.
+    """Campaigns of the study, by scenario.
 
     Args:
         trials: Repeats of every reference; None: the scenarios' own number.
@@ -37,7 +37,7 @@ def analyze_study(
 
     Args:
         directory: Folder of the study.
-        progress: Told how many of how many bags of the present campaign are read.
+        progress: Called with the number of bags read, and of all bags of the present campaign.
         map_tasks: Parallel map, for many trials.
 
     Raises:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's result table (paper tables comparison_push and comparison_grab), ours beside the paper's own numbers."""
+"""Result table as in the paper (tables comparison_push and comparison_grab), with the published numbers."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class Row:
     """One row of the table.
 
     Attributes:
-        label: Object and case, or what is averaged.
+        label: Object and case, or the averaged sets.
         estimate: Experimental estimate [m/s]; None in the rows of averages.
         half_interval: Larger half of the 95 % interval [m/s]; None where there is none.
         systematic: Systematic band about the estimate, low then high [%]; None where no setting was varied.
         errors: Mismatch by motor-inertia model, first contact [%].
         settled: The same, settled contact [%].
-        paper_estimate: The paper's estimate [m/s], if this row repeats one of it.
-        paper_errors: The paper's mismatch by model [%], if this row repeats one of it.
+        paper_estimate: The paper's estimate [m/s]; None if the paper has no such row.
+        paper_errors: The paper's mismatch by model [%]; None if the paper has no such row.
         signed: Whether the mismatches have a sign; absolute errors have none.
         tolerance: Mismatch up to which a prediction agrees with the estimate [%]; None: not known, or a row of
             averages.
@@ -50,7 +50,7 @@ class Row:
         return min(errors, key=lambda model: abs(errors[model]))
 
     def fits(self, contact: str) -> bool:
-        """Whether the nearest prediction agrees with the estimate, as far as is known."""
+        """Whether the nearest prediction agrees with the estimate; true if the tolerance is not known."""
         return self.tolerance is None or abs(self.of_contact(contact)[self.nearest(contact)]) <= self.tolerance
 
     def of_contact(self, contact: str) -> dict[str, float]:
@@ -74,7 +74,7 @@ def result_table(analysis: Analysis) -> list[Row]:
 
 
 def shown_contacts(rows: Sequence[Row]) -> tuple[str, ...]:
-    """Contacts whose errors differ in the digits that are shown: a pad that hits flat is settled at once."""
+    """Contacts whose errors differ in the digits shown; after a flat hit both are the same."""
     differ = any(
         abs(row.errors[model] - row.settled[model]) >= LEAST_DIFFERENCE for row in rows for model in row.errors
     )

@@ -77,11 +77,11 @@ class SensitivityRow:
 
 @dataclass(frozen=True)
 class Listing:
-    """What did not enter the fit.
+    """Sets and trials with a remark.
 
     Attributes:
-        title: What is listed.
-        items: Names with what is to be said of them.
+        title: Heading of the list.
+        items: Names with their remarks.
     """
 
     title: str
@@ -103,24 +103,24 @@ class SetPart:
 
 @dataclass(frozen=True)
 class AnalysisPage:
-    """What ``analysis.html.j2`` shows.
+    """Content of ``analysis.html.j2``.
 
     Attributes:
         title: Heading.
         campaign: Name of the folder.
         trials: Number of trials in the fits.
         rows: The table of results; empty: no set has an estimate.
-        arms: What the trials were run with.
-        by_arm: The table of results of every arm by itself, by its title; empty: there is one arm.
-        with_paper: Whether a row stands beside a published one.
+        arms: Arms of the trials.
+        by_arm: Table of results of every arm, by its title; empty with a single arm.
+        with_paper: Whether a row has published numbers.
         contacts: Contacts whose errors are shown: the first alone where the settled has the same.
         none_fit: Whether there is a row whose nearest prediction does not agree with the estimate.
-        sensitivity: How far the estimates move with settings; no rows where none was varied.
-        far: What is to be said of predictions far from what was measured; empty: nothing.
-        left_out: What did not enter the fits.
+        sensitivity: Sensitivity of the estimates to settings; empty if none was varied.
+        far: Warning about predictions far from the measurement; empty without one.
+        left_out: Sets and trials with remarks.
         sets: Sets with an estimate.
         contact: Contact whose predictions the figures show.
-        replay: The trial with the least net feedback of every set in 3D; None: none can be seen.
+        replay: The trial with the least net feedback of every set in 3D; None if positions are not known.
     """
 
     title: str
@@ -154,9 +154,9 @@ def write_analysis_report(
     """Write ``report.html``, ``analysis.json`` and a PNG per figure, all or none; those of an earlier one are replaced.
 
     Args:
-        analysis: What to report.
-        directory: Where to; made if it does not exist.
-        progress: Told how many of how many files are written.
+        analysis: The analysis.
+        directory: Output folder; made if missing.
+        progress: Called with the number of files written, and of all files.
         contact: Contact whose predictions the figures show, ``first`` or ``settled``; the table has both.
 
     Returns:
@@ -225,7 +225,7 @@ def _page(analysis: Analysis, figures: Sequence[tuple[ExperimentSet, list[Figure
 
 
 def _table_rows(rows: Sequence[Row], contacts: Sequence[str]) -> tuple[TableRow, ...]:
-    """Rows with what is shaded; those of averages where some set fits."""
+    """Rows with their shading; rows of averages are shaded if the nearest prediction of some set fits."""
     some = {contact: any(row.fits(contact) for row in rows if row.estimate is not None) for contact in contacts}
     return tuple(
         TableRow(
@@ -238,23 +238,23 @@ def _table_rows(rows: Sequence[Row], contacts: Sequence[str]) -> tuple[TableRow,
 
 
 def _animation(entry: ExperimentSet) -> Animation | None:
-    """The trial of a set that needed the least feedback, and so moves as the estimate says; None: it cannot be seen."""
+    """The trial of a set with the least feedback, nearest to the estimate; None if it cannot be shown."""
     trial = min(entry.trials, key=lambda trial: abs(trial.net))
     try:
         return replace(animation_of_bag(TrialBag.open(trial.path)), label=f"{entry.label}: {trial.name}")
-    except (BagError, InputError) as error:  # the estimate needs less of a bag than the picture
-        logger.warning("%s is not seen in 3D: %s", trial.name, reason_of(error))
+    except (BagError, InputError) as error:  # the estimate needs fewer topics than the 3D view
+        logger.warning("%s is not shown in 3D: %s", trial.name, reason_of(error))
         return None
 
 
 def arm_rows(analysis: Analysis) -> dict[str, tuple[ArmRow, ...]]:
-    """The table of results arm by arm, by the arm's title; empty where every set has one arm."""
+    """Tables of results by title of the arm; empty if every set has one arm."""
     titles = {arm.name: arm.title for arm in analysis.arms}
     found: dict[str, list[ArmRow]] = {}
     for entry in analysis.sets:
         for arm in entry.arms:
             first, settled = (
-                {model: told.error for model, told in predictions.items()}
+                {model: prediction.error for model, prediction in predictions.items()}
                 for predictions in (arm.predictions, arm.predictions_settled)
             )
             found.setdefault(titles.get(arm.name, arm.name), []).append(
@@ -264,17 +264,17 @@ def arm_rows(analysis: Analysis) -> dict[str, tuple[ArmRow, ...]]:
 
 
 def sensitivity_rows(analysis: Analysis) -> Iterator[SensitivityRow]:
-    """One row per object whose estimate was taken with other settings."""
+    """One row per object with estimates under varied settings."""
     found = analysis.sensitivity
-    for scenario, thing in dict.fromkeys((shift.scenario, shift.object) for shift in found.shifts):
+    for scenario, name in dict.fromkeys((shift.scenario, shift.object) for shift in found.shifts):
         shifts = {
             setting_words(setting, factor): percent
-            for setting, values in found.of(scenario, thing).items()
+            for setting, values in found.of(scenario, name).items()
             for factor, percent in sorted(values.items())
         }
-        band = found.band(scenario, thing)
+        band = found.band(scenario, name)
         assert band is not None
-        yield SensitivityRow(f"{scenario}: {thing}", shifts, band)
+        yield SensitivityRow(f"{scenario}: {name}", shifts, band)
 
 
 def _best(errors: dict[str, float]) -> str:
@@ -290,10 +290,10 @@ def _left_out(analysis: Analysis) -> list[Listing]:
             tuple((name, f"{1e3 * spread:.0f}\N{NO-BREAK SPACE}ms") for name, spread in analysis.apart),
         ),
         Listing(
-            "Trials with a joint at its torque limit, which makes their feedback no measure",
+            "Trials with a joint at its torque limit, whose net feedback is not valid",
             tuple((name, f"{joint}, {1e3 * time:.0f}\N{NO-BREAK SPACE}ms") for name, joint, time in analysis.limited),
         ),
-        Listing("Settings whose effect could not be told", analysis.sensitivity.missing),
+        Listing("Settings whose effect could not be evaluated", analysis.sensitivity.missing),
         Listing("Bags skipped", tuple((s.name, s.reason) for s in analysis.skipped)),
         Listing("Trials of the manifest that are missing", tuple((name, "") for name in analysis.missing)),
     ]

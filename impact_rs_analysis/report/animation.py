@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs in 3D as ``replay.js`` reads them: what stands in the scene, and what moves, as base64 float32."""
+"""Runs in 3D as ``replay.js`` reads them: scene and motion, as base64 float32."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from impact_rs_analysis.report.page import packed
 from impact_rs_analysis.report.scene import scene_data
 from impact_rs_sim.robot import Array
 
-SLOW_BEFORE, SLOW_AFTER = 0.02, 0.06  # s about the impact, in which time is stretched
+SLOW_BEFORE, SLOW_AFTER = 0.02, 0.06  # s about the impact, shown in slow motion
 STRIDES = (0.001, 0.01)  # s between samples of a page at least, about the impact and elsewhere; the page interpolates
-MOST_ROWS = 1500  # of a run away from the impact; a recording may last for minutes
-MOST_RUNS = 8  # of a page with that many samples; of twice as many runs it has half of them
+MOST_ROWS = 1500  # per run, away from the impact; a recording may last for minutes
+MOST_RUNS = 8  # with that many rows; with more runs the rows per run decrease in proportion
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class ReplayPart:
 
     Attributes:
         data: What the page's script reads (:func:`animation_data`).
-        choose: Whether a reader chooses the run here; else the page has a choice of its own, in the same order.
+        choose: Whether to show a selection of the run; else the page has its own, in the same order.
     """
 
     data: dict[str, Any]
@@ -35,22 +35,22 @@ class ReplayPart:
 
     @classmethod
     def of(cls, animations: Sequence[Animation], choose: bool = True) -> ReplayPart | None:
-        """Runs of a page; None where there are none."""
+        """Runs of a page; None without runs."""
         return cls(animation_data(animations), choose and len(animations) > 1) if animations else None
 
     @property
     def labels(self) -> list[str]:
-        """What the runs are called."""
+        """Names of the runs."""
         return [run["label"] for run in self.data["runs"]]
 
 
 def animation_data(animations: Sequence[Animation]) -> dict[str, Any]:
-    """What ``new ImpactReplay(element, data)`` takes.
+    """Argument ``data`` of ``new ImpactReplay(element, data)``.
 
     Returns:
         ``scenes`` (:mod:`impact_rs_analysis.report.scene`), and by run its label, number of its scene, begin of the
         impact and of the slow part [s], times [s] with the rows in which stretches begin, and its sides ``measured``
-        and ``model``: joint positions of all arms side by side [rad], forces of the arms on what they touch [N], pose
+        and ``model``: joint positions of all arms side by side [rad], contact forces [N], pose
         of the object [m, -], and velocities before and after the impact [m/s].
     """
     coarser = max(1.0, len(animations) / MOST_RUNS)
@@ -82,7 +82,7 @@ def _run_data(animation: Animation, scene: int, strides: tuple[float, float]) ->
 
 
 def shown_rows(animation: Animation, fine: float, coarse: float) -> NDArray[np.int64]:
-    """Rows that a page gets: many about the impact, few elsewhere, and the ends of every stretch.
+    """Rows for a page: dense about the impact, coarse elsewhere, and the ends of every stretch.
 
     Args:
         animation: The run.

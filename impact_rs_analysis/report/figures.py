@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the figures show, said once: HTML and PNG are drawn from the same description and so agree.
+"""Description of the figures, from which both HTML and PNG are drawn.
 
-Texts are Unicode with HTML's ``<sub>``, which both sides understand or translate.
+Texts are Unicode with HTML's ``<sub>``, which the PNG side translates.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from impact_rs_sim.numbers import estimate_text, speed_text
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.robot import Array
 
-# Okabe and Ito's palette: told apart by all common kinds of colour vision, and in grey by their lightness.
+# Okabe and Ito's palette: distinct in all common kinds of colour vision, and in grey by lightness.
 BLUE, SKY, BLACK, ORANGE, RED, GREEN, PURPLE = (
     "#0072B2",
     "#56B4E9",
@@ -50,8 +50,8 @@ class Curve:
         label: Legend text; empty: not in the legend.
         x, y: Points, ``(k,)``.
         colour: Hex colour.
-        line: How the points are joined.
-        marker: How they are marked.
+        line: Line style.
+        marker: Symbol of the points.
         error: Half widths of horizontal error bars, low and high, in units of x.
     """
 
@@ -78,7 +78,7 @@ class Panel:
 
     Attributes:
         y_label: Quantity and unit.
-        curves: What is drawn.
+        curves: The curves.
         y_range: Limits of the y axis; None: from the data.
     """
 
@@ -94,7 +94,7 @@ class Figure:
     Attributes:
         name: File name without ending.
         title: One line above it.
-        caption: What is seen, in two or three sentences.
+        caption: Explanation in two or three sentences.
         x_label: Quantity and unit.
         panels: From top to bottom.
         notes: Vertical lines through all panels.
@@ -127,12 +127,12 @@ def figures_of(entry: ExperimentSet, contact: str = "first", band: tuple[float, 
 
 
 def _stem(entry: ExperimentSet) -> str:
-    """Name of its figures and of their files; a bag may have been made by anybody, and says any name."""
+    """Stem of its figures' file names; names in a bag are not trusted."""
     return re.sub(r"[^A-Za-z0-9_-]", "_", f"{entry.scenario}__{entry.object}__{entry.case}")
 
 
 def _colours(count: int) -> list[str]:
-    """Colours from slow to fast; five have names, other numbers are picked from the same five in between."""
+    """Colours from slow to fast: five given ones, interpolated for other counts."""
     if count == 1:
         return [BLACK]
     if count <= len(SCALE_COLOURS):
@@ -222,7 +222,7 @@ def fit_figure(entry: ExperimentSet, contact: str = "first", band: tuple[float, 
                 marker=marker,  # type: ignore[arg-type]
             )
         )
-    # Below the zero line, where the fitted line is far: on it, markers would hide them.
+    # Below the zero line, away from the fitted line, where no markers cover them.
     depth = -0.08 * (np.max(y) - np.min(y)) * np.ones(2)
     if contact == "first" and entry.prediction_interval is not None:
         left, right = entry.prediction_interval

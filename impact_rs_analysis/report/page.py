@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one skeleton of all reports: a page that works offline and on a phone, with its data beside it.
+"""Skeleton of all reports: a page that works offline and on a phone, with a data file.
 
-A report is a frozen dataclass of what is shown and a template that says how; templates escape whatever they print.
-Figures and tracks lie in the page as JSON and are drawn when they are first seen.
+A report is a frozen dataclass with its content, and a template; templates escape all text. Figures and tracks are
+embedded as JSON and drawn when they first become visible.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ TEMPLATES = Path(__file__).with_name("templates")
 BUNDLE = Path(__file__).with_name("bundle")
 PLOTLY = BUNDLE / "plotly-cartesian.min.js"
 STYLE = TEMPLATES / "page.css"
-MOST_POINTS = 500  # of a curve over time; more are not seen on a screen
+MOST_POINTS = 500  # of a curve over time; a screen resolves no more
 MOST_NUMBERS = 90_000  # of all tracks of a page, half a megabyte
-PREFIXED = ("m", "rad")  # units whose small values are told with a prefix
+PREFIXED = ("m", "rad")  # units whose small values are shown with a prefix
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ class Plot:
 
     Attributes:
         name: Its name, unique in the page.
-        figure: What is drawn.
-        caption: What is seen; may hold ``<sub>``. Empty: nothing is said.
+        figure: The figure.
+        caption: Explanation below it, with ``<sub>``; empty: none.
         title: Heading above it; empty: none.
-        zoom: Whether a reader may zoom and save it.
-        run: Number of the run in 3D whose time its x axis is; None: of none.
+        zoom: Whether it can be zoomed and saved.
+        run: Number of the run in 3D whose time is its x axis; None: no run.
     """
 
     name: str
@@ -62,8 +62,8 @@ def render(template: str, content: Any, replay: bool = False) -> str:
 
     Args:
         template: Name of its template.
-        content: What the template knows as ``page``; has a ``title``.
-        replay: Whether it shows runs in 3D.
+        content: Variable ``page`` of the template; has a ``title``.
+        replay: Whether the page has a 3D view.
     """
     scripts = [PLOTLY]
     if replay:
@@ -72,15 +72,15 @@ def render(template: str, content: Any, replay: bool = False) -> str:
 
 
 def script_of(path: Path) -> Markup:
-    """A file of JavaScript, to stand in a page as it is."""
+    """Content of a JavaScript file, for a page."""
     return Markup(path.read_text(encoding="utf-8"))
 
 
 def write_files(directory: Path, files: Mapping[str, str]) -> list[Path]:
-    """Write text files, all at once or none; earlier ones are replaced.
+    """Write text files atomically, all or none; earlier ones are replaced.
 
     Args:
-        directory: Where to; made if it does not exist.
+        directory: Output folder; made if missing.
         files: Contents by name.
 
     Raises:
@@ -93,7 +93,7 @@ def write_files(directory: Path, files: Mapping[str, str]) -> list[Path]:
 
 
 def track_data(tracks: Sequence[TrackSet]) -> list[dict[str, Any]]:
-    """Tracks as the page's script reads them: thinned out but for the gaps that part windows, as base64 float32."""
+    """Tracks as the page's script reads them: thinned out, with the gaps between windows, as base64 float32."""
     columns = sum(1 + 2 * len(track.signals) for track in tracks)
     most = min(MOST_POINTS, MOST_NUMBERS // max(columns, 1))
     sets = []
@@ -125,17 +125,17 @@ def packed(values: Array) -> str:
 
 
 def number_text(value: float | None, digits: int = 3) -> str:
-    """A number for people."""
+    """A number as text."""
     return "–" if value is None else _minus(f"{value:.{digits}g}")
 
 
 def percent_text(value: float, digits: int = 0, signed: bool = False) -> str:
-    """Percent for people; the value is in percent."""
+    """Percent as text; the value is in percent."""
     return _minus(f"{value:{'+' if signed else ''}.{digits}f}\N{NO-BREAK SPACE}%")
 
 
 def p_text(value: float | None, equals: bool = False) -> str:
-    """A p value, never below what is known of the tails of noise; with ``equals`` as in ``p = 0.3``."""
+    """A p-value as text, not below ``LEAST_P``; with ``equals`` as in ``p = 0.3``."""
     if value is None:
         return "–"
     if value <= LEAST_P:
@@ -144,12 +144,12 @@ def p_text(value: float | None, equals: bool = False) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """A unit for people; nothing for numbers without one."""
+    """A unit as text; empty for numbers without unit."""
     return "" if unit == "-" else unit.replace("^2", "²")
 
 
 def quantity_text(value: float, unit: str) -> str:
-    """A number with its unit; of lengths and angles small ones in thousandths or millionths."""
+    """A number with its unit; small lengths and angles with the prefix milli or micro."""
     prefix, size = "", abs(value)
     if unit.partition("/")[0] in PREFIXED and 0.0 < size < 0.1:
         prefix, value = ("m", 1e3 * value) if size >= 1e-4 else ("µ", 1e6 * value)
@@ -157,7 +157,7 @@ def quantity_text(value: float, unit: str) -> str:
 
 
 def sentence_text(text: str) -> str:
-    """A capital in front, one full stop at the end."""
+    """Text with an initial capital and one full stop."""
     return f"{text[:1].upper()}{text[1:].rstrip('.')}." if text else ""
 
 

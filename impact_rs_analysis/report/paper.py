@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Page of the published experiment: what a motor-inertia scale explains in its rows."""
+"""Page of the published experiment: mismatch that a motor-inertia scale explains."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from impact_rs_sim.numbers import estimate_in_line
 
 @dataclass(frozen=True)
 class PaperPage:
-    """What ``paper.html.j2`` shows.
+    """Content of ``paper.html.j2``.
 
     Attributes:
         title: Heading.
-        scale: Motor-inertia scale that suits all rows best [-].
+        scale: Motor-inertia scale of the fit to all rows [-].
         plot: Mismatch over the scale.
         rows: Published rows with their mismatch at the scale [%].
     """

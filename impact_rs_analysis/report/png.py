@@ -24,7 +24,7 @@ def _text(text: str) -> str:
 
 def write_png(figure: Figure, path: Path) -> Path:
     """Draw a figure, 150 dots per inch."""
-    # Half a second that only who draws has to wait for.
+    # Imported here, because Matplotlib takes half a second to load.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Canvas
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands in a scene as ``replay.js`` reads it: joints and links of a URDF with their shapes, and the object's box.
+"""Scene as ``replay.js`` reads it: joints and links of a URDF with their shapes, and the object's box.
 
 The page gets joint positions and does the forward kinematics itself: a joint frame in its parent, then the joint's turn
 about, or way along, its axis.
@@ -22,10 +22,10 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.urdf import joint_names
 
-LIGHT = "0.88 0.88 0.9 1"  # of a shape that says no colour, as text of a URDF
-MOVING = ("revolute", "continuous", "prismatic")  # types of joints that a joint state tells of
-STICK = 0.03  # m, radius of a link of which nothing else can be seen
-ROUND = (9, 16)  # points of a ball from pole to pole, and around
+LIGHT = "0.88 0.88 0.9 1"  # default colour, as in a URDF
+MOVING = ("revolute", "continuous", "prismatic")  # types of joints with a joint state
+STICK = 0.03  # m, radius of a link without usable shapes
+ROUND = (9, 16)  # points of a sphere from pole to pole, and around
 
 
 def scene_data(physics: Physics) -> dict[str, Any]:
@@ -51,10 +51,10 @@ def moving_joints(physics: Physics) -> list[str]:
 
 
 def described_scene(urdf: str) -> tuple[dict[str, Any], list[str]]:
-    """The scene of somebody's URDF, and the names of its joints that move, in the order of the data.
+    """The scene of any URDF, and the names of its moving joints, in the order of the data.
 
-    A link is seen by its visual shapes, by its collision shapes where a mesh of these cannot be read (only STL can), or
-    as a stick to the joints that it carries.
+    A link is shown by its visual shapes; by its collision shapes if a visual mesh cannot be read (only STL can); or
+    else as sticks to its child joints.
 
     Raises:
         InputError: It is no URDF of one robot.
@@ -116,7 +116,7 @@ def _origin(element: Xml.Element) -> dict[str, list[float]]:
 
 
 def _shapes(link: Xml.Element, kind: str = "visual") -> list[dict[str, Any]]:
-    """What is seen of a link; nothing where one of its meshes cannot be read."""
+    """Shapes of a link; empty if one of its meshes cannot be read."""
     shapes = [_shape(visual) for visual in link.iter(kind)]
     return [shape for shape in shapes if shape is not None] if None not in shapes else []
 
@@ -152,7 +152,7 @@ def _ball(radius: float) -> dict[str, Any]:
 
 
 def _sticks(robot: Xml.Element, link: Xml.Element) -> list[dict[str, Any]]:
-    """From the origin of a link, that has shapes which cannot be read, to the joints that it carries."""
+    """Sticks from the origin of a link with unreadable shapes to its child joints."""
     found = []
     if link.find("visual") is None:
         return []

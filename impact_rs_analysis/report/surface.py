@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot's own meshes, coarse enough for a page: STL files that a URDF names.
+"""Simplified meshes of a robot for a page, from STL files of its URDF.
 
 Vertices that share a cell of a grid become one, their mean (Rossignac and Borrel 1993); the cells grow until few
 enough triangles are left.
@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.robot import Array
 
-MOST_FACES = 1200  # of a mesh; twenty of them are 0.5 MB of a page
-FINEST = 64  # cells along the longest side, to begin with
-COARSER = 0.8  # cells of the next try
+MOST_FACES = 1200  # per mesh; twenty such meshes are 0.5 MB of a page
+FINEST = 64  # initial number of cells along the longest side
+COARSER = 0.8  # factor on the number of cells of the next try
 LARGEST_FILE = 50_000_000  # bytes
 HEADER, RECORD = 84, 50  # bytes, of a binary STL
 VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
@@ -42,7 +42,7 @@ class Surface:
 
 @functools.lru_cache(maxsize=64)
 def surface_of(address: str) -> Surface | None:
-    """The mesh at a ``file://`` or ``package://`` address; None where there is no STL file that can be read.
+    """The mesh at a ``file://`` or ``package://`` address; None without a readable STL file.
 
     Packages are looked for where ROS 2 installs them, by ``AMENT_PREFIX_PATH``.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Page of one run, our own or a laboratory's: the run in 3D, and its joints and end effectors over time."""
+"""Page of one run, native or of a laboratory: 3D view, and joints and end effectors over time."""
 
 from __future__ import annotations
 
@@ -63,12 +63,12 @@ class JumpRow:
 
 @dataclass(frozen=True)
 class TrialPage:
-    """What ``trial.html.j2`` shows.
+    """Content of ``trial.html.j2``.
 
     Attributes:
         title: Heading.
-        facts: What it is, as pairs of a term and a text.
-        notes: What a reader should know of how it was read.
+        facts: Facts about the run, as pairs of a term and a text.
+        notes: Remarks on how it was read.
         jumps: Velocities before and after it.
         replay: The run in 3D.
         plots: Figures over time.
@@ -86,7 +86,7 @@ def write_trial(bag: TrialBag, path: Path) -> Path:
     """Write the page of a recorded trial.
 
     Args:
-        bag: The trial; nothing below ``/truth`` is read.
+        bag: The trial; ``/truth`` is not read.
         path: The page; an earlier one is replaced.
 
     Raises:
@@ -109,13 +109,13 @@ def write_trial(bag: TrialBag, path: Path) -> Path:
 def write_laboratory_run(
     item: LaboratoryRun, scenario: Scenario, path: Path, aligned: AlignedRun | None = None, model: str = ""
 ) -> Path:
-    """Write the page of a run of a laboratory.
+    """Write the page of a laboratory run.
 
     Args:
         item: The run.
-        scenario: What stands in its scene.
+        scenario: Its scene.
         path: The page; an earlier one is replaced.
-        aligned: The run beside its replay; None: the run alone, whole.
+        aligned: The run with its replay; None: the whole run alone.
         model: Name of the model of that replay.
 
     Raises:

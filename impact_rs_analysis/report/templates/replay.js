@@ -4,12 +4,12 @@
 //   const replay = new ImpactReplay(element, data, {onSeek: (time) => ...});   // data: report/animation.py
 //   replay.show(number);   replay.seek(time);   replay.play();   replay.pause();
 //
-// One call moves everything: seek(time) places joints and object between the two nearest samples, and tells onSeek.
+// One call moves everything: seek(time) places joints and object between the two nearest samples, and calls onSeek.
 //
 //   const live = new ImpactLive(element);
 //   live.show(scene);   live.update({time, joints, object, forces});   // scene: report/scene.py
 //
-// shows the newest state of something that runs, and nothing before or after it.
+// shows the newest state of running nodes.
 // Lengths are in m, times in s, z is up. Needs THREE, of three.min.js.
 'use strict';
 
@@ -42,10 +42,10 @@ const {ImpactReplay, ImpactLive} = (function () {
     return made;
   }
 
-  function placed(thing, origin) {
-    thing.position.fromArray(origin.position);
-    thing.quaternion.fromArray(origin.quaternion);
-    return thing;
+  function placed(node, origin) {
+    node.position.fromArray(origin.position);
+    node.quaternion.fromArray(origin.quaternion);
+    return node;
   }
 
   function geometry(shape) {
@@ -87,7 +87,7 @@ const {ImpactReplay, ImpactLive} = (function () {
         const axis = new THREE.Vector3(...(joint.axis || [0, 0, 1]));
         this.joints[joint.column] = {type: joint.type, axis, link: this.links[joint.child]};
       });
-      const size = scene.object || [0, 0, 0];  // nobody knows of an object
+      const size = scene.object || [0, 0, 0];  // no object is known
       this.object = new THREE.Mesh(new THREE.BoxGeometry(...size), this.material(new THREE.Color(OBJECT)));
       this.root.add(this.links[scene.root], this.object);
     }
@@ -415,7 +415,7 @@ const {ImpactReplay, ImpactLive} = (function () {
       this.time = Math.min(Math.max(time, times[0]), times[times.length - 1]);
       const at = this.row(this.time);
       const sides = [[this.measured, measured], [this.model, model]].filter(([bodies]) => bodies);
-      const told = sides.map(([bodies, side], number) => {
+      const forces = sides.map(([bodies, side], number) => {
         let joints = this.values(side.joints, this.columns, at);
         let pose = side.object && this.values(side.object, 7, at);
         if (number) {
@@ -435,13 +435,13 @@ const {ImpactReplay, ImpactLive} = (function () {
       });
       const slow = this.run.slow;
       this.velocities.visible = slow !== null && this.time >= slow[0] && this.time <= slow[1];
-      this.tell(told);
+      this.showForces(forces);
       this.slider.value = this.length > 0 ? this.playedAt(this.time) / this.length : 0;
       this.draw();
       this.onSeek(this.time, this.number);
     }
 
-    tell(forces) {
+    showForces(forces) {
       const impact = this.run.impact, words = [`${this.time.toFixed(3)} s`];
       if (impact !== null) {
         const since = 1000 * (this.time - impact);
@@ -523,7 +523,7 @@ const {ImpactReplay, ImpactLive} = (function () {
       this.open();
     }
 
-    // What stands there; null: nobody has said.
+    // The scene; null: not known.
     show(scene) {
       this.arms = scene ? scene.arms : [];
       this.measured = scene && new Bodies(scene, false);
@@ -533,7 +533,7 @@ const {ImpactReplay, ImpactLive} = (function () {
       this.seen = new THREE.Box3();
       this.shown = null;  // what the camera was placed for
       this.clear(...(scene ? [this.measured.root] : []), ...this.forces.map((arrow) => arrow.root));
-      if (scene) this.measured.root.visible = false;  // until somebody tells where its joints are
+      if (scene) this.measured.root.visible = false;  // until joint positions arrive
       this.forces.forEach((arrow) => arrow.set(new THREE.Vector3(), new THREE.Vector3()));
       const what = this.arms.join(' and ') || 'a robot';
       this.canvas.setAttribute('aria-label', scene ? `${what} in 3D, live` : 'an empty scene');
@@ -561,7 +561,7 @@ const {ImpactReplay, ImpactLive} = (function () {
         words.push(`force${this.arms.length > 1 ? ` of ${this.arms[place]}` : ''} ${value.toFixed(0)} N`));
       this.readout.textContent = words.join(' · ');
       const long = ` (${(100 * LONGEST_ARROW).toFixed(0)} cm: ${this.most} N)`;
-      this.explain([['#8A929C', 'as told now'], ...(known ? [[FORCE, `force on the object${long}`]] : [])]);
+      this.explain([['#8A929C', 'newest state'], ...(known ? [[FORCE, `force on the object${long}`]] : [])]);
       this.look(hands);
       this.draw();
     }

@@ -106,7 +106,7 @@ def test_where_nothing_is_hidden_nothing_is_missing(tmp_path: Path, told: dict[s
     if told:
         assert document.held_out_error_before == pytest.approx(document.noise_floor, rel=0.1)
     else:
-        assert any("how large the noise is, nothing says" in remark for remark in document.remarks)
+        assert any("the noise is not known" in remark for remark in document.remarks)
 
 
 def test_what_no_effect_explains_is_said_where_the_noise_is_known(tmp_path: Path) -> None:

@@ -215,7 +215,7 @@ def test_of_two_arms_all_is_seen_that_is_seen_of_the_same_trial_of_our_own(tmp_p
     assert isinstance(ours, MeasuredRun)
     assert theirs.features == ours.features
     assert theirs.impacts == pytest.approx(ours.impacts)
-    floors = np.array([feature.relevance_limit for feature in ours.features])  # a window may end a sample later
-    assert np.max(np.abs(theirs.measured - ours.measured) / floors) < 1.0
-    with pytest.raises(InputError, match="the jump is analysed for one arm"):
+    limits = np.array([feature.relevance_limit for feature in ours.features])  # a window may end a sample later
+    assert np.max(np.abs(theirs.measured - ours.measured) / limits) < 1.0
+    with pytest.raises(InputError, match="the jump is analysed for a single arm"):
         jumps_of(runs)

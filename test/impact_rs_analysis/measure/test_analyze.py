@@ -178,7 +178,7 @@ def test_a_report_needs_no_joint_states_and_then_shows_nothing_in_3d(
     text = write_report(analyze_campaign(tmp_path), tmp_path / "report")[0].read_text(encoding="utf-8")
     assert 'id="replay"' not in text
     assert "three.js" not in text
-    assert "is not seen in 3D: /arm/joint_states has no joint positions" in caplog.text
+    assert "is not shown in 3D: /arm/joint_states has no joint positions" in caplog.text
 
 
 @pytest.mark.parametrize(("tolerance", "fits"), [(50.0, True), (1e-6, False)])

@@ -35,7 +35,7 @@ def test_the_farthest_is_told_in_one_line() -> None:
     jumps = [Jump("tin", -0.5, -0.30, -0.30), Jump("box", -0.5, -0.10, -0.30), Jump("jar", -0.5, -0.45, -0.20)]
     line = far_words(jumps)
     assert line.startswith(
-        "2 of 3 predictions are far from what was measured, most for jar: -0.450 m/s predicted, -0.200"
+        "2 of 3 predictions are far from the measurement, most for jar: -0.450 m/s predicted, -0.200"
     )
     assert "50% of the ante-impact speed" in line
     assert "\n" not in line

@@ -79,7 +79,7 @@ def test_trials_without_a_partner_are_named_and_move_nothing(trials: list[TrialF
     strangers = [replace(trial, info=replace(trial.info, seed=trial.info.seed + 1)) for trial in trials]
     found = sensitivity_of(trials, {("clamp_force", 2.0): strangers})
     assert not found.shifts
-    assert found.missing == (("clamping force × 2", "no trial with impact to hold it against"),)
+    assert found.missing == (("clamping force × 2", "no trial with impact to compare with"),)
     two = sensitivity_of(trials, {("clamp_force", 2.0): trials[:2]})
     assert "clamping force × 2, cat_food" in dict(two.missing)
 

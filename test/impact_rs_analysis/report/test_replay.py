@@ -361,7 +361,7 @@ def test_a_run_of_a_laboratory_begins_at_its_impact_and_moves_as_it_was_measured
 def test_the_run_that_is_chosen_is_seen_beside_its_model(opened: Callable[[Path], Page], compared: Path) -> None:
     page = opened(compared)
     labels = page.locator("#track-set option").all_inner_texts()
-    page.get_by_label("what is shown").select_option(labels[-1])
+    page.get_by_label("run over time").select_option(labels[-1])
     assert page.evaluate("window.impact_rs.replay.run.label") == labels[-1]
     until(page, "document.querySelectorAll('.cursor').length === 1")
     page.evaluate("window.impact_rs.replay.seek(0.95)")
