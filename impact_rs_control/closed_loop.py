@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One trial in lockstep, in one process: measure, decide, record, step.
+"""One trial in lockstep, in one process: measure, control, record, step.
 
-The nodes run the same loop with messages in between; a trial through them equals this one.
+The nodes run the same loop with messages in between; a trial through the nodes gives the same numbers.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from impact_rs_sim.plant import Measurement, Plant, PlantExtension
 from impact_rs_sim.robot import Array
 from impact_rs_sim.sensors import ArmMeasurement
 
-RUNAWAY = 2.0  # times its speed limit, where no controller catches a joint again; a healthy trial stays below 0.7
+RUNAWAY = 2.0  # times its speed limit, beyond which a joint is out of control; a normal trial stays below 0.7
 
 
 class RobotCell(Protocol):
-    """What a closed loop needs of a plant; :class:`~impact_rs_sim.plant.Plant` is one, another simulator may be too."""
+    """Interface of a plant in a closed loop; :class:`~impact_rs_sim.plant.Plant` or another simulator."""
 
     def measure(self) -> Measurement:
-        """What the sensors say now; calling it twice gives the same answer."""
+        """Present measurements; the same for every call between two steps."""
 
     def step(self, desired: dict[str, Array]) -> None:
         """Advance by one control period with desired torques ``(n,)`` [N m] by arm."""
 
     def close(self) -> None:
-        """Free what it holds."""
+        """Release resources."""
 
 
 @dataclass(frozen=True)
 class Tick:
-    """What happened in one control tick; while it is the present one, ``plant.truth()`` belongs to it."""
+    """One control tick; until the next one ``plant.truth()`` is its true state."""
 
     number: int
     measurement: Measurement
@@ -49,7 +49,7 @@ class Tick:
 
 @contextmanager
 def without_garbage_collection() -> Iterator[None]:
-    """Messages hold no cycles; looking for some, again and again while they pile up, costs a tenth of a trial."""
+    """Switch garbage collection off: messages have no reference cycles, and searching them takes 10 % of a trial."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -65,10 +65,10 @@ def make_plant(
     """The plant of a planned trial.
 
     Args:
-        plan: What the controller will do; it decides where the arms start.
+        plan: The trial, with the initial joint positions.
         seed: Seed of scatter and noise.
         physics: True physics; None: the scenario's.
-        extension: What the physics cannot say.
+        extension: Effects of the plant beyond its physics.
     """
     scene = plan.scene
     return Plant.for_trial(
@@ -82,7 +82,7 @@ def make_plant(
 
 
 def ran_away(plan: TrialPlan, measured: Mapping[str, ArmMeasurement], torques: Mapping[str, Array]) -> bool:
-    """Whether a trial has to end: a joint beyond ``RUNAWAY`` times its speed limit, or a number that is none.
+    """Whether a trial has to end: a joint beyond ``RUNAWAY`` times its speed limit, or a value that is not finite.
 
     Args:
         plan: The trial.
@@ -90,7 +90,7 @@ def ran_away(plan: TrialPlan, measured: Mapping[str, ArmMeasurement], torques: M
         torques: Desired torque by arm, ``(n,)`` [N m].
     """
     for name, arm in measured.items():
-        # A NaN is below no bound, and in a sum of products nothing that is not finite gets lost.
+        # NaN compares false with any bound, and a sum of products with an infinite or NaN term is not finite.
         if not np.max(np.abs(arm.velocity) / plan.scene.models[name].velocity_max) <= RUNAWAY:
             return True
         if not math.isfinite(arm.position @ torques[name] + arm.torque @ arm.torque):
@@ -99,7 +99,7 @@ def ran_away(plan: TrialPlan, measured: Mapping[str, ArmMeasurement], torques: M
 
 
 def run_closed_loop(plan: TrialPlan, plant: RobotCell) -> Iterator[Tick]:
-    """Run a trial from the plant's start to the scenario's end, tick by tick; one that ran away ends with that tick."""
+    """Run a trial tick by tick until the end of the scenario, or until :func:`ran_away`."""
     controller = Controller(plan)
     last = plan.scene.scenario.timing.ticks
     for number in range(last + 1):

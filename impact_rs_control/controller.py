@@ -6,7 +6,7 @@ against joint friction and for the wrench on the object:
 
     e_p = ddp - ddp_d - gamma 2 sqrt(k_p) (dp_d - dp) - k_p (p_d - p) - a_fric - a_f       (paper eqs. e_pos_*)
 
-Everything here sees measured signals only.
+The controller uses measured signals only.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class ImpactDetection:
     Attributes:
         time: T_imp [s].
         force: Sudden force against the motion [N].
-        threshold: What it had to exceed [N].
+        threshold: Threshold that it exceeded [N].
         wrench: Estimated external wrench at E, in E[A], ``(6,)`` [N, N m].
         twist: Measured twist of E, in E[A], ``(6,)`` [m/s, rad/s].
     """
@@ -58,7 +58,7 @@ class ImpactDetection:
 
 @dataclass(frozen=True)
 class Watched:
-    """What the first half of a control tick found.
+    """Result of the first half of a control tick.
 
     Attributes:
         terms: Rigid-body terms at the measured state; they hold until the next tick.
@@ -71,7 +71,7 @@ class Watched:
 
 @dataclass(frozen=True)
 class ArmCommand:
-    """What the controller decided for one arm in one tick.
+    """Output of the controller for one arm in one tick.
 
     Attributes:
         torque: Desired torque tau_d, ``(n,)`` [N m].

@@ -4,10 +4,10 @@
     p = M(q) dq,   dp/dt = tau_J + C^T dq - g + tau_ext
     r = K_o (p - integral(tau_J + C^T dq - g + r) dt),     r -> tau_ext with time constant 1 / K_o
 
-(De Luca and Mattone; see Haddadin et al. 2017, the survey the paper cites.) The measured joint torque stands on the
-link side of the motor, so motor friction and the torque loop do not enter. The residual is turned into the force at
-the end effector with the dynamically consistent inverse of J^T. What counts is its sudden part: a slow baseline,
-which a wrong payload would leave, is subtracted. ``src/control.cpp`` does the arithmetic.
+(De Luca and Mattone; see Haddadin et al. 2017, the survey the paper cites.) The joint torque is measured on the link
+side of the motor, so motor friction and the torque loop do not enter. The dynamically consistent inverse of J^T maps
+the residual to a force at the end effector. A slow baseline, as a wrong payload causes, is subtracted, and the
+remaining sudden part is compared with the threshold. ``src/control.cpp`` implements the arithmetic.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BASELINE_TIME = 0.05  # s, time constant of the slow part of the residual
 
 
 class ImpactDetector:
-    """Watches one arm.
+    """Detects impacts of one arm.
 
     Args:
         model: Rigid model of the arm as the controller believes it.

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Friction identification: what the feedback costs in free motion (paper Appendix A).
+"""Friction identification from the feedback in free motion (paper Appendix A).
 
     a_i,fric(t) = 2 sqrt(k_p) (dp_d - dp_i) + k_p (p_d - p_i),      a_fric(t) = mean over the runs i
 
-and likewise for orientation and joint 1, which the paper leaves to their feedback: seven tasks move seven joints, so
-all of the friction is fed forward, and the pad hits with the orientation that the impact map was asked about. The
-feedback lags behind the friction that it answers; what is left is identified again with the first answer fed forward.
+and likewise for orientation and joint 1, which the paper leaves to feedback. Seven tasks move seven joints, so all of
+the friction is fed forward, and the pad has the orientation at impact that the impact map assumes. Feedback lags behind
+the friction that it compensates; the remainder is therefore identified again with the first result fed forward.
 
-A run has one arm and nothing to hit, and stays in one mode. The post-impact controller starts from rest on its own
-reference: in a run with impact the error of the predicted velocity jump would pass for friction, and the net feedback
-that shall show it would be gone.
+A run has one arm and no object, and stays in one mode. The post-impact controller starts from rest on its own
+reference: in a run with impact, the error of the predicted velocity jump would be identified as friction and removed
+from the net feedback, which is to measure it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from impact_rs_sim.seeds import seed_of
 Phase = Literal["ante", "post"]
 
 PERIOD = 0.01  # s; feedback of a loop with k_p = 200 / s^2 follows nothing faster than some 70 ms
-TURNS = 3  # of identification, each with what the ones before found; see docs/physics.md
+TURNS = 3  # of identification, each with the feedforward of those before; see docs/physics.md
 OUT_OF_REACH = np.array([100.0, 0.0, 0.0])  # m
 RESOLUTION = 5  # digits behind the point [m/s^2, rad/s^2], far below the noise
 
@@ -45,11 +45,11 @@ def identify_arm(scene: Scene, arm: str, runs: int, seed: int, effects: Model | 
     """Feedforward of one arm for both controllers.
 
     Args:
-        scene: Scenario, object and case; a friction compensation that the scenario has is left out.
+        scene: Scenario, object and case; a friction compensation of the scenario is ignored.
         arm: Name of the arm.
         runs: Runs to average, for each controller and turn.
         seed: Seed of scatter and noise; the same seed gives the same result.
-        effects: What the plant does beyond the scenario; None: nothing.
+        effects: Effects of the plant beyond the scenario; None: none.
 
     Raises:
         InputError: Nothing is hit in this scenario, there are fewer than one run, or a start cannot be reached.

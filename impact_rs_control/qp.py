@@ -5,9 +5,10 @@
     s.t.     lower <= ddq <= upper                                          (paper eqs. const_q, const_dq)
              -tau_max <= (M + B_theta) ddq + h <= tau_max                   (paper eq. const_tau)
 
-Far from every limit the minimiser without constraints is the solution; it is tried first, by Cholesky, and ProxQP is
-asked only where it would break a limit. When the limits contradict each other, for instance beyond a joint stop at full
-speed, the program is solved once more with a slack on every constraint; the caller is told. There is never a NaN.
+Far from every limit the unconstrained minimiser is the solution. It is computed first, by Cholesky, and ProxQP is
+called only if it violates a limit. When the limits contradict each other, for instance beyond a joint stop at full
+speed, the program is solved again with a slack on every constraint, and the status is RELAXED. The solution is never
+NaN.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from proxsuite import proxqp
 from impact_rs_sim import _kernel
 from impact_rs_sim.robot import Array
 
-SLACK_WEIGHT = 1e6  # cost of a squared violation against that of a squared task error
+SLACK_WEIGHT = 1e6  # cost of a squared violation, relative to that of a squared task error
 ACCURACY = 1e-9
-# Iterations with slack: 25 are the most in an arm that swings about, one beyond all bounds takes any number.
+# Iterations with slack: at most 25 were seen for an arm in fast motion; far beyond all bounds there is no limit.
 MOST_RELAXED = 50
 
 
@@ -161,20 +162,20 @@ class AccelerationQp:
         return QuadraticProgram(*self._program.parts())
 
     def solve(self, problem: AccelerationProblem) -> QpSolution:
-        """Solve for one tick; the status tells where limits had to give way."""
+        """Solve for one tick; the status says whether constraints had to be relaxed."""
         started = time.perf_counter()
         self._set(problem)
         free = self._program.free()
         if free is not None:
             return QpSolution(free, QpStatus.SOLVED, 0, time.perf_counter() - started)
         program = QuadraticProgram(*self._program.parts())
-        if not program.is_finite:  # ProxQP would look for an answer for many seconds
+        if not program.is_finite:  # ProxQP would iterate for many seconds
             return QpSolution(np.zeros(self._count), QpStatus.FAILED, 0, time.perf_counter() - started)
         if (program.lower <= program.upper).all():
             answer, iterations, solved = self._solve_exactly(program)
             if solved:
                 return QpSolution(answer, QpStatus.SOLVED, iterations, time.perf_counter() - started)
-        self._ready = False  # a failed solve is no warm start
+        self._ready = False  # do not warm-start from a failed solve
         answer, iterations, status = self._solve_relaxed(program)
         return QpSolution(answer, status, iterations, time.perf_counter() - started)
 
@@ -183,7 +184,7 @@ class AccelerationQp:
         self._program.set(p.tasks, p.targets, p.weights, p.inertia, p.bias, p.position, p.velocity)
 
     def _solve_exactly(self, program: QuadraticProgram) -> tuple[Array, int, bool]:
-        """Acceleration, iterations, and whether they ended well."""
+        """Acceleration, iterations, and whether the solver converged."""
         p, qp = program, self._qp
         matrices = (p.hessian, p.gradient, None, None, p.inertia, p.torque_lower, p.torque_upper, p.lower, p.upper)
         if self._ready:

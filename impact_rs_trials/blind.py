@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hidden-effect campaigns: a plant with an effect that only ``truth.json`` knows.
+"""Blind campaigns: a plant with a hidden effect, which is recorded in ``truth.json`` only.
 
 ``make`` draws an effect and its size from a seed, records a campaign with it (``DIR/runs``) and writes the truth beside
-it, which ``blind score`` alone reads.
+it. Only ``blind score`` reads the truth.
 """
 
 from __future__ import annotations
@@ -179,11 +179,11 @@ Recorder = Callable[[BlindTask, TrialPlan, TrialInfo, Path, Physics], str]
 
 
 def run_task(task: BlindTask, record: Recorder = _record) -> str:
-    """Record one trial; a finished one stands. Returns the outcome.
+    """Record one trial, unless it has a complete bag already. Returns the outcome.
 
     Args:
-        task: Which trial.
-        record: Records it on a robot cell that has the given physics.
+        task: The trial.
+        record: Records the trial on a robot cell with the given physics.
 
     Raises:
         InputError: This machine does not see the campaign's folder.
@@ -201,7 +201,7 @@ def run_task(task: BlindTask, record: Recorder = _record) -> str:
 
 
 def specs(size: str, scenarios: Sequence[str] = SCENARIOS) -> list[tuple[TrialSpec, int]]:
-    """What a blind campaign does, and how often.
+    """Conditions of a blind campaign, with the number of repeats of each.
 
     Raises:
         InputError: Unknown size or scenario, or one without the objects and cases of this size.
@@ -216,8 +216,8 @@ def specs(size: str, scenarios: Sequence[str] = SCENARIOS) -> list[tuple[TrialSp
                 (TrialSpec.of(scenario, name, case), plan.repeats) for name in plan.objects for case in plan.cases
             ]
         else:
-            thing = next(iter(scenario.objects))
-            found += [(TrialSpec.of(scenario, thing, case), plan.excite_repeats) for case in scenario.cases]
+            first = next(iter(scenario.objects))
+            found += [(TrialSpec.of(scenario, first, case), plan.excite_repeats) for case in scenario.cases]
     return found
 
 
@@ -305,9 +305,10 @@ def _joints(scenarios: Sequence[str]) -> tuple[JointType, ...]:
     kinds = {one.joint_types for own in facts.values() for one in own}
     if len(kinds) != 1:
         counts = {name: sorted({one.joint_count for one in own}) for name, own in facts.items()}
-        told = ", ".join(f"{name}: {', '.join(map(str, own))}" for name, own in counts.items())
+        listed = ", ".join(f"{name}: {', '.join(map(str, own))}" for name, own in counts.items())
         raise InputError(
-            f"a blind campaign needs arms that turn and slide alike, with one number of joints, got {told or 'none'}"
+            "a blind campaign needs arms with the same number of joints, of the same types (revolute, prismatic); got "
+            f"{listed or 'none'}"
         )
     return kinds.pop()
 

@@ -2,8 +2,8 @@
 """Campaigns: a folder of trials with a manifest, run in parallel, resumed where they stopped.
 
 A trial is a pure function of scenario, key and campaign seed, so it does not matter where or in which order trials run.
-``manifest.yaml`` says what the folder holds; a finished bag is never run again, a half-written one is. Why a trial was
-aborted stands in ``.failures/TRIAL.txt``, with the traceback of the process that ran it, until the trial is there.
+``manifest.yaml`` describes the campaign. A trial with a complete bag is never run again, one with an incomplete bag is.
+``.failures/TRIAL.txt`` says why a trial was aborted, with the traceback of its process, until its bag is complete.
 """
 
 from __future__ import annotations
@@ -204,8 +204,8 @@ def still_to_run(store: Store, manifest: Manifest) -> list[TrialKey]:
 def run_one(directory: Path, trial: Trial) -> TrialReport:
     """Run one trial in-process and write its bag.
 
-    A half-written bag of it is thrown away first; a finished one stands (a worker can die between writing a bag and
-    telling so).
+    An incomplete bag is removed first; a complete one is kept (a worker can die after writing a bag and before
+    reporting it).
     """
     key = trial.key
     path = directory / key.name
@@ -219,7 +219,7 @@ def run_one(directory: Path, trial: Trial) -> TrialReport:
 
 
 def _report(key: TrialKey, path: Path) -> TrialReport:
-    """How a trial whose bag is there went."""
+    """Report of a trial whose bag exists."""
     try:
         bag = TrialBag.open(path)
     except BagError as error:
@@ -230,10 +230,10 @@ def _report(key: TrialKey, path: Path) -> TrialReport:
 
 
 def wrong_outcomes(reports: Iterable[TrialReport]) -> list[str]:
-    """What a campaign tells of trials that went wrong: a line per outcome, the gravest first.
+    """Summary of the unsuccessful trials of a campaign: a line per outcome, the gravest first.
 
-    It says how many there are, and of the first by name when, where and by how much. Aborted ones have no bag, and each
-    is told by itself.
+    A line gives their number, and name and reason of the first by name. Aborted trials have no bag and are reported one
+    by one elsewhere.
     """
     found: dict[str, list[TrialReport]] = {outcome: [] for outcome in OUTCOMES}
     for report in sorted(reports, key=lambda report: report.key.name):
@@ -246,10 +246,10 @@ def wrong_outcomes(reports: Iterable[TrialReport]) -> list[str]:
 
 
 def keep_failure(store: Store, report: TrialReport) -> TrialReport:
-    """Keep why a trial was aborted in ``.failures``; of a trial that is there, take away what an earlier run left.
+    """Write why a trial was aborted to ``.failures``; for a finished trial, remove the file of an earlier run.
 
     Returns:
-        The report, as it came.
+        The same report.
     """
     name = f"{FAILURES}/{report.key.name}.txt"
     try:
@@ -257,7 +257,7 @@ def keep_failure(store: Store, report: TrialReport) -> TrialReport:
             store.write(name, f"{report.message or 'aborted'}\n\n{report.trace}".rstrip() + "\n")
         else:
             store.remove(name)
-    except InputError as error:  # a full disk is why many a trial fails
+    except InputError as error:  # a full disk may be why the trial failed
         logger.warning("%s", error)
     return report
 
@@ -274,8 +274,8 @@ def run_campaign(
 
     Args:
         place: Campaign folder, or its URL.
-        manifest: What to run.
-        workforce: Who runs it; None: this process.
+        manifest: The campaign.
+        workforce: Workers that run it; None: this process.
         run: Runs one trial, and leaves its bag in the folder it is given.
 
     Raises:
@@ -324,8 +324,8 @@ def _run_on_cluster(
             if isinstance(report, TrialReport):
                 yield store, report
             else:
-                told = f"its worker process died, again and again ({report})"
-                yield store, TrialReport(trial.key, "ABORTED", told)
+                reason = f"its worker process died repeatedly ({report})"
+                yield store, TrialReport(trial.key, "ABORTED", reason)
     except SchedulerLost as error:
         raise SchedulerLost(f"{error}; the same command goes on where it stopped") from None
 

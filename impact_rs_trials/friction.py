@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Friction identification for a whole scenario, and the files that come of it."""
+"""Friction identification for a whole scenario, and its result files."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ def identify(
         cases: Names of cases; None: all.
         runs: Runs to average, for each set, arm and controller.
         seed: Seed of scatter and noise.
-        effects: What the plant does beyond the scenario; None: nothing.
+        effects: Effects of the plant beyond the scenario; None: none.
         map_tasks: Maps over worker processes.
-        progress: Told how many of how many arms are done.
+        progress: Progress callback, called with the number of finished arms and of all arms.
 
     Raises:
         InputError: Unknown object or case, a scenario in which nothing is hit, fewer than one run, a negative seed.

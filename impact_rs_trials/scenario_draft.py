@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scenario to start from, for any arm: drive, pose and support are found, the rest is that of a shipped scenario.
+"""Draft of a scenario for any arm: drive, pose and support are determined, the rest is copied from a shipped scenario.
 
-A pose is searched among random ones of the arm. In each the end effector is led along its whole way by the least joint
-velocity; what counts is how far the joints stay from their limits, how far the Jacobian stays from losing rank, and
-what share of speed and torque is used. The best are tried in the simulator, one after the other, until one works.
+The impact pose is chosen among random poses of the arm. For each pose the end effector follows its whole path with
+minimum-norm joint velocity. The score combines the distance from joint limits, the smallest singular value of the
+Jacobian, and the used share of speed and torque. The best poses are simulated in turn until a trial succeeds.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Draft:
 
 
 class _TooEarly(Infeasible):
-    """Something was taken for the impact: a higher threshold of the detection may do."""
+    """An impact was detected too early; a higher threshold of the detection may help."""
 
 
 def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambda *_: None) -> Draft:
@@ -227,8 +227,8 @@ def scenario_text(
     shipped = (config_directory() / "scenarios" / f"{kind}.yaml").read_text(encoding="utf-8")
     plain = parse_yaml(shipped, f"{kind}.yaml")
     before, objects, support, cases, rest = _sections(shipped, ("objects:", "support:", "cases:", "velocity_scales:"))
-    told = float(plain["control"]["detection"]["threshold"])
-    rest = re.sub(r"threshold: .*", f"threshold: {threshold * told:g}   # N", rest)
+    original = float(plain["control"]["detection"]["threshold"])
+    rest = re.sub(r"threshold: .*", f"threshold: {threshold * original:g}   # N", rest)
     head = before[before.index("name:") : before.index("robots:")]
     head = head.replace(f"name: {kind}", f"name: {kind}_{re.sub(r'[^A-Za-z0-9_-]', '_', Path(facts_name).stem)}", 1)
     height = float(pose.position[2]) - 0.5 * max(item["size"][2] for item in plain["objects"].values())

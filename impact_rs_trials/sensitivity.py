@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings that an estimate should not depend on, each put to other values: campaigns beside a campaign.
+"""Sensitivity of an estimate to settings that it should not depend on: campaigns with one setting varied.
 
-The zero crossing of the net feedback (paper sec. Experimental results) measures robot and object. That it also moves
-with how firmly the arms clamp or how long the interim mode lasts is an error that all trials share, and that no
-interval of their scatter covers. One setting at a time is halved and doubled; a varied trial has the seed of the trial
-that it is held against, so that noise and scatter cancel.
+The zero crossing of the net feedback (paper sec. Experimental results) measures robot and object. Its dependence on the
+clamping force or the length of the interim mode is a systematic error that all trials share, and that a confidence
+interval from their scatter does not cover. One setting at a time is halved and doubled. A varied trial has the same
+seed as the trial that it is compared with, so that noise and scatter cancel.
 """
 
 from __future__ import annotations

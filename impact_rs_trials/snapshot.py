@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a running graph stands, as far as it tells: what a page shows that somebody watches meanwhile."""
+"""State of a running graph, for the page that shows it live."""
 
 from __future__ import annotations
 
@@ -10,25 +10,26 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 
 Situation = Literal["absent", "idle", "running", "over", "gone"]
-"""Nobody is there; nodes are there and no arm has moved; it moves; it has moved; the nodes have ended since."""
+"""``absent``: no nodes. ``idle``: nodes, and no joint states yet. ``running``: joint states arrive. ``over``: they have
+stopped. ``gone``: they have stopped, and the nodes have ended."""
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The newest of everything.
+    """The newest state of a graph.
 
     Attributes:
-        situation: What is going on.
-        place: ROS domain and namespace, for people.
-        number: Counts up whenever something else stands there; the scene of an unchanged number is the same.
-        title: Which trial; empty: none was told.
-        physics: What stands in the scene of the trial, nominal; None: no trial was told.
-        description: URDF of the robot, where no trial was told; empty: nobody has described one.
-        complaint: Why what was told of the scene cannot be used; empty: it can.
-        time: Trial time of the positions [s]; None: there is none.
+        situation: Whether nodes and joint states are there.
+        place: ROS domain and namespace, as text.
+        number: Increases when the scene changes; the scene of an unchanged number is the same.
+        title: Name of the trial; empty: none is known.
+        physics: Nominal physics of the scene of the trial; None: no trial is known.
+        description: URDF of the robot without a trial; empty: none was published.
+        complaint: Why the published trial cannot be shown; empty: it can.
+        time: Trial time of the positions [s]; None: unknown.
         positions: Joint positions by their names in the URDF [rad, m].
-        object: Position of the object's centre in A [m] and quaternion x y z w, ``(7,)``; None: nobody has told.
-        forces: By arm, true force of the arm on the object, axes of A, ``(3,)`` [N]; empty where nobody tells.
+        object: Position of the object's centre in A [m] and quaternion x y z w, ``(7,)``; None: unknown.
+        forces: By arm, true force of the arm on the object, axes of A, ``(3,)`` [N]; empty where it is not published.
     """
 
     situation: Situation

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a trial is, repeat and seed aside; every part of the house plans trials here and nowhere else.
+"""Specification of a trial without repeat and seed; all trials are planned here.
 
     scenario_json -> Scenario        parsed and checked
     + object, case -> Scene          inverse kinematics of the impact pose
     + scale, motor_inertia -> TrialPlan    impact map and references
 
-Each arrow is a pure function, so a process takes it once: repeats share their plan, scales their scene. What is kept
-goes by the content of the scenario and not by its name, for its file may be edited, or one that it names.
+Each arrow is a pure function, whose results a process caches: repeats share their plan, velocity scales their scene.
+The cache key is the content of the scenario and not its name, because its file, or one that it names, may be edited.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a campaign lies: a folder, or a place that fsspec reaches by its URL (``s3://bucket/push``).
+"""Storage of a campaign: a folder, or a URL that fsspec supports (``s3://bucket/push``).
 
-A bag in a folder gets its name when it is complete. Elsewhere nothing can be renamed at once, so ``metadata.yaml`` is
-uploaded last: a bag that has it is complete.
+A bag in a folder gets its name when it is complete. At a URL a folder cannot be renamed atomically, so
+``metadata.yaml`` is uploaded last: a bag that has it is complete.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def is_url(place: str | Path) -> bool:
 
 
 def is_bag(folder: Path) -> bool:
-    """Whether a folder is a rosbag2 bag, of whomever."""
+    """Whether a folder is a rosbag2 bag, of any program."""
     try:
         with (folder / COMPLETE).open("rb") as file:
             return b"rosbag2_bagfile_information" in file.read(4096)
@@ -263,7 +263,7 @@ class Remote(Store):
             yield Path(scratch)
 
     def stamps(self) -> dict[str, int]:
-        """Stamps of complete bags from what the file system tells of their files; some tell no more than the size."""
+        """Stamps of complete bags from size, time and checksum of their files, as far as the file system has them."""
         self._files.invalidate_cache()
         try:
             files = self._files.find(self._root, detail=True)
@@ -310,7 +310,7 @@ def local_copy(
     Args:
         place: Path or URL.
         files: Names of further files that are copied where they exist.
-        progress: Told how many of how many bags are copied.
+        progress: Progress callback, called with the number of copied bags and of all bags.
 
     Raises:
         InputError: The URL cannot be used or read, or there is no bag below it.

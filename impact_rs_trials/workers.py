@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who does work that splits into pure tasks: processes of this machine, or the workers of a ``dask`` scheduler."""
+"""Workers for independent pure tasks: processes of this machine, or the workers of a ``dask`` scheduler."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ _alone = threading.Lock()  # trials of one process share models that must not be
 
 
 class SchedulerLost(RuntimeError):
-    """The scheduler went away while it had work of ours."""
+    """The connection to the scheduler was lost while tasks were pending."""
 
 
 @dataclass(frozen=True)
 class Workforce:
-    """Who does the work.
+    """Workers to use.
 
     Attributes:
-        jobs: Worker processes of this machine; 1 works in this process.
-        scheduler: Address of a running ``dask`` scheduler, whose workers are taken instead.
+        jobs: Worker processes of this machine; 1: no others than this process.
+        scheduler: Address of a running ``dask`` scheduler, whose workers are used instead.
 
     Raises:
         InputError: Fewer than one job.
@@ -159,11 +159,11 @@ def _check_workers(client: Client, address: str) -> None:
 def workers(workforce: Workforce) -> Iterator[Map]:
     """A ``map`` over the workforce that yields results in order.
 
-    Processes of this machine start when there are two tasks to do for the first time, which takes them some seconds: a
-    mistake that shows before is told at once. A scheduler is connected to at once.
+    Processes of this machine are started at the first call with two or more tasks, because that takes some seconds and
+    errors found before are then reported at once. A scheduler is connected immediately.
 
     Raises:
-        InputError: No scheduler answers at that address, or its workers cannot do our work.
+        InputError: No scheduler answers at that address, or its workers cannot run the tasks.
     """
     if workforce.in_process:
         yield lambda function, items: map(function, items)
@@ -188,9 +188,9 @@ def workers(workforce: Workforce) -> Iterator[Map]:
 
 
 def as_they_end(client: Client, function: Callable[..., Any], items: Iterable[Any]) -> Iterator[tuple[Any, Any]]:
-    """Yields every item with its result in the order in which tasks end; a task whose worker dies is run again.
+    """Yields every item with its result in the order in which tasks end; a task whose worker dies is repeated.
 
-    Where its workers died again and again, the result is a :class:`distributed.scheduler.KilledWorker`.
+    If its workers die repeatedly, the result is a :class:`distributed.scheduler.KilledWorker`.
 
     Raises:
         SchedulerLost: The scheduler went away.
@@ -219,7 +219,7 @@ def as_they_end(client: Client, function: Callable[..., Any], items: Iterable[An
 
 
 def _packed(function: Callable[..., Any], item: Any) -> bytes:
-    """A task; what a worker lacks of it fails inside the task and is told, instead of breaking the worker."""
+    """A serialized task; a worker that lacks one of its modules reports that as an error of the task."""
     from distributed.protocol.pickle import dumps
 
     return bytes(dumps((function, item)))

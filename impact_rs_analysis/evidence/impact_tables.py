@@ -320,7 +320,7 @@ class ImpactTableSource(Source):
         first = self.table.rows[rows[0]]
         return Cluster(
             name=group.name,
-            place=(self.table.path.name, first.thing, (first.condition or group.name) if self.repeated else ""),
+            place=(self.table.path.name, first.object_name, (first.condition or group.name) if self.repeated else ""),
             layout="impacts" if self.repeated else group.name,
             unit=group.unit,
             contact=True,
@@ -370,7 +370,7 @@ def _conditions(table: ImpactTable) -> list[_Group] | None:
     """Conditions with their repeats; None with too few repeats."""
     grouped: dict[str, list[int]] = {}
     for number, row in enumerate(table.rows):
-        name = ", ".join(filter(None, (row.thing, row.condition))) if row.condition else f"row {row.number}"
+        name = ", ".join(filter(None, (row.object_name, row.condition))) if row.condition else f"row {row.number}"
         grouped.setdefault(name, []).append(number)
     freedom = sum(len(rows) - 1 for rows in grouped.values())
     if len(grouped) < LEAST_CONDITIONS or freedom < LEAST_REPEATS:

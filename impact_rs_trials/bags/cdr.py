@@ -258,10 +258,10 @@ def _decode_table(store: Typestore, kind: str, rows: Sequence[bytes | memoryview
 
 
 class Readable:
-    """Tells bytes that are a message of one type from bytes that are none.
+    """Decides whether bytes are a message of a given type.
 
-    A message of the layout of the one before it, strings and array lengths included, needs no decoding: its numbers may
-    have any value.
+    A message with the layout of the one before it, strings and array lengths included, needs no decoding, because its
+    numbers may have any value.
 
     Args:
         store: Type definitions.
@@ -290,7 +290,7 @@ class Readable:
         return np.frombuffer(data, np.uint8)[self._fixed_at].tobytes()
 
     def _remember(self, data: bytes) -> None:
-        """Keep the layout of a message; none where it cannot be told from lengths and strings alone."""
+        """Keep the layout of a message, if lengths and strings alone determine it."""
         self._size = -1
         if data[:2] != LITTLE_ENDIAN:
             return

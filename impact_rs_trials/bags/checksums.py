@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checksums of a bag: no bit of it changes unnoticed.
+"""Checksums of a bag, which reveal any changed bit.
 
-``rosbags`` writes MCAP with its checksums left at 0, which the format reads as: not known. :func:`seal` fills them in
-(CRC-32, where every reader of MCAP looks for them)::
+``rosbags`` writes MCAP with checksums of 0, which mean "unknown". :func:`seal` fills them in (CRC-32, at the positions
+that the format defines)::
 
     magic | header | chunks, message indexes, metadata | data end | summary | footer | magic
                      ^ of a chunk's messages             ^ of all before it   ^ of the summary and the footer itself
 
-A bag holds its ``metadata.yaml`` twice, as a file and inside the MCAP file. Sealed, the first says word for word what
-the second says, and so is protected by the same checksums. :func:`check` insists on all of it where a bag says of
-itself that it was sealed; those of earlier versions and of other programs do not say so.
+A bag holds its ``metadata.yaml`` twice, as a file and inside the MCAP file. In a sealed bag both are identical, so that
+the same checksums protect the file. :func:`check` verifies all of it if the metadata of the bag declare checksums;
+those of earlier versions and of other programs do not.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from zlib import crc32
 from rosbags.rosbag2.storage_mcap import decompress
 
 NAME: Final = "checksums"
-KIND: Final = "crc32"  # how a bag says in its custom data that it was sealed
+KIND: Final = "crc32"  # value in the custom data of a sealed bag
 METADATA = "metadata.yaml"
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, CHANNEL, MESSAGE, CHUNK, METADATA_RECORD, DATA_END = 0x02, 0x04, 0x05, 0x06, 0x0C, 0x0F
 HEAD = 9  # bytes of a record before its content: its kind and size
-CHUNK_CHECKSUM = 24  # where it stands in the content of a chunk
+CHUNK_CHECKSUM = 24  # its offset in the content of a chunk
 _SAID = f"{NAME}: {KIND}\n".encode()
 _U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
 _MESSAGE_HEAD = struct.Struct("<HIQ")  # channel, sequence, time; the time of publication and the message follow
 
 
 class ChecksumError(Exception):
-    """Bytes that are not those that were written; the message says where."""
+    """Bytes have changed since they were written; the message says where."""
 
 
 def seal(bag: Path) -> None:
-    """Give a bag that is written and closed its checksums.
+    """Add checksums to a closed bag.
 
     Args:
         bag: Its folder, with one MCAP file, whose custom data says ``checksums: crc32``.
@@ -53,7 +53,7 @@ def seal(bag: Path) -> None:
     with path.open("r+b") as file:
         for kind, start, _ in _records(data):  # in this order: the data's end covers the checksums of its chunks
             if kind == CHUNK and _U32.unpack_from(data, start + CHUNK_CHECKSUM)[0]:
-                continue  # whoever wrote it wrote that, too
+                continue  # the writer has set it
             for place, value in _checksum(data, kind, start):
                 _U32.pack_into(data, place, value)
                 file.seek(place)
@@ -97,12 +97,12 @@ def says_so(bag: Path) -> bool:
 
 
 def unsealed_words(count: int) -> str:
-    """What to say of so many bags without checksums; empty for none."""
+    """Warning about a number of bags without checksums; empty for none."""
     if not count:
         return ""
     return (
-        f"{count} bag{'s carry' if count > 1 else ' carries'} no checksums (bags of 0.1.0 and of other programs): had "
-        "their numbers changed since, nobody would know"
+        f"{count} bag{'s carry' if count > 1 else ' carries'} no checksums (bags of 0.1.0 and of other programs): "
+        "changes of their numbers cannot be detected"
     )
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the domain to messages: one description for bags written in-process and for nodes.
+"""Messages from plans, measurements and commands, the same for bags written in-process and for nodes.
 
-:class:`MessageMaker` fills messages of whatever classes a :class:`MessageTypes` hands out: those of the ``rosbags``
+:class:`MessageMaker` fills messages of the classes that a :class:`MessageTypes` provides: those of the ``rosbags``
 typestore, or rosidl's. Stamps are trial time; a tick is a whole number of nanoseconds.
 """
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a trial ended, judged by what was measured and recorded.
 
-Every rule looks at one thing and says what it finds; the gravest finding is told, of equally grave ones the earliest.
-A limit may be passed for a moment: an impact takes a wrist beyond its torque for some milliseconds. Time beyond a limit
-is counted altogether and not at a stretch, for what oscillates is within its limits every now and then.
+Every rule checks one condition and yields findings. The verdict is the gravest finding, of equally grave ones the
+earliest. A limit may be exceeded briefly: an impact takes a wrist beyond its torque limit for some milliseconds. The
+time beyond a limit is summed over the trial, because an oscillating signal returns within its limits again and again.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ LEAST_LIFT = 0.5  # of the lift that the reference asks for; less, and the objec
 LONGEST = 0.005  # s beyond a limit of position or speed, or tilted; no more than that is a spike of a sensor
 LONGEST_TORQUE = 0.05  # s beyond a limit of torque; the impact of a healthy grab takes 6 ms, up to 1.9 times the limit
 LONGEST_UNSOLVED = 0.05  # s without a solution of the QP
-COMMANDED = 1.001  # of its limit: a command that is held at it is told from one beyond it
-MEASURED = 1.05  # of its limit: what a joint that is held at it measures, with its noise and the ringing of its spring
+COMMANDED = 1.001  # of the limit; separates a command at its limit from one beyond it
+MEASURED = 1.05  # of the limit; a joint at its limit measures up to that, with noise and the ringing of its spring
 LARGEST_TILT = np.radians(20.0)  # of the object, from upright; healthy ones turn by 2 degrees
 ROUNDING = 1e-9  # s, of a sum of periods
 
@@ -231,14 +231,14 @@ def _unsolved(name: str, arm: ArmRecord, period: float) -> Iterator[_Finding]:
 
 
 def _untouched(recorded: TrialRecord) -> Iterator[_Finding]:
-    """Arms that were to hit something and did not."""
+    """Arms without an impact, where one was planned."""
     missed = [name for name, arm in recorded.arms.items() if not arm.hit]
     if missed:
         yield _Finding("NO-IMPACT", 0.0, f"{', '.join(missed)} detected no impact")
 
 
 def _too_early(plan: TrialPlan, recorded: TrialRecord) -> Iterator[_Finding]:
-    """An impact that was told before the pad could be there: what follows is no answer to one."""
+    """An impact that was detected before the pad could touch the object."""
     timing, detection = plan.scene.scenario.timing, plan.scene.scenario.control.detection
     begin = timing.window[0]
     for name, arm in recorded.arms.items():
@@ -248,16 +248,14 @@ def _too_early(plan: TrialPlan, recorded: TrialRecord) -> Iterator[_Finding]:
                 yield _Finding(
                     "EARLY",
                     time,
-                    f"{name} took something for the impact at {time:.3f} s, before the window from {begin:.3f} s: "
+                    f"{name} detected an impact at {time:.3f} s, before the window from {begin:.3f} s: "
                     f"raise control.detection.threshold, now {detection.threshold:g} N",
                 )
 
 
 def _tipped(seen: PoseColumns) -> Iterator[_Finding]:
-    """An object that leans over: the angle between the vertical now and at the start, as the body sees them.
-
-    The vertical seen from the body is the last row of R, (2 (x z - y w), 2 (y z + x w), 1 - 2 (x^2 + y^2)).
-    """
+    """An object that tips over, by the angle between the vertical in body axes now and at the start."""
+    # The vertical in body axes is the last row of R: (2 (x z - y w), 2 (y z + x w), 1 - 2 (x^2 + y^2)).
     if seen.time.size < 2:
         return
     x, y, z, w = seen.quaternion.T
@@ -273,7 +271,7 @@ def _tipped(seen: PoseColumns) -> Iterator[_Finding]:
 
 def _dropped(plan: TrialPlan, seen: PoseColumns) -> Iterator[_Finding]:
     """An object that was to be lifted and did not rise enough."""
-    if not seen.time.size:  # nobody tracked it
+    if not seen.time.size:  # it was not tracked
         return
     meant = plan.expected_lift
     lift = float(seen.position[-1, 2] - seen.position[0, 2])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading trials back, as columns. Ground truth stays where it is unless it is asked for by name."""
+"""Reading trials as columns. Ground truth is read only by its topic."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from impact_rs_trials.bags.types import typestore, typestore_of
 
 
 class BagError(Exception):
-    """A folder that is no readable trial: truncated, empty or foreign. The message names the folder and says why."""
+    """A folder is not a readable trial: truncated, empty or of another kind. The message names folder and reason."""
 
     def __init__(self, path: Path, reason: str) -> None:
         self.path = path
@@ -126,14 +126,14 @@ Columns = TypeVar("Columns", JointColumns, ControllerColumns, PoseColumns)
 
 
 class TrialBag:
-    """One trial on disk, by :meth:`open`; a topic is read when it is asked for.
+    """One trial on disk, by :meth:`open`; a topic is read on demand.
 
     Args:
         path: Folder of the bag.
         reader: Open; the bag closes it.
         info: Identity of the trial.
-        metadata: What the recorder noted beside the messages.
-        sealed: Whether it carries checksums, and they are right; bags of 0.1.0 and of other programs carry none.
+        metadata: Custom metadata of the recorder.
+        sealed: Whether it has checksums, all correct; bags of 0.1.0 and of other programs have none.
 
     Attributes:
         counts: Number of messages by topic.
@@ -152,7 +152,7 @@ class TrialBag:
 
     @classmethod
     def open(cls, path: Path) -> TrialBag:
-        """The trial in a folder; of one that was cut off, ``ABORTED``, what had reached the disk.
+        """The trial in a folder; a cut-off one is ``ABORTED`` and has the messages that had reached the disk.
 
         Raises:
             BagError: The folder is no readable bag, or holds no ``/trial_info``.
@@ -201,12 +201,12 @@ class TrialBag:
 
     @property
     def reason(self) -> str:
-        """Why it had this outcome, in one line: what was told, or what the outcome means."""
+        """Reason of the outcome, in one line: that of the recorder, or the meaning of the outcome."""
         return self.metadata.get("outcome_reason") or OUTCOMES.get(self.outcome, "an outcome that is not known here")
 
     @property
     def missing(self) -> list[str]:
-        """Topics of a trial that this one has no message of; ``/truth`` stands for everything below it."""
+        """Topics of a trial without messages in this one; ``/truth`` means all topics below it."""
         return topics.lacking(list(self.info.robots), [topic for topic, count in self.counts.items() if count])
 
     def serialized(self, topic: str) -> list[bytes]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run a trial in-process and record what the nodes would record."""
+"""Run a trial in-process and record the same topics as the nodes."""
 
 from __future__ import annotations
 
@@ -24,32 +24,32 @@ from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 from impact_rs_trials.bags.writer import BagWriter
 
-FIXED = 1e-9  # [-], m; how far a placement may differ between two joint positions and still be the same
+FIXED = 1e-9  # [-], m; tolerance within which a placement does not depend on the joint positions
 
 
 def descriptions(plan: TrialPlan) -> dict[str, str]:
-    """URDFs by topic: the arms beside the support, every arm alone, and the object."""
-    physics, thing = plan.scene.physics, plan.scene.physics.object
+    """URDFs by topic: all arms with the support, every arm alone, and the object."""
+    physics, body = plan.scene.physics, plan.scene.physics.object
     arms = {name: (arm.facts, arm.end_effector, arm.base) for name, arm in physics.arms.items()}
     return {
         topics.ROBOT_DESCRIPTION: physics.description(),
         **{topics.robot_description(name): write_description({name: arm}, None) for name, arm in arms.items()},
         topics.OBJECT_DESCRIPTION: write_object_description(
-            thing.size, thing.mass, thing.com_offset, np.diag(thing.inertia)
+            body.size, body.mass, body.com_offset, np.diag(body.inertia)
         ),
     }
 
 
 class FrameSource:
-    """Frames for ``/tf`` and ``/tf_static``, from measurements alone: links one after the other, object and support.
+    """Frames for ``/tf`` and ``/tf_static`` from measurements alone: links in chains, object and support.
 
     Args:
         scene: The scene.
-        prefix: Prefix of every frame, ``cell_a/``, where other graphs are on the same ``/tf``; its ``world`` then is
-            a child of the ``world`` of all, at the same place.
+        prefix: Prefix of every frame, ``cell_a/``, where several graphs share ``/tf``; the prefixed ``world`` then is
+            a child of the common ``world``, at the same pose.
 
     Attributes:
-        static: Frames that never move in their parent: support, bases, what is fixed to a link.
+        static: Frames that never move in their parent: support, bases, frames fixed to a link.
     """
 
     def __init__(self, scene: Scene, prefix: str = "") -> None:
@@ -81,12 +81,12 @@ class FrameSource:
         )
 
     def at(self, arms: dict[str, Array], seen: tuple[Array, Array] | None) -> list[Frame]:
-        """The same from joint positions by arm, and position and quaternion of the object where it was seen."""
+        """As :meth:`frames`, from joint positions by arm and position and quaternion of the object; None: not seen."""
         if seen is not None:
             position, quaternion = seen
             self._object = pin.SE3(pin.Quaternion(quaternion).matrix(), position)
-        thing = Frame(self._prefix + WORLD, self._prefix + "object", self._object)
-        return [*(frame for frame in self._named(arms) if frame.name not in self._fixed), thing]
+        body = Frame(self._prefix + WORLD, self._prefix + "object", self._object)
+        return [*(frame for frame in self._named(arms) if frame.name not in self._fixed), body]
 
     def _named(self, arms: dict[str, Array]) -> list[Frame]:
         """Every frame but the object's, with its prefix."""
@@ -106,7 +106,7 @@ class FrameSource:
 def occasional_messages(
     maker: MessageMaker, tick: int, measurement: Measurement, truth: Truth | None, frames: FrameSource
 ) -> Iterator[tuple[str, Any]]:
-    """What the plant does not publish in every tick."""
+    """Messages of the plant that are not published in every tick, with their topics."""
     if measurement.object is not None:
         yield topics.OBJECT_POSE, maker.object_pose(tick, measurement.object)
     if truth is not None and truth.object is not None:
@@ -118,7 +118,7 @@ def occasional_messages(
 
 
 def keep_tick(streams: Mapping[str, Stream], tick: Tick, truth: Truth | None) -> None:
-    """Put aside what plant and controller tell in every tick, by topic; no truth where nobody knows it."""
+    """Add the signals of a tick to the streams of plant and controller; without ``truth``, none below ``/truth``."""
     for arm, measured in tick.measurement.arms.items():
         streams[topics.joint_states(arm)].add(tick.number, measured)
         streams[topics.motor_states(arm)].add(tick.number, measured)
@@ -140,11 +140,11 @@ def record_trial(
     """Run one trial in lockstep and write its bag.
 
     Args:
-        plan: What to do.
-        info: Identity; its seed makes the scatter and the noise.
+        plan: The trial.
+        info: Identity of the trial; its seed determines scatter and noise.
         path: Folder of the bag.
         physics: True physics of the plant; None: the scenario's.
-        extension: What the plant does beyond its physics.
+        extension: Effects of the plant beyond its physics.
 
     Returns:
         How it ended, and net feedback ``(3,)`` [m/s] by arm.
@@ -159,14 +159,15 @@ def record_trial(
 def record_cell(
     plan: TrialPlan, info: TrialInfo, path: Path, cell: RobotCell, truth: Callable[[], Truth] | None = None
 ) -> tuple[Verdict, dict[str, Array]]:
-    """Run one trial in lockstep on whatever robot cell, and write its bag; closes the cell.
+    """Run one trial in lockstep on any robot cell, and write its bag; closes the cell.
 
     Args:
-        plan: What to do.
+        plan: The trial.
         info: Identity of the trial.
         path: Folder of the bag.
         cell: The robot cell, at the start of the trial.
-        truth: Tells its true state at the present tick; None: nobody knows, and the bag has no topics below ``/truth``.
+        truth: Returns the true state at the present tick; None: it is unknown, and the bag has no topics below
+            ``/truth``.
 
     Returns:
         How it ended, and net feedback ``(3,)`` [m/s] by arm.
@@ -188,9 +189,9 @@ def record_cell(
             try:
                 for tick in run_closed_loop(plan, cell):
                     now = maker.nanoseconds(tick.number)
-                    told = None if truth is None else truth()
-                    keep_tick(streams, tick, told)
-                    for topic, message in occasional_messages(maker, tick.number, tick.measurement, told, frames):
+                    state = None if truth is None else truth()
+                    keep_tick(streams, tick, state)
+                    for topic, message in occasional_messages(maker, tick.number, tick.measurement, state, frames):
                         bag.write(topic, now, message)
                     for arm, command in tick.commands.items():
                         if command.detection is not None:
@@ -198,7 +199,7 @@ def record_cell(
                                 topics.impact_event(arm), now, maker.impact_event(tick.number, arm, command.detection)
                             )
                     witness.see(tick)
-            finally:  # a trial that breaks off is readable as far as it got
+            finally:  # an interrupted trial is readable up to its end
                 for topic, stream in streams.items():
                     bag.write_rows(topic, *stream.take())
             verdict = judge(plan, witness.record())

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags that nobody closed, because who wrote them was killed or frozen: what had reached the disk is read.
+"""Recovery of bags that were never closed, because the writing process was killed or froze.
 
-The chunks of such a file are whole up to the last one, and say so by their checksums; behind them index, summary and
-``metadata.yaml`` are missing. What they hold is written once more as a bag that was ``ABORTED``.
+The chunks of such a file are complete up to the last one, which their checksums confirm; index, summary and
+``metadata.yaml`` are missing. The messages of the complete chunks go to a new bag with the outcome ``ABORTED``.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from impact_rs_trials.bags.writer import BagWriter
 
 
 def recover(cut: Path, whole: Path) -> bool:
-    """Write what is left of a trial that was cut off as a bag of its own, which says until when it was recorded.
+    """Write the readable messages of a cut-off trial to a new bag, whose reason says until when it was recorded.
 
     Args:
         cut: Folder of the bag that was cut off; it stays as it is.
@@ -30,10 +30,10 @@ def recover(cut: Path, whole: Path) -> bool:
         OSError: One of them cannot be read or written.
     """
     messages = [message for path in sorted(cut.glob("*.mcap")) for message in checksums.whole_messages(path)]
-    told = next((data for topic, _, data in messages if topic == topics.TRIAL_INFO), None)
-    if told is None:
+    recorded = next((data for topic, _, data in messages if topic == topics.TRIAL_INFO), None)
+    if recorded is None:
         return False
-    info = TrialInfo.from_message(typestore().deserialize_cdr(told, topics.TRIAL_INFO_TYPE))
+    info = TrialInfo.from_message(typestore().deserialize_cdr(recorded, topics.TRIAL_INFO_TYPE))
     with BagWriter.create(whole, list(info.robots)) as bag:
         bag.describe(info)
         for topic, nanoseconds, data in messages:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signals of every tick, kept as samples and serialized many at once.
+"""Signals of every tick, kept as samples and serialized in bursts.
 
-A message object per tick and topic, filled field by field and serialized by itself, costs more than the physics. Here a
-sample is put aside when it is measured, and a whole burst becomes bytes by columns; the bytes are those that
-:class:`~impact_rs_trials.bags.messages.MessageMaker` stands for.
+Filling and serializing a message object per tick and topic costs more than the physics. Here a sample is kept when it
+is measured, and a whole burst is serialized column by column. The bytes are those of the messages that
+:class:`~impact_rs_trials.bags.messages.MessageMaker` makes.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ class StreamMaker:
         self._period_ns = self._maker.nanoseconds(1)
 
     def of_plant(self) -> dict[str, Stream]:
-        """What the plant tells in every tick, by topic."""
+        """Streams of the signals that the plant publishes in every tick, by topic."""
         found = {}
         for arm in self._plan.arms:
             found[topics.joint_states(arm)] = self.joint_states(arm)
@@ -136,7 +136,7 @@ class StreamMaker:
         return found
 
     def of_controller(self) -> dict[str, Stream]:
-        """What the controller tells in every tick, by topic."""
+        """Streams of the signals that the controller publishes in every tick, by topic."""
         found = {}
         for arm in self._plan.arms:
             found[topics.joint_command(arm)] = self.joint_command(arm)
@@ -150,28 +150,28 @@ class StreamMaker:
         return self._maker.joint_states(0, arm, ArmMeasurement(*[self._joints(arm)] * 5))
 
     def joint_states(self, arm: str) -> Stream:
-        """Of measurements or truth."""
+        """Stream of joint states, from measurements or truth."""
         return Stream(topics.JOINT_STATE, self._state_example(arm), self._period_ns, _STATE)
 
     def motor_states(self, arm: str) -> Stream:
-        """Of measurements."""
+        """Stream of motor states, from measurements."""
         example = self._maker.motor_states(0, arm, ArmMeasurement(*[self._joints(arm)] * 5))
         return Stream(topics.JOINT_STATE, example, self._period_ns, _MOTOR)
 
     def contact_wrench(self, arm: str) -> Stream:
-        """Of truth."""
+        """Stream of contact wrenches, from truth."""
         q = self._joints(arm)
         example = self._maker.truth_contact_wrench(0, ArmTruth(q, q, q, q, q, np.zeros(3)))
         fields = {f"wrench.force.{axis}": _component("pad_force", index) for index, axis in enumerate("xyz")}
         return Stream(topics.WRENCH, example, self._period_ns, fields)
 
     def joint_command(self, arm: str) -> Stream:
-        """Of commands."""
+        """Stream of commanded torques, from commands of the controller."""
         example = self._maker.joint_command(0, arm, self._joints(arm))
         return Stream(topics.JOINT_STATE, example, self._period_ns, {"effort": "torque"})
 
     def controller_state(self, arm: str) -> Stream:
-        """Of commands."""
+        """Stream of controller states, from commands of the controller."""
         three, six = np.zeros(3), np.zeros(6)
         command = ArmCommand(
             torque=self._joints(arm),

@@ -77,7 +77,7 @@ TRIAL_INFO_TYPE = "impact_rs/msg/TrialInfo"
 
 
 def latched(arms: list[str]) -> list[str]:
-    """Topics on which something is said once per trial, and who comes late still hears it."""
+    """Topics with one message per trial, which late subscribers receive as well."""
     return [TRIAL_INFO, ROBOT_DESCRIPTION, OBJECT_DESCRIPTION, *(robot_description(arm) for arm in arms)]
 
 
@@ -95,12 +95,12 @@ class Offer:
 
 
 SIGNAL = Offer(4000)
-"""A signal of every tick or every camera frame: four seconds at 1 kHz, so that a recorder which is late by some seconds
-still receives every sample; yet bounded, because a publisher that keeps all blocks as soon as one of its subscribers
-has died, until the middleware notices that (20 s)."""
+"""A signal of every tick or every camera frame: four seconds at 1 kHz, so that a recorder that is late by some seconds
+still receives every sample. It is bounded because a publisher with unbounded history blocks when a subscriber has died,
+until the middleware notices that (20 s)."""
 
 SPORADIC = Offer(10)
-"""What comes seldom (an impact, diagnostics), or of which the newest is enough (the clock)."""
+"""Rare messages (an impact, diagnostics), and topics whose newest message is enough (the clock)."""
 
 TRANSFORMS = Offer(100)
 """``/tf``, as tf2 offers it."""
@@ -119,7 +119,7 @@ def offer(topic: str) -> Offer:
 
 
 def recorded(arms: list[str], truth: bool = True) -> dict[str, str]:
-    """Every recorded topic of a trial with its type; those below ``/truth`` only where there is somebody to tell it."""
+    """Every recorded topic of a trial with its type; those below ``/truth`` only if the plant publishes the truth."""
     topics = {
         CLOCK: CLOCK_TYPE,
         TRIAL_INFO: TRIAL_INFO_TYPE,
@@ -153,7 +153,7 @@ def needed(arms: list[str]) -> list[str]:
 
 
 def lacking(arms: list[str], present: Collection[str]) -> list[str]:
-    """What a trial has no message of and could have; ``/truth`` stands for everything below it.
+    """Topics of a trial without messages; ``/truth`` means all topics below it.
 
     Args:
         arms: Names of the arms.

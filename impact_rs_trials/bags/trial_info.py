@@ -12,16 +12,16 @@ from impact_rs_sim.version import git_revision, package_version
 from impact_rs_trials.spec import TrialSpec
 
 Outcome = Literal["ABORTED", "DIVERGED", "LIMIT", "INFEASIBLE", "NO-IMPACT", "EARLY", "TIPPED", "DROPPED", "OK"]
-OUTCOMES: dict[str, str] = {  # the gravest first: of several that hold it is the one that is told
+OUTCOMES: dict[str, str] = {  # the gravest first: it is the verdict where several apply
     "ABORTED": "the trial did not end",
     "DIVERGED": "a joint ran away",
-    "LIMIT": "a joint was beyond its limits",
-    "INFEASIBLE": "no torque within the limits did what the controller wanted",
+    "LIMIT": "a joint exceeded its limits",
+    "INFEASIBLE": "no torque within the limits met all constraints of the controller",
     "NO-IMPACT": "nothing was hit",
-    "EARLY": "something was taken for the impact before the pad could be there",
+    "EARLY": "an impact was detected before the pad could touch the object",
     "TIPPED": "the object tipped over",
     "DROPPED": "the object was dropped",
-    "OK": "it went as it was meant to",
+    "OK": "it went as planned",
 }
 
 FORMER_NAMES = {"scenario_json": "scenario_yaml"}  # of fields, up to version 0.1.0; the layout is the same

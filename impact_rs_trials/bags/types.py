@@ -28,9 +28,9 @@ def typestore() -> Typestore:
 
 
 def typestore_of(connection: Connection) -> Typestore:
-    """The typestore by which a recorded topic is read: types of ours as their bag defines them.
+    """The typestore that reads a recorded topic; types of ``impact_rs`` are taken from the definitions in the bag.
 
-    Messages of ours grow fields from version to version, and a serialized message does not tell which it has.
+    New versions add fields to these types, and a serialized message does not contain its definition.
     """
     definition = connection.msgdef
     own = connection.msgtype.startswith("impact_rs/") and definition.format == MessageDefinitionFormat.MSG

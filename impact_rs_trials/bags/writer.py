@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writing a trial: mcap by ``rosbags``, into a hidden folder that gets its name when the trial is complete.
+"""Writing a trial: MCAP by ``rosbags``, into a hidden folder that gets its name when the trial is complete.
 
-MCAP keeps messages in chunks. Each goes to the disk with its checksum as soon as it is full, or when the writer is told
-to: whatever becomes of the process, :mod:`~impact_rs_trials.bags.recovery` reads the bag up to there.
+MCAP keeps messages in chunks. A chunk is written to the disk with its checksum when it is full, or on
+:meth:`BagWriter.save`. If the process is killed, :mod:`~impact_rs_trials.bags.recovery` reads the bag up to there.
 """
 
 from __future__ import annotations
@@ -115,10 +115,10 @@ def partial_path(path: Path) -> Path:
 
 
 class BagWriter:
-    """Writes the bag of one trial; a context manager, which :meth:`create` makes.
+    """Writes the bag of one trial; a context manager, made by :meth:`create`.
 
-    Leaving the context without :meth:`finish` keeps the bag under its hidden name, readable as far as it got, and a
-    campaign runs that trial again. Where the disk is full nothing is kept.
+    Leaving the context without :meth:`finish` keeps the incomplete bag, readable, under its hidden name, and a campaign
+    runs that trial again. If the disk is full, nothing is kept.
 
     Args:
         path: Folder of the bag when it is complete.
@@ -175,7 +175,7 @@ class BagWriter:
         return cls(path, writer, arms, connections, store)
 
     def describe(self, info: TrialInfo) -> None:
-        """Put the trial's identity into the bag's metadata; whole files are in ``/trial_info`` alone."""
+        """Write the trial's identity to the metadata of the bag; texts of files are in ``/trial_info`` only."""
         for name, value in info.values().items():
             if name not in FILES:
                 self._writer.set_custom_data(name, str(value))
@@ -208,7 +208,7 @@ class BagWriter:
         self.messages += 1
 
     def save(self) -> None:
-        """Put everything that has been written on the disk, where it can be read although the bag is never closed."""
+        """Flush all messages to the disk, where they can be read even if the bag is never closed."""
         self._flush()
         storage = self._writer.storage
         if isinstance(storage, _Storage) and storage.chunk.msgs:
@@ -230,11 +230,11 @@ class BagWriter:
             self._writer.write_many(sorted(rows, key=itemgetter(0)))
 
     def finish(self, outcome: Outcome, reason: str = "") -> None:
-        """Close the bag and give it its name; what it lacks is noted in its metadata.
+        """Close the bag and give it its name; topics without messages are listed in its metadata.
 
         Args:
             outcome: How the trial ended.
-            reason: Why, in one line; empty where there is nothing to say.
+            reason: Reason of the outcome, in one line; may be empty.
         """
         if lacking := topics.lacking(self._arms, self._present):
             self._writer.set_custom_data(MISSING, ", ".join(lacking))
@@ -257,7 +257,7 @@ class BagWriter:
         self._ended = True
 
     def _discard(self, error: OSError) -> None:
-        """Remove the half-written bag, which would only take up space, and let the error say what it was."""
+        """Remove the incomplete bag, and add its path to the error."""
         self._ended = True
         error.filename = error.filename or str(self.path)
         with suppress(OSError):

@@ -16,9 +16,7 @@ from impact_rs_trials.recordings.mapping import UNITS, WIDTH, Mapping, SignalNam
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.table_file import require
 
-UNSEALED = (
-    "{} has arrays without checksums: had a number been changed by accident, nothing would tell (fletcher32 in h5py)"
-)
+UNSEALED = "{} has arrays without checksums: accidental changes of numbers cannot be detected (fletcher32 in h5py)"
 REAL = "iuf"  # kinds of NumPy types whose numbers are taken: no complex ones, truth values, texts or durations
 
 

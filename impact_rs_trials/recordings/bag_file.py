@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags, SQLite or MCAP: a topic, a message type and a field per signal.
 
-A run has one clock. Where it is that of the header stamps, a topic without them is brought to it from the log:
+A run has one clock. If it is that of the header stamps, times of a topic without them are computed from log times:
 
     stamp  =  log - median(log - stamp of the joint states)
 
-so the transport that both have in common cancels; what a message takes longer than the joint states stays in.
+The common transport delay cancels; a longer delay than that of the joint states remains as an error.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.mapping import WIDTH, Mapping, SignalName, SignalSource
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 
-DRIFT = 0.002  # s, how far log and header stamps may run apart before it is told
-LATE = (-0.005, 0.05)  # s, how much later than the joint states a topic may be logged before it is told
+DRIFT = 0.002  # s, drift between log and header stamps above which a remark is made
+LATE = (-0.005, 0.05)  # s, range of the log delay behind the joint states outside which a remark is made
 
 FIELDLESS: tuple[SignalName, ...] = ("object_pose", "wrench")  # what its message type says where it is
 
@@ -35,7 +35,7 @@ _POSE_PARTS = (("position", "orientation"), ("translation", "rotation"))
 
 
 def typestore_for(mapping: Mapping) -> Typestore:
-    """Standard messages and the definitions that the mapping asks for.
+    """Standard messages and the definitions that the mapping names.
 
     Raises:
         InputError: There are no such definitions.
@@ -77,10 +77,10 @@ class BagFile:
         path: Folder, or bare ``.db3`` or ``.mcap`` file.
         mapping: Where the signals are.
         names: What the placeholders of the mapping stand for.
-        wanted: Signals that will be asked for.
+        wanted: Signals to read.
 
     Raises:
-        InputError: It is no readable bag.
+        InputError: It is not a readable bag.
     """
 
     def __init__(self, path: Path, mapping: Mapping, names: Names, wanted: tuple[SignalName, ...]) -> None:
@@ -133,7 +133,7 @@ class BagFile:
             try:
                 connection = self._connection(name, self._mapping.signals[name])
             except MissingSignal:
-                continue  # whoever asks for it says whether it is needed
+                continue  # the caller of series() decides whether it is needed
             chosen[connection.topic] = connection
         return list(chosen.values())
 
@@ -168,7 +168,7 @@ class BagFile:
     def _clock(
         self, name: SignalName, source: SignalSource, topic: str, headers: list[Any], log: Array
     ) -> tuple[Array, tuple[str, ...]]:
-        """Stamps on the clock of the run, and what the user should know of them."""
+        """Stamps on the clock of the run, and remarks on them."""
         clock = self._mapping.time.stamp
         stamped = headers[0] is not None
         if clock == "log" and source.stamp != "header":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time stamps: what is wrong with them, where samples are missing, and the even grid that they nearly are."""
+"""Time stamps: their errors, gaps between samples, and the regular grid closest to them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 
-ON_THE_GRID = 0.02  # periods that a stamp may lie beside the grid and still count as on it
+ON_THE_GRID = 0.02  # periods by which a stamp may be off the grid and still count as on it
 SHOWN = 5  # gaps in a message
 
 
@@ -74,7 +74,7 @@ def check_jumps(path: Path, what: str, time: Array, log: Array | None, largest: 
         path: File, for messages.
         what: Topic or column, for messages.
         time: Stamps, increasing, ``(k,)`` [s].
-        log: A second clock that tells jumps from pauses, ``(k,)`` [s]; None: there is none.
+        log: A second clock that distinguishes jumps from pauses, ``(k,)`` [s]; None: there is none.
         largest: Largest step that is no jump [s].
         pauses: Whether a pause, which the second clock shows as well, is as bad.
 

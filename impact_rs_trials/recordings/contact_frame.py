@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the world of a motion capture is in A, found from contact alone: in a hit the pad lies on a face of the object.
+"""Pose of the motion-capture frame in A, estimated from contact alone: in a hit the pad lies on a face of the object.
 
-An object at p with axes R_p in the world of the motion capture, that world at t and turned by psi about z in A, the
-middle of the pad at c with its normal m in A, the outward normal n of the face that is hit, and h half the size of the
-object along it give
+The object is at p with axes R_p in the motion-capture frame; that frame is at t and rotated by psi about z in A. The
+centre of the pad is at c with normal m in A, n is the outward normal of the face that is hit, and h half the size of
+the object along n. Every hit gives
 
     n . (c - t - R(psi) p) = h,    n = R(psi) R_p e        the pad lies on the face
-    angle from -n to m     = 0                             face on face, which is less sure
+    angle from -n to m     = 0                             pad and face are parallel (less accurate)
 
-for every hit, and the support, on which the object stands at first,
+and the support, on which the object rests before the hit, gives
 
     t_z = height of the support + half the object's height - p_z.
 
-Least squares for t_x, t_y and psi, by Gauss-Newton steps; where all hits go one way, t may be anything across it, and
-stays there as given.
+Least squares for t_x, t_y and psi, by Gauss-Newton steps. If all hits have the same direction, t is undetermined across
+it and keeps its given value there.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ import pinocchio as pin
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 
-DISTANCE = 0.001  # m, how well pad and face are known to touch
-FLUSH = 0.02  # rad, how well they are known to be parallel
-KNOWN = 0.005  # m; a position that is less sure in some direction is not told by the hits
-PUSHED = 0.005  # m; objects that all of them together move by less do not tell the first psi
+DISTANCE = 0.001  # m, standard deviation of the distance between pad and face
+FLUSH = 0.02  # rad, standard deviation of the angle between them
+KNOWN = 0.005  # m; a direction with a larger standard error counts as undetermined
+PUSHED = 0.005  # m; if all objects together move by less, they do not determine the initial psi
 STEPS = 20
-CLOSE = 1e-9  # m or rad, a step after which no other is made
+CLOSE = 1e-9  # m or rad, convergence tolerance of a step
 
 
 @dataclass(frozen=True)
@@ -66,16 +66,16 @@ class PadOnFace:
 
 @dataclass(frozen=True)
 class ContactFrame:
-    """The world of the motion capture in A.
+    """The motion-capture frame in A.
 
     Attributes:
-        position: Its origin [m].
-        yaw: How far it is turned about z [rad].
-        error: Standard error of x, y [m] and yaw [rad] by the scatter of the hits; 0 of what was not found.
-        scatter: Between pad and face, rms over the hits [m].
-        tilt: Between pad and face, rms over the hits [rad].
-        hits: How many hits there were.
-        kept: Direction in A along which the position stays as given, for no hit tells it, ``(2,)``; None: none.
+        position: Its origin, ``(3,)`` [m].
+        yaw: Its rotation about z [rad].
+        error: Standard error of x, y [m] and yaw [rad] from the scatter of the hits, ``(3,)``; 0 where not estimated.
+        scatter: Distance between pad and face, rms over the hits [m].
+        tilt: Angle between pad and face, rms over the hits [rad].
+        hits: Number of hits.
+        kept: Undetermined direction in A, along which the position keeps its given value, ``(2,)``; None: none.
     """
 
     position: Array
@@ -88,17 +88,17 @@ class ContactFrame:
 
     def __str__(self) -> str:
         x, y, z = self.position
-        told = (
+        placed = (
             f"motion capture placed from contact in {self.hits} hits: position [{x:.4f}, {y:.4f}, {z:.4f}] m, yaw "
             f"{self.yaw:.4f} rad, +- {1e3 * self.error[0]:.1f} mm, {1e3 * self.error[1]:.1f} mm, {self.error[2]:.4f} "
             f"rad; pad and face are then {1e3 * self.scatter:.1f} mm and {np.rad2deg(self.tilt):.1f} degrees rms from "
             "touching"
         )
         if self.kept is None:
-            return told
+            return placed
         return (
-            f"{told}; along [{self.kept[0]:.2f}, {self.kept[1]:.2f}] the position stays as given, for all hits go "
-            "across that and none tells"
+            f"{placed}; along [{self.kept[0]:.2f}, {self.kept[1]:.2f}] the position stays as given, for all hits are "
+            "across that direction and do not determine it"
         )
 
 
@@ -106,9 +106,9 @@ def contact_frame(touches: Sequence[PadOnFace], given: Array, given_yaw: float) 
     """Place the world of the motion capture so that all hits touch.
 
     Args:
-        touches: The hits; poses already turned by roll and pitch, which no hit tells.
-        given: Position that is kept where hits tell nothing, ``(3,)`` [m].
-        given_yaw: Yaw to start from where no object moves [rad].
+        touches: The hits; poses already rotated by roll and pitch, which hits do not determine.
+        given: Position that is kept where hits do not determine it, ``(3,)`` [m].
+        given_yaw: Initial yaw, used if no object moves [rad].
 
     Raises:
         InputError: There is no hit.
@@ -120,7 +120,7 @@ def contact_frame(touches: Sequence[PadOnFace], given: Array, given_yaw: float) 
     weights = np.tile([1.0 / DISTANCE, 1.0 / FLUSH], len(touches))
     for _ in range(STEPS):
         before = found.copy()
-        kept = _untold(weights[:, None] * _residuals(touches, found)[1])
+        kept = _undetermined(weights[:, None] * _residuals(touches, found)[1])
         free = np.eye(3) if kept is None else np.array([[-kept[1], kept[0], 0.0], [0.0, 0.0, 1.0]]).T
         if kept is not None:
             found[:2] += kept * (kept @ (given[:2] - found[:2]))
@@ -130,7 +130,7 @@ def contact_frame(touches: Sequence[PadOnFace], given: Array, given_yaw: float) 
         if np.max(np.abs(found - before)) < CLOSE:
             break
     values, slopes = _residuals(touches, found)
-    # Two numbers of every hit, less what was found; what is given beforehand is the least that errors can be.
+    # Two residuals per hit, less the estimated parameters; the standard deviations above are a lower bound.
     freedom = max(1, values.size - free.shape[1])
     spread = max(1.0, float(np.sum(np.square(weights * values))) / freedom)
     design = weights[:, None] * slopes @ free
@@ -146,21 +146,21 @@ def contact_frame(touches: Sequence[PadOnFace], given: Array, given_yaw: float) 
     )
 
 
-def _untold(slopes: Array) -> Array | None:
-    """Direction across all hits, ``(2,)``, where they do not tell the position, whatever the yaw; None where they do.
+def _undetermined(slopes: Array) -> Array | None:
+    """Horizontal direction in which the hits do not determine the position, ``(2,)``; None: there is none.
 
     Args:
         slopes: Of weighted residuals in x, y and yaw, ``(2 h, 3)``; in x and y those are normals of faces.
     """
-    told, directions = np.linalg.eigh(slopes[:, :2].T @ slopes[:, :2])
-    if told[0] * KNOWN**2 > 1.0:
+    information, directions = np.linalg.eigh(slopes[:, :2].T @ slopes[:, :2])
+    if information[0] * KNOWN**2 > 1.0:
         return None
     direction = directions[:, 0]
     return np.asarray(direction * np.sign(direction[int(np.argmax(np.abs(direction)))]))
 
 
 def _first(touches: Sequence[PadOnFace], given_yaw: float) -> Array:
-    """x, y and yaw to start from: the ways of the objects are those of the pads, and every pad is amid its face."""
+    """Initial x, y and yaw: objects move with the pads, and every pad is at the centre of its face."""
     yaw = given_yaw
     if sum(float(np.linalg.norm(touch.object_way)) for touch in touches) > PUSHED:
         cosine = sum(float(touch.object_way @ touch.pad_way) for touch in touches)

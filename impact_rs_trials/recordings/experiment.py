@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a laboratory says about its runs: ``experiment.yaml``, and the table of runs that it names.
+"""Description of a laboratory's runs: ``experiment.yaml``, and the table of runs that it names.
 
     scenario: push                                # robots, objects, support and contact come from here
     mapping: joint_state_effort_controller        # where the signals are
     runs: runs.csv                                # bag, object, kind; further columns become conditions
 
-Several arms have a mapping each (``mapping: {left: left.yaml, right: right.yaml}``), or one that tells them apart by
-``{arm}``. References and control of the scenario are not used: another controller moved the arm.
+Several arms have one mapping each (``mapping: {left: left.yaml, right: right.yaml}``), or a common one with ``{arm}``
+in its names. References and control of the scenario are not used, because another controller moved the arm.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ KINDS = (HIT, FREE_MOTION)
 NO_OBJECT = "none"
 COLUMNS = ("bag", "object", "kind")
 YAML = (".yaml", ".yml")
-MOST_TOLD = 20  # names of runs in an error
+MOST_LISTED = 20  # names of runs in an error
 
 Result = TypeVar("Result")
 
@@ -57,8 +57,8 @@ class MotionCapture(FramePlacement):
 
     estimate: bool = Field(
         False,
-        description="find position and yaw from the contact in the hits; what they do not tell stays as given: roll "
-        "and pitch, and the way across where all hits go in one direction",
+        description="estimate position and yaw from the contact in the hits; the rest keeps the given values: roll and "
+        "pitch, and the position across the direction of the hits if all have the same direction",
     )
     bodies: dict[str, FramePlacement] = Field(
         default_factory=dict,
@@ -236,8 +236,10 @@ def run_named(table: Sequence[RunRow], directory: Path, name: str) -> RunRow:
         raise InputError(f"several runs are called that: {several}; name one by its path", key="run", value=name)
     names = [run.name for run in table]
     near = did_you_mean(name, names)
-    told = f"{', '.join(names[:MOST_TOLD])}{' ...' if len(names) > MOST_TOLD else ''}"
-    raise InputError(f"the table of runs names no such run{near or f'; expected one of {told}'}", key="run", value=name)
+    listed = f"{', '.join(names[:MOST_LISTED])}{' ...' if len(names) > MOST_LISTED else ''}"
+    raise InputError(
+        f"the table of runs names no such run{near or f'; expected one of {listed}'}", key="run", value=name
+    )
 
 
 def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
@@ -289,7 +291,7 @@ def _wrong(path: Path, line: int, column: str, value: str, message: str) -> Inpu
 
 
 def _in_key(path: Path, key: str, value: str, load: Callable[[], Result]) -> Result:
-    """What ``load`` gives; its mistakes tell which key of which file asked for it."""
+    """Result of ``load``; its errors name the key and the file that refer to it."""
     try:
         return load()
     except InputError as error:

@@ -55,7 +55,7 @@ LEAST_TIME = 0.05  # s, of a frozen run
 LEAST_RUN = 20  # samples
 USUAL_RUNS = 10  # times the usual run of identical values
 MOVES = 0.02  # of the data sheet's velocity, from which a joint moves
-OFTEN = 0.9  # of a run need tell nothing: the joint may rest in most of it
+OFTEN = 0.9  # share of a run that is no evidence, because the joint may rest in it
 EDGE = 0.02  # s before and after the edge of a run, in which the speed is taken
 STEADY = (0.8, 1.25)  # ratio of speeds in neighbouring stretches of a joint that neither brakes nor speeds up
 RESOLUTIONS = 10  # of a sensor, a change that it certainly sees
@@ -74,8 +74,8 @@ def without_faults(
 
     Args:
         series: Signals of one arm in SI units, with checked stamps.
-        mapping: Knows robot and limits.
-        model: Tells the arm's weight; None: torques are not judged by it.
+        mapping: Mapping with the robot and its limits.
+        model: Model for the arm's weight; None: torques are not compared with it.
         impact_of: Finds the impact in joint velocities, on the stamps' clock [s]; None: free motion.
 
     Returns:
@@ -92,7 +92,7 @@ def without_faults(
     for name in judged:
         if name in cleaned:
             wrong = outliers(name, cleaned[name], mapping, impact)
-            remarks += _tell(cleaned[name], wrong, "outlier", mapping, name)
+            remarks += _remarks(cleaned[name], wrong, "outlier", mapping, name)
             cleaned[name] = _without(cleaned[name], wrong)
     frozen: dict[SignalName, Mask] = {}
     for place, speed in PAIRS:
@@ -105,7 +105,7 @@ def without_faults(
         if moving.time.size:
             frozen["torque"] = _torque_unlike_weight(cleaned["torque"], moving, mapping, model)
     for stuck, wrong in frozen.items():
-        remarks += _tell(cleaned[stuck], wrong, "frozen", mapping, stuck)
+        remarks += _remarks(cleaned[stuck], wrong, "frozen", mapping, stuck)
         cleaned[stuck] = _without(cleaned[stuck], wrong)
     return cleaned, remarks
 
@@ -200,8 +200,8 @@ def _still_in_motion(position: Series, velocity: Series, mapping: Mapping, impac
     for joint in range(values.shape[1]):
         for run in _runs(position, joint):
             way = np.append(0.0, np.cumsum(0.5 * (speed[run, joint][1:] + speed[run, joint][:-1]) * np.diff(time[run])))
-            told = np.quantile(np.abs(_speeds(time[run], way)), OFTEN)
-            by_velocity = told > moves[joint] and np.ptp(way) > RESOLUTIONS * resolution[joint]
+            speeds = np.quantile(np.abs(_speeds(time[run], way)), OFTEN)
+            by_velocity = speeds > moves[joint] and np.ptp(way) > RESOLUTIONS * resolution[joint]
             at_impact = impact is not None and abs(time[run.start] - impact) < AFTER_IMPACT
             if by_velocity or (not at_impact and _stops_dead(position, run, joint, moves, resolution)):
                 frozen[run, joint] = True
@@ -245,9 +245,9 @@ def _speeds(time: Array, place: Array) -> Array:
 
 
 def _motion_unlike_way(velocity: Series, position: Series, mapping: Mapping) -> Mask:
-    """Velocities that stay the same while the position tells of others, ``(k, n)``.
+    """Velocities that stay the same while the derivative of the position differs, ``(k, n)``.
 
-    Where velocities are not those of the positions outside of such runs either, unit or sign are wrong, not a sensor.
+    If velocities differ from that derivative outside of such runs as well, unit or sign are wrong, not a sensor.
     """
     time, values, places = velocity.time, velocity.values, position.at(velocity.time)
     moves = MOVES * np.array(mapping.facts.limits.velocity_rad_s)
@@ -280,7 +280,7 @@ def _torque_unlike_weight(torque: Series, position: Series, mapping: Mapping, mo
     return frozen
 
 
-# ---- what is left ---------------------------------------------------------------------------------------------------
+# ---- remarks --------------------------------------------------------------------------------------------------------
 
 
 def _without(series: Series, wrong: Mask) -> Series:
@@ -292,8 +292,8 @@ def _without(series: Series, wrong: Mask) -> Series:
     return replace(series, time=series.time[kept], values=series.values[kept], log=log)
 
 
-def _tell(series: Series, wrong: Mask, kind: str, mapping: Mapping, name: SignalName) -> list[str]:
-    """One remark for every joint of which something is left out."""
+def _remarks(series: Series, wrong: Mask, kind: str, mapping: Mapping, name: SignalName) -> list[str]:
+    """One remark for every joint with faulty samples."""
     remarks = []
     for joint in np.flatnonzero(wrong.any(axis=0)).tolist():
         rows = np.flatnonzero(wrong[:, joint])
@@ -303,9 +303,9 @@ def _tell(series: Series, wrong: Mask, kind: str, mapping: Mapping, name: Signal
         value = series.values[rows[0], joint]
         share = f"{rows.size} of {series.time.size} samples"
         if kind == "outlier":
-            told = f"{share} {'is an outlier' if rows.size == 1 else 'are outliers'}, first {value:.4g} {unit}"
-            remarks.append(f"{series.place}: joint {joint + 1}: {told} at t = {start[0]:.3f} s: left out")
+            found = f"{share} {'is an outlier' if rows.size == 1 else 'are outliers'}, first {value:.4g} {unit}"
+            remarks.append(f"{series.place}: joint {joint + 1}: {found} at t = {start[0]:.3f} s: left out")
         else:
-            told = f"frozen at {value:.4g} {unit} within t = {start[0]:.3f} ... {start[-1]:.3f} s ({share})"
-            remarks.append(f"{series.place}: joint {joint + 1}: {told}: left out")
+            found = f"frozen at {value:.4g} {unit} within t = {start[0]:.3f} ... {start[-1]:.3f} s ({share})"
+            remarks.append(f"{series.place}: joint {joint + 1}: {found}: left out")
     return remarks

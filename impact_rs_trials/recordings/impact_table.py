@@ -97,16 +97,16 @@ class ImpactRow:
 
     Attributes:
         number: Row of the table, counted from 1 without the header.
-        condition: What it is a repeat of; empty: said nowhere.
-        thing: Name of the object; empty: a free body.
-        physics: What is assumed before any effect; rows that assume the same share one.
+        condition: Name of the condition that it repeats; empty: unknown.
+        object_name: Name of the object; empty: a free body.
+        physics: Nominal physics; rows with the same nominal physics share one.
         impact: State just before, and contact points.
         after: Measured u^+, joint velocities of every arm and then the twist of the centre, ``(nv,)`` [rad/s, m/s].
     """
 
     number: int
     condition: str
-    thing: str
+    object_name: str
     physics: Physics
     impact: MeasuredImpact
     after: Array
@@ -123,8 +123,8 @@ class ImpactTable:
         arms: Names of the arms; empty: free bodies.
         noise: Standard deviation of a measured change of velocity in the order of ``after``, ``(rows, nv)``
             [rad/s, m/s]; None: said nowhere.
-        assumed: What was taken where the table says nothing, in words.
-        unread: Columns that mean nothing here.
+        assumed: Assumptions where the table has no column, as text.
+        unread: Columns that are not used.
     """
 
     path: Path
@@ -240,7 +240,7 @@ class _Reader:
         header: Headers of the file.
         cells: Rows by header.
         scenario: Of rows of arms.
-        questions: Whether velocities after are asked for.
+        questions: Whether velocities after the impact are to be predicted.
     """
 
     path: Path
@@ -408,8 +408,8 @@ class _Reader:
         after = [self._after(number, cells, [*_triple("v", "_after"), *_triple("w", "_after")])]
         normal = self._normal(number, cells)
         given = self._given_points(number, cells)
-        thing = self._object(number, cells)
-        physics, models = self._assumption(number, cells, thing)
+        object_name = self._object(number, cells)
+        physics, models = self._assumption(number, cells, object_name)
         arms = {}
         for place, arm in enumerate(self._arms):
             arms[arm] = ArmState(
@@ -436,7 +436,7 @@ class _Reader:
                 round(-closing, 6),
                 "no impact: the contact does not close; expected a velocity < 0 m/s against the normal",
             )
-        return ImpactRow(number, self._text(cells, "condition"), thing, physics, impact, np.concatenate(after))
+        return ImpactRow(number, self._text(cells, "condition"), object_name, physics, impact, np.concatenate(after))
 
     def _rotation(self, number: int, cells: Mapping[str, Any]) -> Array:
         quaternion = self._values(number, cells, ("qx", "qy", "qz", "qw"))
@@ -485,7 +485,9 @@ class _Reader:
             )
         return name
 
-    def _assumption(self, number: int, cells: Mapping[str, Any], thing: str) -> tuple[Physics, dict[str, RobotModel]]:
+    def _assumption(
+        self, number: int, cells: Mapping[str, Any], object_name: str
+    ) -> tuple[Physics, dict[str, RobotModel]]:
         """Physics of a row before any effect; rows that assume the same share one."""
         names = ("mass", "ixx", "iyy", "izz", *_triple("size_"), FRICTION, RESTITUTION)
         own = {name: self._value(number, cells, name) for name in names if name in self._where}
@@ -519,9 +521,9 @@ class _Reader:
                 name = self._of_joints(arm, "B")[joint]
                 unit = self._with_units(arm, self._of_joints(arm, "B"), "inertia")[name]
                 raise self._wrong(number, f"column {name!r}", values[joint], f"expected a number >= 0 [{unit}]")
-        key = (thing, *own.items(), *motors.items())
+        key = (object_name, *own.items(), *motors.items())
         if key not in self._physics:
-            physics = self._free(own) if self.scenario is None else self._of_scene(thing, own, motors)
+            physics = self._free(own) if self.scenario is None else self._of_scene(object_name, own, motors)
             self._physics[key] = physics, physics.robot_models()
         return self._physics[key]
 
@@ -541,10 +543,10 @@ class _Reader:
             restitution=own.get(RESTITUTION, 0.0),
         )
 
-    def _of_scene(self, thing: str, own: Mapping[str, float], motors: Mapping[str, tuple[float, ...]]) -> Physics:
+    def _of_scene(self, object_name: str, own: Mapping[str, float], motors: Mapping[str, tuple[float, ...]]) -> Physics:
         """A scenario with what the table knows better."""
         assert self.scenario is not None
-        physics = Physics.nominal(self.scenario, thing)
+        physics = Physics.nominal(self.scenario, object_name)
         box = physics.object
         mass = own.get("mass", box.mass)
         size = np.array([own.get(name, value) for name, value in zip(_triple("size_"), box.size, strict=True)])

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of a laboratory with a controller of its own: from its files to checked signals on one clock.
+"""Runs of a laboratory with its own controller: from its files to checked signals on one clock.
 
-Joint signals come on an even grid at the median period of the joint states, interpolated where stamps are not on it.
-Command and object pose keep their own stamps: the one is held until the next, the other is slower. What cannot be used
-is refused in one line. Gaps split a run: its pieces stay on one grid, with the gaps between them told, so that nobody
-takes what was interpolated for measured; a run whose pieces are all too short is left out, with the reason.
+Joint signals are on a regular grid with the median period of the joint states, interpolated where stamps are off the
+grid. Command and object pose keep their own stamps, because a command is held until the next and the pose is slower.
+Invalid data is refused in one line. Gaps split a run into pieces on the same grid; the gaps between them are listed, so
+that interpolated samples are not used as measurements. A run whose pieces are all too short is left out, with the
+reason.
 
-Several arms share the grid, that of the arm whose joint states come fastest, over the time in which all of them were
+Several arms share the grid of the arm with the highest rate of joint states, over the time in which all of them were
 recorded.
 """
 
@@ -64,12 +65,12 @@ ARM_SIGNALS: tuple[SignalName, ...] = (*REQUIRED, "motor_position", "motor_veloc
 OBJECT_SIGNALS: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
 
 LEAST_SAMPLES = 20
-SHORTEST = 0.3  # s, of what is left between gaps
-GAP_PERIODS = 3.0  # sampling periods without a sample are a gap, but
-GAP_TOLD = 0.005  # s, the window that velocities about an impact are fitted in, holds it if it is shorter
-GAP_CUT = 0.010  # s, what is longer is not bridged
+SHORTEST = 0.3  # s, of a piece between gaps
+GAP_PERIODS = 3.0  # a gap is longer than so many sampling periods, and
+GAP_REPORTED = 0.005  # s, longer than this; a shorter one fits into the window of the velocity fit at an impact
+GAP_CUT = 0.010  # s; longer gaps are not interpolated
 JUMP = 0.1  # s, a longer step is a jump of the clock
-JITTER = 0.2  # periods that stamps may lie beside the even grid before it is told
+JITTER = 0.2  # periods by which stamps may be off the regular grid without a remark
 IMPACT_WINDOW = 0.008  # s, over which the change of joint velocity is largest at the impact
 TOUCHING = (0.02, 0.1)  # s from the impact on, in which the pad lies flat on the face and pushes it
 FOLLOWED = 0.3  # s from the impact on, in which the object goes where the pad goes
@@ -285,7 +286,7 @@ class Laboratory:
 
 
 def _where(mapping: SignalMapping, arm: str, name: SignalName) -> tuple[str | None, ...]:
-    """All that tells where a signal of an arm is."""
+    """Topic, file and fields of a signal of an arm."""
     source, names = mapping.signals[name], Names(arm=arm)
     parts = (source.topic, source.field, source.file, source.column, source.array, *(source.columns or ()))
     joints = mapping.joints if source.names else ()
@@ -345,10 +346,10 @@ def read_one(directory: Path, experiment: Experiment, name: str, map_tasks: Map)
 
 
 def placed(laboratory: Laboratory, table: Sequence[RunRow], map_tasks: Map) -> Laboratory:
-    """With the world of the motion capture where hits say it is, where nobody has measured it.
+    """The laboratory with the frame of its motion capture, estimated from the hits if the experiment asks for it.
 
     Raises:
-        InputError: No hit says anything of it.
+        InputError: No hit can be used for the estimate.
     """
     if not laboratory.motion_capture.estimate:
         return laboratory
@@ -544,9 +545,9 @@ def _check_overlap(path: Path, base: Series, series: ArmSeries) -> None:
 def _pieces(
     run: RunRow, arms: Mapping[str, ArmSeries], pose: Series | None, remarks: list[str]
 ) -> tuple[list[tuple[float, float]], tuple[float, float]]:
-    """Stretches between gaps that are long enough, in order, and the one that matters most.
+    """Pieces between gaps that are long enough, in order, and the main one.
 
-    That is the longest one; of a hit the one with the impact, behind which nothing is used.
+    The main piece is the longest one; in a hit the one with the impact, after which no other is used.
     """
     start = max(float(own["position"].time[0]) for own in arms.values())
     end = min(float(own["position"].time[-1]) for own in arms.values())
@@ -558,13 +559,13 @@ def _pieces(
             continue
         seen.append(one.time)
         periods = GAP_PERIODS * float(np.median(np.diff(one.time)))
-        found = gaps(one.time, max(GAP_TOLD, periods))
+        found = gaps(one.time, max(GAP_REPORTED, periods))
         if not found:
             continue
-        told = f"{one.place}: {'gaps' if len(found) > 1 else 'a gap'} of {tell_gaps(found, start)}"
+        remark = f"{one.place}: {'gaps' if len(found) > 1 else 'a gap'} of {tell_gaps(found, start)}"
         if one is not pose:
             cuts += [gap for gap in found if gap.length > GAP_CUT and gap.end > start and gap.start < end]
-        remarks.append(told)
+        remarks.append(remark)
     if end - start < SHORTEST:
         raise TooShort(f"it lasts {end - start:.3f} s, at least {SHORTEST} s are needed", file=run.path)
     for own in arms.values():
@@ -617,7 +618,7 @@ def _inside(time: Array, pieces: Sequence[tuple[float, float]]) -> NDArray[np.bo
 
 
 def impact_time(velocity: Series) -> float:
-    """When joint velocities change most within a few milliseconds [s]; good enough to tell pieces of a run apart."""
+    """Time of the largest change of joint velocities within some milliseconds [s]; accurate enough for a piece."""
     half = IMPACT_WINDOW / 2.0
     change = np.linalg.norm(velocity.at(velocity.time + half) - velocity.at(velocity.time - half), axis=1)
     return float(velocity.time[int(np.argmax(change))])
@@ -634,7 +635,7 @@ def _on_grid(series: Series, grid: Array) -> Array:
 def _part(series: Series | None, grid: Array, none: Array) -> tuple[Array, Array]:
     """Stamps from the start of the grid, and numbers, of what lies about it.
 
-    What was stamped with a state gets its very time, so that nobody takes it for an instant later.
+    A sample with the stamp of a state gets exactly the time of that state.
     """
     if series is None:
         return np.zeros(0), none
@@ -711,7 +712,7 @@ def _with_weight(
 
 
 def touches_of(task: tuple[Laboratory, RunRow]) -> list[PadOnFace]:
-    """What every arm's hit says of the world of the motion capture; nothing where it cannot be read, told then."""
+    """Pad and face of every arm in a hit, for the estimate of the motion-capture frame; empty if it cannot be read."""
     laboratory, run = task
     wanted: tuple[SignalName, ...] = ("position", "velocity", *OBJECT_SIGNALS)
     try:
@@ -720,9 +721,9 @@ def touches_of(task: tuple[Laboratory, RunRow]) -> list[PadOnFace]:
         whole = {arm: _without_faults(laboratory, run, arm, own)[0] for arm, own in arms.items()}
         found = [_touch(laboratory, run, arm, own, seen) for arm, own in whole.items()]
     except InputError as error:
-        logger.debug("%s: tells nothing of the motion capture: %s", run.name, error)
+        logger.debug("%s: not used to place the motion capture: %s", run.name, error)
         return []
-    # Arms that clamp an object go towards each other, and it goes where they go together.
+    # Arms that clamp an object move towards each other; it moves with their mean.
     way = np.mean([touch.pad_way for touch in found], axis=0)
     return [replace(touch, pad_way=way) for touch in found]
 
@@ -734,7 +735,7 @@ def _touch(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, see
         raise InputError("the object was not tracked", file=run.path)
     given = laboratory.motion_capture
     tilted = given.model_copy(update={"position": (0.0, 0.0, 0.0), "rpy": (*given.rpy[:2], 0.0)})
-    pose = _in_inertial_frame(tilted, run, seen.values)  # as far as hits tell nothing of it
+    pose = _in_inertial_frame(tilted, run, seen.values)  # with roll and pitch, which hits do not determine
     impact = impact_time(series["velocity"])
     first, last = (impact + moment for moment in TOUCHING)
     times = seen.time[(seen.time >= first) & (seen.time <= last)]
@@ -750,8 +751,8 @@ def _touch(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, see
         run=run.name,
         pad=np.array([pad.translation for pad in pads]),
         pad_normal=np.array([pad.rotation[:, 2] for pad in pads]),
-        position=np.array([thing.translation for thing in objects]),
-        rotation=np.array([thing.rotation for thing in objects]),
+        position=np.array([placement.translation for placement in objects]),
+        rotation=np.array([placement.rotation for placement in objects]),
         size=size,
         standing=height_on_support(laboratory.scenario, run.object, pin.XYZQUATToSE3(pose[0]).rotation),
         standing_height=float(still[2]),
@@ -779,7 +780,7 @@ def _in_inertial_frame(motion_capture: MotionCapture, run: RunRow, pose: Array) 
 def _check_object(
     laboratory: Laboratory, run: RunRow, arm: str, time: Array, position: Array, object_time: Array, pose: Array
 ) -> list[str]:
-    """The object stands where it can, and the pad of an arm meets it; what the user should know of both."""
+    """Check that the object rests on its support and that the pad of an arm reaches it; returns remarks."""
     assert run.object is not None
     scenario = laboratory.scenario
     remarks = check_object(run.path, scenario, arm, run.object, object_time, pose)

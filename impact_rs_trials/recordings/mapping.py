@@ -73,9 +73,9 @@ JOINT_SIGNALS: tuple[SignalName, ...] = tuple(name for name in get_args(SignalNa
 
 
 class SignalSource(Schema):
-    """Where one signal is."""
+    """Location of one signal."""
 
-    topic: str | None = Field(None, description="topic in a bag; * stands for anything, as in */joint_states")
+    topic: str | None = Field(None, description="topic in a bag; * matches any text, as in */joint_states")
     type: str | None = Field(None, description="message type, package/msg/Name")
     field: str | None = Field(
         None, description="path of the array in the message, for example state.position or points.0.effort"
@@ -84,7 +84,7 @@ class SignalSource(Schema):
     stamp: Literal["header", "log"] | None = Field(
         None, description="stamp of a message; absent: that of the mapping, and the log where there is no header"
     )
-    child_frame: str | None = Field(None, description="child_frame_id to take from transforms; * stands for anything")
+    child_frame: str | None = Field(None, description="child_frame_id to take from transforms; * matches any text")
     column: str | None = Field(None, description="column of a CSV or Parquet file; {joint} stands for 1, 2, ...")
     columns: tuple[str, ...] | None = Field(None, description="columns of a CSV or Parquet file one by one, in order")
     time_column: str | None = Field(None, description="column of this signal's own time; absent: that of the mapping")
@@ -145,7 +145,7 @@ class Mapping(Schema):
         description="robot facts: name of a file in config/robots, or a path, seen from the mapping file's folder"
     )
     joints: tuple[str, ...] = Field(
-        min_length=1, description="joint names in order; * stands for anything, {arm} for the arm"
+        min_length=1, description="joint names in order; * matches any text, {arm} is the name of the arm"
     )
     end_effector: MountedEndEffector = Field(
         default_factory=MountedEndEffector, description="what was mounted on the flange"
@@ -153,8 +153,8 @@ class Mapping(Schema):
     base_rpy: Vector3 = Field((0.0, 0.0, 0.0), description="roll, pitch, yaw of the robot's base in the world [rad]")
     torque_measured_at: Literal["link", "motor"] = Field(
         "link",
-        description="'link': torque sensor behind the gear; 'motor': torque that the motor was asked for, which moves "
-        "the motor's own inertia as well",
+        description="'link': torque sensor at the output of the gear; 'motor': commanded motor torque, which also "
+        "accelerates the motor's own inertia",
     )
     motor_inertia: NonNegativeVector | None = Field(
         None, description="motor inertia at the joint, only with torque_measured_at: motor [kg m^2], prismatic [kg]"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether signals of a laboratory can belong to the arm, the object and the frames of its scenario.
+"""Plausibility of a laboratory's signals: whether they can belong to arm, object and frames of its scenario.
 
-What cannot be is refused with the number that tells so and with what is most likely wrong.
+Implausible signals are refused; the message has the number that shows it and the most likely mistake.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ def _is_trial(path: Path) -> bool:
     try:
         with Reader(path) as reader:
             return any(connection.topic == "/trial_info" for connection in reader.connections)
-    except Exception as error:  # a damaged file can fail anywhere inside the library; whoever reads it says why
+    except Exception as error:  # a damaged file can fail anywhere inside the library; reading it gives the reason
         logger.debug("%s: cannot be opened (%s: %s)", path, type(error).__name__, error)
         return path.is_dir()
 

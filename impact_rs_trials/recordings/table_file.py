@@ -142,7 +142,7 @@ def _read_parquet(path: Path, time_unit: float) -> dict[str, list[str] | NDArray
         raise InputError(f"not a readable Parquet file ({said})", file=path) from None
     columns: dict[str, list[str] | NDArray[Any]] = {}
     for name, column in zip(names, table.columns, strict=True):
-        if pyarrow.types.is_timestamp(column.type):  # it tells its unit, whatever the mapping says
+        if pyarrow.types.is_timestamp(column.type):  # its type has a unit, which overrides the mapping
             try:
                 nanoseconds = column.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
             except pyarrow.ArrowInvalid:

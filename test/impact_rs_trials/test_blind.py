@@ -161,5 +161,5 @@ def test_another_robot_is_hidden_behind_with_its_own_number_of_joints(tmp_path) 
     truth = json.loads((tmp_path / "blind" / TRUTH).read_text())
     assert len(truth["effects"][0]["parameters"]) == 6
     assert truth["scenarios"] == [str(path)]
-    with pytest.raises(InputError, match=r"one number of joints, got .*six.yaml: 6, push: 7"):
+    with pytest.raises(InputError, match=r"same number of joints, .*got .*six.yaml: 6, push: 7"):
         next(make(tmp_path / "both", 1, map, scenarios=(str(path), "push")))

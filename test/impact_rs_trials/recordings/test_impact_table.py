@@ -101,11 +101,11 @@ def test_impacts_of_an_arm_take_robot_pad_and_support_from_the_scenario(
     table = read_impact_table(write(tmp_path / "pushes.csv", pushes), PUSH)
     (name,) = table.arms
     for row, cells in zip(table.rows, pushes, strict=True):
-        assert (row.thing, row.condition) == (cells["object"], cells["condition"])
+        assert (row.object_name, row.condition) == (cells["object"], cells["condition"])
         assert row.impact.arms[name].position[0] == pytest.approx(cells["q1 [rad]"])
         assert row.after[1] == pytest.approx(cells["dq2_after [rad/s]"])
         assert {point.partner for point in row.impact.points} == {name, "support"}
-        assert row.physics.object.mass == PUSH.objects[row.thing].mass
+        assert row.physics.object.mass == PUSH.objects[row.object_name].mass
 
 
 def test_motor_inertia_and_mass_of_a_table_go_before_those_of_the_scenario(
@@ -116,7 +116,7 @@ def test_motor_inertia_and_mass_of_a_table_go_before_those_of_the_scenario(
     own = {f"B{joint + 1} [kg m^2]": 0.1 * (joint + 1) for joint in range(count)} | {"mass [kg]": 3.0}
     (row,) = read_impact_table(write(tmp_path / "pushes.csv", [pushes[0] | own]), PUSH).rows
     assert row.physics.arms[name].motor_inertia_reduced == pytest.approx(0.1 * np.arange(1, count + 1))
-    nominal = PUSH.objects[row.thing]
+    nominal = PUSH.objects[row.object_name]
     assert row.physics.object.mass == 3.0
     assert row.physics.object.inertia == pytest.approx(nominal.inertia * 3.0 / nominal.mass)
 
