@@ -20,7 +20,7 @@ MOST = {
     "docs": 171,
     "examples": 14,
     "impact_rs_analysis": 287,
-    "impact_rs_cli": 115,
+    "impact_rs_cli": 7,
     "impact_rs_control": 2,
     "impact_rs_ros": 138,
     "impact_rs_sim": 192,
