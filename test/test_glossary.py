@@ -16,16 +16,16 @@ RIDDLES = re.compile(r"(?<![a-z])(?:told|tells?|things?|somebody|nobody|whoever)
 TEXT = {".cpp", ".css", ".hpp", ".html", ".js", ".md", ".msg", ".action", ".py", ".pyi", ".srv", ".yaml"}
 # As counted on 23 November 2026. Lower a number when its count falls; all of them go to 0.
 MOST = {
-    "README.md": 4,
-    "docs": 171,
-    "examples": 14,
+    "README.md": 0,
+    "docs": 59,
+    "examples": 0,
     "impact_rs_analysis": 287,
     "impact_rs_cli": 7,
     "impact_rs_control": 2,
     "impact_rs_ros": 138,
     "impact_rs_sim": 192,
     "impact_rs_trials": 168,
-    "impact_rs_workbench": 143,
+    "impact_rs_workbench": 0,
 }
 
 
