@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hold a model against measured trials, and see where it fails.
+"""Compare a model with measured trials, and see where it fails.
 
-Shows trials as a source of evidence, and the comparison document. Prints the score of the model, 1.0 being what
-repetition alone gives, and the signals that are furthest off, in their units. The folder is any with trials of ours;
-the default is the one that examples/campaign.py makes, where nothing is hidden.
+Shows trials as a source of evidence, and the comparison document. Prints the score of the model as a multiple of
+repeatability, and the signals with the largest errors, in their units. The folder is any with trials of impact_rs; the
+default is that of examples/campaign.py, whose plant has no hidden effect.
 
     ./run python examples/compare.py [FOLDER] [MODEL]
 """

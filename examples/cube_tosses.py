@@ -218,7 +218,7 @@ def row_of(name: str, toss: Toss, friction: float, restitution: float) -> list[o
 
 
 def write_table(
-    folder: Path, output: Path, friction: float, restitution: float, tell: Callable[[str], None] = print
+    folder: Path, output: Path, friction: float, restitution: float, say: Callable[[str], None] = print
 ) -> int:
     """Write the table of all tosses of a folder; returns how many rows it has.
 
@@ -244,7 +244,7 @@ def write_table(
     with output.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([HEADER, *rows])
     reasons = ", ".join(f"{count} {reason}" for reason, count in left_out.items())
-    tell(f"{output}: {len(rows)} of {len(files)} tosses" + (f"; left out: {reasons}" if reasons else ""))
+    say(f"{output}: {len(rows)} of {len(files)} tosses" + (f"; left out: {reasons}" if reasons else ""))
     return len(rows)
 
 

@@ -2,7 +2,7 @@
 """Hide a physical effect in the robot, and let the diagnosis find it.
 
 Shows how trials of another plant are recorded, and the diagnosis of what the nominal model lacks. The support is 1.6
-times as rough as anybody knows; three effects are considered. Prints the verdict on each with estimate and interval.
+times as rough as the model says; three effects are considered. Prints the verdict on each with estimate and interval.
 Takes a minute or two; what it has run is kept, the trials in the folder and runs of the twin in ~/.cache/impact_rs.
 
     ./run python examples/diagnose.py [FOLDER]

@@ -3,7 +3,7 @@
 
 Shows all that such a node has to do (docs/foreign_plant.md): three services, joint states out, torques in, in lockstep.
 Its world is much simpler than that of our plant: drives are rigid and carry B_theta, sensors have no noise, and the
-object slides and does not turn. It never looks at references or predictions, and tells nobody the truth.
+object slides and does not turn. It never looks at references or predictions, and publishes no ground truth.
 
     ./run python examples/foreign_plant.py                                         (in one terminal)
     ./run impact-rs campaign push -o campaigns/foreign --via nodes --without plant (in another)
@@ -159,7 +159,7 @@ class ForeignPlant:
             spec = TrialInfo.from_message(request.trial).spec
             start = {state.robot: np.array(state.joint_position) for state in request.start}
             self.world = World(spec.scene, start, pose_from_message(request.object_pose))
-        except Exception as error:  # whatever was asked for, the node goes on
+        except Exception as error:  # a wrong request must not end the node
             response.message = f"plant: {error}"
             return response
         timing, sensors = spec.scenario.timing, spec.scenario.sensors
@@ -210,7 +210,7 @@ class ForeignPlant:
             self.publishers[topic] = self.node.create_publisher(kind, topic, DEPTH)
 
     def end(self, failure: str = "") -> None:
-        """Answer whoever waits for the end of the trial."""
+        """Complete the request that waits for the end of the trial."""
         if self.over is not None:
             self.over.set_result(failure)
             self.over = None
@@ -224,10 +224,10 @@ class ForeignPlant:
                 self.go_on()
 
     def go_on(self) -> None:
-        """Begin when everybody listens; then wait for the torques of the tick, and step to the next one."""
+        """Begin when all subscribers are matched; then wait for the torques of the tick, and step to the next one."""
         waited = time.monotonic() - self.since
         if not self.begun:
-            # The recorder hears every topic and the controller the joints, or the first samples are lost.
+            # Wait for the recorder on every topic and for the controller on the joints, or the first samples are lost.
             deaf = [
                 t for t, p in self.publishers.items() if p.get_subscription_count() < 1 + t.endswith("joint_states")
             ]
@@ -235,7 +235,7 @@ class ForeignPlant:
                 self.begun = True
                 self.publish()
             elif waited > CONNECTING:
-                self.end(f"nobody listens to {', '.join(deaf)}: are controller and recorder running?")
+                self.end(f"no subscriber on {', '.join(deaf)}: are controller and recorder running?")
             else:
                 time.sleep(0.005)
             return
@@ -260,7 +260,7 @@ class ForeignPlant:
             self.torques[arm] = np.array([message.effort[message.name.index(joint)] for joint in self.joints[arm]])
 
     def publish(self) -> None:
-        """Tell how things stand in this tick."""
+        """Publish the state of this tick."""
         self.since = time.monotonic()
         self.ask()
         for arm in self.joints:
@@ -271,7 +271,7 @@ class ForeignPlant:
             self.counts[self.node.resolve_topic_name("object/pose")] += 1
 
     def ask(self) -> None:
-        """Tell the joints, which the controller answers; what is sent again has the stamp it had and counts once."""
+        """Publish the joint states, which the controller answers; a repetition keeps its stamp and counts once."""
         self.asked = time.monotonic()
         for name, arm in self.world.arms.items():
             state = JointState(name=self.joints[name], position=arm.q, velocity=arm.dq, effort=arm.torque)
@@ -285,7 +285,7 @@ class ForeignPlant:
 
 
 def main() -> None:
-    """Run the node until Ctrl-C, or until it is told to end."""
+    """Run the node until Ctrl-C or SIGTERM."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     with suppress(KeyboardInterrupt):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Make a folder of bags as a laboratory with topics, names and clocks of its own records them.
+"""Make a folder of bags as a laboratory with its own topics, names and clocks records them.
 
-Shows a trial tick by tick, messages of other kinds than ours, and the experiment file that tells what they are: joints
-are not in order, commands have no stamp, poses arrive late. With --hide the robot has an effect that no model knows of.
+Shows a trial tick by tick, foreign message types, and the experiment file that describes them: joints are not in
+order, commands have no stamp, poses arrive late. With --hide the robot has an effect that no model knows of.
 
     ./run python examples/laboratory.py [FOLDER] [--hide EFFECT VALUE ...]       (--hide object_mass 1.15 for example)
 """

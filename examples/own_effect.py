@@ -29,7 +29,7 @@ def main(drags: tuple[float, ...] = (0.0, 20.0)) -> list[float]:
     for drag in drags:
         plant = make_plant(plan, 0, effect.apply_vector(plan.scene.physics, np.array([drag])))
         seen = [tick.measurement.object for tick in run_closed_loop(plan, plant)]
-        positions = [thing.position for thing in seen if thing is not None]
+        positions = [pose.position for pose in seen if pose is not None]
         plant.close()
         distances.append(float(np.linalg.norm(positions[-1] - positions[0])))
         print(f"drag {drag:g} N s/m: the box goes {1e3 * distances[-1]:.1f} mm")

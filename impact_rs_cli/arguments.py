@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands of the loop share: reading RUNS and MODEL, and telling what could not be used."""
+"""What the commands of the loop share: arguments RUNS and MODEL, worker processes, and warnings about bags."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from impact_rs_trials.store import is_url, local_copy
 from impact_rs_trials.workers import Map, Workforce, workers
 
 MOST_SHOWN = 5
-RUNS = "folder with bags of trials, however deep, or URL"
+RUNS = "folder with bags of trials, searched with its subfolders, or URL"
 
 
 def add_runs(parser: argparse.ArgumentParser) -> None:
     """The argument RUNS and the option ``--model``."""
-    parser.add_argument("runs", metavar="RUNS", nargs="?", help=f"{RUNS}; none with --impacts")
+    parser.add_argument("runs", metavar="RUNS", nargs="?", help=f"{RUNS}; leave it out with --impacts")
     add_model(parser)
 
 
 def on_local_runs(run: Command) -> Command:
-    """A command whose ``args.runs`` is a folder of this machine: bags at a URL are copied into one that goes again.
+    """A command that reads ``args.runs`` from a local folder; bags at a URL are copied into a temporary one.
 
     Raises:
-        InputError: The URL cannot be read, or a scheduler is asked for, whose workers would not see the copy.
+        InputError: The URL cannot be read, or ``--scheduler`` is given, whose workers would not see the copy.
     """
 
     @functools.wraps(run)
@@ -49,11 +49,12 @@ def on_local_runs(run: Command) -> Command:
             raise InputError(f"nothing to read; expected RUNS, a {RUNS}, or --impacts TABLE")
         if is_url(args.runs) and args.scheduler is not None:
             raise InputError(
-                "with --scheduler RUNS must be a folder that its workers see; copy the bags into one", file=args.runs
+                "with --scheduler RUNS must be a folder that all workers can read; copy the bags into one",
+                file=args.runs,
             )
         with ExitStack() as held:
-            with terminal.progress("copying bags") as tell:
-                directory = held.enter_context(local_copy(args.runs, progress=tell))
+            with terminal.progress("copying bags") as report_progress:
+                directory = held.enter_context(local_copy(args.runs, progress=report_progress))
             return run(argparse.Namespace(**vars(args) | {"runs": directory}), terminal)
 
     return command
@@ -77,7 +78,7 @@ def add_jobs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
-        help="let the workers of a running dask scheduler do it instead (tcp://host:port)",
+        help="run on the workers of a running dask scheduler instead (tcp://host:port)",
     )
 
 
@@ -88,7 +89,7 @@ def add_without(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="NODE",
-        help="nodes that are not started, because you provide them: they are waited for",
+        help="nodes that are not started because you provide them; the command waits for yours",
     )
 
 
@@ -98,7 +99,7 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
         "--namespace",
         default="",
         metavar="NAME",
-        help="ROS namespace of the nodes, so that several sets of them run side by side; default: none",
+        help="ROS namespace of the nodes; lets several sets of nodes run side by side; default: none",
     )
 
 
@@ -111,7 +112,7 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
         type=_setting,
         default=[],
         metavar="KEY=VALUE",
-        help="values that the scenario has instead of its own, as in control.clamp_force=90",
+        help="override values of the scenario, for example control.clamp_force=90",
     )
 
 
@@ -127,18 +128,20 @@ def _setting(text: str) -> tuple[str, Any]:
     except InputError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
     if not (key and equals and value):
-        raise argparse.ArgumentTypeError(f"expected KEY=VALUE, as in control.clamp_force=90, got {text!r}")
+        raise argparse.ArgumentTypeError(f"expected KEY=VALUE, for example control.clamp_force=90, got {text!r}")
     return key, read
 
 
 def workforce_of(args: argparse.Namespace) -> Workforce:
-    """Who does the work, by ``--jobs`` and ``--scheduler``; neither: one process per core that we may use.
+    """Worker processes by ``--jobs`` or ``--scheduler``; by default one per core that this process may use.
 
     Raises:
         InputError: Fewer than one process, or both options.
     """
     if args.scheduler is not None and args.jobs is not None:
-        raise InputError("--jobs is for processes of this machine; with --scheduler its workers are taken")
+        raise InputError(
+            "--jobs counts processes of this machine; leave it out with --scheduler, which brings its own workers"
+        )
     if args.scheduler is not None:
         return Workforce(scheduler=args.scheduler)
     return Workforce(len(os.sched_getaffinity(0)) if args.jobs is None else args.jobs)
@@ -156,10 +159,10 @@ def started(args: argparse.Namespace) -> Iterator[Map]:
 
 
 def check_robots(scenario: Scenario, terminal: Terminal) -> None:
-    """Tell what is wrong with the arms of a scenario before they move.
+    """Warn of arms that fail the robot check, before they move.
 
     Raises:
-        InputError: The controller cannot lead one of them.
+        InputError: The controller cannot control one of the arms.
     """
     check_joint_counts(scenario)
     for check in failures_of(scenario):
@@ -167,11 +170,11 @@ def check_robots(scenario: Scenario, terminal: Terminal) -> None:
 
 
 def warn_skipped(skipped: Sequence[tuple[str, str]], terminal: Terminal) -> None:
-    """Tell which bags were left out, by path and reason."""
+    """Warn of bags that were left out, by path and reason."""
     for path, reason in skipped[:MOST_SHOWN]:
         terminal.warn(f"left out {Path(path).name}: {reason.removeprefix(f'{path}: ')}")
     if len(skipped) > MOST_SHOWN:
-        terminal.warn(f"left out {len(skipped) - MOST_SHOWN} more bags; --json names all")
+        terminal.warn(f"left out {len(skipped) - MOST_SHOWN} more bags; --json lists all")
 
 
 def number(value: float) -> str:

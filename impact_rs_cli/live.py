@@ -15,10 +15,10 @@ def show_live(namespace: str, port: int, browser: bool, terminal: Terminal) -> i
         namespace: ROS namespace of the graph; empty: the root.
         port: Port of the page; 0: any that is free.
         browser: Whether to open a browser.
-        terminal: Hears the address, and what is going on.
+        terminal: Shows the address and events.
 
     Raises:
-        InputError: ROS has no such namespace, or the port cannot be had.
+        InputError: The namespace is not valid in ROS, or the port is taken.
     """
     with Spectator.watching(namespace) as spectator:
         serve(spectator, PROGRAM, port, browser, terminal.say)

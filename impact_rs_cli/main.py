@@ -15,10 +15,10 @@ from impact_rs_sim.errors import InputError, full_traceback, shortened
 from impact_rs_sim.version import package_version
 
 COMMANDS = {  # name: module of impact_rs_cli.commands, imported when the command is used, and what it does
-    "demo": ("demo", "see everything once: trials, analysis, diagnosis, better model"),
+    "demo": ("demo", "run the whole loop once: trials, analysis, diagnosis, better model"),
     "map": ("map", "predict the velocities just after an impact"),
     "trial": ("trial", "run one trial and record it"),
-    "campaign": ("campaign", "run many trials, or go on with them"),
+    "campaign": ("campaign", "run many trials, or continue a campaign"),
     "analyze": ("analyze", "compare predictions with recorded trials"),
     "study": ("study", "run and analyse all 450 trials of the published study"),
     "show": ("show", "show a trial in 3D"),
@@ -30,11 +30,11 @@ COMMANDS = {  # name: module of impact_rs_cli.commands, imported when the comman
     "effects": ("effects", "list the library of physical effects"),
     "blind": ("blind", "make a campaign with a hidden effect, or score a diagnosis"),
     "friction": ("friction", "identify the friction compensation of a scenario"),
-    "robot": ("robot", "bring a robot of your own: import its URDF, check it"),
+    "robot": ("robot", "import the URDF of your own robot, and check it"),
     "scenario": ("scenario", "write a scenario to start from, for any robot"),
-    "paper": ("paper", "what a motor-inertia scale explains in the published rows"),
+    "paper": ("paper", "fit a motor-inertia scale to the published results"),
     "up": ("up", "start the ROS 2 nodes"),
-    "workbench": ("workbench", "walk the loop with the mouse, in the browser"),
+    "workbench": ("workbench", "run the loop on a page in the browser"),
 }
 
 LONGEST_MESSAGE = 2000  # characters of an error; some repeat what they were given
@@ -52,7 +52,7 @@ PACKAGES = (  # whose log --debug shows
 TEXT = """\
 Predict, measure and explain simultaneous robot impacts.
 
-  impact-rs demo                              everything once, in some minutes
+  impact-rs demo                              the whole loop once, in some minutes
   impact-rs map push cat_food case_2          one prediction
   impact-rs campaign push -o campaigns/push   the experiment that tests it
   impact-rs analyze campaigns/push            the comparison, as a table and a report
@@ -76,7 +76,7 @@ def parser() -> Parser:
 
 
 class _Version(argparse.Action):
-    """``--version``, looked up only when it is asked for."""
+    """``--version``, looked up only when the option is given."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         print(f"impact-rs {package_version() or 'from a source tree'}")
@@ -101,22 +101,22 @@ def main(argv: Sequence[str] | None = None) -> int:
         if args.debug:
             _show_log()
         code: int = args.run(args)
-        sys.stdout.flush()  # a full disk is told here, and not when Python has ended
+        sys.stdout.flush()  # raises here if the disk is full; when Python ends it would be too late
         return code
-    except SystemExit as stop:  # --help, or a mistake that has been told
+    except SystemExit as stop:  # --help, or a mistake in the arguments that has been reported
         return int(stop.code or 0)
     except InputError as error:
         return _fail(error, str(error), 2, args.debug)
     except KeyboardInterrupt as error:
         hint = "; the same command goes on where it stopped" if args.resumable else ""
         return _fail(error, f"interrupted{hint}", 130, args.debug)
-    except BrokenPipeError:  # the reader of our output has left
+    except BrokenPipeError:  # the reader of our output has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except RecursionError as error:
         return _fail(error, "something in the input is nested too deeply", 2, args.debug)
     except MemoryError as error:
-        return _fail(error, "the memory of this machine is not enough for that", 2, args.debug)
+        return _fail(error, "not enough memory on this machine", 2, args.debug)
     except OSError as error:
         return _fail(error, _os_words(error), 2, args.debug)
     except UnicodeError as error:
@@ -126,7 +126,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _os_words(error: OSError) -> str:
-    """What the system refused: where, and why."""
+    """Message of a system error: the file, and the reason."""
     name = error.filename if isinstance(error.filename, (str, bytes)) else None
     return f"{'' if name is None else f'{os.fsdecode(name)}: '}{error.strerror or error}"
 

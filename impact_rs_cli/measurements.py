@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands of the loop read as evidence against a model: our trials, others' recordings, tables of impacts."""
+"""Measurements that commands compare with a model: own trials, recordings of other robots, tables of impacts."""
 
 from __future__ import annotations
 
@@ -42,42 +42,42 @@ def add_source(parser: argparse.ArgumentParser) -> None:
         "--mapping",
         metavar="NAME",
         help="RUNS is a recording of a real robot in free motion (.db3, .mcap, .csv, .npz, or a folder of them): name "
-        "of a mapping (joint_state, franka_robot_state), or path of a mapping file; default there: joint_state",
+        "of a mapping (joint_state, franka_robot_state), or path of a mapping file; default: joint_state",
     )
     parser.add_argument(
         "--experiment",
         type=Path,
         metavar="FILE.yaml",
-        help="RUNS is a folder of runs of a laboratory with a controller of its own: experiment file with scenario, "
-        "mapping and the table of runs (docs/laboratory.md); seen from the working directory, else from RUNS",
+        help="RUNS is a folder of runs recorded with another controller: experiment file with scenario, mapping and "
+        "table of runs (docs/laboratory.md); path relative to the working directory, else to RUNS",
     )
     parser.add_argument(
         "--impacts",
         type=Path,
         metavar="TABLE",
         help="instead of RUNS: a table (.csv, .parquet) with one row per impact, of one free body on a plane or of an "
-        "arm and an object; columns are headed by name and unit, as in 'vx_before [m/s]' (docs/impact_tables.md)",
+        "arm and an object; a column header is name and unit, for example 'vx_before [m/s]' (docs/impact_tables.md)",
     )
     parser.add_argument(
         "--scenario",
         metavar="NAME",
-        help="with --impacts: the rows are impacts of the arms of this scenario (name or file), whose robots, pads and "
-        "support are taken; without it each row is one free body that hits a fixed plane",
+        help="with --impacts: scenario (name or file) whose robots, pads and support the rows refer to; without it "
+        "each row is one free body that hits a fixed plane",
     )
     parser.add_argument(
         "--no-discrepancy",
         action="store_true",
-        help="take the simulation for exactly right: leave out how far equally valid simulators differ "
+        help="assume that the simulation is exact: ignore the model discrepancy between simulators "
         "(config/discrepancy.yaml)",
     )
 
 
 class Measurements:
-    """Measurements that were read once, to be held against any model.
+    """Measurements that were read once, for comparison with any model.
 
     Args:
         map_tasks: Parallel map.
-        terminal: Where progress is told.
+        terminal: Shows the progress.
         trials: Trials; None: recordings.
         recordings: Recordings; empty: trials.
         mapping: How the recordings were read.
@@ -106,7 +106,7 @@ class Measurements:
 
     @contextmanager
     def progress(self) -> Iterator[None]:
-        """Tell what is under way inside."""
+        """Show the progress of the work inside."""
         with self._terminal.stages() as stage:
             self._stage = stage
             try:
@@ -136,8 +136,8 @@ class Measurements:
         """Measured and predicted signals over time, for reports.
 
         Args:
-            model: What is believed.
-            added: Effects that were found on top of it; shown beside it for recordings and impacts.
+            model: The model.
+            added: Effects found on top of it; for recordings and impacts shown beside the model.
         """
         if self.trials is not None:
             return tracks_of_runs(aligned_runs(self.trials, model, self._map, added))
@@ -153,23 +153,27 @@ class Measurements:
 
 @contextmanager
 def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = False) -> Iterator[Measurements]:
-    """Read RUNS and tell what was left out; workers go again when the context is left.
+    """Read RUNS and warn of what was left out; the workers end with the context.
 
     Args:
         args: Arguments of the command.
-        terminal: Where it is told.
+        terminal: Shows warnings and progress.
         each_arm: Whether arms of one kind have parameters of their own.
 
     Raises:
-        InputError: There is nothing here that can be used.
+        InputError: There is no usable measurement.
     """
     if args.scenario is not None and args.impacts is None:
-        raise InputError("--scenario is for --impacts; trials know their own scenario, recordings have a mapping")
+        raise InputError(
+            "--scenario goes with --impacts only: trials contain their scenario, and recordings have a mapping"
+        )
     if args.impacts is not None:
         if args.experiment is not None:
-            raise InputError("--experiment is for runs; a table of impacts says everything itself, or with --scenario")
+            raise InputError(
+                "--experiment is for folders of runs; leave it out with --impacts (--scenario names the robots)"
+            )
         if args.mapping is not None:
-            raise InputError("--mapping is for recordings; a table of impacts has fixed columns")
+            raise InputError("--mapping is for recordings; leave it out with --impacts, whose columns are fixed")
         scenario = None if args.scenario is None else load_scenario(args.scenario)
         table = read_impact_table(args.impacts, scenario)
         with started(args) as map_tasks:
@@ -180,7 +184,7 @@ def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = Fals
     with started(args) as map_tasks:
         if args.experiment is not None:
             if args.mapping is not None:
-                raise InputError("--mapping beside --experiment: the experiment file names the mapping")
+                raise InputError("--mapping and --experiment exclude each other: the experiment file names the mapping")
             runs = read_experiment(path, args.experiment, map_tasks, terminal)
             yield Measurements(map_tasks, terminal, runs, discrepancy=discrepancy, each_arm=each_arm)
             return
@@ -195,12 +199,12 @@ def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = Fals
 def experiment_file(given: Path, directory: Path, terminal: Terminal) -> Path:
     """The experiment file that a path on the command line names.
 
-    As every path there it is seen from the working directory; where nothing is there, from the folder of the runs.
+    Relative to the working directory as any path; where no file is there, to the folder of the runs.
 
     Args:
         given: The path.
         directory: Folder of the runs.
-        terminal: Where it is said which file was taken, if the path leaves that open.
+        terminal: Says which file was taken where both are possible.
 
     Raises:
         InputError: There is no such file in either folder.
@@ -218,53 +222,53 @@ def experiment_file(given: Path, directory: Path, terminal: Terminal) -> Path:
 
 
 def read_experiment(directory: Path, file: Path, map_tasks: Map, terminal: Terminal) -> Runs:
-    """Read the runs of an experiment file and tell what was left out.
+    """Read the runs of an experiment file and warn of what was left out.
 
     Args:
         directory: Folder of the runs.
         file: The experiment file, see :func:`experiment_file`.
         map_tasks: Parallel map.
-        terminal: Where it is told.
+        terminal: Shows warnings and progress.
 
     Raises:
         InputError: The file, its table or a recording cannot be used.
     """
     experiment = load_experiment(experiment_file(file, directory, terminal))
-    with terminal.progress("reading runs") as tell:
-        runs = read_laboratory_runs(directory.absolute(), experiment, _counted(map_tasks, tell))
+    with terminal.progress("reading runs") as report_progress:
+        runs = read_laboratory_runs(directory.absolute(), experiment, _counted(map_tasks, report_progress))
     warn_skipped(runs.skipped, terminal)
     return runs
 
 
-def _counted(map_tasks: Map, tell: Callable[[int, int], None]) -> Map:
-    """A map that tells how far it is."""
+def _counted(map_tasks: Map, report_progress: Callable[[int, int], None]) -> Map:
+    """A map that reports its progress."""
 
     def counted(function: Any, items: Any) -> Iterator[Any]:
         for number, result in enumerate(map_tasks(function, items), start=1):
-            tell(number, len(items))
+            report_progress(number, len(items))
             yield result
 
     return counted
 
 
 def read(directory: Path, map_tasks: Map, terminal: Terminal) -> Runs:
-    """Read trials and tell what was left out."""
+    """Read trials and warn of what was left out."""
     directory = directory.absolute()  # a worker process may stand elsewhere
-    with terminal.progress("reading bags") as tell:
-        runs = read_runs(directory, _counted(map_tasks, tell))
+    with terminal.progress("reading bags") as report_progress:
+        runs = read_runs(directory, _counted(map_tasks, report_progress))
     warn_skipped(runs.skipped, terminal)
     return runs
 
 
 def only_trials(measurements: Measurements, option: str) -> Runs:
-    """The trials, for an option that recordings have nothing for.
+    """The trials, for an option that does not exist for recordings.
 
     Raises:
         InputError: Recordings or a table of impacts were read.
     """
     if measurements.trials is None:
         what = "recordings without a scenario" if measurements.impacts is None else "tables of impacts"
-        raise InputError(f"{option} is for trials; {what} have --json and the report")
+        raise InputError(f"{option} is for trials; for {what} use --json or the report")
     return measurements.trials
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Argument parsers: errors are one line that names what was meant, and a command is imported when it is used."""
+"""Argument parsers: an error is one line with a suggestion, and a command is imported when it is used."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ LONGEST_MESSAGE = 1000  # characters; what the user typed is repeated in it
 
 
 class Parser(argparse.ArgumentParser):
-    """Argument parser whose errors are one line and name what was probably meant.
+    """Argument parser whose errors are one line and suggest the nearest name.
 
-    Every parser knows ``--debug``, so that it may stand before the command and behind it.
+    Every parser has ``--debug``: it may stand before or after the command.
     """
 
     def __init__(self, *args: Any, **settings: Any) -> None:
@@ -26,7 +26,7 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(
             "--debug",
             action="store_true",
-            default=argparse.SUPPRESS,  # a parser behind another must not take back what that one has read
+            default=argparse.SUPPRESS,  # a subparser must not overwrite what its parent has read
             help="show the traceback of an error, and the log",
         )
 
@@ -37,7 +37,7 @@ class Parser(argparse.ArgumentParser):
         raise SystemExit(2)
 
     def _suggestion(self, message: str) -> str:
-        """The nearest choice or option to the word that was refused."""
+        """Suggestion: the choice or option nearest to the refused word."""
         if found := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
             word, known = found[1], re.findall(r"'(.*?)'", found[2])
         elif found := re.search(r"unrecognized arguments: .*?(--[\w-]+)", message):
@@ -67,7 +67,7 @@ class CommandParser(Parser):
         self._module: str | None = module
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse as ever, with the arguments that the module declares."""
+        """Parse with the arguments that the module of the command declares."""
         if self._module is not None:
             module, self._module = import_module(self._module), None
             module.add(self)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands share: where output goes, progress bars, and folders that vanish if nothing came of them."""
+"""What the commands share: output, progress bars, and output folders that are removed if they stay empty."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PROGRAM = os.environ.get("IMPACT_RS_PROGRAM", "impact-rs")  # how hints spell it
 
 
 class _Output(Console):
-    """Standard output for people, which raises ``BrokenPipeError`` where others of its kind end the program."""
+    """Standard output for people; raises ``BrokenPipeError``, where :class:`rich.console.Console` ends the program."""
 
     def on_broken_pipe(self) -> None:
         """Called while that error is handled."""
@@ -93,26 +93,26 @@ class Terminal:
         with self._bar() as bar:
             task = bar.add_task(what, total=None)
 
-            def tell(done: int, total: int) -> None:
+            def report(done: int, total: int) -> None:
                 bar.update(task, completed=done, total=total)
                 self._file.update(what, done, total)
 
-            yield tell
+            yield report
 
     @contextmanager
     def stages(self) -> Iterator[Callable[[str, int, int], None]]:
-        """A bar for work in several stages, told as (what, done, total)."""
+        """A bar for work in several stages; each call names the stage: (what, done, total)."""
         with self._bar() as bar:
             task = bar.add_task("", total=None)
 
-            def tell(what: str, done: int, total: int) -> None:
+            def report(what: str, done: int, total: int) -> None:
                 bar.update(task, description=what, completed=done, total=total)
                 self._file.update(what, done, total)
 
-            yield tell
+            yield report
 
     def rank(self, name: str, error: float) -> None:
-        """Tell programs what is thought of an explanation so far; people read it at the end."""
+        """Write the error of one candidate explanation to the progress file; the terminal shows none before the end."""
         self._file.rank(name, error)
 
     @contextmanager
@@ -141,7 +141,7 @@ class Terminal:
 
 @contextmanager
 def output_folder(path: Path) -> Iterator[Path]:
-    """A folder for results: what an unsuccessful command made of it, and left empty, goes away again."""
+    """A folder for results; folders that the command created and left empty are removed."""
     missing = []
     for folder in (path, *path.parents):
         if folder.exists():
@@ -151,7 +151,7 @@ def output_folder(path: Path) -> Iterator[Path]:
         yield path
     finally:
         for folder in missing:
-            with suppress(OSError):  # it holds something, and so stays
+            with suppress(OSError):  # not empty
                 folder.rmdir()
 
 
@@ -159,16 +159,16 @@ Command = Callable[[argparse.Namespace, Terminal], int]
 
 
 def declare(parser: argparse.ArgumentParser, run: Command, text: str) -> None:
-    """Say what runs a command, and what its help tells."""
+    """Set the function that runs a command, and the text of its help."""
     parser.description = text
     parser.set_defaults(run=functools.partial(_with_terminal, run))
 
 
 def check_outputs(args: argparse.Namespace) -> None:
-    """Check that results go neither into a bag nor over what they are made of.
+    """Check that results are written neither into a bag nor over one of their inputs.
 
     Raises:
-        InputError: They would.
+        InputError: They would be.
     """
     for name in OUTPUTS:
         given = getattr(args, name, None)
@@ -176,12 +176,15 @@ def check_outputs(args: argparse.Namespace) -> None:
             continue
         target = Path(given).resolve()
         if bag := next((folder for folder in (target, *target.parents) if is_bag(folder)), None):
-            raise InputError(f"lies in the bag {bag}, which nothing is added to; choose another place", file=given)
+            raise InputError(f"lies inside the bag {bag}; bags are never changed, choose another folder", file=given)
         for other, value in vars(args).items():
             if other in (*OUTPUTS, "scenario") or not isinstance(value, (str, Path)) or not os.path.exists(value):
-                continue  # a scenario is given by its name, and may well be that of a folder
+                continue  # the name of a scenario may also be that of a folder
             if target == Path(value).resolve():
-                raise InputError("is what the results are made of; choose another place for them", file=given)
+                raise InputError(
+                    "is an input of this command and would be overwritten; choose another path for the results",
+                    file=given,
+                )
 
 
 def _with_terminal(run: Command, args: argparse.Namespace) -> int:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is in a recording that was not made here, and what of it may be which signal of which arm.
+"""Contents of a foreign recording, and which of them may be which signal of which arm.
 
 Names hint at it: a proposal is made from them, which a person looks at and changes.
 """
@@ -35,7 +35,7 @@ FINGERS = re.compile("finger|gripper|hand", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class SignalCandidate:
-    """Something in a recording that may be a signal.
+    """A field or column of a recording that may be a signal.
 
     Attributes:
         label: How a list calls it.
@@ -43,7 +43,7 @@ class SignalCandidate:
         pose: Whether it is the pose of something; else numbers of joints.
         guess: The signal that its name hints at; empty: none.
         width: How many numbers a sample has.
-        joints: Names of its joints, base to tip as far as names tell; empty: the recording names none.
+        joints: Names of its joints, base to tip where the names show it; empty: the recording names none.
     """
 
     label: str

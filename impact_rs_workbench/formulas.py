@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects of a user's own: checked while they are written, and kept as a file that ``diagnose --formulas`` reads."""
+"""User-defined effects: checked while they are written, and saved as a file for ``diagnose --formulas``."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may talk to a page that we serve: the browser that was given its address, and no page of another site.
+"""Access control of a local page: only the browser that opened the printed address, and no page of another site.
 
-The address holds a token once; from there on a cookie does, which a browser sends with nothing that another site asked
-for (``SameSite=Strict``). A name that somebody points at this machine (DNS rebinding) is no ``Host`` of ours, and what
-changes something has to come from our own page (``Origin``).
+The first request carries a token in the address; later ones carry a cookie, which browsers do not send with requests of
+other sites (``SameSite=Strict``). ``Host`` must be a name of this machine (against DNS rebinding), and requests that
+change state must come from our own page (``Origin``).
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
     "connect-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-# A report was written by a program that read somebody's bags: it is shown as if it came from another site.
+# Reports contain data of foreign bags: they are sandboxed as if they came from another site.
 FILE_POLICY = "sandbox allow-scripts allow-popups allow-downloads; frame-ancestors 'self'"
 SAFE_METHODS = ("GET", "HEAD")
 
 
 class Guard:
-    """Lets requests through that know the token and come from our own page.
+    """Passes on requests that carry the token and come from our own page.
 
     Args:
-        app: What is guarded.
-        token: What the address holds.
-        port: Port that is listened on, as ``Host`` names it.
-        command: Which command of ``impact-rs`` serves it.
+        app: The guarded application.
+        token: Access token of the address.
+        port: Port of the server, as in ``Host``.
+        command: Command of ``impact-rs`` that serves it.
     """
 
     def __init__(self, app: ASGIApp, token: str, port: int, command: str) -> None:
@@ -61,19 +61,21 @@ class Guard:
         await self._app(scope, receive, sent)
 
     def _refused(self, scope: Scope, headers: Headers) -> Response | None:
-        """What a request is answered that goes no further; None: it may pass."""
+        """The refusal of a request; None: it may pass."""
         host = headers.get("host", "")
         if host not in self._hosts:
-            return PlainTextResponse(f"{self._command} answers on its own machine only.", 403)
+            return PlainTextResponse(f"{self._command} serves its own machine only.", 403)
         if scope["method"] not in SAFE_METHODS and headers.get("origin") != f"http://{host}":
-            return PlainTextResponse(f"Only the page of {self._command} may change something.", 403)
+            return PlainTextResponse(f"Requests that change state must come from the page of {self._command}.", 403)
         given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[-1]
         if scope["path"] == "/" and self._is_token(given):
             answer = RedirectResponse("/", 303)
             answer.set_cookie(self.cookie, self._token, httponly=True, samesite="strict")
             return answer
         if not self._is_token(_cookie(headers.get("cookie", ""), self.cookie)):
-            return PlainTextResponse(f"Open the address that {self._command} has printed: it holds the key.", 403)
+            return PlainTextResponse(
+                f"Open the address that {self._command} has printed: it contains the access key.", 403
+            )
         return None
 
     def _is_token(self, text: str) -> bool:

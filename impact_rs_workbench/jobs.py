@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Jobs of a workbench: commands of our own command line, each with a folder that keeps what it was and how it went.
+"""Jobs of a workbench: commands of ``impact-rs``, each with a folder for its record, progress and output.
 
     .workbench/jobs/0007/job.json        command, what it writes, when it began and ended, exit code
                          progress.json   how far it is (:mod:`impact_rs_sim.progress`)
                          output.txt      what it printed
 
-A job is stopped as Ctrl-C stops it, and goes on by the same command. Two jobs never write into one folder at a time.
+A job is stopped as by Ctrl-C, and continued by the same command. Two jobs never write into one folder at a time.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from impact_rs_sim.files import write_whole
 from impact_rs_sim.progress import VARIABLE
 
 RECORD, PROGRESS, OUTPUT = "job.json", "progress.json", "output.txt"
-MOST = 10  # explanations that a job shows while it weighs them
+MOST = 10  # candidate effects that a running diagnosis shows
 SHOWN = 40  # last lines of a log that are shown
 LARGEST_TAIL = 20_000  # bytes of a log that are looked at
 KILLED_AFTER = 5.0  # s, that a stopped job has to end when the workbench ends
@@ -53,7 +53,7 @@ class Order:
 
 @dataclass(frozen=True)
 class Job:
-    """What is known of a job.
+    """Record of a job.
 
     Attributes:
         number: Its number.
@@ -65,7 +65,7 @@ class Job:
         ended: When [s of the wall clock]; None: it runs.
         exit_code: 0 done, 1 not done, 2 a mistake in the input, 130 stopped; None: it runs.
         line: What went wrong, in one line; empty: nothing.
-        stopping: Whether it was told to stop.
+        stopping: Whether it was asked to stop.
     """
 
     number: int
@@ -92,7 +92,7 @@ class Jobs:
     Args:
         folder: Where their records are.
         program: How a terminal calls ``impact-rs``.
-        changed: Called when something is to be told.
+        changed: Called after every change of a job.
     """
 
     folder: Path
@@ -104,12 +104,12 @@ class Jobs:
     _lock: threading.RLock = field(default_factory=threading.RLock)
 
     def __post_init__(self) -> None:
-        """Read what earlier workbenches have left."""
+        """Read the records of earlier workbenches."""
         for path in sorted(self.folder.glob(f"*/{RECORD}")):
             try:
                 data = json.loads(path.read_text(encoding="utf-8"))
                 job = Job(**(data | {name: tuple(data[name]) for name in ("arguments", "writes")}))
-            except (OSError, ValueError, TypeError, KeyError):  # half a record of a machine that went off
+            except (OSError, ValueError, TypeError, KeyError):  # half a record, after a power failure
                 continue
             if job.runs:
                 job = replace(job, ended=path.stat().st_mtime, exit_code=130, line=LOST)
@@ -198,7 +198,7 @@ class Jobs:
         return self.get(number)
 
     def all(self) -> list[dict[str, Any]]:
-        """All jobs, the newest first, with how far they are."""
+        """All jobs with their progress, the newest first."""
         with self._lock:
             jobs = sorted(self._jobs.values(), key=lambda job: -job.number)
         return [asdict(job) | {"progress": self._progress(job)} for job in jobs]
@@ -213,7 +213,7 @@ class Jobs:
         return "\n".join(_tail(self._folder(number) / OUTPUT)[-SHOWN:])
 
     def close(self) -> None:
-        """Stop what runs, and wait for it."""
+        """Stop all running jobs, and wait for them."""
         with self._lock:
             running = [number for number, job in self._jobs.items() if job.runs]
         for number in running:
@@ -228,7 +228,7 @@ class Jobs:
         code = process.wait()
         line = "" if code == 0 else _last_words(_tail(self._folder(number) / OUTPUT), code)
         with self._lock:
-            code = 128 - code if code < 0 else code  # as a shell tells of a signal
+            code = 128 - code if code < 0 else code  # as a shell reports a signal
             job = replace(self._jobs[number], ended=time.time(), exit_code=code, line=line, stopping=False)
             self._jobs[number] = job
             self._keep(job)
@@ -241,7 +241,7 @@ class Jobs:
         write_whole(self._folder(job.number) / RECORD, json.dumps(asdict(job), indent=2))
 
     def _progress(self, job: Job) -> dict[str, Any] | None:
-        """How far a job is, with the time that its stage still takes [s], where that can be told."""
+        """Progress of a job, with the remaining time of its stage [s] where that can be estimated."""
         if not job.runs:
             return None
         try:
@@ -255,7 +255,7 @@ class Jobs:
 
 
 def _shared(writes: Sequence[Path], others: Sequence[str]) -> Path | None:
-    """A place that both write to, or inside of which one of them writes; None: there is none."""
+    """A path that both write to, or inside of which the other writes; None: there is none."""
     for path in writes:
         for other in map(Path, others):
             if path == other or path in other.parents or other in path.parents:
@@ -264,7 +264,7 @@ def _shared(writes: Sequence[Path], others: Sequence[str]) -> Path | None:
 
 
 def _signal(process: subprocess.Popen[bytes], number: signal.Signals) -> None:
-    """To a job and its workers."""
+    """Send a signal to a job and its workers."""
     try:
         os.killpg(process.pid, number)
     except ProcessLookupError:  # it has just ended
@@ -282,8 +282,8 @@ def _tail(path: Path) -> list[str]:
 
 
 def _last_words(lines: Sequence[str], code: int) -> str:
-    """The line in which a command said what is wrong."""
-    told = [line for line in lines if re.match(r"impact-rs[\w -]*: ", line)]
-    if told:
-        return told[-1].partition(": ")[2]
+    """The error message of a command."""
+    errors = [line for line in lines if re.match(r"impact-rs[\w -]*: ", line)]
+    if errors:
+        return errors[-1].partition(": ")[2]
     return next((line for line in reversed(lines) if line.strip()), f"exit code {code}")

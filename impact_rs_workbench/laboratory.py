@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings that were not made here: how a signal looks, and the files that say what they are.
+"""Foreign recordings: preview of their signals, and the files that describe them.
 
 A preview goes the way of an analysis, by a mapping and :func:`read_series`, so that what is seen is what will be used;
 and what is written has been read once as an analysis reads it.
@@ -137,23 +137,23 @@ def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any
 
 
 def _own_table(folder: Path, scenario_name: str, scenario: Scenario) -> dict[str, Any] | None:
-    """What the table of runs says that the user has written into the folder; None: there is none."""
+    """Rows of the user's own table of runs in the folder; None: there is none."""
     if not (folder / RUN_TABLE).is_file():
         return None
     try:
         rows = read_runs(folder, Experiment(scenario=scenario_name), scenario)
     except InputError as error:
         return {"name": RUN_TABLE, "rows": [], "error": str(error)}
-    told = [
+    listed = [
         {"bag": row.name, "object": row.object or NO_OBJECT, "kind": HIT if row.hit else FREE_MOTION}
         | {"condition": row.condition}
         for row in rows
     ]
-    return {"name": RUN_TABLE, "rows": told, "error": ""}
+    return {"name": RUN_TABLE, "rows": listed, "error": ""}
 
 
 def preview(workspace: Workspace, request: PreviewRequest) -> dict[str, Any]:
-    """A signal over time, in SI units, thinned out, with one line where it cannot be what it is taken for.
+    """A signal over time, in SI units, thinned out, with one line if its values are implausible.
 
     Raises:
         InputError: The signal cannot be read as what it is taken for.
@@ -195,7 +195,7 @@ def preview(workspace: Workspace, request: PreviewRequest) -> dict[str, Any]:
 def _wrong(
     path: Path, scenario: Scenario, request: PreviewRequest, mapping: Mapping, read: dict[SignalName, Series]
 ) -> str:
-    """Why a signal of joints cannot be what it is taken for, as an analysis will say it; empty: nothing tells so."""
+    """Why the analysis would refuse a joint signal; empty: it would not."""
     name, series = request.signal, read[request.signal]
     if name not in JOINT_SIGNALS:
         return ""

@@ -27,7 +27,7 @@ from impact_rs_workbench.guard import Guard
 from impact_rs_workbench.local import Ended, listening, serve_locally
 
 PERIOD = 0.04  # s, between two looks at the graph
-PATIENCE = 0.25  # s, after which a stream that has nothing to tell looks whether it shall end
+PATIENCE = 0.25  # s, after which an idle stream checks whether it has to end
 STATIC = {
     "page.css": STYLE,
     "three.min.js": BUNDLE / "three.min.js",
@@ -39,21 +39,21 @@ log = logging.getLogger(__name__)
 
 
 class Lookout(Protocol):
-    """Who knows how a graph stands."""
+    """Source of the newest state of a graph."""
 
     def look(self) -> Snapshot:
-        """The newest; returns at once."""
+        """The newest snapshot; returns at once."""
 
 
 @dataclass(frozen=True)
 class DrawnScene:
-    """What stands there, as the page draws it.
+    """The scene as the page draws it.
 
     Attributes:
-        text: The scene as JSON; ``null`` where nobody has told of one.
+        text: The scene as JSON; ``null`` where none is known.
         joints: Names of the joints in the order of the page.
         arms: Names of the arms in the order of the page.
-        complaint: Why there is no scene; empty: there is one, or none was told.
+        complaint: Why the scene cannot be drawn; empty: it can, or none is known yet.
     """
 
     text: str = "null"
@@ -66,21 +66,21 @@ class LiveView:
     """A graph as every open page sees it.
 
     Args:
-        source: Who knows how it stands.
+        source: Source of snapshots.
         program: How a terminal calls ``impact-rs``.
-        tell: Hears whenever something else is going on.
+        say: Prints every new status line.
         ended: Whether streams are to end.
     """
 
-    def __init__(self, source: Lookout, program: str, tell: Callable[[str], None], ended: Ended) -> None:
-        self._source, self._program, self._tell, self.ended = source, program, tell, ended
+    def __init__(self, source: Lookout, program: str, say: Callable[[str], None], ended: Ended) -> None:
+        self._source, self._program, self._say, self.ended = source, program, say, ended
         self._number = -1
         self._scene = DrawnScene()
         self._changed = asyncio.Condition()
         self.news: dict[str, str] = {}  # newest content by name of the event
 
     async def follow(self) -> None:
-        """Look at the graph, again and again."""
+        """Poll the graph until the end."""
         clock = asyncio.get_running_loop().time
         due = clock()
         while not self.ended():
@@ -95,7 +95,7 @@ class LiveView:
             }
             if news != self.news:
                 if news["status"] != self.news.get("status"):
-                    self._tell(json.loads(news["status"]))
+                    self._say(json.loads(news["status"]))
                 self.news = news
                 async with self._changed:
                     self._changed.notify_all()
@@ -104,21 +104,21 @@ class LiveView:
 
     async def stream(self, request: Request) -> AsyncIterator[str]:
         """Server-sent events: ``scene``, ``status`` and ``state``, each as a whole and only when it has changed."""
-        told: dict[str, str] = {}
+        sent: dict[str, str] = {}
         while not (self.ended() or await request.is_disconnected()):
             for name, text in self.news.items():
-                if told.get(name) != text:
-                    told[name] = text
+                if sent.get(name) != text:
+                    sent[name] = text
                     yield f"event: {name}\ndata: {text}\n\n"
             try:
                 async with asyncio.timeout(PATIENCE), self._changed:
-                    await self._changed.wait_for(lambda: self.news != told)
+                    await self._changed.wait_for(lambda: self.news != sent)
             except TimeoutError:
                 continue
 
 
 def drawn_scene(snapshot: Snapshot) -> DrawnScene:
-    """What stands there."""
+    """The scene of a snapshot."""
     if snapshot.physics is not None:
         text = json.dumps(scene_data(snapshot.physics))
         return DrawnScene(text, tuple(moving_joints(snapshot.physics)), tuple(snapshot.physics.arms))
@@ -132,7 +132,7 @@ def drawn_scene(snapshot: Snapshot) -> DrawnScene:
 
 
 def state_of(snapshot: Snapshot, scene: DrawnScene) -> dict[str, Any] | None:
-    """Where everything is; None until the joints of every arm are known."""
+    """Positions of all bodies; None until the joints of every arm are known."""
     known = snapshot.positions
     if not scene.joints or not (any if snapshot.physics is None else all)(name in known for name in scene.joints):
         return None
@@ -148,7 +148,7 @@ def state_of(snapshot: Snapshot, scene: DrawnScene) -> dict[str, Any] | None:
 
 
 def status_text(snapshot: Snapshot, scene: DrawnScene, program: str) -> str:
-    """What is going on, in one line."""
+    """Status in one line."""
     title = snapshot.title or "the robot of /robot_description"
     if scene.complaint:
         return f"{title} cannot be drawn: {scene.complaint}"
@@ -165,15 +165,15 @@ def application(view: LiveView, token: str, port: int) -> ASGIApp:
     """The web application.
 
     Args:
-        view: What it shows.
-        token: What its address holds.
-        port: Port that it is reached at.
+        view: The view to serve.
+        token: Access token of the address.
+        port: Port of the server.
     """
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
         following = asyncio.create_task(view.follow())
-        following.add_done_callback(_tell_failure)
+        following.add_done_callback(_log_failure)
         yield
         following.cancel()
 
@@ -184,9 +184,9 @@ def application(view: LiveView, token: str, port: int) -> ASGIApp:
     return Guard(Starlette(routes=routes, lifespan=lifespan), token, port, "show")
 
 
-def _tell_failure(task: asyncio.Task[None]) -> None:
+def _log_failure(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and (error := task.exception()) is not None:
-        log.error("the graph is watched no more", exc_info=error)
+        log.error("the graph is no longer watched", exc_info=error)
 
 
 async def _page(request: Request) -> Response:
@@ -203,22 +203,22 @@ async def _static(request: Request) -> Response:
     return PlainTextResponse("There is no such file.", 404)
 
 
-def serve(source: Lookout, program: str, port: int, browser: bool, tell: Callable[[str], None]) -> None:
+def serve(source: Lookout, program: str, port: int, browser: bool, say: Callable[[str], None]) -> None:
     """Serve the page of a running graph until Ctrl-C.
 
     Args:
-        source: Who knows how it stands.
+        source: Source of snapshots.
         program: How a terminal calls ``impact-rs``.
         port: Port; 0: any that is free.
         browser: Whether to open a browser.
-        tell: Hears the address, and whenever something else is going on.
+        say: Prints the address and every new status line.
 
     Raises:
-        InputError: The port cannot be had.
+        InputError: The port is taken.
     """
     with listening(port) as listener:
 
         def make(token: str, number: int, ended: Ended) -> ASGIApp:
-            return application(LiveView(source, program, tell, ended), token, number)
+            return application(LiveView(source, program, say, ended), token, number)
 
-        serve_locally(listener, make, browser, lambda address: tell(f"live: {address}"))
+        serve_locally(listener, make, browser, lambda address: say(f"live: {address}"))

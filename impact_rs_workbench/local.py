@@ -20,34 +20,36 @@ MakeApplication = Callable[[str, int, Ended], ASGIApp]
 
 @contextmanager
 def listening(port: int) -> Iterator[socket.socket]:
-    """A port of this machine that nobody else reaches.
+    """A port that only this machine can reach.
 
     Args:
         port: Its number; 0: any that is free.
 
     Raises:
-        InputError: There is no such port, or somebody has it.
+        InputError: The port number is out of range, or the port is taken.
     """
     if not 0 <= port <= 65535:
         raise InputError(f"port {port}: expected 0 (a free one) to 65535")
     try:
         listener = socket.create_server(("127.0.0.1", port))
     except OSError as error:
-        raise InputError(f"port {port} cannot be had: {error.strerror}; choose another one, or none") from None
+        raise InputError(
+            f"port {port} cannot be opened: {error.strerror}; choose another one, or leave --port out"
+        ) from None
     with listener:
         yield listener
 
 
 def serve_locally(
-    listener: socket.socket, application: MakeApplication, browser: bool, tell: Callable[[str], None]
+    listener: socket.socket, application: MakeApplication, browser: bool, say: Callable[[str], None]
 ) -> None:
     """Serve an application until Ctrl-C.
 
     Args:
-        listener: Where it is reached (:func:`listening`).
-        application: Makes it, from the key that its address holds, its port, and who knows whether streams are to end.
+        listener: Socket of the server (:func:`listening`).
+        application: Makes the application from its token, its port, and a function that says whether streams must end.
         browser: Whether to open a browser.
-        tell: Hears the address.
+        say: Prints the address.
     """
     number = listener.getsockname()[1]
     token = secrets.token_urlsafe(24)
@@ -62,7 +64,7 @@ def serve_locally(
             application(token, number, ended), log_level="warning", access_log=False, timeout_graceful_shutdown=1
         )
     )
-    tell(address)
+    say(address)
     if browser:
         webbrowser.open(address)
     with suppress(KeyboardInterrupt):  # which uvicorn passes on when it has ended

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predictions while a slider moves: the impact map of a scenario with some of its values changed.
 
-Every slider is a key of the scenario, so what is seen is what ``impact-rs map --uncertainty --set KEY=VALUE`` says, and
-the command is told with it. The interval is that of :mod:`impact_rs_sim.impact_map.uncertainty`; while a slider moves,
-and along a band, it comes from few draws alone, the same ones every time, so it moves along and does not flicker.
+Every slider is a key of the scenario, so the page shows what ``impact-rs map --uncertainty --set KEY=VALUE`` prints,
+and the answer contains the command. The interval is that of :mod:`impact_rs_sim.impact_map.uncertainty`; while a slider
+moves, and along a band, it comes from a few draws, always the same ones, so that it does not flicker.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ Setting = float | tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Slider:
-    """A number of the scenario that may be moved.
+    """A number of the scenario that can be varied.
 
     Attributes:
         key: Key of the scenario, or ``speed``.
         label: What it is, in short.
         unit: Unit, ``-`` where it has none.
-        value: What the scenario says.
+        value: Value of the scenario.
         low: Left end.
         high: Right end.
         meaning: What it is, in a sentence.
         page: Page of the manual.
-        known: Whether it says how well a number is known.
+        known: Whether it is an uncertainty.
     """
 
     key: str
@@ -62,7 +62,7 @@ class Slider:
 
 
 class Question(Schema):
-    """What is asked of the impact map."""
+    """A question to the impact map."""
 
     scenario: str = Field(description="name, or path of a file in the folder")
     object: str = Field(description="object of the scenario")
@@ -74,13 +74,13 @@ class Question(Schema):
 
 
 def sliders_of(scenario: Scenario, object_name: str) -> tuple[Slider, ...]:
-    """The sliders of an object, with what a reader should know of each."""
-    thing = scenario.object(object_name)
+    """The sliders of an object, with an explanation of each."""
+    target = scenario.object(object_name)
     widths = Uncertainties.model_fields
     return (
         Slider(SPEED, "ante-impact speed", "×", 1.0, 0.3, 1.4, "factor on the velocity of every arm before the impact"),
         Slider(
-            f"objects.{object_name}.mass", "object mass", "kg", thing.mass, 0.25 * thing.mass, 2.5 * thing.mass,
+            f"objects.{object_name}.mass", "object mass", "kg", target.mass, 0.25 * target.mass, 2.5 * target.mass,
             "mass of the object",
         ),
         Slider("contact.restitution", "restitution e", "-", scenario.contact.restitution, 0.0, 1.0,
@@ -133,7 +133,7 @@ def _yaml(value: Setting) -> str:
 
 
 def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
-    """Velocities before and after with their intervals, impulses, and who contributes what.
+    """Velocities before and after with their intervals, impulses, and the shares of the sources.
 
     Raises:
         InputError: The scenario has no such object, case, arm or value, or the question has no answer.
@@ -143,15 +143,15 @@ def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
     scene, problem = _problem(scenario, question)
     found = predict_impact(problem)
     stated = scene.scenario.uncertainty
-    told: UncertainPrediction | None = None
+    uncertain: UncertainPrediction | None = None
     ends: Ends = {}
     note = ""
     try:
         if question.moving:
             names, low, high = interval_of_draws(problem, stated, scene.models, MOVING_DRAWS)
         else:
-            told = predict(problem, stated, scene.models)
-            names, low, high = told.names, told.low, told.high
+            uncertain = predict(problem, stated, scene.models)
+            names, low, high = uncertain.names, uncertain.low, uncertain.high
         ends = dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True))
     except (InputError, ImpactMapError) as error:  # velocities are known all the same
         note = f"no interval: {error}"
@@ -174,8 +174,10 @@ def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
         "rows": rows,
         "arm": arm,
         "impulses": {name: impulse.tolist() for name, impulse in impulses.items()},
-        "budget": _budget(told, f"{arm}.velocity.{scenario.axis}"),
-        "interval": None if told is None else {"level": LEVEL, "method": told.method, "draws": told.draws},
+        "budget": _budget(uncertain, f"{arm}.velocity.{scenario.axis}"),
+        "interval": None
+        if uncertain is None
+        else {"level": LEVEL, "method": uncertain.method, "draws": uncertain.draws},
         "moving": question.moving,
         "residual": found.residual.largest,
         "note": note,
@@ -188,12 +190,12 @@ def _row(body: str, axis: str, ante: float, post: float, ends: Ends, main: bool)
     return {"body": body, "axis": axis, "main": main, "before": ante, "after": post, "low": low, "high": high}
 
 
-def _budget(told: UncertainPrediction | None, name: str) -> list[dict[str, Any]]:
-    """Who contributes what to the variance of a velocity, the largest first."""
-    if told is None:
+def _budget(uncertain: UncertainPrediction | None, name: str) -> list[dict[str, Any]]:
+    """Shares of the sources in the variance of a velocity, the largest first."""
+    if uncertain is None:
         return []
-    place = told.names.index(name)
-    shares = {source: float(rows[place]) for source, rows in told.budget.items()}
+    place = uncertain.names.index(name)
+    shares = {source: float(rows[place]) for source, rows in uncertain.budget.items()}
     return [
         {"source": source.replace("_", " "), "share": share}
         for source, share in sorted(shares.items(), key=lambda entry: -entry[1])
@@ -202,7 +204,7 @@ def _budget(told: UncertainPrediction | None, name: str) -> list[dict[str, Any]]
 
 
 def _arm(scenario: Scenario, question: Question) -> str:
-    """The arm that is asked about.
+    """The arm of the question.
 
     Raises:
         InputError: There is no such arm.
@@ -225,8 +227,8 @@ class SweepPoint:
 
     Attributes:
         value: Where the slider is.
-        arms: Of the arm that is asked about, by motor inertia.
-        object: Of the object, with the motor inertia that was asked for.
+        arms: Of the arm of the question, by motor inertia.
+        object: Of the object, with the chosen motor inertia.
         low: Lower end of the arm's interval.
         high: Upper end of it.
     """
@@ -251,7 +253,7 @@ def slider_of(scenario: Scenario, object_name: str, key: str) -> Slider:
 
 
 def sweep(scenario: Scenario, question: Question, slider: Slider) -> Iterator[SweepPoint]:
-    """Points over one slider, each worked out when it is asked for."""
+    """Points over one slider, computed lazily."""
     for value in np.linspace(slider.low, slider.high, SWEEP_POINTS):
         at = question.model_copy(update={"values": {**question.values, slider.key: float(value)}})
         yield _point(scenario, at, float(value))
@@ -259,20 +261,21 @@ def sweep(scenario: Scenario, question: Question, slider: Slider) -> Iterator[Sw
 
 def _point(scenario: Scenario, question: Question, value: float) -> SweepPoint:
     arms: dict[str, float | None] = dict.fromkeys(MOTOR_INERTIA_MODELS)
-    thing = low = high = None
+    object_velocity = low = high = None
     axis, arm = scenario.axis_index, _arm(scenario, question)
     try:
         scene, problem = _problem(scenario, question)
         for name in arms:
             found = predict_impact(ImpactProblem.at_nominal_impact(scene, name))
             arms[name] = float(found.end_effector_twist[arm][axis])
-            thing = float(found.object_twist[axis]) if name == question.motor_inertia else thing
+            if name == question.motor_inertia:
+                object_velocity = float(found.object_twist[axis])
         names, lows, highs = interval_of_draws(problem, scene.scenario.uncertainty, scene.models, MOVING_DRAWS)
         place = names.index(f"{arm}.velocity.{scenario.axis}")
         low, high = float(lows[place]), float(highs[place])
     except (InputError, ImpactMapError):  # a value at which there is no answer leaves a gap
         pass
-    return SweepPoint(value, arms, thing, low, high)
+    return SweepPoint(value, arms, object_velocity, low, high)
 
 
 def drawn(question: Question, slider: Slider, points: Sequence[SweepPoint]) -> dict[str, Any]:
@@ -312,7 +315,7 @@ def describe(name: str, path: str) -> dict[str, Any]:
         "scales": list(scenario.velocity_scales),
         "largest_scale": LARGEST_SCALE,
         "trials": scenario.trials,
-        "objects": {key: {"label": thing.label, "mass": thing.mass} for key, thing in scenario.objects.items()},
+        "objects": {key: {"label": one.label, "mass": one.mass} for key, one in scenario.objects.items()},
         "cases": {key: case.label for key, case in scenario.cases.items()},
         "sliders": {key: [asdict(slider) for slider in sliders_of(scenario, key)] for key in scenario.objects},
     }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The workbench as a web application on this machine: one page, what it asks for, and a stream of what changes."""
+"""The workbench as a local web application: one page, its requests, and a stream of changes."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ Work = Callable[[Any], Any]
 
 
 class Workbench:
-    """What the pages of one workbench share.
+    """State that the pages of one workbench share.
 
     Args:
         root: Its folder.
@@ -289,7 +289,7 @@ def _events(workbench: Workbench) -> Endpoint:
     """Server-sent events: ``jobs`` and ``workspace``, each as a whole and only when it has changed."""
 
     async def stream(request: Request) -> AsyncIterator[str]:
-        told: dict[str, str] = {}
+        sent: dict[str, str] = {}
         scanned = -SCANNED_AT
         clock = asyncio.get_running_loop().time
         running: set[int] = set()
@@ -302,8 +302,8 @@ def _events(workbench: Workbench) -> Endpoint:
                 news["workspace"] = await run_in_threadpool(workbench.state)
             for name, content in news.items():
                 text = json.dumps(content)
-                if told.get(name) != text:
-                    told[name] = text
+                if sent.get(name) != text:
+                    sent[name] = text
                     yield f"event: {name}\ndata: {text}\n\n"
             await asyncio.sleep(LOOKED_AT)
 
@@ -313,7 +313,7 @@ def _events(workbench: Workbench) -> Endpoint:
     return endpoint
 
 
-def serve(root: Path, program: str, port: int, browser: bool, tell: Callable[[str], None]) -> None:
+def serve(root: Path, program: str, port: int, browser: bool, say: Callable[[str], None]) -> None:
     """Serve the workbench of a folder until Ctrl-C.
 
     Args:
@@ -321,10 +321,10 @@ def serve(root: Path, program: str, port: int, browser: bool, tell: Callable[[st
         program: How a terminal calls ``impact-rs``.
         port: Port; 0: any that is free.
         browser: Whether to open a browser.
-        tell: Hears the address.
+        say: Prints the address.
 
     Raises:
-        InputError: Another workbench has this folder, or the folder or the port cannot be had.
+        InputError: Another workbench has this folder, or the folder cannot be made, or the port is taken.
     """
     root.mkdir(parents=True, exist_ok=True)
     with listening(port) as listener, owned(Folder(root / HIDDEN), "workbench"):
@@ -334,4 +334,4 @@ def serve(root: Path, program: str, port: int, browser: bool, tell: Callable[[st
             workbench.ended = ended
             return application(workbench, token, number)
 
-        serve_locally(listener, make, browser, tell)
+        serve_locally(listener, make, browser, say)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a form of the page asks for, as the command line says it.
+"""Forms of the page as commands.
 
 One schema per step; each knows its arguments and what they write. Paths come from the page as they are seen from the
 folder of the workbench, and go into the command as the terminal sees them from where the workbench was started.
@@ -24,7 +24,7 @@ from impact_rs_workbench.workspace import Workspace
 
 
 def _like(pattern: str, expected: str) -> AfterValidator:
-    """A text of a form that no command takes for an option."""
+    """A text of a form that cannot be read as an option."""
 
     def checked(value: str) -> str:
         if re.fullmatch(pattern, value) is None:
@@ -111,7 +111,7 @@ class TrialStep(Step):
 
 
 class BlindStep(Step):
-    """A campaign whose plant hides an effect, to practise."""
+    """A campaign with a hidden effect, to practise."""
 
     step: Literal["blind"]
     seed: int = Field(ge=0, description="seed that draws effect and size")

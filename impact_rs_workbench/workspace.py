@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What lies in the folder of a workbench: campaigns, runs of laboratories, models, diagnoses and reports.
+"""Contents of the folder of a workbench: campaigns, runs of laboratories, models, diagnoses and reports.
 
-Everything is read from the files each time it is asked for, so nothing is lost with the page, and what the command
-line does beside it is seen.
+Every request reads the files again: closing the page loses nothing, and results of the command line appear, too.
 """
 
 from __future__ import annotations
@@ -78,11 +77,11 @@ class Campaign:
 
 @dataclass(frozen=True)
 class LabFolder:
-    """Recordings that were not made here.
+    """Foreign recordings.
 
     Attributes:
         path: Their folder, seen from the workspace.
-        experiment: The experiment file, seen from the workspace; empty: nobody has said yet what they are.
+        experiment: The experiment file, seen from the workspace; empty: the recordings are not described yet.
         recordings: Names of recordings in it.
         error: What is wrong with the experiment file; empty: nothing.
     """
@@ -104,7 +103,7 @@ class ModelNode:
         parent: The parent's path, as ``path``; None: it has none here.
         effects: Names of its effects.
         note: Why it was made.
-        scores: Errors of the model, and what repetition alone would give, from the newest comparisons and histories.
+        scores: Errors of the model, and the repeatability, from the newest comparisons and histories.
         score: The one of them that may be compared with those of the other models; None: there is none.
         error: What is wrong with the file; empty: nothing.
     """
@@ -435,8 +434,10 @@ def _with_scores(models: list[ModelNode], scores: list[dict[str, Any]]) -> Itera
     common = max(latest, key=lambda data: (known[data], latest[data]), default=None)  # of most models, then the newest
     for model in models:
         shown = [{key: item[key] for key in ("report", "fit", "held_out", "floor", "unit")} for item in own[model.path]]
-        told = next((one for one, item in zip(shown, own[model.path], strict=True) if item["data"] == common), None)
-        yield replace(model, scores=tuple(shown[:3]), score=told)
+        common_score = next(
+            (one for one, item in zip(shown, own[model.path], strict=True) if item["data"] == common), None
+        )
+        yield replace(model, scores=tuple(shown[:3]), score=common_score)
 
 
 def _is_of(score: dict[str, Any], model: ModelNode) -> bool:

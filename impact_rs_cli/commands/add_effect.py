@@ -16,15 +16,15 @@ from impact_rs_sim.numbers import estimate_in_line
 TEXT = f"""\
 Write a new model file: the old model and one effect with the parameters of a diagnosis.
 
-The new file names its parent, so {PROGRAM} history can follow the way back. Model files are never overwritten. A
-diagnosis of another model is refused, and so is an effect that these trials do not determine; --force adds one that
-was found to improve nothing.
+The new file names its parent, so {PROGRAM} history can list all versions. Model files are never overwritten. The
+command refuses a diagnosis of another model, and an effect that the trials do not determine; --force adds an effect
+whose verdict is NO-IMPROVEMENT.
 
 example:
   {PROGRAM} add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
   {PROGRAM} compare campaigns/blind/runs --model model_2.yaml
 
-Units: as the diagnosis and the model file say."""
+Units: those of the diagnosis and the model file."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -36,7 +36,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--from", dest="source", type=Path, required=True, metavar="FILE.json", help="diagnosis of the model"
     )
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE.yaml", help="new model file")
-    parser.add_argument("--force", action="store_true", help="add it even where the verdict is NO-IMPROVEMENT")
+    parser.add_argument("--force", action="store_true", help="add the effect even if its verdict is NO-IMPROVEMENT")
     add_json(parser)
 
 

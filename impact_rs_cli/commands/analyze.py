@@ -27,23 +27,23 @@ from impact_rs_trials.store import is_url, local_copy
 from impact_rs_trials.workers import Map
 
 TEXT = """\
-Compare the impact map's predictions with what a folder of trials shows.
+Compare the impact map's predictions with a folder of trials.
 
 For every object and case: the net feedback of each trial over its post-impact reference velocity, a line through them,
 and its zero crossing, which is the experimental estimate of the post-impact velocity, with a 95 % interval. Errors are
 (prediction - estimate) / estimate in percent, for three models of the motor inertia, just after the first simultaneous
-impact and for the settled contact, when pads that keep pushing have aligned and go on with the object. Writes
-report.html, which opens offline and on a phone, analysis.json, and the figures as PNG.
+impact and for the settled contact, when the pads lie flat on the object and move with it. Writes report.html (opens
+offline and on a phone), analysis.json, and the figures as PNG.
 
-Where settings were varied (impact-rs campaign --sensitivity, impact-rs study), every estimate also has a systematic
-band: how far it moves with settings that it should not depend on, which no number of trials makes smaller.
+If settings were varied (impact-rs campaign --sensitivity, impact-rs study), every estimate also has a systematic band:
+how far it moves with settings that it should not depend on. More trials do not make this band smaller.
 
-Damaged or foreign bags, and trials that went wrong, are named with the reason and left out; trials without impact never
-enter a fit. Published numbers stand beside a set only where it has the published robot, object and velocity. Where a
-prediction lies further from the estimate than a fifth of the ante-impact speed, that is said.
+Damaged or foreign bags and failed trials are listed with the reason and left out; trials without impact never enter a
+fit. Published numbers appear beside a set with the published robot, object and velocity only. A warning names each
+prediction that is further from the estimate than a fifth of the ante-impact speed.
 
-Of a laboratory with a controller of its own there is no net feedback: with --experiment the speed 20 to 40 ms after the
-impact stands beside the impact map, asked in the measured state just before it.
+Runs recorded with another controller have no net feedback. With --experiment the speed 20 to 40 ms after the impact is
+compared with the impact map of the measured state just before it.
 
 example:
   impact-rs analyze lab/ --experiment experiment.yaml
@@ -64,9 +64,10 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--experiment",
         type=Path,
         metavar="FILE.yaml",
-        help="DIR holds runs of a laboratory: experiment file, seen from the working directory, else from DIR",
+        help="DIR holds runs recorded with another controller: their experiment file, relative to the working "
+        "directory, else to DIR",
     )
-    add_contact(parser, "predictions that figures show, there is a table of each; with --experiment those of its table")
+    add_contact(parser, "predictions shown in the figures (both have a table); with --experiment those of the table")
     add_jobs(parser)
     add_json(parser)
 
@@ -82,9 +83,11 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def _laboratory(args: argparse.Namespace, terminal: Terminal) -> int:
-    """Measured against predicted jumps of somebody else's runs."""
+    """Compare measured with predicted jumps of runs recorded with another controller."""
     if args.output is not None:
-        raise InputError("-o is for trials of our own; with --experiment use --json, or compare -o for a report")
+        raise InputError(
+            "-o is for trials of impact_rs; with --experiment use --json, or impact-rs compare -o for a report"
+        )
     with started(args) as map_tasks:
         runs = read_experiment(Path(args.directory), args.experiment, map_tasks, terminal)
     with terminal.progress("impact maps"):
@@ -105,8 +108,8 @@ def _laboratory(args: argparse.Namespace, terminal: Terminal) -> int:
     terminal.say(table)
     for remark in found.remarks:
         terminal.say(f"note: {remark}")
-    if told := far_words(found.compared):
-        terminal.warn(told)
+    if warning := far_words(found.compared):
+        terminal.warn(warning)
     terminal.result(found.to_json())
     return 0
 
@@ -115,8 +118,8 @@ def report_on(
     directory: Path, output: Path | None, terminal: Terminal, contact: str = "first", map_tasks: Map = map
 ) -> tuple[int, Path]:
     """Analyse, write the report and show the table; exit code and path of the report."""
-    with terminal.progress("reading bags") as tell:
-        analysis = analyze_campaign(directory, tell, map_tasks)
+    with terminal.progress("reading bags") as report_progress:
+        analysis = analyze_campaign(directory, report_progress, map_tasks)
     report = publish(analysis, output or directory / "report", terminal, contact)
     if not analysis.sets:
         terminal.warn(f"no estimate for any set{_first_reason(analysis)}")
@@ -124,17 +127,17 @@ def report_on(
 
 
 def _first_reason(analysis: Analysis) -> str:
-    """Why the first of the sets has no estimate, for those who read this line alone; all reasons stand above it."""
+    """Why the first set has no estimate; the lines above give all reasons."""
     if not analysis.incomplete:
-        return ": there is no trial that could be used"
+        return ": no usable trial"
     first = analysis.incomplete[0]
     return f"; {first.object} {first.case}: {first.reason}"
 
 
 def publish(analysis: Analysis, directory: Path, terminal: Terminal, contact: str = "first") -> Path:
     """Write the report, with figures of one contact, and show what is in it; returns its page."""
-    with output_folder(directory) as folder, terminal.progress("report") as tell:
-        report = write_report(analysis, folder, tell, contact)[0]
+    with output_folder(directory) as folder, terminal.progress("report") as report_progress:
+        report = write_report(analysis, folder, report_progress, contact)[0]
     terminal.result(analysis.to_json())
     _show(analysis, terminal)
     terminal.say(f"report: {report.resolve()}")
@@ -142,7 +145,7 @@ def publish(analysis: Analysis, directory: Path, terminal: Terminal, contact: st
 
 
 def _show(analysis: Analysis, terminal: Terminal) -> None:
-    """Show the table of each contact, and what did not enter it."""
+    """Show the table of each contact, and which trials are not in it."""
     rows = result_table(analysis)
     for contact in shown_contacts(rows) if rows else ():
         terminal.say(_table(rows, contact))
@@ -155,28 +158,26 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
         terminal.say("settled contact: the same errors as the first")
     if by_arm := arm_rows(analysis):
         terminal.say(_arms_table(by_arm))
-    if told := far_words(analysis.jumps):
-        terminal.warn(told)
+    if warning := far_words(analysis.jumps):
+        terminal.warn(warning)
     if analysis.sensitivity.shifts:
         terminal.say(_bands(analysis))
     for entry in analysis.incomplete:
         terminal.say(f"no estimate for {entry.object} {entry.case}: {entry.reason}")
     for bag in analysis.skipped:
         terminal.say(f"skipped {bag.name}: {bag.reason}")
-    if told := unsealed_words(len(analysis.unsealed)):
-        terminal.say(f"note: {told}")
+    if note := unsealed_words(len(analysis.unsealed)):
+        terminal.say(f"note: {note}")
     if analysis.no_impact:
         terminal.say(f"without impact, not in the fit: {', '.join(analysis.no_impact)}")
     for name, spread in analysis.apart:
-        terminal.say(
-            f"{name}: {1e3 * spread:.0f} ms between its arms' impacts, so its feedback is not that of one impact"
-        )
+        terminal.say(f"{name}: the arms hit {1e3 * spread:.0f} ms apart, so the net feedback is not that of one impact")
     if analysis.limited:
         trials = len({name for name, _, _ in analysis.limited})
         name, joint, time = max(analysis.limited, key=lambda entry: entry[2])
         terminal.warn(
-            f"torque at its limit in {trials} trials, longest in {name} ({joint}, {1e3 * time:.0f} ms): what the "
-            "feedback asked for was not delivered, and is no measure there"
+            f"torque at its limit in {trials} trials, longest in {name} ({joint}, {1e3 * time:.0f} ms): the "
+            "arm did not get the torque of the feedback, so its integral is no measure there"
         )
     if analysis.missing:
         shown = ", ".join(analysis.missing[:5]) + (", ..." if len(analysis.missing) > 5 else "")
@@ -199,7 +200,7 @@ def _arms_table(by_arm: dict[str, tuple[ArmRow, ...]]) -> Table:
 
 
 def _bands(analysis: Analysis) -> Table:
-    """How far the estimates move with settings."""
+    """Table of the systematic bands."""
     table = Table(title="Systematic band of the estimates, and the setting that moves them most")
     for heading in ("", "band [%]", "most [%]", "with"):
         table.add_column(heading, justify="left" if heading in ("", "with") else "right")

@@ -28,11 +28,11 @@ from impact_rs_trials.store import Folder, Store, open_store, owned
 from impact_rs_trials.workers import Workforce
 
 TEXT = """\
-Run every trial of a scenario, or the part of it that you name, and record a bag of each.
+Run all trials of a scenario, or a selection of them, and record one bag each.
 
-A campaign that was interrupted goes on where it stopped when the same command is given again: finished bags stay, a
-half-written one is run again. Trials run in parallel worker processes; results do not depend on their number (--jobs).
-The workers of a running dask scheduler do as well (--scheduler); DIR is then a folder that all of them share, or a URL.
+To continue an interrupted campaign, run the same command again: finished bags stay, a half-written one is run again.
+Trials run in parallel worker processes; results do not depend on their number (--jobs). With --scheduler they run on
+the workers of a dask scheduler; DIR is then a folder that all workers share, or a URL.
 
 example:
   impact-rs campaign push -o campaigns/push
@@ -60,7 +60,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--sensitivity",
         action="store_true",
         help="also halve and double, one at a time, settings that the estimate should not depend on (three scales of "
-        "the first case); analyze then tells a systematic band",
+        "the first case); analyze then reports a systematic band",
     )
     add_jobs(parser)
     parser.add_argument(
@@ -78,13 +78,15 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     if args.via == "nodes" and (args.settings or args.sensitivity):
-        raise InputError("--set and --sensitivity are for --via inprocess: the nodes read the scenario's own file")
+        raise InputError(
+            "--set and --sensitivity go with --via inprocess only: the nodes read the file of the scenario"
+        )
     if args.via == "nodes" and (args.jobs not in (None, 1) or args.scheduler is not None):
-        raise InputError("--jobs and --scheduler are for --via inprocess: the nodes run one trial at a time")
+        raise InputError("--jobs and --scheduler go with --via inprocess only: the nodes run one trial at a time")
     if args.without:
         check_without(args.without, args.via)
     if args.via != "nodes" and args.namespace:
-        raise InputError("--namespace is for --via nodes: there is none in this program")
+        raise InputError("--namespace goes with --via nodes only: trials inside this program have no ROS names")
     store = open_store(args.output)
     workforce = workforce_of(args)
     manifest = make_manifest(
@@ -104,7 +106,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             reports = owned_campaigns(store, campaigns, workforce)
         ran = follow(reports, campaigns, terminal)
     outcomes = Counter(report.outcome for report in ran)
-    done = len({key.name for key in manifest.keys} & store.names())  # bags, whatever the reports say
+    done = len({key.name for key in manifest.keys} & store.names())  # counts bags, independent of the reports
     terminal.result(
         {
             "directory": args.output,
@@ -122,9 +124,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             ],
         }
     )
-    tell_wrong(ran, terminal)
+    warn_wrong(ran, terminal)
     terminal.say(
-        f"{done} of {len(manifest.keys)} trials are there ({counted(ran) or 'nothing was left to run'})",
+        f"{done} of {len(manifest.keys)} trials are there ({counted(ran) or 'none had to be run'})",
         f"next: {PROGRAM} analyze {args.output}",
     )
     none_is_ok = bool(ran) and not outcomes["OK"]
@@ -136,20 +138,20 @@ def counted(reports: Iterable[TrialReport]) -> str:
     return ", ".join(f"{count} {outcome}" for outcome, count in Counter(one.outcome for one in reports).items())
 
 
-def tell_wrong(reports: Iterable[TrialReport], terminal: Terminal) -> None:
-    """Say which trials went wrong; no analysis uses them."""
+def warn_wrong(reports: Iterable[TrialReport], terminal: Terminal) -> None:
+    """Warn of failed trials; no analysis uses them."""
     for line in wrong_outcomes(reports):
         terminal.warn(line)
 
 
 def check_without(without: Sequence[str], via: str) -> None:
-    """Check that nodes which somebody else provides are nodes, and that trials run through them.
+    """Check the names of ``--without``, and that trials run through nodes.
 
     Raises:
-        InputError: They are not, or do not.
+        InputError: A name is no node, or trials run in this program.
     """
     if via != "nodes":
-        raise InputError("--without is for --via nodes: trials in this program have no nodes")
+        raise InputError("--without goes with --via nodes only: trials inside this program have no nodes")
     from impact_rs_ros.node_processes import ours  # as below
 
     ours(without)
@@ -160,16 +162,16 @@ def through_nodes(
     manifest: Manifest,
     namespace: str,
     without: Sequence[str] = (),
-    tell: Callable[[str], None] = lambda line: None,
+    say: Callable[[str], None] = lambda line: None,
 ) -> Iterator[tuple[Store, TrialReport]]:
-    """Run what is missing through the ROS 2 nodes, without those that somebody else provides.
+    """Run the missing trials through the ROS 2 nodes, without those that the user provides.
 
-    Yields as :func:`owned_campaigns`; ``tell`` hears what is waited for.
+    Yields as :func:`owned_campaigns`; ``say`` prints which nodes the command waits for.
 
     Raises:
         InputError: The campaign does not lie in a folder, another process works on it, or ROS has no such namespace.
     """
-    # ROS 2 takes part in --via nodes alone: where it is not installed, trials still run in this program.
+    # Only --via nodes needs ROS 2: without it trials still run in this program.
     from impact_rs_ros.graph import run_trials_through_nodes
 
     if not isinstance(store, Folder):
@@ -178,7 +180,7 @@ def through_nodes(
     with owned(store):
         todo = open_campaign(store, manifest)
         for report in run_trials_through_nodes(
-            store.path, manifest, todo, namespace=namespace, without=without, notify=tell
+            store.path, manifest, todo, namespace=namespace, without=without, notify=say
         ):
             yield store, report
 
@@ -186,7 +188,7 @@ def through_nodes(
 def owned_campaigns(
     store: Store, campaigns: Mapping[Store, Manifest], workforce: Workforce
 ) -> Iterator[tuple[Store, TrialReport]]:
-    """Run a campaign and what lies in its folder, which is kept from other processes meanwhile.
+    """Run campaigns, while the folder is locked against other processes.
 
     Raises:
         InputError: As :func:`impact_rs_trials.campaign.run_campaigns`, or another process works on it.
@@ -201,17 +203,17 @@ def follow(
     terminal: Terminal,
     what: str = "trials",
 ) -> list[TrialReport]:
-    """Show progress while trials run, and which ones fail; returns their reports."""
+    """Show progress and failures while trials run; returns their reports."""
     ran = []
     total = sum(len(manifest.keys) for manifest in campaigns.values())
     there = total - sum(len(still_to_run(store, manifest)) for store, manifest in campaigns.items())
-    with terminal.progress(what) as tell:
-        tell(there, total)
+    with terminal.progress(what) as report_progress:
+        report_progress(there, total)
         for number, (store, report) in enumerate(reports, start=there + 1):
             ran.append(report)
             if report.outcome == "ABORTED":
                 terminal.warn(f"{report.key.name}: {report.message or 'aborted'}")
-                terminal.warn(f"what went wrong, in full: {store}/{FAILURES}/{report.key.name}.txt")
+                terminal.warn(f"full error: {store}/{FAILURES}/{report.key.name}.txt")
                 terminal.trace(report.trace)
-            tell(number, total)
+            report_progress(number, total)
     return ran

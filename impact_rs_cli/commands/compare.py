@@ -23,16 +23,16 @@ from impact_rs_sim.robot import joined_units
 TEXT = f"""\
 Compare a model with measurements, and show where it fails.
 
-On three levels: the velocity jump of the impact map, free motion, and the impact with the push after it. The latter two
-replay what was measured: the plant from the measured state, driven by the recorded torque. Differences are given in
-their units and in multiples of what repeating a trial explains; one score stands for all, and 1 is what repetition
-alone gives. Only measured signals are read.
+Three levels: the velocity jump of the impact map, free motion, and the impact with the push after it. The latter two
+use a twin: an open-loop simulation from the measured state, driven by the recorded torque. Differences have their own
+units and are also given as multiples of repeatability (the scatter of repeats). One score summarises all; a score of 1
+equals repeatability. Only measured signals are read.
 
 example:
   {PROGRAM} compare campaigns/blind/runs --model config/models/nominal.yaml -o report
   {PROGRAM} compare campaigns/blind/runs --model model_2.yaml --mcap aligned --json
 
-Runs of a laboratory with a controller of its own (bags, CSV, NPZ, Parquet, HDF5):
+Runs recorded with another controller (bags, CSV, NPZ, Parquet, HDF5):
   {PROGRAM} compare lab/ --experiment experiment.yaml -o report
 
 A recording of a real robot in free motion is compared on joint torque:
@@ -43,8 +43,8 @@ on the velocities just after; docs/impact_tables.md lists its columns:
   {PROGRAM} compare --impacts tosses.csv
   {PROGRAM} compare --impacts pushes.csv --scenario push
 
-Units: each difference says its own; scores are multiples of what repetition alone gives, of recordings N m,
-of impacts without repeats m/s."""
+Units: beside each difference; scores are multiples of repeatability, for recordings N m, for impacts without repeats
+m/s."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -92,11 +92,11 @@ def comparison_of(measurements: Measurements, model: Model, terminal: Terminal) 
 
 def _write_bags(directory: Path, measurements: Measurements, model: Model, terminal: Terminal) -> None:
     runs = only_trials(measurements, "--mcap")
-    with output_folder(directory), terminal.progress("aligned bags") as tell:
+    with output_folder(directory), terminal.progress("aligned bags") as report_progress:
         aligned = aligned_runs(runs, model, map)
         for count, trial in enumerate(aligned, start=1):
             write_aligned(trial, directory)
-            tell(count, len(aligned))
+            report_progress(count, len(aligned))
     terminal.say(f"aligned bags: {len(aligned)} in {directory.resolve()}")
 
 

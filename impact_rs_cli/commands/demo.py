@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``impact-rs demo``: the whole way in one command."""
+"""``impact-rs demo``: the whole loop in one command."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_cli.arguments import number
 from impact_rs_cli.commands.analyze import report_on
-from impact_rs_cli.commands.campaign import tell_wrong
+from impact_rs_cli.commands.campaign import warn_wrong
 from impact_rs_cli.commands.compare import comparison_of
 from impact_rs_cli.commands.diagnose import diagnosis_of, report_of
 from impact_rs_cli.commands.history import show_history
@@ -40,25 +40,25 @@ REPEATS = 2
 MODEL = "nominal"
 
 TEXT = f"""\
-Show the whole way, through the ROS 2 nodes: a robot hits and pushes boxes, and its plant hides a physical effect that
-the model lacks. The bags are analysed as in the paper; compare shows where the model fails, diagnose names what is
-missing, add writes a better model, and history shows the error fall.
+Run the whole loop through the ROS 2 nodes: a robot hits and pushes boxes, and its plant has a hidden physical effect
+that the model lacks. The bags are analysed as in the paper; compare shows where the model fails, diagnose names the
+missing effect, add writes a better model, and history shows how the error falls.
 
-Takes some minutes, of which half are trials. Ends with what to type next. With --quick only the paper's experiment is
-run, with nothing hidden: five trials, their analysis and the report, in well under a minute.
+Takes some minutes, half of them for trials, and ends with the next commands. --quick runs the paper's experiment alone,
+without a hidden effect: five trials, their analysis and the report, in well under a minute.
 
 example:
   {PROGRAM} demo
   {PROGRAM} demo --quick
   {PROGRAM} demo -o /tmp/impact_demo
 
-Units: speeds in m/s; errors in percent, or in multiples of what repeating a trial explains."""
+Units: speeds in m/s; errors in percent, or as multiples of repeatability."""
 
 
 class Demonstration(Schema):
     """``config/demo.yaml``."""
 
-    hidden: Model = Field(description="what the plant does and nobody else knows")
+    hidden: Model = Field(description="effect of the plant that the model does not know")
     considered: tuple[str, ...] = Field(min_length=1, description="effects that the diagnosis considers")
 
 
@@ -68,7 +68,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", dest="output", type=Path, default=Path("demo_output"), metavar="DIR", help="default: %(default)s"
     )
-    parser.add_argument("--quick", action="store_true", help="the paper's experiment alone, with nothing hidden")
+    parser.add_argument("--quick", action="store_true", help="the paper's experiment alone, without a hidden effect")
     add_json(parser)
 
 
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     with output_folder(args.output):
         failures = _record(manifests[:1] if args.quick else manifests, hidden, terminal)
     if failures:
-        terminal.warn(f"{failures} trials failed; the same command runs them again")
+        terminal.warn(f"{failures} trials failed; run the same command again to repeat them")
         return 1
     step = "" if args.quick else "1. "
     terminal.say("", f"{step}The measured jump, as in the paper: where net feedback crosses zero.")
@@ -105,25 +105,25 @@ def _manifests(jump: Path, runs: Path) -> list[tuple[Path, Manifest]]:
 
 
 def _record(manifests: list[tuple[Path, Manifest]], hidden: Model | None, terminal: Terminal) -> int:
-    """Record what is missing, all through one set of nodes; returns how many trials failed."""
+    """Record the missing trials through one set of nodes; returns how many failed."""
     todo: list[tuple[Path, Manifest, TrialKey]] = []
     for directory, manifest in manifests:
         todo += [(directory, manifest, key) for key in open_campaign(directory, manifest)]
     if not todo:
-        terminal.say("All trials are there already.")
+        terminal.say("All trials have been recorded already.")
         return 0
-    secret = "" if hidden is None else "; the plant hides one physical effect"
+    secret = "" if hidden is None else "; the plant has one hidden physical effect"
     terminal.say(f"Running {len(todo)} trials through the ROS 2 nodes{secret}.")
     ran = []
-    with terminal.progress("trials") as tell:
-        tell(0, len(todo))
+    with terminal.progress("trials") as report_progress:
+        report_progress(0, len(todo))
         for count, report in enumerate(_through_nodes(todo, hidden), start=1):
             ran.append(report)
             if report.outcome == "ABORTED":
                 terminal.warn(f"{report.key.name}: {report.message or 'aborted'}")
                 terminal.trace(report.trace)
-            tell(count, len(todo))
-    tell_wrong(ran, terminal)
+            report_progress(count, len(todo))
+    warn_wrong(ran, terminal)
     return sum(report.outcome == "ABORTED" for report in ran)
 
 
@@ -142,10 +142,10 @@ def walk_the_loop(
         demonstration: What is hidden, and which effects are considered.
         output: Folder of diagnosis, model and reports.
         runs_directory: Folder of the trials.
-        terminal: Where the story is shown.
+        terminal: Shows every step.
 
     Returns:
-        What was hidden and what was named, and where a diagnosis named something, errors, estimate and pages.
+        Hidden and named effects; if the diagnosis named an effect, also errors, estimate and pages.
     """
     diagnosis_file, model_file, reports = output / "diagnosis.json", output / "model_2.yaml", output / "report"
     before_reports = reports / MODEL
@@ -186,8 +186,8 @@ def walk_the_loop(
         "",
         f"The plant hid {hidden.name} = {truth.estimate:g}. The diagnosis named {' and '.join(document.named)} = "
         f"{estimate_in_line(estimate.estimate, estimate.ci95)}, "
-        f"and the error of the model fell from {number(before.score)} to {number(after.score)} times what repetition "
-        "alone gives.",
+        f"and the error of the model fell from {number(before.score)} to {number(after.score)} times "
+        "repeatability.",
         "Reports:",
         f"  where the model fails   {(before_reports / 'compare.html').resolve()}",
         f"  what it lacks           {(reports / 'diagnosis.html').resolve()}",
@@ -196,7 +196,7 @@ def walk_the_loop(
         f"  {PROGRAM} diagnose {folder} -o diagnosis.json",
         f"  {PROGRAM} effects",
         f"  {PROGRAM} blind make 7 -o blind_7",
-        "to search the whole library, to see what is in it, and for an effect that nobody told you.",
+        "to search the whole library, to list it, and to make a campaign whose hidden effect you do not know.",
     )
     return story | {
         "score_before": before.score,

@@ -31,22 +31,22 @@ from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.robot import joined_units
 
 TEXT = f"""\
-Find out which physical effect is missing in a model.
+Find out which physical effect a model lacks.
 
-Every effect of the library ({PROGRAM} effects lists them) and of your own formulas is fitted to the measurements, and
-judged by how well it predicts conditions that no part of the search has seen. Says CONFIRMED, CONFUSABLE-WITH{{...}},
-PRESENT-BUT-SMALL, NOT-IDENTIFIABLE, NO-IMPROVEMENT or AT-BOUND of each, and NOTHING-MISSING, NONE-EXPLAINS,
-PARTLY{{...}} or TOO-FEW-REPEATS of all where that is the answer.
+Fits every effect of the library ({PROGRAM} effects lists them) and of your own formulas to the measurements, and
+judges it by its held-out error: how well it predicts conditions that the search has not seen. The verdict on an effect
+is CONFIRMED, CONFUSABLE-WITH{{...}}, PRESENT-BUT-SMALL, NOT-IDENTIFIABLE, NO-IMPROVEMENT or AT-BOUND; the verdict on
+the model names the missing effects, or is NOTHING-MISSING, NONE-EXPLAINS, PARTLY{{...}} or TOO-FEW-REPEATS.
 
-Needs at least three conditions (object x case) and three repeats in all; a free motion there and back (scenario excite)
-tells friction, offset and gain of the torque apart.
+Needs at least three conditions (object x case) and three extra repeats (runs minus conditions >= 3). A free motion
+(scenario excite) separates friction, offset and gain of the torque.
 
 example:
   {PROGRAM} diagnose campaigns/blind/runs --model config/models/nominal.yaml -o diagnosis.json
   {PROGRAM} diagnose campaigns/blind/runs -o diagnosis.json --effects torque_offset joint_coulomb_friction
   {PROGRAM} add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
 
-Runs of a laboratory with a controller of its own (bags, CSV, NPZ, Parquet, HDF5):
+Runs recorded with another controller (bags, CSV, NPZ, Parquet, HDF5):
   {PROGRAM} diagnose lab/ --experiment experiment.yaml -o diagnosis.json
 
 A recording of a real robot in free motion is compared on joint torque:
@@ -57,8 +57,8 @@ on the velocities just after; docs/impact_tables.md lists its columns:
   {PROGRAM} diagnose --impacts tosses.csv -o diagnosis.json
   {PROGRAM} diagnose --impacts pushes.csv --scenario push -o diagnosis.json
 
-Units: each estimate says its own; errors are multiples of what repetition alone gives, of recordings N m,
-of impacts without repeats m/s."""
+Units: beside each estimate; errors are multiples of repeatability, for recordings N m, for impacts without repeats
+m/s."""
 
 MOST_SHOWN = 8
 
@@ -69,14 +69,14 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_runs(parser)
     add_source(parser)
     parser.add_argument("-o", dest="output", type=Path, metavar="FILE.json", help="file for the diagnosis")
-    parser.add_argument("--effects", nargs="+", metavar="NAME", help="consider only these; default: all")
+    parser.add_argument("--effects", nargs="+", metavar="NAME", help="consider only these effects; default: all")
     parser.add_argument("--formulas", type=Path, metavar="FILE.yaml", help="consider your own effects as well")
     parser.add_argument("--report", type=Path, metavar="DIR", help="folder for an HTML report")
     parser.add_argument(
         "--each-arm",
         action="store_true",
-        help="look for effects in every arm by itself, although arms of one kind share their parameters (arms of "
-        "different kinds never do)",
+        help="fit parameters of every arm separately; by default arms of one kind share them (arms of different kinds "
+        "never do)",
     )
     add_jobs(parser)
     add_json(parser)
@@ -107,10 +107,10 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def with_formulas(model: Model, path: Path | None) -> Model:
-    """The model, knowing the formulas of a file as well.
+    """The model with the formulas of a file.
 
     Raises:
-        InputError: The file is no formula file, a name is taken, or a formula blows up.
+        InputError: The file is no formula file, a name is taken, or a formula gives no finite value.
     """
     if path is None:
         return model
@@ -136,7 +136,7 @@ def check_effects(model: Model, names: list[str] | None) -> None:
                 f"no effect {name!r}{did_you_mean(name, known)}; known effects: {', '.join(sorted(known))}"
             )
         if name in present:
-            raise InputError(f"model {model.name!r} has effect {name!r} already; diagnose looks for what is missing")
+            raise InputError(f"model {model.name!r} has effect {name!r} already; diagnose looks for missing effects")
 
 
 def diagnosis_of(
@@ -152,7 +152,7 @@ def diagnosis_of(
     Args:
         measurements: What was measured.
         model: The model as its file says it.
-        extended: The same, knowing further formulas.
+        extended: The same with further formulas.
         only: Names of the effects to consider; None: all.
         terminal: Where to show it.
         output: File for it, which is there before anything is shown; None: none.
@@ -230,21 +230,21 @@ def _show(document: DiagnosisDocument, terminal: Terminal) -> None:
 
 
 def p_text(value: float | None, least: float) -> str:
-    """p for people; below what noise is known to do, as a bound."""
+    """p-value as text; a bound below the smallest p-value that is trusted."""
     if value is None:
         return "–"
     return f"< {least:g}" if value <= least else f"{value:.2g}"
 
 
 def estimates_table(effect: str, parameters: dict[str, EstimateDocument]) -> Table:
-    """Estimates of one effect with their intervals and what is said of each joint."""
+    """Estimates of one effect with their intervals and the verdict on each joint."""
     table = Table(title=effect, title_justify="left")
     table.add_column("parameter", no_wrap=True)
     table.add_column("estimate", justify="right", no_wrap=True)
     table.add_column("95 % interval", no_wrap=True)
     table.add_column("unit", no_wrap=True)
-    told = any(value.verdict is not None for value in parameters.values())
-    if told:
+    judged = any(value.verdict is not None for value in parameters.values())
+    if judged:
         table.add_column("verdict", overflow="fold")
     arm = None
     for name, value in parameters.items():
@@ -253,5 +253,5 @@ def estimates_table(effect: str, parameters: dict[str, EstimateDocument]) -> Tab
         arm = value.arm
         estimate, *interval = estimate_text(value.estimate, value.ci95)
         cells = [name, estimate, " ... ".join(interval), value.unit.strip("-")]
-        table.add_row(*cells, *([value.verdict or ""] if told else []))
+        table.add_row(*cells, *([value.verdict or ""] if judged else []))
     return table

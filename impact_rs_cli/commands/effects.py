@@ -17,21 +17,22 @@ from impact_rs_sim.errors import InputError, did_you_mean
 TEXT = f"""\
 List the physical effects that a model may have and that diagnose considers, or explain one of them.
 
-Your own come by a Python entry point (group impact_rs.effects) or by a YAML file of formulas (--formulas checks it).
+Add your own effects with a Python entry point (group impact_rs.effects) or a YAML file of formulas (--formulas checks
+it).
 
 example:
   {PROGRAM} effects
   {PROGRAM} effects torque_offset
   {PROGRAM} effects --formulas cable.yaml
 
-Units: with every parameter."""
+Units: beside every parameter."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
     declare(parser, run, TEXT)
     parser.add_argument("name", nargs="?", metavar="NAME", help="one effect; default: all")
-    parser.add_argument("--formulas", type=Path, metavar="FILE.yaml", help="list those of a formula file as well")
+    parser.add_argument("--formulas", type=Path, metavar="FILE.yaml", help="also list the effects of a formula file")
     add_json(parser)
 
 
@@ -47,7 +48,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     chosen = known if args.name is None else {args.name: known[args.name]}
     terminal.result({"effects": [_describe(effect) for effect in chosen.values()]})
     if args.name is None:
-        table = Table(title=f"Library of physical effects; {PROGRAM} effects NAME tells more")
+        table = Table(title=f"Library of physical effects; {PROGRAM} effects NAME explains one")
         table.add_column("effect", no_wrap=True)
         table.add_column("acts on", no_wrap=True)
         table.add_column("what it is")
@@ -59,7 +60,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     phases = "free motion and contact" if len(effect.phases) == 2 else effect.phases[0]
     terminal.say(f"{effect.name}: {effect.sentence}", f"acts on: {effect.acts_on}; seen in: {phases}")
     table = Table(title="Parameters")
-    for heading in ("parameter", "unit", "does nothing at", "bounds", "noticeable", "what it is"):
+    for heading in ("parameter", "unit", "no effect at", "bounds", "noticeable", "what it is"):
         table.add_column(heading)
     for parameter in effect.parameters:
         table.add_row(

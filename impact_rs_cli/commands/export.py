@@ -16,14 +16,14 @@ from impact_rs_trials.store import local_copy
 TEXT = f"""\
 Write a campaign into one file: .parquet has a row per trial, .h5 (or .hdf5) has every measured signal.
 
-A name without ending is a folder of .parquet files that are read as one table, with the same rows. It grows with its
-campaign: the same command reads only bags that are new or were run again since, also while the campaign runs, and goes
-on where it was stopped. Rows stay when their bags are removed.
+A name without suffix is a folder of .parquet files that are read as one table, with the same rows. It grows with its
+campaign: run the same command again, also while the campaign runs, and it reads only new or repeated trials. Rows stay
+when their bags are removed.
 
-A row says scenario, object, case, scale, repeat, seed, outcome, predicted and reference velocity, net feedback and
+A row holds scenario, object, case, scale, repeat, seed, outcome, predicted and reference velocity, net feedback and
 impact times. In HDF5 every trial is a group, with a group per arm (joint states, motor states, commands, controller
-state) and one for the object. Ground truth of the simulated plant is not exported. A bag that cannot be read is told
-and left out.
+state) and one for the object. Ground truth of the simulated plant is not exported. Unreadable bags
+are listed and left out.
 
 example:
   {PROGRAM} export campaigns/push -o push.parquet
@@ -32,13 +32,15 @@ example:
 
 Needs pyarrow for Parquet and h5py for HDF5 (both are in the extra "export").
 
-Units: names of columns end with theirs; datasets have an attribute units."""
+Units: a column name ends with its unit; datasets have an attribute units."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
     declare(parser, run, TEXT)
-    parser.add_argument("campaign", metavar="CAMPAIGN", help="folder with bags of trials, however deep, or URL")
+    parser.add_argument(
+        "campaign", metavar="CAMPAIGN", help="folder with bags of trials, searched with its subfolders, or URL"
+    )
     parser.add_argument(
         "-o", dest="output", type=Path, required=True, metavar="FILE", help=".parquet, .h5, .hdf5, or a folder"
     )
@@ -56,9 +58,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         # Signals are read in this process: they would be most of the work to pass on.
         started(args) if args.output.suffix == ".parquet" else nullcontext(map) as map_tasks,
         output_folder(args.output.parent),
-        terminal.progress("reading bags") as tell,
+        terminal.progress("reading bags") as report_progress,
     ):
-        found = export(directory.absolute(), args.output, map_tasks, tell)
+        found = export(directory.absolute(), args.output, map_tasks, report_progress)
     warn_skipped([(bag.name, bag.reason) for bag in found.skipped], terminal)
     skipped = [vars(bag) for bag in found.skipped]
     terminal.result({"file": str(args.output), "trials": found.trials, "skipped": skipped})
@@ -69,8 +71,12 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 def _extend(args: argparse.Namespace, terminal: Terminal) -> int:
     """Bring a data set up to date with the campaign."""
     args.resumable = True
-    with started(args) as map_tasks, output_folder(args.output), terminal.progress("reading new bags") as tell:
-        found = extend(args.campaign, args.output, map_tasks, tell)
+    with (
+        started(args) as map_tasks,
+        output_folder(args.output),
+        terminal.progress("reading new bags") as report_progress,
+    ):
+        found = extend(args.campaign, args.output, map_tasks, report_progress)
     warn_skipped([(bag.name, bag.reason) for bag in found.skipped], terminal)
     skipped = [vars(bag) for bag in found.skipped]
     terminal.result({"folder": str(args.output), "trials": found.trials, "read": found.read, "skipped": skipped})

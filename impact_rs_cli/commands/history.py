@@ -15,25 +15,24 @@ from impact_rs_cli.measurements import add_source, measured
 from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
 
 TEXT = f"""\
-Show the error of every version of a model, from the first parent to the file that is named.
+Show the error of every version of a model, from its first parent to MODEL.yaml.
 
-Two errors: with the parameters as they stand in the file, and held out: in every condition with the parameters of the
-added effect fitted to all other conditions. The second cannot be bettered by fitting noise.
+Two errors: with the parameters of the file, and held out, where the parameters of the added effect are fitted to all
+other conditions. Fitting noise does not reduce the held-out error.
 
 example:
   {PROGRAM} history model_3.yaml --runs campaigns/blind/runs
   {PROGRAM} history model_3.yaml --runs campaigns/blind/runs -o report --json
   {PROGRAM} history model_2.yaml --impacts tosses.csv
 
-Units: errors are multiples of what repetition alone gives; of recordings, of the noise of the torque;
-of impacts without repeats they are m/s."""
+Units: errors are multiples of repeatability, for recordings of the torque noise; for impacts without repeats m/s."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the command."""
     declare(parser, run, TEXT)
     parser.add_argument("model", type=Path, metavar="MODEL.yaml", help="the last model")
-    parser.add_argument("--runs", metavar="RUNS", help=f"{RUNS}; none with --impacts")
+    parser.add_argument("--runs", metavar="RUNS", help=f"{RUNS}; leave it out with --impacts")
     parser.add_argument("-o", dest="output", type=Path, metavar="DIR", help="folder for an HTML page with the plot")
     add_source(parser)
     add_jobs(parser)
@@ -43,7 +42,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 @on_local_runs
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    versions(args.model)  # a broken chain is told before anything is read
+    versions(args.model)  # a missing parent is reported before the runs are read
     with measured(args, terminal) as measurements, measurements.progress():
         found = history(args.model, measurements.against)
     terminal.result({"history": [entry.to_json() for entry in found]})

@@ -30,11 +30,11 @@ LEAST_SWITCHES = 0.01  # share of the draws from which one is shown
 TEXT = """\
 Predict the velocities after the nominal impact of a scenario.
 
-Solves the rigid impact map: ante-impact configuration and velocities in, post-impact velocities of all joints and
-bodies and the contact impulses out, with how far answers that obey the same laws lie apart. --motor-inertia says
-which inertia the motors have during the impact: 'reduced' (B_theta, what the robot's torque loop leaves of it), 'rotor'
-(B_rho, all of it) or 'zero'. --contact says when: 'first', just after the first simultaneous impact, or 'settled', when
-pads that keep pushing have aligned and go on with the object.
+Solves the rigid impact map: from the ante-impact configuration and velocities to the post-impact velocities of all
+joints and bodies and the contact impulses. Where the contact laws have several solutions, it also gives their spread.
+--motor-inertia selects the reflected inertia of the motors: 'reduced' (B_theta, with the robot's torque loop), 'rotor'
+(B_rho, without it) or 'zero'. --contact selects the instant: 'first', just after the first simultaneous impact, or
+'settled', when the pads lie flat on the object and move with it.
 
 example:
   impact-rs map push cat_food case_2
@@ -46,8 +46,8 @@ example:
   impact-rs map push --table problems.parquet -o answers.parquet
   impact-rs map --table tosses.csv -o answers.csv
 
---table solves one problem per row of a table of impacts (docs/impact_tables.md) whose velocities after are left out:
-those of an arm with a scenario, of free bodies without one.
+--table solves one problem per row of a table of impacts (docs/impact_tables.md) without post-impact velocities: impacts
+of an arm if a scenario is given, of free bodies otherwise.
 
 Units: m/s and rad/s, impulses in N s, vectors in the axes of the world frame, SI throughout."""
 
@@ -61,7 +61,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--motor-inertia", choices=("reduced", "rotor", "zero"), default="reduced", help="default: %(default)s"
     )
-    add_contact(parser, "how far the impact is carried on")
+    add_contact(parser, "first: just after the first impact; settled: when the faces lie on each other")
     parser.add_argument(
         "--engine",
         type=engine_name,
@@ -76,16 +76,17 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--uncertainty",
         action="store_true",
-        help="interval of every velocity from the uncertainties that the scenario states, and who contributes what",
+        help="interval of every velocity from the uncertainties of the scenario, and the share of each source",
     )
     parser.add_argument(
         "--derivatives",
         action="store_true",
-        help="how every velocity changes with masses, inertias, B, friction, restitution, poses and velocities before",
+        help="derivatives of every velocity with respect to masses, inertias, B, friction, restitution, poses and "
+        "ante-impact velocities",
     )
     add_settings(parser)
     parser.add_argument("--table", type=Path, metavar="FILE", help="many problems: a .csv or .parquet table of impacts")
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="where the answers of --table go")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="file for the answers of --table")
     add_jobs(parser)
     add_json(parser)
 
@@ -110,7 +111,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         problem = replace(problem, restitution_law=args.restitution_law)
     result = predict_impact(problem, args.contact, args.engine)
     several = uniqueness_of(problem, scene.models) if args.contact == "first" else None
-    told = predict(problem, scenario.uncertainty, scene.models) if args.uncertainty else None
+    prediction = predict(problem, scenario.uncertainty, scene.models) if args.uncertainty else None
     slopes = differentiate_safely(problem, scene.models) if args.derivatives else None
     before = {name: scene.models[name].jacobian(arm.position) @ arm.velocity for name, arm in scene.arms.items()}
     terminal.result(
@@ -141,7 +142,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
                 for contact in result.contacts
             ],
             **({} if several is None else {"uniqueness": _uniqueness(several)}),
-            **({} if told is None else {"uncertainty": _uncertainty(told)}),
+            **({} if prediction is None else {"uncertainty": _uncertainty(prediction)}),
             **({} if slopes is None else {"derivatives": _derivatives(slopes, problem)}),
             "residual": {name: float(value) for name, value in vars(result.residual).items()},
             "engine": result.engine,
@@ -159,8 +160,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         f"  impulse of the pads on the object {_vector(total)} N s; {result.engine}, "
         f"residual {result.residual.largest:.1e}, {1e3 * result.elapsed:.1f} ms"
     )
-    if told is not None:
-        _say_uncertainty(told, terminal)
+    if prediction is not None:
+        _say_uncertainty(prediction, terminal)
     if slopes is not None:
         _say_derivatives(slopes, problem, f"{next(iter(scene.arms))}.velocity.{scenario.axis}", terminal)
     if several is not None and several.warning:
@@ -171,9 +172,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 def _many(args: argparse.Namespace, terminal: Terminal) -> int:
     """Answer a table."""
     if args.output is None:
-        raise InputError("--table needs -o FILE, where the answers go (.csv or .parquet)")
+        raise InputError("--table needs -o FILE for the answers (.csv or .parquet)")
     if args.object is not None or args.uncertainty or args.derivatives or args.restitution_law or args.settings:
-        raise InputError("--table goes with at most a SCENARIO; the rest stands in its columns")
+        raise InputError("with --table give at most a SCENARIO; its columns hold everything else")
     scenario = load_scenario(args.scenario) if args.scenario is not None else None
     table = read_impact_table(args.table, scenario, questions=True)
     with started(args) as map_tasks:
@@ -189,7 +190,7 @@ def _many(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def _uniqueness(several: Uniqueness) -> dict[str, Any]:
-    """How far lawful answers lie apart, as JSON."""
+    """Spread of the solutions of the contact laws, as JSON."""
     return {
         "spread": several.spread,
         "relative": several.relative,
@@ -199,45 +200,51 @@ def _uniqueness(several: Uniqueness) -> dict[str, Any]:
     }
 
 
-def _uncertainty(told: UncertainPrediction) -> dict[str, Any]:
+def _uncertainty(prediction: UncertainPrediction) -> dict[str, Any]:
     """Intervals and budgets as JSON."""
     return {
         "level": LEVEL,
-        "method": told.method,
-        "switched": told.switched,
-        "switches": dict(told.switches),
-        "draws": told.draws,
-        "without_answer": told.without_answer,
+        "method": prediction.method,
+        "switched": prediction.switched,
+        "switches": dict(prediction.switches),
+        "draws": prediction.draws,
+        "without_answer": prediction.without_answer,
         "interval": {
             name: {"value": value, "low": low, "high": high}
             for name, value, low, high in zip(
-                told.names, told.nominal.tolist(), told.low.tolist(), told.high.tolist(), strict=True
+                prediction.names,
+                prediction.nominal.tolist(),
+                prediction.low.tolist(),
+                prediction.high.tolist(),
+                strict=True,
             )
         },
         "budget": {
-            name: {source: float(share[index]) for source, share in told.budget.items()}
-            for index, name in enumerate(told.names)
+            name: {source: float(share[index]) for source, share in prediction.budget.items()}
+            for index, name in enumerate(prediction.names)
         },
     }
 
 
-def _say_uncertainty(told: UncertainPrediction, terminal: Terminal) -> None:
-    """Intervals of linear velocities, with what contributes most."""
+def _say_uncertainty(prediction: UncertainPrediction, terminal: Terminal) -> None:
+    """Intervals of linear velocities, with their largest sources."""
     how = (
         "linear propagation"
-        if told.method == "linear"
-        else f"{told.draws} draws, contacts switch in {told.switched:.0%}"
+        if prediction.method == "linear"
+        else f"{prediction.draws} draws, contacts switch in {prediction.switched:.0%}"
     )
     terminal.say(f"  {LEVEL:.0%} intervals from the stated uncertainties ({how}):")
-    for what, share in [one for one in told.switches.items() if one[1] >= LEAST_SWITCHES][:MOST_SWITCHES]:
+    for what, share in [one for one in prediction.switches.items() if one[1] >= LEAST_SWITCHES][:MOST_SWITCHES]:
         terminal.say(f"    in {share:.0%} of the draws {what}")
-    for index, name in enumerate(told.names):
+    for index, name in enumerate(prediction.names):
         if ".velocity." not in name:
             continue
-        shares = sorted(((float(share[index]), source) for source, share in told.budget.items()), reverse=True)[:3]
+        shares = sorted(((float(share[index]), source) for source, share in prediction.budget.items()), reverse=True)[
+            :3
+        ]
         most = ", ".join(f"{source} {share:.0%}" for share, source in shares if share >= 0.01)
-        low, high = told.low[index], told.high[index]
-        value, *ends = estimate_text(float(told.nominal[index]), (float(low), float(high)), least=4)
+        low, high = prediction.low[index], prediction.high[index]
+        value, *ends = estimate_text(float(prediction.nominal[index]), (float(low), float(high)), least=4)
         terminal.say(f"    {name:<20} {value:>8} m/s  [{', '.join(ends)}]  {most}")
 
 

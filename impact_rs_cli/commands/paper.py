@@ -14,12 +14,11 @@ from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_
 from impact_rs_sim.numbers import estimate_text
 
 TEXT = f"""\
-Take the 18 published rows (config/paper/tables.yaml) as a measurement: which motor inertia would explain them?
+Fit one motor-inertia scale to the 18 published rows (config/paper/tables.yaml).
 
 The published predictions are known for no motor inertia, for B_theta and for B_rho = 3 B_theta. In between they are
-interpolated by a parabola in s, B = s B_theta. Gives the s with the least mean absolute mismatch, its interval from
-resampling the rows, the mismatch of rows that the fit has not seen, and the rows that no motor inertia between 0 and
-B_rho explains.
+interpolated by a parabola in s, B = s B_theta. Gives the s with the smallest mean absolute mismatch, its interval from
+resampling the rows, the mismatch of held-out rows, and the rows that no motor inertia between 0 and B_rho explains.
 
 example:
   {PROGRAM} paper

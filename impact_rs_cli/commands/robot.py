@@ -17,11 +17,11 @@ from impact_rs_sim.robot_import import import_urdf, save_facts
 from impact_rs_sim.scenario import load_scenario
 
 TEXT = f"""\
-Bring a robot of your own: read its URDF, and check what was read.
+Import your own robot from its URDF, and check the result.
 
-import writes robot facts (kinematics, inertials, limits) of the serial chain from --base to --tip. Joints may turn
-about any axis or slide along it; meshes need not be there. What a URDF does not hold stands in comments of the file.
-Robot facts are never overwritten. check looks at facts before anything is simulated with them, with --scenario also at
+import writes robot facts (kinematics, inertias, limits) of the serial chain from --base to --tip. Joints may be
+revolute or prismatic, about any axis; mesh files are not needed. Comments in the file name the facts that a URDF does
+not hold. Robot facts are never overwritten. check tests robot facts before a simulation uses them, with --scenario also
 the drives of the arms that are this robot.
 
 example:
@@ -29,7 +29,7 @@ example:
   {PROGRAM} robot check my_robot.yaml
   {PROGRAM} robot check my_robot.yaml --scenario my_push.yaml
 
-Units: SI; angles in rad. Of prismatic joints m, N and kg stand where others have rad, N m and kg m^2."""
+Units: SI; angles in rad. Prismatic joints have m, N and kg instead of rad, N m and kg m^2."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -42,14 +42,16 @@ def add(parser: argparse.ArgumentParser) -> None:
     importer.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE.yaml", help="file to write")
     importer.add_argument("--base", metavar="LINK", help="link that is mounted; default: the root of the tree")
     importer.add_argument(
-        "--tip", metavar="LINK", help="link whose frame is the flange, +z outwards; default: the only"
+        "--tip", metavar="LINK", help="link whose frame is the flange, +z outwards; default: the only leaf of the tree"
     )
     importer.add_argument("--source", metavar="TEXT", help="where the numbers come from, with their licence")
     add_json(importer)
     checker = actions.add_parser("check", help="check robot facts; exit code 1 if a check fails")
     declare(checker, check, TEXT)
     checker.add_argument("robot", metavar="ROBOT", help="name of a robot in config/robots, or path of its YAML file")
-    checker.add_argument("--scenario", metavar="SCENARIO", help="check the drives of this robot's arms in it as well")
+    checker.add_argument(
+        "--scenario", metavar="SCENARIO", help="also check the drives of this robot's arms in the scenario"
+    )
     add_json(checker)
 
 

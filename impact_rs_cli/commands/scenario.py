@@ -15,11 +15,11 @@ from impact_rs_sim.robot import load_facts
 from impact_rs_trials.scenario_draft import KINDS, draft
 
 TEXT = f"""\
-Write a scenario for a robot: a box or two, a pose that it can hit from, and everything else that trials need.
+Write a scenario for a robot: boxes, an impact pose, and everything else that trials need.
 
-The pose is searched for: the arm goes its whole way far from limits and singular postures, and the trials that the file
-describes were run before it is written. Motor inertia, stiffness and damping are assumptions, scaled from a Franka arm
-where the robot's facts do not know better: replace them by yours. Files are never overwritten.
+The command searches for a pose whose whole motion is far from joint limits and singularities, and runs the trials of
+the file before it writes it. Motor inertia, stiffness and damping that the robot facts lack are assumptions, scaled
+from a Franka arm: replace them with yours. Files are never overwritten.
 
 example:
   {PROGRAM} scenario new --robot franka_fr3 -o my_push.yaml
@@ -42,7 +42,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--kind",
         choices=KINDS,
         default="push",
-        help="push: one arm hits a box; grab: two of them clamp and lift it; excite: there and back; default: push",
+        help="push: one arm hits a box; grab: two arms clamp and lift it; excite: free motion; default: push",
     )
     maker.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE.yaml", help="file to write")
     add_json(maker)

@@ -32,20 +32,20 @@ example:
   {PROGRAM} show campaigns/push/cat_food__case_2__s1.000__r0
   {PROGRAM} show campaigns/push/cat_food__case_2__s1.000__r0 -o impact.html --no-browser
 
-A run of a laboratory, as compare reads it; with --model beside what the model does instead, window by window:
+A run recorded with another controller, as compare reads it; with --model beside its twin, window by window:
   {PROGRAM} show lab --experiment lab/experiment.yaml --run run_03
   {PROGRAM} show lab --experiment lab/experiment.yaml --run run_03 --model model_2.yaml
 
-The graph that runs now (up, a cell, nodes of your own), until Ctrl-C; serves this machine alone:
+Running nodes (up, a cell, nodes of your own), live until Ctrl-C; the page is served to this machine alone:
   {PROGRAM} show --live
   {PROGRAM} show --live --namespace cell_a --no-browser
 
-Units: s, m, m/s, N, joints in rad and rad/s (those that slide: m and m/s)."""
+Units: s, m, m/s, N; joints in rad and rad/s (prismatic joints in m and m/s)."""
 
-MOST_LOOKED_AT = 1000  # folders of which one is named where another was given
+MOST_LOOKED_AT = 1000  # folders searched for a trial to suggest
 LIVE_ALONE = ("namespace", "port")  # options that only --live has
 LABORATORY_ALONE = ("run_name", "model", "jobs", "scheduler")  # and those of --experiment
-OF_PAGES = ("path", "output", "experiment", *LABORATORY_ALONE)  # and what --live has nothing for
+OF_PAGES = ("path", "output", "experiment", *LABORATORY_ALONE)  # and options that mean nothing with --live
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -53,23 +53,23 @@ def add(parser: argparse.ArgumentParser) -> None:
     declare(parser, run, TEXT)
     parser.add_argument(
         "path", type=Path, metavar="BAG", nargs="?",
-        help="folder of a trial; with --experiment the folder of the recordings; none with --live",
+        help="folder of a trial; with --experiment the folder of the recordings; leave it out with --live",
     )  # fmt: skip
     parser.add_argument(
         "--experiment", type=Path, metavar="FILE.yaml",
-        help="BAG is a folder of a laboratory's runs: experiment file that says what they are (docs/laboratory.md); "
-        "seen from the working directory, else from BAG",
+        help="BAG is a folder of runs recorded with another controller: their experiment file (docs/laboratory.md); "
+        "relative to the working directory, else to BAG",
     )  # fmt: skip
     parser.add_argument(
-        "--run", dest="run_name", metavar="NAME", help="with --experiment: which run, as its table calls it"
+        "--run", dest="run_name", metavar="NAME", help="with --experiment: name of the run in its table"
     )
     parser.add_argument(
         "--model",
         type=Path,
         metavar="FILE",
-        help="with --experiment: model file, or nominal, to be seen beside the run",
+        help="with --experiment: model file, or nominal, whose twin is shown beside the run",
     )
-    parser.add_argument("--live", action="store_true", help="show the graph that runs now, until Ctrl-C")
+    parser.add_argument("--live", action="store_true", help="show the running nodes until Ctrl-C")
     parser.add_argument("--namespace", metavar="NAME", help="with --live: ROS namespace of the nodes; default: none")
     parser.add_argument("--port", type=int, metavar="N", help="with --live: port to listen on; default: a free one")
     parser.add_argument(
@@ -84,29 +84,29 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     if args.live:
-        _none_of(args, OF_PAGES, "--live shows the graph that runs now")
+        _none_of(args, OF_PAGES, "--live shows running nodes")
         if args.json:
-            raise InputError("--live serves a page until Ctrl-C, which has no document; leave --json out")
+            raise InputError("--live serves a page and has no JSON document; leave --json out")
         from impact_rs_cli.live import show_live  # ROS 2 and a web server, which a page in a file does without
 
         return show_live(args.namespace or "", args.port or 0, not args.no_browser, terminal)
     _none_of(args, LIVE_ALONE, "without --live a page is written into a file")
     if args.path is None:
-        raise InputError("nothing to show; expected BAG, the folder of a trial, or --live")
+        raise InputError("expected BAG, the folder of a trial, or --live")
     if args.experiment is None:
-        _none_of(args, LABORATORY_ALONE, "BAG without --experiment is a trial of our own")
+        _none_of(args, LABORATORY_ALONE, "without --experiment BAG is a trial of impact_rs")
         page = _trial_page(args)
     else:
         page = _laboratory_page(args, terminal)
     terminal.result({"page": str(page)})
     terminal.say(f"page: {page}")
     if not args.no_browser and not webbrowser.open(page.as_uri()):
-        terminal.warn("no browser was found; open the page by hand")
+        terminal.warn("no browser found; open the page yourself")
     return 0
 
 
 def _none_of(args: argparse.Namespace, names: tuple[str, ...], why: str) -> None:
-    """Check that options are not given that mean nothing here.
+    """Check that no option is given that has no meaning here.
 
     Raises:
         InputError: One is.
@@ -125,10 +125,10 @@ def _output(args: argparse.Namespace, name: str) -> Path:
 
 
 def check_trial(path: Path) -> None:
-    """Check that a path is the folder of a trial, or of what is left of one.
+    """Check that a path is the folder of a trial, complete or damaged.
 
     Raises:
-        InputError: It is not; the message says what it is, and where trials are.
+        InputError: It is not; the message says what it is, and names a trial nearby.
     """
     if not path.exists():
         raise InputError("no such folder; expected the folder of a trial", file=path)
@@ -153,7 +153,7 @@ def _trial_page(args: argparse.Namespace) -> Path:
 
 def _laboratory_page(args: argparse.Namespace, terminal: Terminal) -> Path:
     if args.run_name is None:
-        raise InputError("--experiment names a folder of runs, of which one is shown; name it with --run")
+        raise InputError("--experiment names a folder of runs; select one with --run NAME")
     directory = args.path.absolute()
     args.experiment = experiment_file(args.experiment, directory, terminal)
     experiment = load_experiment(args.experiment)
@@ -168,11 +168,11 @@ def _laboratory_page(args: argparse.Namespace, terminal: Terminal) -> Path:
 
 
 def _beside_model(args: argparse.Namespace, item: LaboratoryRun, map_tasks: Map, terminal: Terminal) -> AlignedRun:
-    """The run beside its replay; all runs are read, for their clocks are found together, as compare does it."""
+    """The run beside its twin; all runs are read, because their clocks are estimated together."""
     model = load_model(args.model)
     runs = read_experiment(args.path, args.experiment, map_tasks, terminal)
     found = next((own for own in runs.runs if own.path == item.path), None)
     if found is None:
         reason = dict(runs.skipped).get(str(item.path), "it was left out")
-        raise InputError(f"cannot be held against a model: {reason}", file=item.path)
+        raise InputError(f"cannot be compared with a model: {reason}", file=item.path)
     return align(found, model)

@@ -9,7 +9,7 @@ from pathlib import Path
 from impact_rs_analysis.measure.study import analyze_study, study_manifests
 from impact_rs_cli.arguments import add_contact, add_jobs, workforce_of
 from impact_rs_cli.commands.analyze import publish
-from impact_rs_cli.commands.campaign import counted, follow, owned_campaigns, tell_wrong
+from impact_rs_cli.commands.campaign import counted, follow, owned_campaigns, warn_wrong
 from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
 from impact_rs_trials.campaign import Manifest
 from impact_rs_trials.sensitivity import with_sensitivity
@@ -18,12 +18,12 @@ from impact_rs_trials.workers import workers
 
 TEXT = """\
 Run the whole published study, analyse it and write one report: both scenarios (push with one arm, grab with two), three
-objects, three cases, five post-impact references, five repeats: 450 trials. Then, for the systematic band of the
-estimates, 126 trials in which one setting at a time is halved or doubled that they should not depend on.
+objects, three cases, five post-impact references, five repeats: 450 trials. Then 126 trials for the systematic band of
+the estimates: one setting at a time, on which they should not depend, is halved or doubled.
 
-A study that was interrupted goes on where it stopped when the same command is given again. Its two campaigns lie in
-DIR/push and DIR/grab, like any campaign; tables, averages and all figures are in DIR/report, beside the published
-numbers. Tables have the predictions for the first contact and for the settled one (see impact-rs map --help).
+To continue an interrupted study, run the same command again. Its two campaigns are DIR/push and DIR/grab; tables, means
+and all figures are in DIR/report, beside the published numbers. The tables have predictions for the first and for the
+settled contact (see impact-rs map --help).
 
 example:
   impact-rs study -o study
@@ -42,9 +42,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--no-sensitivity",
         dest="sensitivity",
         action="store_false",
-        help="leave out the 126 trials that tell the systematic band of the estimates",
+        help="leave out the 126 trials for the systematic band of the estimates",
     )
-    add_contact(parser, "predictions that the figures show; there is a table of each")
+    add_contact(parser, "predictions shown in the figures; both have a table")
     add_jobs(parser)
     add_json(parser)
     parser.set_defaults(resumable=True)
@@ -62,9 +62,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             reports = owned_campaigns(store, campaigns, workforce)
             ran = follow(reports, campaigns, terminal, f"{name}: trials")
             failed += sum(report.outcome == "ABORTED" for report in ran)
-            tell_wrong(ran, terminal)
-            terminal.say(f"{name}: {counted(ran) or 'all trials were there'}")
-    with terminal.progress("reading bags") as tell, workers(workforce) as map_tasks:
-        analysis = analyze_study(args.output, tell, map_tasks)
+            warn_wrong(ran, terminal)
+            terminal.say(f"{name}: {counted(ran) or 'all trials had been recorded'}")
+    with terminal.progress("reading bags") as report_progress, workers(workforce) as map_tasks:
+        analysis = analyze_study(args.output, report_progress, map_tasks)
     publish(analysis, args.output / "report", terminal, args.contact)
     return 0 if analysis.sets and not failed and not analysis.missing else 1

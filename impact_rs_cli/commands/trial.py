@@ -16,12 +16,12 @@ from impact_rs_trials.campaign import make_manifest, run_one
 TEXT = """\
 Run one trial of a scenario in this process and record it as a bag.
 
---scale multiplies the post-impact reference velocity that the impact map predicts; 1.0 follows the prediction. The
-trial is the same as repeat 0 of a campaign with the same seed.
+--scale multiplies the predicted post-impact velocity to give the reference; 1.0 follows the prediction. The trial
+equals repeat 0 of a campaign with the same seed.
 
 example:
   impact-rs trial push cat_food case_2 --scale 0.9 --seed 7 -o trials
-  impact-rs analyze trials        # from three scales on: where does the net feedback cross zero?
+  impact-rs analyze trials        # needs trials at three scales or more
 
 Units: the scale has none; speeds are in m/s."""
 

@@ -13,10 +13,10 @@ from impact_rs_sim.scenario import load_scenario
 TEXT = """\
 Start the ROS 2 nodes (plant, controller, impact map, recorder, experiment) and keep them running until Ctrl-C.
 
-Says which services and actions they offer. What `ros2 launch impact_rs impact_rs.launch.py` does where the ROS 2
-command line is installed.
+Prints their services and actions. Equivalent to `ros2 launch impact_rs impact_rs.launch.py`, without the ROS 2 command
+line.
 
-With --without, a node of your own takes the place of one of them; what it must do is in docs/foreign_plant.md.
+With --without, a node of your own replaces one of them; docs/foreign_plant.md lists its duties.
 
 example:
   impact-rs up push

@@ -11,16 +11,16 @@ from impact_rs_sim.errors import InputError
 from impact_rs_workbench.server import serve
 
 TEXT = f"""\
-Walk the loop with the mouse: predict, measure, compare, diagnose, add, history, on one page in the browser.
+Run the loop on one page in the browser: predict, measure, compare, diagnose, add, history.
 
-Serves this machine alone, until Ctrl-C; the address that it prints holds the key. Everything it does is a command of
-this command line, shown to be copied, and everything it makes is a file in DIR, so closing the page loses nothing.
+The page is served to this machine alone, until Ctrl-C; the printed address contains the access key. Every action is a
+command of this command line, which the page shows, and every result is a file in DIR: closing the page loses nothing.
 
 example:
   {PROGRAM} workbench
   {PROGRAM} workbench campaigns --no-browser
 
-Units: with every number on the page."""
+Units: beside every number on the page."""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -37,10 +37,10 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     if args.directory.exists() and not args.directory.is_dir():
-        raise InputError("a file where the folder of the workbench is expected", file=args.directory)
+        raise InputError("is a file; expected a folder for the workbench", file=args.directory)
 
-    def tell(address: str) -> None:
-        terminal.say(f"workbench of {args.directory}: {address}", "Ctrl-C ends it; jobs that run are stopped with it")
+    def announce(address: str) -> None:
+        terminal.say(f"workbench of {args.directory}: {address}", "Ctrl-C ends it and stops running jobs")
 
-    serve(args.directory, PROGRAM, args.port, not args.no_browser, tell)
+    serve(args.directory, PROGRAM, args.port, not args.no_browser, announce)
     return 0

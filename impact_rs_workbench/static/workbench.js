@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The page of the workbench. What is shown comes from the server, which reads it from files; nothing is kept here.
+// The page of the workbench. It shows what the server reads from files and stores nothing itself.
 
 const $ = (id) => document.getElementById(id);
 const state = {workspace: null, jobs: [], step: 'predict', chosen: null};
@@ -48,13 +48,13 @@ function later(wait, work) {
 // Fills a list of choices and keeps what was chosen.
 function fill(select, options, wanted) {
   const before = wanted ?? select.value;
-  const told = (all) => JSON.stringify([...all].map((one) => [one.value, one.text]));
-  const same = told(select.options) === told(options);
+  const content = (all) => JSON.stringify([...all].map((one) => [one.value, one.text]));
+  const same = content(select.options) === content(options);
   if (!same) select.replaceChildren(...options.map((one) => new Option(one.text, one.value)));
   if (options.some((one) => one.value === before)) select.value = before;
 }
 
-// Replaces what has changed, and nothing else: a button that is replaced while a pointer is down on it hears no click.
+// Replaces changed items only: a button that is replaced while the pointer is down gets no click.
 function refill(node, items) {
   const before = [...node.children];
   items.forEach((item, index) => {
@@ -77,12 +77,12 @@ function commandLine(text) {
   return h('div', {class: 'command'}, h('code', {}, text), copied);
 }
 
-// A command that is told while a form is filled in, or the one line that is wrong with it.
-function teller() {
-  const node = h('div', {class: 'told', 'aria-live': 'polite'});
+// The message below a form: the command that it makes, or the error in its input.
+function messageArea() {
+  const node = h('div', {class: 'message', 'aria-live': 'polite'});
   return {
     node,
-    // What stands there is of an earlier question: it stays where it is, so that nothing jumps, and looks like it.
+    // The message belongs to an earlier question: it stays in place, so that nothing jumps, and is greyed out.
     wait() { node.setAttribute('aria-busy', 'true'); },
     show(...items) { node.removeAttribute('aria-busy'); node.replaceChildren(...items); },
     command(text) { this.show(commandLine(text)); },
@@ -128,32 +128,32 @@ function draw(node, figure, config = {}) {
   return Plotly.react(node, data, layout, {displaylogo: false, displayModeBar: false, ...config});
 }
 
-// ---- what a thing is ------------------------------------------------------------------------------------------------
+// ---- explanations ------------------------------------------------------------------------------------------------
 
 const ABOUT = {
-  predict: {title: 'Impact map', text: 'The velocities just after an impact, from those just before: rigid bodies, one ' +
-    'instant, forces that are not impulsive drop out. B is the motor inertia during the impact: B_θ is what the torque loop leaves of it, B_ρ that of the whole rotor.',
+  predict: {title: 'Impact map', text: 'Maps the velocities just before an impact to those just after it: rigid bodies, instantaneous, ' +
+    'finite forces neglected. B is the reflected inertia of the motors: B_θ with the torque loop, B_ρ of the rotors without it.',
     equation: '(M + B)(v⁺ − v⁻) = J_cᵀ Λ\n0 ≤ Λₙ ⊥ Jₙ v⁺ + e Jₙ v⁻ ≥ 0\n|Λₜ| ≤ µ Λₙ, against sliding',
     units: 'm/s, rad/s; impulses in N s; axes of the world frame', page: 'physics.md'},
   measure: {title: 'Trials', text: 'A trial is one hit and the push after it, recorded as one bag. A campaign repeats it for ' +
-    'post-impact references below and above the prediction; an interrupted one goes on where it stopped.',
-    equation: 'a_fb,net = ∫ a_fb dt from T_nom − 0.1 s to T_nom + 0.6 s', units: 'scales have none: reference over prediction',
+    'post-impact references below and above the prediction. Run an interrupted campaign again to continue it.',
+    equation: 'a_fb,net = ∫ a_fb dt from T_nom − 0.1 s to T_nom + 0.6 s', units: 'none for scales (reference over prediction)',
     page: 'bags.md'},
-  laboratory: {title: 'Runs of a laboratory', text: 'A robot that pushes a box with its own controller: joint states, torque, ' +
-    'and motion capture of the box are enough. Every run is replayed open loop with the recorded torque.',
-    units: 'each signal says its own in the mapping', page: 'laboratory.md'},
-  compare: {title: 'Score', text: 'One number for all signals and conditions: 1 is what repeating a trial gives alone. Cells of the ' +
-    'map say where the model fails, measured minus model.',
-    equation: 'score² = Σ r² / Σ (s²/n + d²)', units: 'multiples of repetition; differences in their own unit',
+  laboratory: {title: 'Runs of another controller', text: 'A robot that pushes a box with its own controller: joint states, torque, ' +
+    'and motion capture of the box are enough. Each run has a twin: an open-loop simulation driven by the recorded torque.',
+    units: 'the mapping names the unit of each signal', page: 'laboratory.md'},
+  compare: {title: 'Score', text: 'One number for all signals and conditions, as a multiple of repeatability (the scatter of repeats). The cells of ' +
+    'the map show where the model fails: measured minus model.',
+    equation: 'score² = Σ r² / Σ (s²/n + d²)', units: 'multiples of repeatability; differences in their own unit',
     page: 'missing_effects.md'},
-  diagnose: {title: 'Diagnosis', text: 'Every effect of the library is fitted and judged by how well it predicts conditions ' +
-    'that no part of the search has seen.', equation: 'error held out: before → after', units: 'multiples of what repetition alone gives',
+  diagnose: {title: 'Diagnosis', text: 'Every effect of the library is fitted and judged by its held-out error: the error on conditions ' +
+    'that the search has not seen.', equation: 'held-out error: before → after', units: 'multiples of repeatability',
     page: 'missing_effects.md'},
-  add: {title: 'A better model', text: 'The parent and one effect with its estimate. Model files are never overwritten and name their ' +
-    'parent. An effect of your own is a formula; nothing but arithmetic is understood.',
-    units: 'each parameter says its own', page: 'missing_effects.md'},
-  history: {title: 'History', text: 'How the error fell from model to model: with the parameters of the file, and held out, which ' +
-    'fitting noise makes worse.', units: 'multiples of what repetition alone gives', page: 'missing_effects.md'},
+  add: {title: 'A better model', text: 'The parent model with one more effect and its estimate. Model files are never overwritten and name their ' +
+    'parent. An effect of your own is an arithmetic formula.',
+    units: 'beside each parameter', page: 'missing_effects.md'},
+  history: {title: 'History', text: 'How the error fell from model to model: with the parameters of the file, and held out, where ' +
+    'fitting noise does not help.', units: 'multiples of repeatability', page: 'missing_effects.md'},
 };
 
 function showAbout({title, text, equation, units, page, facts = [], actions = []}) {
@@ -189,34 +189,34 @@ async function openManual(name) {
 
 // ---- forms that become commands ---------------------------------------------------------------------------------------
 
-// A form whose content is a command: told while it is filled in, run as a job when it is sent.
+// A form that makes a command: shown while the form is filled in, run as a job on submit.
 function orderForm(fields, body, label, extra = []) {
-  const told = teller();
+  const message = messageArea();
   const button = h('button', {class: 'primary', type: 'submit'}, label);
-  let asked = 0; // what was asked before may be answered later, and is of no interest then
+  let asked = 0; // number of the newest question: late answers to earlier ones are dropped
   const ask_ = later(150, async () => {
     const content = body(), number = ++asked;
-    if (!content) { told.show(); button.disabled = true; return; }
+    if (!content) { message.show(); button.disabled = true; return; }
     try {
       const {command} = await ask('/api/command', content);
       if (number !== asked) return;
-      told.command(command);
+      message.command(command);
       button.disabled = false;
-    } catch (error) { if (number === asked) { told.error(error.message); button.disabled = true; } }
+    } catch (error) { if (number === asked) { message.error(error.message); button.disabled = true; } }
   });
   let before = null;
-  const tell = () => {
+  const refresh = () => {
     const content = JSON.stringify(body() ?? null);
-    if (content !== before) told.wait();
+    if (content !== before) message.wait();
     before = content;
     ask_();
   };
   const node = h('form', {novalidate: true, onsubmit: async (event) => {
     event.preventDefault();
-    try { keepJob(await ask('/api/jobs', body())); } catch (error) { told.error(error.message); }
-  }, oninput: tell, onchange: tell}, h('div', {class: 'fields'}, ...fields),
-  h('div', {class: 'actions'}, button, ...extra), told.node); // below the button, which it must not move from under a click
-  return {node, tell, told};
+    try { keepJob(await ask('/api/jobs', body())); } catch (error) { message.error(error.message); }
+  }, oninput: refresh, onchange: refresh}, h('div', {class: 'fields'}, ...fields),
+  h('div', {class: 'actions'}, button, ...extra), message.node); // below the button, which must not move while it is clicked
+  return {node, refresh, message};
 }
 
 function keepJob(job) {
@@ -241,21 +241,21 @@ const predict = {
     this.table = h('tbody');
     this.facts = h('p', {class: 'note', id: 'predict-facts'});
     this.budget = h('ul', {class: 'bars'});
-    this.told = teller();
+    this.message = messageArea();
     this.numbers = h('div', {class: 'two', id: 'predict-numbers'},
       h('div', {}, h('div', {class: 'scroll'}, h('table', {id: 'predict-table'}, h('thead', {}, h('tr', {},
         ...['body, axis', 'before', 'after', '95 % interval'].map((text) => h('th', {scope: 'col'}, text)))), this.table)),
       this.facts),
-      h('div', {}, h('h3', {}, 'Who contributes to the interval'), this.budget));
+      h('div', {}, h('h3', {}, 'Sources of the interval'), this.budget));
     this.plot.redrawn = () => { if (this.answer) this.paint(); };
     return h('section', {},
       h('h2', {}, 'Predict the velocities just after the impact'),
       h('div', {class: 'fields'}, labelled('scenario', this.scenario), labelled('object', this.object),
         labelled('case', this.case), labelled('motor inertia', this.inertia), labelled('arm in the figure', this.arm, {hidden: true})),
       this.sliders,
-      h('details', {}, h('summary', {}, 'How well numbers are known (95 %, relative)'), this.known),
-      this.plot, this.told.node, this.numbers,
-      h('div', {class: 'actions'}, h('button', {type: 'button', onclick: () => this.reset()}, 'Sliders back'),
+      h('details', {}, h('summary', {}, 'Uncertainty of the inputs (95 %, relative)'), this.known),
+      this.plot, this.message.node, this.numbers,
+      h('div', {class: 'actions'}, h('button', {type: 'button', onclick: () => this.reset()}, 'Reset sliders'),
         h('button', {type: 'button', onclick: () => this.measure()}, 'Measure this')));
   },
 
@@ -277,17 +277,17 @@ const predict = {
       fill(this.arm, plain(Object.keys(found.arms)));
       this.arm.parentElement.hidden = this.arm.options.length < 2;
       this.objectChosen();
-    } catch (error) { if (name === this.scenario.value) this.told.error(error.message); }
+    } catch (error) { if (name === this.scenario.value) this.message.error(error.message); }
   },
 
-  // Something else is asked about: nothing that was told of the thing before stays under the new headings.
+  // The question has changed: no answer to the earlier one stays under the new headings.
   clear() {
     this.sweep = this.answer = this.question = null;
     this.sweepNumber += 1;
-    this.told.show();
+    this.message.show();
     this.table.replaceChildren();
     this.budget.replaceChildren();
-    this.facts.textContent = 'Being worked out …';
+    this.facts.textContent = 'Computing …';
     delete this.plot.dataset.shown;
     delete this.plot.dataset.over;
     this.plot.style.minHeight = `${this.plot.offsetHeight}px`; // what is below stays where it is
@@ -318,7 +318,7 @@ const predict = {
       input.addEventListener('input', () => moved(true));
       input.addEventListener('change', () => moved(false));
       input.addEventListener('focus', () => showAbout({title: slider.label, text: slider.meaning, page: slider.page,
-        facts: [`The scenario says ${number(slider.value)}${unit(slider.unit)}; key ${slider.key}.`], equation: ABOUT.predict.equation}));
+        facts: [`Scenario: ${number(slider.value)}${unit(slider.unit)}; key ${slider.key}.`], equation: ABOUT.predict.equation}));
       return label;
     };
     this.sliders.replaceChildren(...all.filter((one) => !one.known).map(made));
@@ -332,7 +332,7 @@ const predict = {
   async again(moving = false) {
     this.wanted = {scenario: this.scenario.value, object: this.object.value, case: this.case.value, arm: this.arm.value,
       motor_inertia: this.inertia.value, values: {...this.values}, moving};
-    this.told.wait();
+    this.message.wait();
     this.numbers.setAttribute('aria-busy', 'true');
     if (this.busy) return;
     this.busy = true;
@@ -341,7 +341,7 @@ const predict = {
       this.wanted = null;
       try {
         const answer = await ask('/api/predict', question);
-        if (this.wanted && !this.same(question, this.wanted)) continue; // of something that is looked at no more
+        if (this.wanted && !this.same(question, this.wanted)) continue; // the answer to an earlier question
         this.question = question;
         this.show(answer, question);
       } catch (error) {
@@ -349,7 +349,7 @@ const predict = {
         this.clear();
         this.numbers.removeAttribute('aria-busy');
         this.facts.textContent = '';
-        this.told.error(error.message);
+        this.message.error(error.message);
       }
     }
     this.busy = false;
@@ -369,22 +369,22 @@ const predict = {
       if (found.superseded) { this.sweepAgain(); return; } // by another tab
       this.sweep = found;
       this.paint();
-    } catch (error) { this.told.error(error.message); }
+    } catch (error) { this.message.error(error.message); }
   },
 
   show(answer, question) {
     this.answer = answer;
-    this.told.command(answer.command);
+    this.message.command(answer.command);
     this.table.replaceChildren(...answer.rows.filter((row) => row.main || Math.max(Math.abs(row.before), Math.abs(row.after)) > 5e-4)
       .map((row) => h('tr', {class: row.main ? 'main' : ''}, h('td', {}, `${row.body}, ${row.axis}`), h('td', {}, fixed(row.before)),
         h('td', {}, fixed(row.after)), h('td', {}, row.low === null ? '–' : `${fixed(row.low)} … ${fixed(row.high)}`))));
     const impulses = Object.entries(answer.impulses), several = impulses.length > 1;
     const pushed = impulses.map(([arm, values]) => `${several ? `${arm} ` : ''}[${values.map((value) => fixed(value)).join(', ')}]`).join(', ');
-    const told = answer.moving ? '; interval from few draws while a slider moves' : answer.interval ? `; interval ${({monte_carlo: 'Monte Carlo'}[answer.interval.method] ?? answer.interval.method.replace('_', ' '))}, ${answer.interval.draws} draws` : '';
-    this.facts.textContent = `m/s. Impulse of the pad${several ? 's' : ''} on the object ${pushed} N s${told}. ${answer.note}`;
+    const method = answer.moving ? '; interval from few draws while a slider moves' : answer.interval ? `; interval ${({monte_carlo: 'Monte Carlo'}[answer.interval.method] ?? answer.interval.method.replace('_', ' '))}, ${answer.interval.draws} draws` : '';
+    this.facts.textContent = `m/s. Impulse of the pad${several ? 's' : ''} on the object ${pushed} N s${method}. ${answer.note}`;
     this.numbers.removeAttribute('aria-busy');
     this.plot.style.minHeight = '';
-    this.budget.classList.toggle('stale', answer.moving); // few draws tell no shares
+    this.budget.classList.toggle('stale', answer.moving); // too few draws for shares
     if (!answer.moving) this.budget.replaceChildren(...answer.budget.slice(0, 7).map((one) => h('li', {}, h('span', {}, one.source),
       h('i', {style: `width: ${(100 * one.share).toFixed(1)}%`}), h('span', {}, `${Math.round(100 * one.share)} %`))));
     this.place(question.moving);
@@ -394,14 +394,14 @@ const predict = {
   // The row of the figure's body.
   row() { return this.answer.rows.find((one) => one.main && one.body === this.answer.arm); },
 
-  // Where we stand on the map: shapes, which a figure moves without working out its lines and axes again.
+  // Markers of the current values: shapes, which Plotly moves without computing lines and axes again.
   marks() {
     const slider = this.slider(), x = this.values[slider.key] ?? slider.value;
-    const row = this.row(), thing = this.answer.rows.find((one) => one.main && one.body === 'object');
+    const row = this.row(), object = this.answer.rows.find((one) => one.main && one.body === 'object');
     const dot = (y, size, colour) => ({type: 'circle', xsizemode: 'pixel', ysizemode: 'pixel', xanchor: x, yanchor: y, x0: -size, x1: size,
       y0: -size, y1: size, fillcolor: seen(colour), line: {width: 0}});
     const bar = row.low === null ? [] : [{type: 'line', x0: x, x1: x, y0: row.low, y1: row.high, line: {width: 4, color: seen('#000000')}}];
-    return [...bar, dot(row.after, 6, '#000000'), dot(thing.after, 4, '#E69F00')];
+    return [...bar, dot(row.after, 6, '#000000'), dot(object.after, 4, '#E69F00')];
   },
 
   slider() { return this.found.sliders[this.object.value].find((one) => one.key === this.over); },
@@ -411,7 +411,7 @@ const predict = {
     if (moving && drawn) Plotly.relayout(this.plot, {shapes: this.marks()}); else this.paint();
   },
 
-  // The map over one slider, and where we stand on it.
+  // The impact map over one slider, with markers of the current values.
   paint() {
     const slider = this.slider(), key = slider.key, row = this.row();
     const lines = this.sweep?.slider.key === key ? this.sweep : null;
@@ -485,7 +485,7 @@ const measure = {
       cases: ticked(cases), scales: ticked(scales).map(Number), trials: Number(trials.value), seed: Number(seed.value),
       via: via.value === 'nodes' ? 'nodes' : 'inprocess', scheduler: via.value === 'scheduler' ? address.value : null},
     'Start the campaign');
-    // How much that is, and what an analysis will miss.
+    // Number of trials, and whether an analysis needs more.
     const count = h('p', {class: 'note', id: 'campaign-count', 'aria-live': 'polite'});
     this.counted = () => {
       const [some, ways, levels] = [objects, cases, scales].map((box) => ticked(box).length), all = some * ways * levels * trials.value;
@@ -494,7 +494,7 @@ const measure = {
         'and three trials of each object and case; Compare and Diagnose do not.' : ''}` : '';
     };
     for (const event of ['input', 'change']) made.node.addEventListener(event, this.counted);
-    Object.assign(this, {scenario, objects, cases, scales, output, tellCampaign: made.tell, campaignTold: made.told});
+    Object.assign(this, {scenario, objects, cases, scales, output, refreshCampaign: made.refresh, campaignMessage: made.message});
     return h('div', {}, made.node, count);
   },
 
@@ -509,7 +509,7 @@ const measure = {
       labelled('case', this.trialCase), labelled('reference over prediction', scale), labelled('seed', seed), labelled('folder', output)],
     () => this.trialObject.value && {step: 'trial', scenario: this.trialScenario.value, object: this.trialObject.value,
       case: this.trialCase.value, scale: Number(scale.value), seed: Number(seed.value), output: output.value}, 'Run the trial');
-    Object.assign(this, {tellTrial: made.tell, trialTold: made.told});
+    Object.assign(this, {refreshTrial: made.refresh, trialMessage: made.message});
     return made.node;
   },
 
@@ -519,9 +519,9 @@ const measure = {
     seed.addEventListener('input', () => { output.value = `blind_${seed.value}`; });
     const made = orderForm([labelled('seed: draws effect and size', seed), labelled('folder', output)],
       () => ({step: 'blind', seed: Number(seed.value), output: output.value}), 'Make the campaign');
-    this.tellBlind = made.tell;
-    return h('div', {}, h('p', {class: 'note'}, 'The plant hides one effect that you do not know; find it in Compare and Diagnose. ' +
-      'The truth is written beside the trials.'), made.node);
+    this.refreshBlind = made.refresh;
+    return h('div', {}, h('p', {class: 'note'}, 'The plant has one hidden effect; find it with Compare and Diagnose. ' +
+      'truth.json beside the trials names it.'), made.node);
   },
 
   async update() {
@@ -534,16 +534,16 @@ const measure = {
     this.asked = true;
     if (wanted) this.scenario.value = wanted.scenario;
     if (first || wanted) this.choose(wanted ?? {});
-    if (first) { this.chooseTrial(); this.tellBlind(); }
+    if (first) { this.chooseTrial(); this.refreshBlind(); }
   },
 
   async choose(only = {}) {
     const mine = this.choices = (this.choices ?? 0) + 1;
     let found = null;
     this.scenarioFound = null;
-    this.tellCampaign();
+    this.refreshCampaign();
     try { found = await ask(`/api/scenario?${query({name: this.scenario.value})}`); } catch (error) {
-      if (mine === this.choices) this.campaignTold.error(error.message);
+      if (mine === this.choices) this.campaignMessage.error(error.message);
       return;
     }
     if (mine !== this.choices) return; // another one was chosen meanwhile
@@ -554,31 +554,31 @@ const measure = {
         text)));
     };
     const chosen = (all, one) => all.map(([value, text], index) => ({value, text, on: one ? value === one : index < 1}));
-    boxes(this.objects, chosen(Object.entries(found.objects).map(([key, thing]) => [key, thing.label]), only.object));
+    boxes(this.objects, chosen(Object.entries(found.objects).map(([key, one]) => [key, one.label]), only.object));
     boxes(this.cases, chosen(Object.entries(found.cases), only.case));
     boxes(this.scales, found.scales.map((scale) => ({value: scale, text: `${scale}`, on: true}))); // an estimate needs several
     if (!this.typed) this.output.value = `campaigns/${stem(this.scenario.value)}${only.object ? `_${only.object}` : ''}`;
     this.counted();
-    this.tellCampaign();
+    this.refreshCampaign();
   },
 
   async chooseTrial() {
     const name = this.trialScenario.value;
     this.trialObject.replaceChildren();
     let found = null;
-    try { found = await ask(`/api/scenario?${query({name})}`); } catch (error) { this.trialTold.error(error.message); return; }
+    try { found = await ask(`/api/scenario?${query({name})}`); } catch (error) { this.trialMessage.error(error.message); return; }
     if (name !== this.trialScenario.value) return;
     this.trialScale.max = found.largest_scale;
     fill(this.trialObject, Object.entries(found.objects).map(([value, one]) => ({value, text: one.label})));
     fill(this.trialCase, Object.entries(found.cases).map(([value, text]) => ({value, text})));
-    this.tellTrial();
+    this.refreshTrial();
   },
 
 };
 
 // ---- compare ------------------------------------------------------------------------------------------------------------
 
-// RUNS of a form: campaigns, folders of several, and laboratories that have said what they are.
+// RUNS of a form: campaigns, folders of several, and described recordings of laboratories.
 function runsChoices() {
   const labs = state.workspace.laboratories.filter((lab) => lab.experiment && !lab.error);
   return [...state.workspace.runs.map((value) => ({value, text: value})),
@@ -598,7 +598,7 @@ function floats(text) {
   return new Float32Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
 }
 
-// RUNS, model and folder of a step, whose name follows both until somebody types another one.
+// RUNS, model and folder of a step; the name of the folder follows both until the user types another one.
 function runsForm(step, label, {extraFields = [], extra = () => ({}), only = () => true, newest = false} = {}) {
   const runs = h('select', {id: `${step}-runs`}), model = h('select', {id: `${step}-model`}), output = h('input', {id: `${step}-output`});
   let typed = false, chosen = false;
@@ -615,7 +615,7 @@ function runsForm(step, label, {extraFields = [], extra = () => ({}), only = () 
     if (there) this.wanted = null;
     fill(model, modelChoices().filter((one) => only(one.value)), newest && !chosen ? newestModel() : undefined);
     named();
-    made.tell();
+    made.refresh();
   }};
 }
 
@@ -627,7 +627,7 @@ const compare = {
     this.form = runsForm('compare', 'Compare');
     this.report = h('select', {id: 'compare-report', onchange: () => this.open()});
     this.result = h('div', {id: 'compare-result'});
-    this.none = emptyNote('Nothing to compare yet: measure something first, or practise on a campaign with a hidden effect.');
+    this.none = emptyNote('No measurements yet: run a campaign first, or practise on one with a hidden effect.');
     return h('section', {}, h('h2', {}, 'Compare model and measurement'), this.none, this.form.node,
       labelled('report', this.report), this.result);
   },
@@ -638,8 +638,8 @@ const compare = {
     const found = state.workspace.reports.filter((path) => path.endsWith('compare.html') || path.endsWith('report.html'));
     fill(this.report, plain(found), this.wanted && found.includes(this.wanted) ? this.wanted : undefined);
     this.report.parentElement.hidden = !found.length;
-    const told = state.workspace.stamps[this.report.value];
-    if (this.report.value && (this.report.value !== this.opened || told !== this.stamp)) this.open();
+    const stamp = state.workspace.stamps[this.report.value];
+    if (this.report.value && (this.report.value !== this.opened || stamp !== this.stamp)) this.open();
     if (this.wanted === this.report.value) this.wanted = null;
   },
 
@@ -666,7 +666,7 @@ const compare = {
       return {title, figure, node};
     });
     this.result.replaceChildren(h('p', {class: 'answer'}, h('b', {}, `Score ${number(found.score)}`), found.headline),
-      maps.length ? h('p', {class: 'note'}, 'Measured minus model, in multiples of repetition. Click on a cell to see its signal over time.') : '',
+      maps.length ? h('p', {class: 'note'}, 'Measured minus model, in multiples of repeatability. Click on a cell to see its signal over time.') : '',
       ...maps.flatMap(({title, node}) => [h('h3', {}, title), node]),
       found.cells.length ? labelled('or choose a place, the worst first', choose) : '', this.signal, ...this.frame,
       ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
@@ -691,7 +691,7 @@ const compare = {
         figure: JSON.parse(page.getElementById(plot.dataset.tracks).textContent)} : null;
       this.tracksOf = `${path} ${this.stamp}`;
     }
-    if (!this.tracks) { this.signal.replaceChildren(emptyNote('This report holds no signals over time.')); return; }
+    if (!this.tracks) { this.signal.replaceChildren(emptyNote('This report has no signals over time.')); return; }
     const {sets, figure} = this.tracks;
     const set = sets.find((one) => one.label.startsWith(cell.set)) ?? sets[0];
     const signal = set.signals.find((one) => one.name === cell.signal) ?? set.signals[0];
@@ -704,7 +704,7 @@ const compare = {
     yaxis2: {...figure.layout.yaxis2, title: {text: `residual${shown}`}}};
     const plot = h('div', {class: 'plot'});
     this.signal.replaceChildren(h('h3', {}, `${signal.name}, ${set.label}`),
-      h('p', {class: 'note'}, `${cell.row} is off by ${cell.error}, ${cell.times} × repetition; this signal shows it best. Dotted: begin of the impact.`),
+      h('p', {class: 'note'}, `${cell.row} differs by ${cell.error}, ${cell.times} × repeatability; this signal shows it best. Dotted: start of the impact.`),
       plot);
     draw(plot, {data, layout});
     // The report beside it goes to the same place and moment, its replay included.
@@ -714,7 +714,7 @@ const compare = {
   },
 };
 
-// A report as it lies in the folder; it comes as if from another site, so that nothing in it can act here.
+// A report of the folder, sandboxed as if from another site, so that its scripts cannot act here.
 function wholeReport(path, open) {
   const stamp = state.workspace.stamps[path] ?? '';
   const frame = () => h('iframe', {src: `/files/${path}?${stamp}`, title: `report ${path}`, sandbox: 'allow-scripts allow-popups'});
@@ -731,7 +731,7 @@ const diagnose = {
     const formulas = h('select', {id: 'diagnose-formulas'});
     const effects = h('input', {id: 'diagnose-effects', placeholder: 'all'});
     this.formulas = formulas;
-    this.form = runsForm('diagnose', 'Diagnose', {extraFields: [labelled('effects of my own', formulas), labelled('only these effects', effects)],
+    this.form = runsForm('diagnose', 'Diagnose', {extraFields: [labelled('your own effects', formulas), labelled('only these effects', effects)],
       extra: () => ({formulas: formulas.value, effects: effects.value.split(/[\s,]+/).filter(Boolean)})});
     this.file = h('select', {id: 'diagnose-file', onchange: () => this.open()});
     this.progress = h('div', {});
@@ -756,7 +756,7 @@ const diagnose = {
     const ranking = job?.progress?.ranking ?? [];
     this.progress.replaceChildren(...(job ? [h('p', {role: 'status'}, progressText(job)),
       h('progress', {max: job.progress?.total || 1, ...(job.progress?.total ? {value: job.progress.done} : {})}),
-      ranking.length ? h('p', {class: 'note'}, 'So far: error on left-out conditions with each effect, the smaller the better.') : '',
+      ranking.length ? h('p', {class: 'note'}, 'So far: held-out error with each effect, the smaller the better.') : '',
       ranking.length ? h('ol', {class: 'bars'}, ...ranking.map(([name, error]) => h('li', {},
         h('span', {}, name), h('i', {style: `width: ${Math.min(100, 100 * error / ranking[ranking.length - 1][1]).toFixed(1)}%`}),
         h('span', {}, number(error))))) : ''] : []));
@@ -775,7 +775,7 @@ const diagnose = {
   },
 
   show(found) {
-    const plot = h('div', {class: 'plot', role: 'img', 'aria-label': 'Error on unseen data by effect'});
+    const plot = h('div', {class: 'plot', role: 'img', 'aria-label': 'Held-out error by effect'});
     const rows = found.effects.slice(0, 12).map((effect) => h('tr', {class: effect.tag === 'good' ? 'main' : ''},
       h('td', {title: effect.sentence}, effect.name), h('td', {class: 'text'}, effect.verdict),
       h('td', {}, `${number(effect.before)} → ${number(effect.after)}`), h('td', {}, effect.p),
@@ -786,10 +786,10 @@ const diagnose = {
         ...['parameter', 'estimate', '95 % interval', 'unit'].map((text) => h('th', {scope: 'col'}, text)))), h('tbody', {},
         ...effect.parameters.map((one) => h('tr', {}, h('td', {}, one.name), h('td', {}, one.text[0]),
           h('td', {}, one.text.slice(1).join(' … ') || '–'), h('td', {}, unit(one.unit)))))))),
-      h('h3', {}, 'Ranking'), h('p', {class: 'note'}, `Error on data that the fit has not seen, without the effect and with it, ${found.unit}.`), plot, h('div', {class: 'scroll'}, h('table', {id: 'ranking'}, h('thead', {}, h('tr', {},
-        ...['effect', 'verdict', 'error', 'p', 'into the model'].map((text) => h('th', {scope: 'col', class: text === 'verdict' ? 'text' : null}, text)))), h('tbody', {}, ...rows))),
-      found.left.length ? h('div', {}, h('h3', {}, 'What is left'), h('ul', {}, ...found.left.map((one) => h('li', {},
-        `${one.what} (${one.phase}): ${one.value}, ${one.times} × repetition; relevance limit ${one.floor}`)))) : '',
+      h('h3', {}, 'Ranking'), h('p', {class: 'note'}, `Held-out error without and with the effect, ${found.unit}.`), plot, h('div', {class: 'scroll'}, h('table', {id: 'ranking'}, h('thead', {}, h('tr', {},
+        ...['effect', 'verdict', 'error', 'p', 'add to the model'].map((text) => h('th', {scope: 'col', class: text === 'verdict' ? 'text' : null}, text)))), h('tbody', {}, ...rows))),
+      found.left.length ? h('div', {}, h('h3', {}, 'Unexplained'), h('ul', {}, ...found.left.map((one) => h('li', {},
+        `${one.what} (${one.phase}): ${one.value}, ${one.times} × repeatability; relevance limit ${one.floor}`)))) : '',
       found.next ? this.next(found.next) : '',
       ...wholeReport(this.opened.replace(/[^/]*$/, 'diagnosis.html'), false),
       ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
@@ -808,7 +808,7 @@ const diagnose = {
   },
 };
 
-// Where further trials go: beside those that were measured, so that the same RUNS has them.
+// Further trials are written beside the measured ones, so that the same RUNS contains them.
 const nextFolder = (runs) => state.workspace.campaigns.some((one) => one.path === runs && one.scenario) ?
   runs.split('/').slice(0, -1).join('/') || 'campaigns' : runs || 'campaigns';
 
@@ -829,7 +829,7 @@ const add = {
     this.output = h('input', {id: 'add-output'});
     this.force = h('input', {type: 'checkbox'});
     this.form = orderForm([labelled('diagnosis', this.file, {class: 'long'}), labelled('effect', this.effect, {class: 'long'}), labelled('new model', this.output),
-      h('label', {class: 'tick wide'}, this.force, ' add it although it improves nothing')],
+      h('label', {class: 'tick wide'}, this.force, ' add it although it does not reduce the error')],
     () => this.file.value && this.effect.value && this.parent ? {step: 'add', effect: this.effect.value, source: this.file.value,
       model: this.parent, output: this.output.value, force: this.force.checked} : null, 'Add the effect');
     this.note = h('p', {class: 'note'});
@@ -837,8 +837,8 @@ const add = {
     this.text.value = EXAMPLE;
     this.checked = h('div', {id: 'formula-check', 'aria-live': 'polite'});
     this.name = h('input', {value: 'formulas/mine.yaml', id: 'formula-file'});
-    return h('section', {}, h('h2', {}, 'A better model'), h('h3', {}, 'Add what was diagnosed'), this.note, this.form.node,
-      h('h3', {}, 'An effect of my own'), h('p', {class: 'note'}, 'A formula; it is checked while you write. Saved, it can be chosen in Diagnose.'),
+    return h('section', {}, h('h2', {}, 'A better model'), h('h3', {}, 'Add a diagnosed effect'), this.note, this.form.node,
+      h('h3', {}, 'Your own effect'), h('p', {class: 'note'}, 'A formula, checked while you write. Save it to use it in Diagnose.'),
       this.text, this.checked, h('div', {class: 'fields'}, labelled('file', this.name)),
       h('div', {class: 'actions'}, this.save = h('button', {type: 'button', onclick: () => this.keep()}, 'Save the formulas')));
   },
@@ -846,7 +846,7 @@ const add = {
   update() {
     const files = state.workspace.diagnoses;
     fill(this.file, files.map(({path, verdict, model}) => ({value: path, text: `${path}: ${model}, ${verdict}`})), this.wanted?.file);
-    this.note.textContent = files.length ? '' : 'Nothing is diagnosed yet.';
+    this.note.textContent = files.length ? '' : 'No diagnosis yet.';
     if (this.file.value !== this.opened || this.wanted || state.workspace.stamps[this.file.value] !== this.stamp) this.choose(); else this.named();
     if (!this.wasChecked) { this.wasChecked = true; this.check(); }
   },
@@ -855,10 +855,10 @@ const add = {
     const path = this.opened = this.file.value;
     if (!path) { this.named(); return; }
     this.stamp = state.workspace.stamps[path];
-    this.parent = null; // what was read of another diagnosis is not added
+    this.parent = null; // of the earlier diagnosis
     this.effect.replaceChildren();
     this.note.textContent = `Reading ${path} …`;
-    this.form.tell();
+    this.form.refresh();
     try {
       const found = await ask(`/api/diagnosis?${query({path})}`);
       if (path !== this.opened) return;
@@ -878,7 +878,7 @@ const add = {
       while (used.has(`models/model_${count}.yaml`)) count += 1;
       this.output.value = `models/model_${count}.yaml`;
     }
-    this.form.tell();
+    this.form.refresh();
   },
 
   start(file, effect) { this.wanted = {file, effect}; go('add'); },
@@ -937,12 +937,12 @@ const laboratory = {
   build() {
     this.folder = h('select', {id: 'lab-folder', onchange: () => this.look()});
     this.scenario = h('select', {id: 'lab-scenario', onchange: () => this.look()});
-    this.none = emptyNote('No recordings of others in this folder yet: copy them into it (a folder with a bag, CSV, Parquet, NPZ or HDF5 file per run), ' +
-      'and it shows up here.');
-    this.told = teller();
+    this.none = emptyNote('No recordings in this folder yet: copy a folder with one bag, CSV, Parquet, NPZ or HDF5 file per run into it, ' +
+      'and it appears here.');
+    this.message = messageArea();
     this.body = h('div', {id: 'lab'});
     return h('div', {}, this.none, h('div', {class: 'fields'}, labelled('folder of recordings', this.folder),
-      labelled('scenario: robots, boxes', this.scenario)), this.body, this.told.node);
+      labelled('scenario: robots, boxes', this.scenario)), this.body, this.message.node);
   },
 
   update() {
@@ -960,9 +960,9 @@ const laboratory = {
   async look() {
     const folder = this.looked = this.folder.value;
     this.lab = state.workspace.laboratories.find((lab) => lab.path === folder);
-    this.told.show();
+    this.message.show();
     this.body.replaceChildren(reading(folder));
-    if (this.lab.error) this.told.error(this.lab.error);
+    if (this.lab.error) this.message.error(this.lab.error);
     try {
       const name = this.scenario.value;
       const [found, {objects}] = await Promise.all([ask(`/api/laboratory?${query({path: folder, scenario: name})}`),
@@ -974,21 +974,21 @@ const laboratory = {
       this.world = h('input', {type: 'checkbox', id: 'lab-world'});
       this.rows = h('tbody', {}, ...(found.table ? found.table.rows.map((one) => h('tr', {}, ...[one.bag, one.object, one.kind, one.condition]
         .map((text) => h('td', {class: 'text'}, text)))) : this.lab.recordings.map((recording) => this.row(recording, objects))));
-      const told = found.table && (found.table.error ? h('p', {class: 'error'}, found.table.error) :
-        h('p', {class: 'note', id: 'lab-table'}, `As ${found.table.name} of the folder says; it is used as it is, and changed in an editor.`));
+      const table = found.table && (found.table.error ? h('p', {class: 'error'}, found.table.error) :
+        h('p', {class: 'note', id: 'lab-table'}, `From ${found.table.name} of the folder; change it in an editor.`));
       this.body.replaceChildren(
-        h('h3', {}, `Signals, as ${found.recording} has them`), h('p', {class: 'note'}, 'Choose where each signal is and in which unit, and look at it: are its numbers right?'),
+        h('h3', {}, `Signals of ${found.recording}`), h('p', {class: 'note'}, 'Choose the source and the unit of each signal, and check its plot: are the numbers right?'),
         h('div', {class: this.arms.length > 1 ? 'arms' : ''}, ...this.arms.map((one) => one.node)),
         this.pose.node,
-        h('label', {class: 'tick'}, this.world, ' the tracker’s world is not the robot’s: find it from the contact in the hits'),
-        h('h3', {}, 'Runs'), told, h('div', {class: 'scroll'}, h('table', {}, h('thead', {}, h('tr', {}, ...['recording', 'object', 'kind', 'condition']
+        h('label', {class: 'tick'}, this.world, ' the world frame of the tracker is not that of the robot: estimate it from the contact in the hits'),
+        h('h3', {}, 'Runs'), table, h('div', {class: 'scroll'}, h('table', {}, h('thead', {}, h('tr', {}, ...['recording', 'object', 'kind', 'condition']
           .map((text) => h('th', {scope: 'col', class: 'text'}, text)))), this.rows)),
         h('div', {class: 'actions'}, h('button', {type: 'button', class: 'primary', id: 'lab-save', onclick: () => this.keep()},
           'Write experiment.yaml and mapping')));
       for (const one of [...this.arms.flatMap((arm) => arm.signals), this.pose]) one.show();
     } catch (error) {
       if (this.looked !== folder) return;
-      this.told.error(error.message);
+      this.message.error(error.message);
       this.body.replaceChildren();
     }
   },
@@ -1004,7 +1004,7 @@ const laboratory = {
     own.signals = ARM_SIGNALS.map((signal) => this.signal(signal, own, given.signals[signal.name]));
     own.node = h('section', {'data-lab-arm': name}, several ? h('h3', {}, `Arm ${name}, ${given.robot}`) : '',
       named ? labelled(`joints in order, base to tip (${given.slides.length} of ${given.robot})`, own.names) : '', ...own.signals.map((one) => one.node),
-      h('label', {class: 'tick'}, own.gravity, ' the commanded torque holds the weight of the arm'));
+      h('label', {class: 'tick'}, own.gravity, ' the commanded torque includes gravity compensation'));
     return own;
   },
 
@@ -1031,9 +1031,9 @@ const laboratory = {
         const seen_ = await ask('/api/laboratory/preview', {path: this.found.path, scenario: this.scenario.value, arm: arm.name, signal: signal.name,
           source: value(), position: arm.signals?.[0].value() ?? value(), joints: arm.joints(), command_includes_gravity: arm.gravity.checked});
         if (mine !== asked) return;
-        const told = seen_.ranges.map((one) => `from ${number(one.low)} to ${number(one.high)} ${one.unit}`).join(', ');
+        const ranges = seen_.ranges.map((one) => `from ${number(one.low)} to ${number(one.high)} ${one.unit}`).join(', ');
         line.className = seen_.wrong ? 'error' : 'note';
-        line.textContent = seen_.wrong || `${seen_.place}; ${seen_.samples} samples at ${number(seen_.rate)} Hz; ${told}`;
+        line.textContent = seen_.wrong || `${seen_.place}; ${seen_.samples} samples at ${number(seen_.rate)} Hz; ${ranges}`;
         const second = seen_.ranges.length > 1 ? sliding[0] : null; // the SI unit of joints that slide beside others that turn
         await draw(plot, {data: seen_.columns.map((column) => ({x: seen_.time, y: column.values, name: column.name, mode: 'lines', line: {width: 1.2},
           hovertemplate: `%{y:.4g} ${column.unit}`, ...(column.unit === second ? {yaxis: 'y2'} : {})})),
@@ -1050,16 +1050,16 @@ const laboratory = {
     return {node, name: signal.name, value, show};
   },
 
-  // What a recording is called may tell what it is.
+  // One row of the table of runs; object and kind are guessed from the name of the recording.
   row(recording, objects) {
     const object = h('select', {'aria-label': `object of ${recording}`}, ...Object.entries(objects).map(([value, one]) => new Option(one.label, value)));
     const kind = h('select', {'aria-label': `kind of ${recording}`}, new Option('hit', 'hit'), new Option('free motion', 'free motion'), new Option('leave out', ''));
     const condition = h('input', {'aria-label': `condition of ${recording}`, value: 'case_1'});
     object.value = Object.keys(objects).find((one) => recording.includes(one)) ?? object.options[0].value;
     if (/free|excite/i.test(recording)) kind.value = 'free motion';
-    const told = () => { object.disabled = kind.value !== 'hit'; };
-    kind.addEventListener('change', told);
-    told();
+    const enable = () => { object.disabled = kind.value !== 'hit'; };
+    kind.addEventListener('change', enable);
+    enable();
     return h('tr', {'data-recording': recording}, h('td', {}, recording), h('td', {}, object), h('td', {}, kind), h('td', {}, condition));
   },
 
@@ -1074,11 +1074,11 @@ const laboratory = {
       const done = await ask('/api/laboratory', {path: folder, scenario: this.scenario.value, object_pose: this.pose.value(),
         world_from_hits: this.world.checked, runs, arms: Object.fromEntries(this.arms.map((arm) => [arm.name,
           {joints: arm.joints(), command_includes_gravity: arm.gravity.checked, signals: chosen(arm)}]))});
-      this.told.show(h('p', {class: 'good', id: 'lab-written'}, `Written: ${done.written.join(', ')}.`),
+      this.message.show(h('p', {class: 'good', id: 'lab-written'}, `Written: ${done.written.join(', ')}.`),
         ...done.remarks.map((remark) => h('p', {class: 'note'}, `Note: ${remark}`)), h('p', {}, 'Next:'), commandLine(done.command),
         h('div', {class: 'actions'}, h('button', {type: 'button', onclick: () => { compare.form.wanted = folder; go('compare'); }}, 'Compare')));
-    } catch (error) { this.told.error(error.message); }
-    this.told.node.scrollIntoView({block: 'nearest'});
+    } catch (error) { this.message.error(error.message); }
+    this.message.node.scrollIntoView({block: 'nearest'});
   },
 };
 
@@ -1124,8 +1124,8 @@ function showFolder() {
 function chooseCampaign(one) {
   const use = (step, form) => h('button', {type: 'button', onclick: () => { go(step); form.runs.value = one.path; form.runs.dispatchEvent(
     new Event('change', {bubbles: true})); }}, step === 'compare' ? 'Compare' : 'Diagnose');
-  showAbout({...ABOUT.measure, title: one.path, facts: [one.error || `${one.present} of ${one.trials} trials are there.`,
-    one.present < one.trials ? 'The same command goes on where it stopped.' : ''].filter(Boolean),
+  showAbout({...ABOUT.measure, title: one.path, facts: [one.error || `${one.present} of ${one.trials} trials are recorded.`,
+    one.present < one.trials ? 'Run the same command again to continue.' : ''].filter(Boolean),
   actions: [use('compare', compare.form), use('diagnose', diagnose.form),
     h('button', {type: 'button', onclick: async () => {
       try { keepJob(await ask('/api/jobs', {step: 'analyze', runs: one.path})); } catch (error) { showAbout({title: one.path, text: error.message}); }
@@ -1144,8 +1144,8 @@ function chooseModel(one) {
     part.form.model.value = one.path;
     part.form.model.dispatchEvent(new Event('change', {bubbles: true}));
   }
-  showAbout({title: one.name, text: one.note || 'What is believed of the physics beside the scenario.', page: 'missing_effects.md',
-    facts: [one.error, one.effects.length ? `Effects: ${one.effects.join(', ')}.` : 'No effects: the nominal values alone.',
+  showAbout({title: one.name, text: one.note || 'Scenario and the effects added to it.', page: 'missing_effects.md',
+    facts: [one.error, one.effects.length ? `Effects: ${one.effects.join(', ')}.` : 'No effects: nominal values only.',
       ...one.scores.map((score) => `${score.report}: ${scoreText(score)}`)].filter(Boolean)});
 }
 
@@ -1185,7 +1185,7 @@ function jobRow(job) {
   return h('li', {'data-job': job.number, 'data-state': job.ended === null ? 'running' : job.exit_code},
     h('div', {}, h('code', {}, job.command)), h('div', {class: `state ${job.ended !== null && job.exit_code ? 'error' : ''}`}, stateText(job), bar),
     h('div', {class: 'buttons'}, job.ended === null ? h('button', {type: 'button', disabled: job.stopping, onclick: act('stop')}, 'Stop') :
-      h('button', {type: 'button', onclick: act('again')}, job.exit_code ? 'Go on' : 'Again'),
+      h('button', {type: 'button', onclick: act('again')}, job.exit_code ? 'Continue' : 'Again'),
     h('button', {type: 'button', onclick: look}, 'Output'),
     h('button', {type: 'button', onclick: () => navigator.clipboard.writeText(job.command)}, 'Copy')),
     h('pre', {hidden: !opened.has(job.number), tabindex: 0}, opened.get(job.number) ?? ''));
@@ -1197,7 +1197,7 @@ function showJobs(jobs) {
   const before = new Map(state.jobs.map((job) => [job.number, JSON.stringify(job)]));
   state.jobs = jobs;
   const list = $('job-list'), shown = jobs.slice(0, MOST_JOBS);
-  if (!jobs.length) { list.replaceChildren(h('li', {class: 'quiet'}, 'None yet. What you start shows here, and goes on when this page is closed.')); return; }
+  if (!jobs.length) { list.replaceChildren(h('li', {class: 'quiet'}, 'None yet. Jobs that you start appear here; they continue when this page is closed.')); return; }
   for (const item of [...list.children]) if (!shown.some((job) => String(job.number) === item.dataset.job)) item.remove();
   shown.forEach((job, index) => {
     const item = list.querySelector(`[data-job="${job.number}"]`);
@@ -1221,14 +1221,14 @@ function showJobs(jobs) {
   if (state.workspace) diagnose.jobs();
 }
 
-// What a job has made is opened where it is looked at.
+// Selects the result of a finished job in the step that shows it.
 function finished(job) {
   const made = job.writes.map((path) => path.replace(`${state.workspace.root}/`, ''));
   if (job.exit_code !== 0) return;
   if (job.step === 'compare' && job.arguments[0] === 'compare') compare.wanted = `${made[0]}/compare.html`;
   if (job.step === 'compare' && job.arguments[0] === 'analyze') compare.wanted = `${made[0]}/report.html`;
   if (job.step === 'diagnose') diagnose.wanted = `${made[0]}/diagnosis.json`;
-  if (state.workspace) STEPS[state.step][1].update(); // the files may have been told of before the job's end
+  if (state.workspace) STEPS[state.step][1].update(); // the list of files may have arrived before the end of the job
 }
 
 // ---- the page ---------------------------------------------------------------------------------------------------------------

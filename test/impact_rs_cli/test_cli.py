@@ -103,11 +103,17 @@ def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Pat
         (["campaign", "push", "-o", "{}/new/out", "--set", "trials.many=3"], "is a value and has no keys"),
         (["campaign", "push", "-o", "{}/new/out", "--set", "trials"], "expected KEY=VALUE"),
         (["campaign", "push", "-o", "{}/new/out", "--set", "trials=[1"], "not valid YAML"),
-        (["campaign", "push", "-o", "{}/new/out", "--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"], "--jobs is for"),
+        (
+            ["campaign", "push", "-o", "{}/new/out", "--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"],
+            "--jobs counts processes of this machine",
+        ),
         (["campaign", "push", "-o", "{}/new/out", "--scheduler", "nonsense"], "expected tcp://host:port"),
         (["campaign", "push", "-o", "nowhere://out"], "this URL cannot be used"),
         (["campaign", "push", "-o", "memory://out", "--via", "nodes"], "in a folder of this machine"),
-        (["diagnose", "s3://bucket/push", "--scheduler", "tcp://127.0.0.1:1"], "must be a folder that its workers see"),
+        (
+            ["diagnose", "s3://bucket/push", "--scheduler", "tcp://127.0.0.1:1"],
+            "must be a folder that all workers can read",
+        ),
         (["analyze", "memory://push"], "expected a folder for the report"),
         (["export", "{}", "-o", "{}/new/push.txt"], "ends with .parquet"),
         (["campaign", "push", "-o", "{}/new/out", "--objects", "juce"], "did you mean 'juice'"),
@@ -123,7 +129,7 @@ def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Pat
         (["show", "--live", "--port", "70000"], "port 70000: expected 0 (a free one) to 65535"),
         (["show", "{}", "--namespace", "cell_a"], "leave --namespace out"),
         (["show", "{}", "--run", "run_1"], "leave --run out"),
-        (["show", "{}", "--experiment", "{}/file"], "name it with --run"),
+        (["show", "{}", "--experiment", "{}/file"], "select one with --run NAME"),
         (
             ["show", "{}/nothing", "-o", "{}/new/page.html", "--no-browser"],
             "no such folder; expected the folder of a trial",
@@ -358,7 +364,7 @@ def test_show_says_where_the_page_is_where_there_is_no_browser(
 ) -> None:
     monkeypatch.setattr("webbrowser.open", lambda address: False)
     assert main(["show", str(push_campaign / "cat_food__case_2__s1.000__r0"), "-o", str(tmp_path / "page.html")]) == 0
-    assert "open the page by hand" in capfd.readouterr().err
+    assert "open the page yourself" in capfd.readouterr().err
 
 
 def test_a_job_that_was_not_done_is_no_success(
@@ -382,7 +388,7 @@ def test_a_campaign_with_failures_is_no_success(
     err = capfd.readouterr().err
     assert "by nothing" in err
     assert "Traceback" not in err
-    assert f"in full: {tmp_path / 'out' / FAILURES}" in err
+    assert f"full error: {tmp_path / 'out' / FAILURES}" in err
     assert main(["campaign", "push", "-o", str(tmp_path / "out"), *scope, "--debug"]) == 1
     assert "in broken" in capfd.readouterr().err
 

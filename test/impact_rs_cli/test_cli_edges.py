@@ -66,12 +66,12 @@ def test_results_go_neither_into_a_bag_nor_over_their_source(
         ["compare", str(push_campaign), "--mcap", str(bag)],
         ["diagnose", str(push_campaign), "--report", str(bag)],
     ):
-        assert "lies in the bag" in fails(arguments, capfd)
-    assert "is what the results are made of" in fails(["analyze", str(push_campaign), "-o", str(push_campaign)], capfd)
+        assert "lies inside the bag" in fails(arguments, capfd)
+    assert "is an input of this command" in fails(["analyze", str(push_campaign), "-o", str(push_campaign)], capfd)
     model = shutil.copy(config_directory() / "models" / "nominal.yaml", tmp_path / "model.yaml")
     text = Path(model).read_text()
     arguments = ["diagnose", str(push_campaign), "--model", str(model), "-o", str(tmp_path / "." / "model.yaml")]
-    assert "is what the results are made of" in fails(arguments, capfd)
+    assert "is an input of this command" in fails(arguments, capfd)
     assert Path(model).read_text() == text
     assert sorted(path for path in push_campaign.rglob("*")) == before
 

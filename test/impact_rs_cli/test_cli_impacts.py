@@ -58,9 +58,9 @@ def test_what_is_shown_says_its_unit(cubes: Path, capfd: pytest.CaptureFixture) 
         (["compare", "runs", "--impacts", "TABLE"], "takes the place of RUNS; leave runs out"),
         (["diagnose", "--impacts", "nowhere.csv"], "nowhere.csv: cannot be read: No such file or directory"),
         (["diagnose", "--impacts", "TABLE", "--scenario", "push"], "no column 'q1 [rad]'"),
-        (["diagnose", "runs", "--scenario", "push"], "--scenario is for --impacts"),
+        (["diagnose", "runs", "--scenario", "push"], "--scenario goes with --impacts only"),
         (["compare", "--impacts", "TABLE", "--mapping", "joint_state"], "--mapping is for recordings"),
-        (["compare", "--impacts", "TABLE", "--mcap", "DIR"], "--mcap is for trials; tables of impacts have"),
+        (["compare", "--impacts", "TABLE", "--mcap", "DIR"], "--mcap is for trials; for tables of impacts use --json"),
         (["history", "nominal.yaml"], "nothing to read; expected RUNS"),
     ],
 )

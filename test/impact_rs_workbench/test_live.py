@@ -101,7 +101,7 @@ def test_nobody_without_the_key_is_told_anything() -> None:
     for path in ("/", "/api/events", "/static/replay.js", "/?token=guessed"):
         answer = stranger.get(path)
         assert (answer.status_code, answer.text) == (
-            403, "Open the address that impact-rs show has printed: it holds the key."
+            403, "Open the address that impact-rs show has printed: it contains the access key."
         )  # fmt: skip
     assert stranger.get("/", params={"token": TOKEN}).status_code == 303
     assert "default-src 'none'" in stranger.get("/").headers["content-security-policy"]

@@ -133,7 +133,7 @@ def test_a_slider_moved_with_the_keyboard_moves_the_prediction_and_its_command(
 def test_a_button_stays_under_a_click_while_its_command_is_told(page: Page, address: tuple[str, Path]) -> None:
     page.locator("[data-step=history]").click()
     button = page.locator("main form:visible").get_by_role("button", name="Show the history", exact=True)
-    told = page.locator("main form:visible .told")
+    told = page.locator("main form:visible .message")
     page.select_option("#history-runs", "blind/runs")
     expect(told.locator("code")).to_contain_text("history")
     place = button.bounding_box()
@@ -255,7 +255,7 @@ def test_a_campaign_without_an_object_is_refused_on_the_page(page: Page) -> None
     checked = page.locator("#part-campaign fieldset").first.locator("input:checked")
     expect(checked).to_have_count(1)  # the form is filled in once the scenario has been read
     checked.uncheck()
-    expect(page.locator("#part-campaign .told .error")).to_contain_text("objects = []: expected at least 1 of them")
+    expect(page.locator("#part-campaign .message .error")).to_contain_text("objects = []: expected at least 1 of them")
     expect(button).to_be_disabled()
     expect(page.locator("#part-campaign .command")).to_have_count(0)
 
@@ -265,7 +265,7 @@ def test_a_scale_beyond_the_limit_of_trials_is_refused_on_the_page(page: Page) -
     page.get_by_role("tab", name="Single trial").click()
     expect(page.locator("#part-trial .command code")).to_contain_text("impact-rs trial push")
     page.locator("#trial-scale").fill("9")
-    expect(page.locator("#part-trial .told .error")).to_contain_text("expected a number > 0 and <= 3 [-]")
+    expect(page.locator("#part-trial .message .error")).to_contain_text("expected a number > 0 and <= 3 [-]")
     expect(page.get_by_role("button", name="Run the trial")).to_be_disabled()
     page.locator("#trial-scale").fill("0.93")  # between two steps of the arrows
     expect(page.locator("#part-trial .command code")).to_contain_text("--scale 0.93")
@@ -300,7 +300,7 @@ def test_what_is_asked_anew_shows_no_numbers_and_no_command_of_what_was_asked_be
     page.select_option("#predict-object", "juice")
     expect(table).to_have_count(0)
     expect(command).to_have_count(0)
-    expect(page.locator("#predict-facts")).to_have_text("Being worked out …")
+    expect(page.locator("#predict-facts")).to_have_text("Computing …")
     expect(page.locator("#predict-plot .scatterlayer")).to_have_count(0)
     held.let_go()
     expect(command).to_contain_text("juice")
@@ -433,7 +433,7 @@ def test_a_folder_of_recordings_is_described_from_lists_and_compared(
     pose_unit.select_option("mm")
     expect(pose_line).not_to_have_text(in_metres)  # the new preview is there, and moves the button below it no more
     page.locator("#lab-save").click()
-    expect(page.locator("#part-laboratory .told .error")).to_contain_text(
+    expect(page.locator("#part-laboratory .message .error")).to_contain_text(
         "parcel_1: the centre of 'parcel' is first at"
     )
     pose_unit.select_option("m")

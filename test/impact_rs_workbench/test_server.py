@@ -49,7 +49,7 @@ def test_the_address_with_its_key_leads_to_the_page_and_leaves_a_strict_cookie(s
 def test_nobody_without_the_key_is_told_anything(stranger: TestClient, path: str) -> None:
     answer = stranger.get(path)
     assert answer.status_code == 403
-    assert answer.text == "Open the address that impact-rs workbench has printed: it holds the key."
+    assert answer.text == "Open the address that impact-rs workbench has printed: it contains the access key."
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_nobody_without_the_key_is_told_anything(stranger: TestClient, path: str
 )
 def test_another_name_for_this_machine_is_refused_with_the_key(client: TestClient, host: str) -> None:
     answer = client.get("/api/workspace", headers={"host": host})
-    assert (answer.status_code, answer.text) == (403, "impact-rs workbench answers on its own machine only.")
+    assert (answer.status_code, answer.text) == (403, "impact-rs workbench serves its own machine only.")
 
 
 @pytest.mark.parametrize(
@@ -256,7 +256,7 @@ def test_a_file_in_the_place_of_the_folder_and_an_impossible_port_are_mistakes(
 ) -> None:
     (tmp_path / "file").write_text("")
     assert main(["workbench", str(tmp_path / "file"), "--no-browser"]) == 2
-    assert "a file where the folder of the workbench is expected" in capfd.readouterr().err
+    assert "is a file; expected a folder for the workbench" in capfd.readouterr().err
     assert main(["workbench", str(tmp_path), "--port", "70000"]) == 2
     assert "port 70000: expected 0 (a free one) to 65535" in capfd.readouterr().err
 
