@@ -134,7 +134,7 @@ def outliers(name: SignalName, series: Series, mapping: Mapping, impact: float |
         floor, beyond = np.maximum(FLOOR * most, ALONE * _resolution(values)), np.abs(values) > EXCESS * most
     if impact is not None and not name.endswith("position"):
         beyond[(time >= impact - BEFORE_IMPACT) & (time <= impact + AFTER_IMPACT)] = False
-    if name.startswith("motor"):  # whose limits the data sheet does not tell
+    if name.startswith("motor"):  # the data sheet has no limits for them
         beyond[:] = False
     alone = _alone(values, floor)
     if name == "torque" and impact is not None:  # a sensor may well see a blow in one sample

@@ -149,11 +149,11 @@ def test_a_graph_waits_for_a_node_that_others_provide_and_tells_what_is_wrong_wi
         monkeypatch.setattr(graphs, "FOREIGN_TIMEOUT", 0.5)
         while not graph._missing("plant"):
             graph.spin(0.05)
-        told: list[str] = []
-        monkeypatch.setattr(graph, "_tell", told.append)
+        notified: list[str] = []
+        monkeypatch.setattr(graph, "_notify", notified.append)
         with pytest.raises(GraphError, match=f"no plant came within 0.5 s: .* in ROS domain {domain_id}"):
             graph.wait_until_ready()
-    assert told == [f"{WAITING}0.5 s at most"]
+    assert notified == [f"{WAITING}0.5 s at most"]
     assert (unpublished.success, unpublished.outcome) == (False, "ABORTED")
     assert unpublished.message == "recorder: no publisher of /arm/joint_states; are plant and controller running?"
     assert unheard.message.startswith(
