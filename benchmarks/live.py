@@ -34,9 +34,9 @@ RATE = 1000.0  # Hz
 SOFTWARE = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 CLOCK = os.sysconf("SC_CLK_TCK")
 READY = "async () => { while (!window.impact_rs.live.state) await new Promise(requestAnimationFrame); }"
-AGES = """(start) => { const {live, told} = window.impact_rs, update = live.update.bind(live);
-  window.ages = []; window.told = 0;
-  told.addEventListener('state', () => { window.told += 1; });
+AGES = """(start) => { const {live, events} = window.impact_rs, update = live.update.bind(live);
+  window.ages = []; window.received = 0;
+  events.addEventListener('state', () => { window.received += 1; });
   live.update = (state) => { update(state); live.renderer.getContext().finish();
     window.ages.push(1000 * (Date.now() / 1000 - start - state.time)); }; }"""
 
@@ -95,8 +95,8 @@ def main() -> None:
             used, ticks = processor_time(server.pid), sent[0]
             time.sleep(args.seconds)
             alone = 100.0 * (processor_time(server.pid) - used) / args.seconds
-            told = (sent[0] - ticks) / args.seconds
-            print(f"server, no page: {alone:.1f} % of a core, {len(arms)} arm(s) at {told:.0f} Hz")
+            rate = (sent[0] - ticks) / args.seconds
+            print(f"server, no page: {alone:.1f} % of a core, {len(arms)} arm(s) at {rate:.0f} Hz")
             browser = playwright.chromium.launch(executable_path=args.chromium, args=SOFTWARE)
             page = browser.new_page(viewport={"width": 1000, "height": 700})
             page.goto(address[0])
@@ -105,12 +105,12 @@ def main() -> None:
             used, ticks = processor_time(server.pid), sent[0]
             time.sleep(args.seconds)
             cost = 100.0 * (processor_time(server.pid) - used) / args.seconds
-            ages, states = (page.evaluate(f"window.{name}") for name in ("ages", "told"))
-            told = (sent[0] - ticks) / args.seconds
-            print(f"server, one page: {cost:.1f} % of a core, {len(arms)} arm(s) at {told:.0f} Hz")
+            ages, states = (page.evaluate(f"window.{name}") for name in ("ages", "received"))
+            rate = (sent[0] - ticks) / args.seconds
+            print(f"server, one page: {cost:.1f} % of a core, {len(arms)} arm(s) at {rate:.0f} Hz")
             median, high, worst = np.percentile(ages, (50, 95, 100))
             print(f"message to picture: median {median:.0f} ms, 95 % {high:.0f} ms, largest {worst:.0f} ms")
-            print(f"states told: {states / args.seconds:.1f} per second, pictures: {len(ages) / args.seconds:.1f}")
+            print(f"states received: {states / args.seconds:.1f} per second, pictures: {len(ages) / args.seconds:.1f}")
             stopping.set()
             publisher.join()
             browser.close()
