@@ -151,7 +151,7 @@ def test_the_whole_loop_by_mouse_names_the_hidden_effect_and_the_error_falls(
     page.locator("#compare-output").fill("reports/first")
     start(page, "Compare")
     job(page)
-    expect(page.locator("#compare-result .answer")).to_contain_text("Model 'nominal' differs from 6 trials by")
+    expect(page.locator("#compare-result .answer")).to_contain_text("Residual of model 'nominal' in 6 trials")
     heat_map = page.locator("#compare-result .plot .nsewdrag").last
     heat_map.click()
     expect(page.locator("#signal .scatterlayer .trace")).to_have_count(3)  # measured, model, residual
@@ -446,7 +446,7 @@ def test_a_folder_of_recordings_is_described_from_lists_and_compared(
     expect(page.locator("#compare-runs")).to_have_value("lab")
     start(page, "Compare")
     job(page)
-    expect(page.locator("#compare-result .answer")).to_contain_text("differs from 2 trials by")
+    expect(page.locator("#compare-result .answer")).to_contain_text("Residual of model 'nominal' in 2 trials")
 
 
 def test_two_arms_of_different_kinds_are_predicted_and_described(
