@@ -298,12 +298,12 @@ def _where(clusters: Sequence[Cluster]) -> list[Cell]:
             row = (float(mean / own), float(mean * sigma), float(mean), feature.unit, feature.relevance_limit)
             found.setdefault((*item.place, *feature.group), []).append(row)
     cells = []
-    for (scenario, thing, case, phase, signal, index), rows in found.items():
+    for (scenario, object_name, case, phase, signal, index), rows in found.items():
         worst = max(rows, key=lambda row: abs(row[0]))
         cells.append(
             Cell(
                 scenario=scenario,
-                object=thing,
+                object=object_name,
                 case=case,
                 phase=phase,
                 signal=signal,
@@ -438,14 +438,14 @@ def _where_of_blocks(clusters: Sequence[Cluster]) -> list[Cell]:
             found.setdefault((*item.place[:2], *feature.group), []).append(row)
             facts[feature.group] = feature.unit, feature.relevance_limit
     cells = []
-    for (file, thing, *group), rows in found.items():
+    for (file, object_name, *group), rows in found.items():
         phase, signal, index = group
         error, scaled, times = np.array(rows).T
         unit, limit = facts[phase, signal, index]
         cells.append(
             Cell(
                 scenario=file,
-                object=thing,
+                object=object_name,
                 case="",
                 phase=phase,
                 signal=signal,

@@ -87,9 +87,9 @@ def _specs(runs: Runs) -> list[TrialSpec]:
             scenario = load_scenario(COMPANION)
             specs[COMPANION] = TrialSpec.of(scenario, next(iter(scenario.objects)), next(iter(scenario.cases)))
     return [
-        replace(spec, object=thing, case=case, scale=1.0)
+        replace(spec, object=object_name, case=case, scale=1.0)
         for spec in specs.values()
-        for thing in spec.scenario.objects
+        for object_name in spec.scenario.objects
         for case in spec.scenario.cases
     ]
 

@@ -103,13 +103,13 @@ def animation_of_run(aligned: AlignedRun, label: str) -> Animation:
 def _of_track(aligned: AlignedRun, track: Track, models: Mapping[str, RobotModel]) -> Movement:
     run, time = aligned.run, aligned.time
     edges = (*aligned.starts, time.size)
-    thing = np.full((time.size, 7), np.nan)
+    poses = np.full((time.size, 7), np.nan)
     half = 0.5 * track.object_yaw
-    thing[:, :3] = track.object_position
-    thing[:, 3:] = np.column_stack((0.0 * half, 0.0 * half, np.sin(half), np.cos(half)))
+    poses[:, :3] = track.object_position
+    poses[:, 3:] = np.column_stack((0.0 * half, 0.0 * half, np.sin(half), np.cos(half)))
     for window, rows in zip(run.setup.windows, _slices(edges), strict=True):
         if run.hit and not window.contact:  # the object rests where it will be hit
-            thing[rows] = [*window.object.position, *quaternion_of(window.object.rotation)]
+            poses[rows] = [*window.object.position, *quaternion_of(window.object.rotation)]
     forces, velocities = {}, {}
     for name, arm in track.arms.items():
         parts = [
@@ -120,8 +120,8 @@ def _of_track(aligned: AlignedRun, track: Track, models: Mapping[str, RobotModel
         velocities[name] = np.concatenate([part.velocity for part in parts])
     joints = {name: arm.position for name, arm in track.arms.items()}
     rates = {name: arm.velocity for name, arm in track.arms.items()}
-    jumps = _jumps(time, joints, velocities, thing, run.impacts, models)
-    return Movement(joints, rates, velocities, forces, thing, jumps)
+    jumps = _jumps(time, joints, velocities, poses, run.impacts, models)
+    return Movement(joints, rates, velocities, forces, poses, jumps)
 
 
 def _slices(edges: Sequence[int]) -> list[slice]:
@@ -162,19 +162,19 @@ def animation_of_laboratory(item: LaboratoryRun, scenario: Scenario) -> Animatio
         velocities[name] = np.concatenate([part.velocity for part in parts])
     joints = {name: own.position[kept] for name, own in run.signals.arms.items()}
     rates = {name: own.velocity[kept] for name, own in run.signals.arms.items()}
-    thing = _poses_at(time, item.object_time, item.object_position, item.object_quaternion)
+    poses = _poses_at(time, item.object_time, item.object_position, item.object_quaternion)
     try:
         impacts = {arm: begin for arm, (begin, _) in impacts_of(run).items()} if item.hit else {}
     except InputError:  # no impact: the run is shown all the same
         impacts = {}
-    jumps = _jumps(time, joints, velocities, thing, impacts, models)
+    jumps = _jumps(time, joints, velocities, poses, impacts, models)
     return Animation(
         label=item.name,
         physics=run.physics,
         time=time,
         starts=starts,
         impact=min(impacts.values(), default=None),
-        measured=Movement(joints, rates, velocities, forces, thing, jumps),
+        measured=Movement(joints, rates, velocities, forces, poses, jumps),
     )
 
 
@@ -196,17 +196,17 @@ def animation_of_bag(bag: TrialBag) -> Animation:
             rates[arm] = _at(time, own.time, own.velocity)
             observed = observe(time, joints[arm], rates[arm], _at(time, own.time, own.effort), models[arm])
             forces[arm], velocities[arm] = -observed.force, observed.velocity
-    thing = _object_poses(bag, time)
+    poses = _object_poses(bag, time)
     found = {arm: bag.impact_time(arm) for arm in columns}
     impacts = {arm: moment for arm, moment in found.items() if np.isfinite(moment)}
-    jumps = _jumps(time, joints, velocities, thing, impacts, models)
+    jumps = _jumps(time, joints, velocities, poses, impacts, models)
     return Animation(
         label=bag.path.name,
         physics=physics,
         time=time,
         starts=(0,),
         impact=min(impacts.values(), default=None),
-        measured=Movement(joints, rates, velocities, forces, thing, jumps),
+        measured=Movement(joints, rates, velocities, forces, poses, jumps),
     )
 
 
@@ -256,7 +256,7 @@ def _jumps(
     time: Array,
     joints: Mapping[str, Array],
     velocities: Mapping[str, Array],
-    thing: Array,
+    poses: Array,
     impacts: Mapping[str, float],
     models: Mapping[str, RobotModel],
 ) -> tuple[VelocityJump, ...]:
@@ -275,10 +275,10 @@ def _jumps(
         first, last = min(impacts.values()), max(impacts.values())
         before, after = _within(time, first, JUMP_BEFORE), _within(time, last, OBJECT_WINDOWS[0])
         rows = np.logical_or(before, after)
-        if before.sum() > 1 and after.sum() > 1 and np.isfinite(thing[rows]).all():
-            slopes = [np.polyfit(time[part], thing[part, :3], 1)[0] for part in (before, after)]
+        if before.sum() > 1 and after.sum() > 1 and np.isfinite(poses[rows]).all():
+            slopes = [np.polyfit(time[part], poses[part, :3], 1)[0] for part in (before, after)]
             row = min(int(np.searchsorted(time, first)), time.size - 1)
-            found.append(VelocityJump(OBJECT, thing[row, :3], *slopes))
+            found.append(VelocityJump(OBJECT, poses[row, :3], *slopes))
     return tuple(found)
 
 

@@ -36,27 +36,27 @@ def ante_impact_state(run: MeasuredRun) -> dict[str, ArmState]:
 
 def obliqueness(run: MeasuredRun) -> float:
     """Obliqueness of a hit: largest angle of pad normal or velocity to the contact normal [rad]."""
-    physics, thing = run.setup.physics, run.setup.windows[-1].object
+    physics, box = run.setup.physics, run.setup.windows[-1].object
     states = ante_impact_state(run)
     models = physics.robot_models()
     placements = {name: models[name].placement(state.position) for name, state in states.items()}
     angles = []
-    for meeting in meetings(physics, thing, placements):
+    for meeting in meetings(physics, box, placements):
         if meeting.partner == SUPPORT:
             continue
         state, model = states[meeting.partner], models[meeting.partner]
         velocity = model.jacobian(state.position)[:3] @ state.velocity
-        face = _nearest_face(thing, meeting.normal)
+        face = _nearest_face(box, meeting.normal)
         for direction in (placements[meeting.partner].rotation[:, 2], velocity / np.linalg.norm(velocity)):
             angles.append(float(np.arctan2(np.linalg.norm(np.cross(direction, face)), direction @ face)))
     return max(angles)
 
 
-def _nearest_face(thing: BodyState, direction: Array) -> Array:
+def _nearest_face(box: BodyState, direction: Array) -> Array:
     """Outward axis of the object nearest to a direction, in A, ``(3,)``."""
-    along = thing.rotation.T @ direction
+    along = box.rotation.T @ direction
     axis = int(np.argmax(np.abs(along)))
-    return np.asarray(thing.rotation[:, axis] * np.sign(along[axis]))
+    return np.asarray(box.rotation[:, axis] * np.sign(along[axis]))
 
 
 def _extrapolated(time: Array, values: Array) -> Array:
@@ -77,17 +77,17 @@ def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced
         physics: Physics of the model.
         motor_inertia: Motor-inertia model: ``reduced``, ``rotor`` or ``zero``.
     """
-    thing = run.setup.windows[-1].object
+    box = run.setup.windows[-1].object
     models = physics.robot_models()
-    arms = {name: _face_on_face(state, models[name], thing) for name, state in ante_impact_state(run).items()}
+    arms = {name: _face_on_face(state, models[name], box) for name, state in ante_impact_state(run).items()}
     placements = {name: models[name].placement(state.position) for name, state in arms.items()}
     shifts = [
         -meeting.separation * meeting.normal
-        for meeting in meetings(physics, thing, placements)
+        for meeting in meetings(physics, box, placements)
         if meeting.partner != SUPPORT
     ]
     # Trackers err by millimetres and the pad is soft: at the impact pad and object are made to touch.
-    touching = replace(thing, position=thing.position + np.mean(shifts, axis=0))
+    touching = replace(box, position=box.position + np.mean(shifts, axis=0))
     return ImpactProblem(
         physics=physics,
         arms=arms,
@@ -98,12 +98,12 @@ def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced
     )
 
 
-def _face_on_face(state: ArmState, model: RobotModel, thing: BodyState) -> ArmState:
+def _face_on_face(state: ArmState, model: RobotModel, box: BodyState) -> ArmState:
     """The arm with its pad turned parallel to the nearest face of the object, if it nearly was."""
     q, facing = state.position.copy(), model.end_effector.pad_placement.rotation[:, 2]
     for _ in range(TURNS):
         normal = model.placement(q).rotation @ facing
-        turn = np.cross(normal, _nearest_face(thing, normal))
+        turn = np.cross(normal, _nearest_face(box, normal))
         if np.linalg.norm(turn) > np.sin(NEARLY):
             return state
         q = q + np.linalg.pinv(model.jacobian(q)) @ np.concatenate((np.zeros(3), turn))

@@ -410,13 +410,13 @@ def _turned(velocity: Array, axes: Array) -> Array:
 
 def _what_the_map_knows(physics: Physics) -> bytes:
     """All numbers that the solution of an impact map depends on, besides its state."""
-    thing = physics.object
-    parts = [np.array([physics.support_friction, physics.pad_friction, restitution_of(physics)]), thing.com_offset]
+    body = physics.object
+    parts = [np.array([physics.support_friction, physics.pad_friction, restitution_of(physics)]), body.com_offset]
     if physics.arms:
-        parts += [np.array([thing.mass]), thing.inertia]
+        parts += [np.array([body.mass]), body.inertia]
     else:
         # Against a fixed body the mass cancels, up to rounding.
-        parts += [np.array([float(f"{moment:.12g}") for moment in thing.inertia / thing.mass])]
+        parts += [np.array([float(f"{moment:.12g}") for moment in body.inertia / body.mass])]
     for arm in physics.arms.values():
         tool = arm.end_effector
         parts += [np.array([tool.mass, tool.length, tool.mount_yaw]), tool.com, tool.inertia.ravel()]

@@ -98,8 +98,8 @@ def measured_or_why_not(run: Run) -> MeasuredRun | tuple[str, str]:
 
 def run_of(item: LaboratoryRun, scenario: Scenario) -> Run:
     """A laboratory run in the scene of its scenario."""
-    thing = item.object or next(iter(scenario.objects))
-    place = resting_pose(scenario, thing)
+    object_name = item.object or next(iter(scenario.objects))
+    place = resting_pose(scenario, object_name)
     if not item.hit:
         place = BodyState(place.position + [OUT_OF_REACH, OUT_OF_REACH, 0.0], place.rotation, place.twist)
     motors = all(own.motor_position.size and own.motor_velocity.size for own in item.arms.values())
@@ -120,7 +120,7 @@ def run_of(item: LaboratoryRun, scenario: Scenario) -> Run:
         condition="/".join(part for part in (item.object or "free motion", item.condition) if part),
         place=(scenario.name, item.object or "none", item.condition),
         hit=item.hit,
-        physics=Physics.nominal(scenario, thing),
+        physics=Physics.nominal(scenario, object_name),
         object=place,
         drive_period=scenario.timing.drive_period,
         axis=scenario.axis_index,

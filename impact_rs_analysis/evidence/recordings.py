@@ -120,8 +120,8 @@ class RecordingSource(Source):
         self._predicted: dict[Added, Array | None] = {}
         self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))
         behind_motors = physics.arms[ARM].motor_inertia_reduced.max() == 0.0
-        told = (f"{item.path.name}: {remark}" for item in recordings for remark in item.remarks)
-        self.reading = tuple(dict.fromkeys(told))
+        remarks = (f"{item.path.name}: {remark}" for item in recordings for remark in item.remarks)
+        self.reading = tuple(dict.fromkeys(remarks))
         self.remarks = (*REMARKS, *((BEHIND_MOTORS,) if behind_motors else ()), *self.reading)
 
     @classmethod

@@ -112,13 +112,13 @@ def windows_of(run: Run, impacts: dict[str, float]) -> list[Window]:
         InputError: A gap lies in the window about the impact.
     """
     time = run.signals.time
-    thing = run.object
+    box = run.object
     found = []
     if impacts:
-        thing = _resting(run.signals, run.object, min(impacts.values()) - BEFORE_IMPACT)
+        box = _resting(run.signals, run.object, min(impacts.values()) - BEFORE_IMPACT)
     for number, start in enumerate(free_starts(run, impacts)):
         if recorded(run, start):
-            found.append(_window(run, start, start + FREE, thing, number))
+            found.append(_window(run, start, start + FREE, box, number))
     if impacts:
         first = min(impacts.values())
         end = min(first + AFTER_IMPACT, float(time[-1]))
@@ -126,7 +126,7 @@ def windows_of(run: Run, impacts: dict[str, float]) -> list[Window]:
             raise InputError(
                 f"a gap lies in the window about the impact, which begins {BEFORE_IMPACT + FIT:g} s before it"
             )
-        found.append(_window(run, first - BEFORE_IMPACT, end, thing, None))
+        found.append(_window(run, first - BEFORE_IMPACT, end, box, None))
     return found
 
 
@@ -157,7 +157,7 @@ def free_starts(run: Run, impacts: dict[str, float]) -> list[float]:
     return [begin + (number + 0.5) * slack + number * FREE for number in range(count)]
 
 
-def _window(run: Run, start: float, end: float, thing: BodyState, number: int | None) -> Window:
+def _window(run: Run, start: float, end: float, box: BodyState, number: int | None) -> Window:
     """Window of free motion; without a number, the one about the impact."""
     contact = number is None
     time = run.signals.time
@@ -183,7 +183,7 @@ def _window(run: Run, start: float, end: float, thing: BodyState, number: int | 
         drives[name] = DriveStart(torque, rate, earlier)
     tracked = run.signals.object_time
     seen = tracked[contact & (tracked >= ticks[0] - 1e-9) & (tracked <= ticks[-1] + 1e-9)]
-    return Window(contact, number or 0, ticks, arms, drives, thing, torques, acting, seen)
+    return Window(contact, number or 0, ticks, arms, drives, box, torques, acting, seen)
 
 
 def _held(sent: Array, values: Array, grid: Array, period: float) -> tuple[Array, NDArray[np.int32]]:

@@ -220,10 +220,10 @@ def _pushed_on(run: MeasuredRun, name: str, way: Array, motor_inertia: str) -> f
     """
     setup = run.setup
     physics, window, signals = setup.physics.arms[name], setup.windows[-1], run.signals[-1]
-    model, arm, thing = setup.physics.robot_model(name), signals.arms[name], setup.physics.object
+    model, arm, box = setup.physics.robot_model(name), signals.arms[name], setup.physics.object
     driving = window.commanded(name) if setup.drive == "command" else arm.torque
     inertia = physics.motor_inertia(motor_inertia)
-    drag = 0.0 if setup.physics.support_height is None else setup.physics.support_friction * thing.mass * GRAVITY
+    drag = 0.0 if setup.physics.support_height is None else setup.physics.support_friction * box.mass * GRAVITY
     start, (first, last) = run.impacts[name], JUMP_WINDOWS[SETTLED]
     speed, mean, ticks = 0.0, 0.0, 0
     for row in range(1, window.time.size):
@@ -236,7 +236,7 @@ def _pushed_on(run: MeasuredRun, name: str, way: Array, motor_inertia: str) -> f
         q, dq = arm.position[row - 1], arm.velocity[row - 1]
         terms = model.terms(q, dq)
         plane = terms.jacobian[:2]
-        moved = terms.mass_matrix + np.diag(inertia) + thing.mass * plane.T @ plane
+        moved = terms.mass_matrix + np.diag(inertia) + box.mass * plane.T @ plane
         velocity = plane @ dq
         opposed = plane.T @ velocity * drag / max(float(np.linalg.norm(velocity)), SLOWEST)
         acceleration = np.linalg.solve(moved, driving[row - 1] - terms.bias - opposed)

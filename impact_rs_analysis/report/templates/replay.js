@@ -182,7 +182,7 @@ const {ImpactReplay, ImpactLive} = (function () {
     // An empty scene, with light and a grid on the floor; what stood there is given up.
     clear(...roots) {
       if (this.scene) {
-        this.scene.traverse((thing) => [thing.geometry, thing.material].forEach((part) => part && part.dispose()));
+        this.scene.traverse((node) => [node.geometry, node.material].forEach((part) => part && part.dispose()));
       }
       this.scene = new THREE.Scene();
       this.scene.background = new THREE.Color('#F4F6F8');
