@@ -17,13 +17,13 @@ from std_msgs.msg import Bool, Float64MultiArray
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.arming import Arming, ArmingLimits
 from impact_rs_ros.cell_trial import CellTrial, TrialLimits
-from impact_rs_ros.effort_arms import EffortArms, commands_topic, rest_until
+from impact_rs_ros.effort_arms import EffortArms, arms_of, commands_topic, rest_until
 from impact_rs_ros.motion_capture import COORDINATES, MOCAP, TrackerPoses
 from impact_rs_ros.names import on_network, resolved
 from impact_rs_ros.process import run
 from impact_rs_ros.qos import COMMAND, LATCHED
 from impact_rs_ros.robot_clock import RobotClock
-from impact_rs_ros.robot_states import STATES, RobotStates, joint_names
+from impact_rs_ros.robot_states import STATES
 from impact_rs_ros.trial_node import MATCHING, SLICE, LeadingNode
 from impact_rs_ros.watchdog_node import BRAKING as BRAKING_TOPIC
 from impact_rs_ros.watchdog_node import WatchdogNode
@@ -95,14 +95,7 @@ class CellNode(LeadingNode[CellTrial]):
 
     def prepare(self, plan: TrialPlan, info: TrialInfo) -> CellTrial:
         del info
-        models = {arm: plan.scene.models[arm] for arm in plan.arms}
-        joints = joint_names(self.parameter("joints"), {arm: model.joint_count for arm, model in models.items()})
-        period = plan.scene.scenario.timing.control_period
-        state_timeout = self.parameter("state_timeout")
-        states = RobotStates(models, joints, period, state_timeout, self._clock)
-        gravity, rate = self.parameter("robot_adds_gravity"), self.parameter("torque_rate_limit")
-        inertia = {arm: plan.scene.physics.arms[arm].motor_inertia_reduced for arm in plan.arms}
-        arms = EffortArms(models, inertia, states, gravity, rate, period, self._clock, self._send)
+        arms = arms_of(plan, self.parameter, self._clock, self._send)
         mocap = None
         if self.parameter("mocap"):
             placement = np.array([self.parameter(f"mocap_{name}") for name in COORDINATES])
@@ -113,14 +106,19 @@ class CellNode(LeadingNode[CellTrial]):
             raise InputError(f"not armed: {complaint}")
         self.inbox.clear()
         self._clock.forget()
-        limits = ArmingLimits(start, self.parameter("arm_jitter_limit"))
-        arming = Arming(plan, arms, mocap, self.inbox, self._clock, limits, self._held)
+        still = ArmingLimits(start, self.parameter("arm_jitter_limit"))
+        arming = Arming(plan, arms, mocap, self.inbox, self._clock, still, self._held)
         found = arming.look()
         self._await_listeners()
-        self._held, self._period = arms, period
+        self._held, self._period = arms, plan.scene.scenario.timing.control_period
         self.log.info(f"armed: {found}{arming.hold()}")
-        shares = self.parameter("answer_timeout"), self.parameter("late_torque_share")
-        return CellTrial(plan, arms, TrialLimits(state_timeout, *shares, start), mocap, self.inbox, self.outbox)
+        limits = TrialLimits(
+            state_timeout=self.parameter("state_timeout"),
+            answer_timeout=self.parameter("answer_timeout"),
+            late_torque_share=self.parameter("late_torque_share"),
+            start_tolerance=start,
+        )
+        return CellTrial(plan, arms, limits, mocap, self.inbox, self.outbox)
 
     def close(self) -> None:
         self.brake()

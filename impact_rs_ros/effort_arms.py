@@ -9,13 +9,15 @@ brakes on a fresh state and carries the weight, no more, without one.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
 from impact_rs_control.fallback import FRESH, holding_torque
 from impact_rs_control.guard import rate_limited
+from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox
-from impact_rs_ros.robot_states import STATES, ArmStates, Clock, RobotStates
+from impact_rs_ros.robot_states import STATES, ArmStates, Clock, RobotStates, joint_names
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 
@@ -122,6 +124,36 @@ class EffortArms:
         self._sent[arm] = now, sent
         self._send(arm, sent)
         return reached
+
+
+def arms_of(
+    plan: TrialPlan, parameter: Callable[[str], Any], clock: Clock, send: Callable[[str, Array], None]
+) -> EffortArms:
+    """The arms of a trial, as the parameters of a robot's node describe them.
+
+    Args:
+        plan: The trial.
+        parameter: Value of a parameter of the node.
+        clock: Of the robot.
+        send: Sends an arm's effort controller its torques.
+
+    Raises:
+        InputError: Two joints would have one name.
+    """
+    scene = plan.scene
+    models = {arm: scene.models[arm] for arm in plan.arms}
+    joints = joint_names(parameter("joints"), {arm: model.joint_count for arm, model in models.items()})
+    period = scene.scenario.timing.control_period
+    return EffortArms(
+        models,
+        {arm: scene.physics.arms[arm].motor_inertia_reduced for arm in models},
+        RobotStates(models, joints, period, parameter("state_timeout"), clock),
+        parameter("robot_adds_gravity"),
+        parameter("torque_rate_limit"),
+        period,
+        clock,
+        send,
+    )
 
 
 def rest_until(arms: EffortArms, inbox: Inbox, period: float, until: float, monotonic: Callable[[], float]) -> None:

@@ -19,13 +19,13 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
-from impact_rs_ros.effort_arms import REST, EffortArms, commands_topic
+from impact_rs_ros.effort_arms import REST, EffortArms, arms_of, commands_topic
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.names import on_network
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_ros.qos import AWAITED, COMMAND, LATCHED
 from impact_rs_ros.robot_clock import RobotClock
-from impact_rs_ros.robot_states import STATES, RobotStates, joint_names
+from impact_rs_ros.robot_states import STATES
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.spec import TrialSpec
@@ -100,13 +100,7 @@ class WatchdogNode(NodeProgram):
         }
 
     def rehearse(self, spec: TrialSpec) -> None:
-        models = {arm: spec.scene.models[arm] for arm in spec.plan.arms}
-        joints = joint_names(self.parameter("joints"), {arm: model.joint_count for arm, model in models.items()})
-        period = spec.scene.scenario.timing.control_period
-        states = RobotStates(models, joints, period, self.parameter("state_timeout"), self._clock)
-        gravity, rate = self.parameter("robot_adds_gravity"), self.parameter("torque_rate_limit")
-        inertia = {arm: spec.scene.physics.arms[arm].motor_inertia_reduced for arm in models}
-        arms = EffortArms(models, inertia, states, gravity, rate, period, self._clock, self._send)
+        arms = arms_of(spec.plan, self.parameter, self._clock, self._send)
         self._watchdog = Watchdog(arms, self.parameter("command_timeout"))
 
     def offer(self) -> None:
