@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scoreboard of the diagnosis on hidden effects: ``./run python benchmarks/blind.py -o DIR [--size small]``.
+"""Scoreboard of the diagnosis on hidden effects: ``./run python -m benchmarks.blind -o DIR [--size small]``.
 
 The matrix: every effect of the library at three magnitudes, pairs, nulls and effects outside the library, several seeds
 each. It resumes where it stopped: campaigns, diagnoses and scores that exist are kept. ``--only NAME`` runs those whose
@@ -8,50 +8,30 @@ name starts so, for example ``single:object_mass``.
 
 from __future__ import annotations
 
-import argparse
 import json
-import math
 import statistics
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from impact_rs_analysis.diagnosis.compare import score_of
-from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.diagnosis.document import read_document, write_document
+from benchmarks.board import SCORE, Entry, Row, arguments, diagnosed, run_board, share
 from impact_rs_analysis.diagnosis.scoring import score
+from impact_rs_analysis.evidence.levels import score_of
+from impact_rs_analysis.evidence.measured_runs import read_runs
+from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
-from impact_rs_analysis.evidence.runs import read_runs
-from impact_rs_analysis.evidence.store import ReplayStore
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import ModelEffect, ParameterValue, load_model
 from impact_rs_sim.unmodelled import OUTSIDE
 from impact_rs_trials.blind import RUNS, TRUTH, make
-from impact_rs_trials.workers import Map, Workforce, workers
+from impact_rs_trials.workers import Map
 
 MAGNITUDES = (3.0, 8.0, 1.0)  # parameter scales: clear, gross, barely noticeable
 VISIBLE = 2.0  # times the noise; what is below was hidden in vain
 PLAIN = "plain"  # in the place of a name: two effects that show alone, at the clear magnitude, in this board
 OUTSIDE_MAGNITUDES = (2.0, 6.0)
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One campaign of the matrix."""
-
-    kind: str
-    effect: str | None
-    magnitude: float | None
-    seed: int
-
-    @property
-    def name(self) -> str:
-        """Folder name."""
-        parts = [self.kind, self.effect or "any", "m" + ("any" if self.magnitude is None else f"{self.magnitude:g}")]
-        return "__".join([*parts, f"seed{self.seed}"])
 
 
 def matrix(seeds: int, pairs: int, nulls: int) -> list[Entry]:
@@ -67,25 +47,19 @@ def matrix(seeds: int, pairs: int, nulls: int) -> list[Entry]:
     return clear + [entry for entry in entries if entry not in clear]
 
 
-def run(entry: Entry, directory: Path, size: str, map_tasks: Map) -> dict[str, Any]:
+def run(entry: Entry, directory: Path, size: str, map_tasks: Map) -> Row:
     """Make, diagnose and score one campaign; what exists is kept."""
-    result = directory / "score.json"
-    if result.exists():
-        return dict(json.loads(result.read_text()))
     effect = _plain_pair(directory.parent, entry.seed) if entry.effect == PLAIN else entry.effect
     for _ in make(directory, entry.seed, map_tasks, entry.kind, effect, size, entry.magnitude):
         pass
     document = directory / "diagnosis.json"
     started = time.perf_counter()
-    if not document.exists():
-        source = ReplaySource.of(read_runs(directory / RUNS, map_tasks), load_model("nominal"), ReplayStore(map_tasks))
-        write_document(diagnose(source, source.model), document)
+    read = diagnosed(document, lambda: read_runs(directory / RUNS, map_tasks), map_tasks)
     elapsed = time.perf_counter() - started
-    read = read_document(document)
     scored = score(directory, read, document)
     excess = read.held_out_error_before**2 - read.noise_floor**2
     partners = _partners(directory, map_tasks) if entry.kind == "pair" else {}
-    content = asdict(scored) | {
+    return asdict(scored) | {
         "name": entry.name,
         "seconds": elapsed,
         "verdict": read.verdict,
@@ -95,13 +69,11 @@ def run(entry: Entry, directory: Path, size: str, map_tasks: Map) -> dict[str, A
         "alone": partners,
         "removed": (read.held_out_error_before**2 - read.held_out_error_after**2) / max(excess, 1e-9),
     }
-    result.write_text(json.dumps(content, default=list) + "\n")
-    return content
 
 
 def _plain_pair(board: Path, seed: int) -> str:
     """Two effects of those that stood above twice the noise when they were hidden alone at the clear magnitude."""
-    rows = [json.loads(path.read_text()) for path in sorted(board.glob(f"single__*__m{MAGNITUDES[0]:g}__*/score.json"))]
+    rows = [json.loads(path.read_text()) for path in sorted(board.glob(f"single__*__m{MAGNITUDES[0]:g}__*/{SCORE}"))]
     shown = sorted({row["truth"][0] for row in rows if row["before"] > VISIBLE * row["noise"]})
     return "+".join(np.random.default_rng(seed).choice(shown, size=2, replace=False))
 
@@ -112,7 +84,7 @@ def _partners(directory: Path, map_tasks: Map) -> dict[str, float]:
     In multiples of what repetition alone gives, as the error before a diagnosis of a single effect is.
     """
     truth = json.loads((directory / TRUTH).read_text())["effects"]
-    runs, store = read_runs(directory / RUNS, map_tasks), ReplayStore(map_tasks)
+    runs, store = read_runs(directory / RUNS, map_tasks), ReplayCache(map_tasks)
     found = {}
     for own in truth:
         others = [
@@ -131,36 +103,35 @@ def _partners(directory: Path, map_tasks: Map) -> dict[str, float]:
     return found
 
 
-def share(rows: list[dict[str, Any]], key: str) -> str:
+def share_of(rows: list[Row], key: str) -> str:
     """Mean of ``key`` over the rows that have it, in percent."""
-    known = [float(row[key]) for row in rows if row.get(key) is not None]
-    return f"{100.0 * sum(known) / len(known):5.1f} % of {len(known)}" if known else "-"
+    return share([bool(row[key]) for row in rows if row.get(key) is not None])
 
 
-def coverage(rows: list[dict[str, Any]]) -> str:
+def coverage(rows: list[Row]) -> str:
     """Mean over the campaigns of the share of true parameters that lie in their intervals, named or not."""
     shares = [row["covered"][0] / row["covered"][1] for row in rows if row["covered"][1]]
     return f"{100.0 * statistics.mean(shares):5.1f} % of {len(shares)}" if shares else "-"
 
 
-def scoreboard(rows: list[dict[str, Any]]) -> str:
+def scoreboard(rows: list[Row]) -> str:
     """The table."""
     of = {kind: [row for row in rows if row["kind"] == kind] for kind in ("single", "pair", "null", "outside")}
     seen = [row for row in of["single"] if row["before"] > VISIBLE * row["noise"]]
     plain = [row for row in of["outside"] if row["before"] > VISIBLE * row["noise"]]
     both = [row for row in of["pair"] if row.get("alone") and min(row["alone"].values()) > VISIBLE]
     lines = [
-        f"single above twice the noise, right or confusable {share(seen, 'correct')}",
-        f"single above twice the noise, by its own name {share(seen, 'by_own_name')}",
-        f"single, all, right or confusable             {share(of['single'], 'correct')}",
-        f"single, all, headline is the effect alone    {share(of['single'], 'headline')}",
-        f"pairs, each above twice the noise, both named {share(both, 'correct')}",
-        f"pairs, all, both named                       {share(of['pair'], 'correct')}",
-        f"null, NOTHING-MISSING                        {share(of['null'], 'correct')}",
-        f"outside, NONE-EXPLAINS or honestly marked    {share(of['outside'], 'correct')}",
-        f"outside above twice the noise, the same      {share(plain, 'correct')}",
+        f"single above twice the noise, right or confusable {share_of(seen, 'correct')}",
+        f"single above twice the noise, by its own name {share_of(seen, 'by_own_name')}",
+        f"single, all, right or confusable             {share_of(of['single'], 'correct')}",
+        f"single, all, headline is the effect alone    {share_of(of['single'], 'headline')}",
+        f"pairs, each above twice the noise, both named {share_of(both, 'correct')}",
+        f"pairs, all, both named                       {share_of(of['pair'], 'correct')}",
+        f"null, NOTHING-MISSING                        {share_of(of['null'], 'correct')}",
+        f"outside, NONE-EXPLAINS or honestly marked    {share_of(of['outside'], 'correct')}",
+        f"outside above twice the noise, the same      {share_of(plain, 'correct')}",
         f"95 % intervals that cover, by campaign       {coverage(of['single'] + of['pair'])}",
-        f"something named that is not there            {share(rows, 'more')}",
+        f"something named that is not there            {share_of(rows, 'more')}",
     ]
     seconds = [row["seconds"] for row in rows if row.get("seconds", 0.0) > 1.0]
     if seconds:
@@ -177,34 +148,15 @@ def scoreboard(rows: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     """Run what is missing, then print the scoreboard."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the campaigns")
+    parser = arguments(__doc__)
     parser.add_argument("--seeds", type=int, default=2, help="seeds per effect and magnitude")
     parser.add_argument("--pairs", type=int, default=10, help="campaigns with two effects")
     parser.add_argument("--nulls", type=int, default=20, help="campaigns with nothing hidden")
     parser.add_argument("--size", default="small", choices=("small", "full"), help="size of each campaign")
-    parser.add_argument("--jobs", type=int, default=2, help="worker processes")
-    parser.add_argument("--only", default="", help="run entries whose name starts with this (':' for '__')")
-    parser.add_argument("--seconds", type=float, default=math.inf, help="start no further campaign after this time [s]")
-    arguments = parser.parse_args()
-    wanted = [
-        e
-        for e in matrix(arguments.seeds, arguments.pairs, arguments.nulls)
-        if e.name.startswith(arguments.only.replace(":", "__"))
-    ]
-    rows, began = [], time.monotonic()
-    with workers(Workforce(arguments.jobs)) as map_tasks:
-        for number, entry in enumerate(wanted, start=1):
-            directory = arguments.output / entry.name
-            if not (directory / "score.json").exists() and time.monotonic() - began > arguments.seconds:
-                continue
-            row = run(entry, directory, arguments.size, map_tasks)
-            rows.append(row)
-            print(
-                f"[{number}/{len(wanted)}] {entry.name}: {'right' if row['correct'] else 'WRONG'} {row['named']}",
-                flush=True,
-            )
-    print(f"\n{len(rows)} of {len(wanted)} campaigns\n{scoreboard(rows)}")
+    options = parser.parse_args()
+    entries = matrix(options.seeds, options.pairs, options.nulls)
+    rows = run_board(entries, options, lambda entry, folder, map_tasks: run(entry, folder, options.size, map_tasks))
+    print(scoreboard(rows))
 
 
 if __name__ == "__main__":

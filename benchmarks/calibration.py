@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_rs_analysis.diagnosis import reference
+from impact_rs_analysis.diagnosis import null_distribution
 from impact_rs_analysis.diagnosis.candidate import Problem
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.search import adjusted
@@ -51,8 +51,8 @@ def p_values(source: AnalyticSource) -> tuple[float, ...]:
             continue
         candidate = linearise(Candidate.of((effect,), source), source.clusters, numbers, source)
         assert candidate is not None
-        found[name] = Problem(candidate, source.clusters, evidence.guard).p_value(evidence.reference, slice(None))
-    left = evidence.reference.lack_of_fit([item.mean for item in source.clusters])
+        found[name] = Problem(candidate, source.clusters, evidence.neighbours).p_value(evidence.null, slice(None))
+    left = evidence.null.lack_of_fit([item.mean for item in source.clusters])
     smallest = min(adjusted(found).values())
     return found["straight"], found["of_joints"], smallest, np.nan if left is None else left
 
@@ -95,7 +95,7 @@ def main() -> None:
     )
     parser.add_argument("-o", "--output", type=Path, help="Markdown file")
     arguments = parser.parse_args()
-    reference.DRAWS = arguments.null_draws  # type: ignore[attr-defined]
+    null_distribution.DRAWS = arguments.null_draws  # type: ignore[attr-defined]
     lines = table(arguments.draws)
     print("\n".join(lines))
     if arguments.output is not None:

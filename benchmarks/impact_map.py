@@ -186,24 +186,6 @@ def batches(names: Sequence[str], seed: int) -> None:
     console.print(table)
 
 
-def predictions(scenario: Scenario) -> None:
-    """Velocity after the nominal impact for every object, case and motor inertia."""
-    table = Table("v_y+ in m/s, exact (bullet)", "zero", "reduced", "rotor")
-    for name in scenario.objects:
-        for case in scenario.cases:
-            scene = Scene.resolve(scenario, name, case)
-            engines = (ExactEngine(scene.physics), BulletEngine(scene.physics))
-            cells = []
-            for motor in ("zero", "reduced", "rotor"):
-                problem = ImpactProblem.at_nominal_impact(scene, motor)
-                first, second = (float(next(iter(e.solve(problem).end_effector_twist.values()))[1]) for e in engines)
-                cells.append(f"{first:.4f} ({second:.4f})")
-            for engine in engines:
-                engine.close()
-            table.add_row(f"{name} {case}", *cells)
-    console.print(table)
-
-
 def main() -> None:
     """Run all parts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -215,7 +197,6 @@ def main() -> None:
     scenario = push_of(options.robot)
     timing(scenario, options.calls)
     batches(("push", "grab"), options.seed)
-    predictions(scenario)
     agreement(scenario, options.problems, options.seed)
 
 

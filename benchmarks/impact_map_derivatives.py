@@ -20,8 +20,8 @@ from rich.table import Table
 
 from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.derivatives import differentiate
-from impact_rs_sim.impact_map.newton import COMPLIANCE, settle, states
-from impact_rs_sim.impact_map.parameters import change
+from impact_rs_sim.impact_map.laws import COMPLIANCE, newton, states
+from impact_rs_sim.impact_map.perturbation import change
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
 from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.robot import Array
@@ -40,7 +40,7 @@ def solved(
 ) -> tuple[Array, object]:
     """u^+ with one parameter changed, and the contact states (None: no answer)."""
     system, terms = change(problem, {name: amount}).terms(models)
-    impulses, converged = settle(terms, solve_contacts(terms)[0], compliance=compliance)
+    impulses, converged = newton(terms, solve_contacts(terms)[0], compliance=compliance)
     where = tuple(contact.partner for contact in terms.contacts)
     return system.velocity + terms.response @ impulses.ravel(), (
         where,

@@ -6,11 +6,11 @@
 mujoco.sysid is optional: ``./run python -m pip install "mujoco[sysid]>=4"`` (or the extra ``peers``).
 
 A box is pushed, with an effect hidden: its mass is 15 % larger, or the joints have Coulomb friction. Twice as many
-campaigns as effects, because there is no plant that is nobody's own:
+campaigns as effects, because every plant belongs to one of the tools:
 
     plant    the plant of this package under its controller; the replay is made of it, so impact_rs plays at home
     cell     the MuJoCo cell of :mod:`benchmarks.foreign` under a controller of its own; mujoco.sysid plays at home,
-             with the cell's own steps and contact settings, which nobody knows of a real table
+             with the cell's own steps and contact settings, unknown of a real table
 
 Both record what a laboratory does: q, dq, joint torque and desired torque at 1 kHz, pose of the box at 250 Hz, as bags
 with clocks of their own. For all tools it is ours to read them, to find the impact, to put clocks together and to cut
@@ -20,10 +20,10 @@ signals are weighed with, :func:`weights`.
     sysid      mujoco.sysid.optimize with its SciPy backend, its own batched rollouts in threads and its own intervals.
                The model is a MuJoCo model with B_theta behind a spring-damper tendon in every joint, which is what the
                torque loop makes of the motor, desired torque as control, frictionloss for Coulomb friction and the
-               contacts of the cell. It is told what to fit: once what is hidden alone, once all of ``FITTED``
+               contacts of the cell. What to fit is given: once what is hidden alone, once all of ``FITTED``
     plain      scipy.optimize.least_squares over the raw signals of our replay, all of ``FITTED`` at once. It gives no
                interval; here it gets the formula that sysid has, s^2 (J'J)^-1
-    impact_rs  impact-rs diagnose, whole library, which is told nothing; nothing is in its cache
+    impact_rs  impact-rs diagnose, whole library, without a hint; nothing is in its cache
 
 sysid and plain say that an effect is there where an interval excludes its nominal value, impact_rs where it names it.
 Times are those of the tool alone, reading excluded; processor time is that of all processes.
@@ -47,6 +47,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import psutil
 import scipy.optimize
 import scipy.special
 from mujoco import sysid
@@ -58,13 +59,11 @@ from benchmarks.foreign.laboratory import record_run
 from examples.laboratory import EXPERIMENT
 from examples.laboratory import record as record_trial
 from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.evidence.laboratory import read_laboratory_runs
-from impact_rs_analysis.evidence.measured import Setup
+from impact_rs_analysis.evidence.command_clock import read_laboratory_runs
+from impact_rs_analysis.evidence.measured_runs import Runs, Setup
 from impact_rs_analysis.evidence.replay import Window
+from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
-from impact_rs_analysis.evidence.runs import Runs
-from impact_rs_analysis.evidence.signals import Signals
-from impact_rs_analysis.evidence.store import ReplayStore
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
@@ -72,6 +71,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_trials.blind import Hidden
 from impact_rs_trials.recordings.experiment import load_experiment
+from impact_rs_trials.runs import Signals
 from impact_rs_trials.workers import Map, Workforce, workers
 
 JOINTS = 7
@@ -81,8 +81,8 @@ HIDDEN: dict[str, tuple[float, ...]] = {
     "joint_coulomb_friction": (0.35, 0.30, 0.25, 0.30, 0.20, 0.15, 0.15),  # N m, motor side
 }
 CONDITIONS = {  # by plant; object and condition
-    "plant": [(thing, case) for thing in ("parcel", "juice") for case in ("case_1", "case_2")],
-    "cell": [(thing, pose) for thing in ("parcel", "juice") for pose in ("pose_a_fast", "pose_b_fast")],
+    "plant": [(object_name, case) for object_name in ("parcel", "juice") for case in ("case_1", "case_2")],
+    "cell": [(object_name, pose) for object_name in ("parcel", "juice") for pose in ("pose_a_fast", "pose_b_fast")],
 }
 FREE = [("none", "slow"), ("none", "fast")]
 TICK = 1e-3  # s, of the recordings
@@ -209,14 +209,14 @@ def stretches(runs: Runs, map_tasks: Map) -> dict[str, list[Stretch]]:
         (f"{run.condition} {number}", window.contact, table(signals) - predicted)
         for run, (predictions,) in zip(runs.runs, nominal, strict=True)
         for number, (window, signals, predicted) in enumerate(
-            zip(run.setup.windows, run.signals, predictions, strict=True)
+            zip(run.setup.windows, run.windowed, predictions, strict=True)
         )
     ]
     noise = weights(differences)
     return {
         str(run.path): [
             Stretch(window, table(signals), noise[window.contact])
-            for window, signals in zip(run.setup.windows, run.signals, strict=True)
+            for window, signals in zip(run.setup.windows, run.windowed, strict=True)
         ]
         for run in runs.runs
     }
@@ -269,12 +269,12 @@ def answer(tool: str, fitted: Sequence[Unknown], values: Array, half: Array, rem
         Estimate(item.effect, item.name, float(value), float(value - width), float(value + width))
         for item, value, width in zip(fitted, values, half, strict=True)
     ]
-    told = [
+    off = [
         item.effect
         for item, found in zip(fitted, estimates, strict=True)
         if not found.lower <= item.nominal <= found.upper
     ]
-    return Answer(tool, tuple(dict.fromkeys(told)), tuple(estimates), remark=remark)
+    return Answer(tool, tuple(dict.fromkeys(off)), tuple(estimates), remark=remark)
 
 
 def interval(residual: Array, jacobian: Array) -> Array:
@@ -336,7 +336,7 @@ def with_drives(physics: Physics, integrator: mujoco.mjtIntegrator) -> Callable[
 def described(
     physics: Physics, contact: bool, rollout: Rollout, keep: Callable[[mujoco.MjSpec], None] | None = None
 ) -> mujoco.MjModel:
-    """What somebody who knows MuJoCo makes of a scene: motors of inertia B_theta, driven by the desired torque.
+    """A scene as MuJoCo's own users describe it: motors of inertia B_theta, driven by the desired torque.
 
     Args:
         physics: What is believed.
@@ -416,7 +416,7 @@ def fitted_by_sysid(
     for item in fitted:
         params.add(sysid.Parameter(f"{item.effect}.{item.name}", item.nominal, item.lower, item.upper))
     params.move_off_bounds(OFF_BOUND)
-    with contextlib.redirect_stdout(io.StringIO()):  # it tells every step
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints every step
         scale = np.array([item.scale for item in fitted])
         best, result = sysid.optimize(
             params,
@@ -450,8 +450,8 @@ def _residual_of(
     ) -> tuple[Array, Any, Any]:
         values = table_of_states(model, physics, state)
         scaled = (measured.data - values) / first.noise
-        told = sysid.TimeSeries(measured.times, values, measured.signal_mapping)
-        return scaled[np.isfinite(measured.data)], told, measured
+        predicted = sysid.TimeSeries(measured.times, values, measured.signal_mapping)
+        return scaled[np.isfinite(measured.data)], predicted, measured
 
     sequences = sysid.ModelSequences(
         name,
@@ -477,8 +477,8 @@ def _residual_of(
 
 
 def diagnosed(runs: Runs, map_tasks: Map) -> Answer:
-    """What impact-rs diagnose says, which is not told what to look for."""
-    source = ReplaySource.of(runs, load_model("nominal"), ReplayStore(map_tasks))
+    """What impact-rs diagnose says, without a hint what to look for."""
+    source = ReplaySource.of(runs, load_model("nominal"), ReplayCache(map_tasks))
     document = diagnose(source, source.model)
     estimates = tuple(
         Estimate(effect.name, name, value.estimate, *(value.ci95 or (value.estimate, value.estimate)))
@@ -516,7 +516,7 @@ class Recording:
 
     path: str
     campaign: Campaign
-    thing: str
+    object_name: str
     condition: str
     seed: int
 
@@ -527,20 +527,22 @@ def record(task: Recording) -> None:
     if (path / "metadata.yaml").exists():
         return
     if task.campaign.plant == "cell":
-        record_run(path, task.thing, task.condition, task.seed, [Hidden(task.campaign.hidden, values, 0.0)])
+        record_run(path, task.object_name, task.condition, task.seed, [Hidden(task.campaign.hidden, values, 0.0)])
     else:
-        scenario = "excite" if task.thing == "none" else "push"
-        record_trial(path, (scenario, task.thing, task.condition), [task.campaign.hidden, *map(str, values)], task.seed)
+        scenario = "excite" if task.object_name == "none" else "push"
+        record_trial(
+            path, (scenario, task.object_name, task.condition), [task.campaign.hidden, *map(str, values)], task.seed
+        )
 
 
 def make(campaign: Campaign, folder: Path, trials: int, map_tasks: Map) -> None:
     """Record a campaign, or what is missing of it."""
     folder.mkdir(parents=True, exist_ok=True)
     rows, tasks = ["bag,object,kind,condition"], []
-    for number, (thing, condition) in enumerate(campaign.conditions(trials), start=1):
+    for number, (object_name, condition) in enumerate(campaign.conditions(trials), start=1):
         name = f"run_{number:02d}"
-        rows.append(f"{name},{thing},{'free motion' if thing == 'none' else 'hit'},{condition}")
-        tasks.append(Recording(str(folder / name), campaign, thing, condition, number))
+        rows.append(f"{name},{object_name},{'free motion' if object_name == 'none' else 'hit'},{condition}")
+        tasks.append(Recording(str(folder / name), campaign, object_name, condition, number))
     for _ in map_tasks(record, tasks):
         pass
     (folder / "runs.csv").write_text("\n".join(rows) + "\n")
@@ -549,17 +551,9 @@ def make(campaign: Campaign, folder: Path, trials: int, map_tasks: Map) -> None:
 
 def processor_time() -> float:
     """Of this process and of those that it started [s]."""
-    parents, spent = {}, {}
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):  # it has just ended
-            fields = stat.read_text().rpartition(")")[2].split()
-            parents[int(stat.parent.name)] = int(fields[1])
-            spent[int(stat.parent.name)] = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-    family, found = {os.getpid()}, 0
-    while len(family) > found:
-        found = len(family)
-        family |= {child for child, parent in parents.items() if parent in family}
-    return sum(spent[one] for one in family)
+    own = psutil.Process()
+    times = [one.cpu_times() for one in (own, *own.children(recursive=True))]
+    return sum(one.user + one.system for one in times)
 
 
 def timed(work: Callable[[], Answer]) -> Answer:
@@ -598,7 +592,7 @@ def false_findings(hidden: str, found: Answer) -> list[Estimate]:
     """Parameters that are said to be off their nominal values and are not."""
     nominal = {(item.effect, item.name): item.nominal for item in unknowns()}
     others = [item for item in found.estimates if item.effect != hidden]
-    if found.tool == "impact_rs":  # it tells of what it names, and of nothing else
+    if found.tool == "impact_rs":  # it has estimates of what it names alone
         return others
     return [item for item in others if not item.lower <= nominal[item.effect, item.name] <= item.upper]
 

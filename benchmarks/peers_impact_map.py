@@ -6,7 +6,7 @@
 MuJoCo and Drake are optional: ``./run python -m pip install mujoco drake`` (or the extra ``peers``); what is not
 installed is skipped.
 
-Everybody gets the same robot (our URDF), the same motor inertia, the same state and the same contact points: a sphere
+Every solver gets the same robot (our URDF), motor inertia, state and contact points: a sphere
 of 1 mm on pad or support for every point, against a plate on the object. Only ``bullet`` finds its points itself, as
 always. The exact solution is computed here, by Newton's method on the laws, and is accepted only if it breaks none of
 them by more than 1e-9 m/s. A call sets the state, steps until the velocity is settled, and reads
@@ -31,8 +31,7 @@ from scipy.optimize import approx_fprime, nnls
 from impact_rs_sim.impact_map import BulletEngine, Engine, ExactEngine, ImpactMapError, ImpactProblem
 from impact_rs_sim.impact_map.cones import solve_cones
 from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint, contact_frame, find_contacts, meetings
-from impact_rs_sim.impact_map.residual import ContactTerms
-from impact_rs_sim.impact_map.system import System, build_system
+from impact_rs_sim.impact_map.laws import ContactTerms, System, build_system
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -46,7 +45,7 @@ EXACT = 1e-9  # m/s, largest accepted residual of the exact solution
 NEWTON_STEPS = 10
 GUESS = 1e-11  # m/s, accuracy of the answer that it starts from
 SLOWEST_SLIDING = (1e-6, 1e-5, 1e-7, 1e-4, 1e-8)  # m/s, tried in turn: what divides sliding from sticking
-NEGLIGIBLE = 1e-4  # of the ante-impact speed: what the goal asks for, and what tells touching from leaving
+NEGLIGIBLE = 1e-4  # of the ante-impact speed: what the goal asks for, and separates touching from leaving
 FAR = 2e-3  # of the ante-impact speed: an answer as far off is wrong, or another solution
 SETTLED = 1e-5  # rad/s, m/s; a peer steps until nothing changes by more
 MOST_STEPS = 10
@@ -270,9 +269,9 @@ class MujocoPeer:
                 joint.armature = inertia
             base = spec.worldbody.add_frame(pos=arm.base.translation, quat=_quaternion(arm.base.rotation))
             spec.attach(child, prefix=f"{name}_", frame=base)
-        thing = problem.physics.object
+        object_ = problem.physics.object
         body = spec.worldbody.add_body(
-            name="object", mass=thing.mass, ipos=thing.com_offset, inertia=thing.inertia, explicitinertial=True
+            name="object", mass=object_.mass, ipos=object_.com_offset, inertia=object_.inertia, explicitinertial=True
         )
         body.add_freejoint()
         for number, (name, contacts) in enumerate(case.points().items()):
@@ -309,14 +308,14 @@ class MujocoPeer:
         """u^+, ``(nv,)``."""
         library, model, data, problem = self._library, self._model, self._data, self._case.problem
         library.mj_resetData(model, data)
-        thing = problem.object
+        object_ = problem.object
         joints = [state.position for state in problem.arms.values()]
-        data.qpos[:] = np.concatenate((*joints, thing.position, _quaternion(thing.rotation)))
+        data.qpos[:] = np.concatenate((*joints, object_.position, _quaternion(object_.rotation)))
         data.qvel[:] = self._case.system.velocity
-        data.qvel[-3:] = thing.rotation.T @ thing.twist[3:]
+        data.qvel[-3:] = object_.rotation.T @ object_.twist[3:]
         library.mj_step(model, data, self.steps)
         velocity = data.qvel.copy()
-        velocity[-3:] = thing.rotation @ velocity[-3:]
+        velocity[-3:] = object_.rotation @ velocity[-3:]
         return np.asarray(velocity)
 
 
@@ -368,8 +367,10 @@ class DrakePeer:
                 actuator = plant.AddJointActuator(f"{name}_{index}", plant.GetJointByName(f"joint{index}", instance))
                 actuator.set_default_rotor_inertia(inertia)
                 actuator.set_default_gear_ratio(1.0)
-        thing = problem.physics.object
-        inertia = SpatialInertia.MakeFromCentralInertia(thing.mass, thing.com_offset, RotationalInertia(*thing.inertia))
+        object_ = problem.physics.object
+        inertia = SpatialInertia.MakeFromCentralInertia(
+            object_.mass, object_.com_offset, RotationalInertia(*object_.inertia)
+        )
         body = plant.AddRigidBody("object", plant.AddModelInstance("object"), inertia)
         plates, balls = {}, {}
         for name, contacts in case.points().items():
@@ -411,9 +412,9 @@ class DrakePeer:
     def solve(self) -> Array:
         """u^+, ``(nv,)``."""
         plant, state, problem = self._plant, self._state, self._case.problem
-        thing, before = problem.object, self._case.system.velocity
+        object_, before = problem.object, self._case.system.velocity
         joints = [arm.position for arm in problem.arms.values()]
-        plant.SetPositions(state, np.concatenate((*joints, _quaternion(thing.rotation), thing.position)))
+        plant.SetPositions(state, np.concatenate((*joints, _quaternion(object_.rotation), object_.position)))
         plant.SetVelocities(state, np.concatenate((before[:-6], before[-3:], before[-6:-3])))
         for _ in range(self.steps):
             state.SetDiscreteState(plant.EvalUniquePeriodicDiscreteUpdate(state))

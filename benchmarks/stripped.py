@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Blind campaigns with everything taken away that another laboratory would not have, diagnosed once more.
 
-    ./run python benchmarks/stripped.py BOARD -o DIR [--only NAME ...] [--jobs 2]
+    ./run python -m benchmarks.stripped BOARD -o DIR [--only NAME ...] [--jobs 2]
 
-BOARD is a folder of ``benchmarks/blind.py``: campaigns with truth, runs and the diagnosis of the full bags; it is only
+BOARD is a folder of :mod:`benchmarks.blind`: campaigns with truth, runs and the diagnosis of the full bags; it is only
 read. Of every campaign DIR gets a folder of bags with position, velocity and joint torque, commands without a stamp,
 and the pose of the object, joints out of order and on a wall clock; no truth, no motor, no references, no trial info.
 Verdicts are scored as those of the full bags are. It resumes where it stopped.
@@ -26,19 +26,14 @@ from rich.console import Console
 from rich.table import Table
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document, write_document
+from benchmarks.board import diagnosed_laboratory, share
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
 from impact_rs_analysis.diagnosis.scoring import held_against_truth
-from impact_rs_analysis.evidence.laboratory import read_laboratory_runs
-from impact_rs_analysis.evidence.replays import ReplaySource
-from impact_rs_analysis.evidence.store import ReplayStore
-from impact_rs_sim.model import load_model
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.blind import RUNS, TRUTH
-from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.workers import Map, Workforce, workers
 
 EXPERIMENT = "scenario: push\nmapping: joint_state_effort_controller\nruns: runs.csv\n"
@@ -151,21 +146,12 @@ def compare(campaign: Path, output: Path, map_tasks: Map) -> Pair:
     folder = output / campaign.name
     document, began = folder / "diagnosis.json", time.perf_counter()
     strip_campaign(campaign, folder)
-    seconds = 0.0
-    if not document.exists():
-        runs = read_laboratory_runs(folder.absolute(), load_experiment(folder / "experiment.yaml"), map_tasks)
-        source = ReplaySource.of(runs, load_model("nominal"), ReplayStore(map_tasks))
-        write_document(diagnose(source, source.model), document)
-        seconds = time.perf_counter() - began
+    stripped = diagnosed_laboratory(folder.absolute(), document, map_tasks)
+    seconds = time.perf_counter() - began
     truth = json.loads((campaign / TRUTH).read_text(encoding="utf-8"))
     hidden = "+".join(item["name"] for item in truth["effects"]) or truth["outside"] or "nothing"
-    full, stripped = (Side.of(campaign, read_document(path)) for path in (campaign / "diagnosis.json", document))
-    return Pair(campaign.name, hidden, full, stripped, seconds)
-
-
-def share(values: Sequence[bool]) -> str:
-    """Percentage of true ones."""
-    return f"{100.0 * sum(values) / len(values):.1f} % of {len(values)}" if values else "-"
+    full = read_document(campaign / "diagnosis.json")
+    return Pair(campaign.name, hidden, Side.of(campaign, full), Side.of(campaign, stripped), seconds)
 
 
 def table_of(pairs: Sequence[Pair]) -> Table:
@@ -192,7 +178,7 @@ def table_of(pairs: Sequence[Pair]) -> Table:
 def main() -> None:
     """Run what is missing, then print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("board", type=Path, help="folder of campaigns of benchmarks/blind.py, only read")
+    parser.add_argument("board", type=Path, help="folder of campaigns of benchmarks.blind, only read")
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder of what is made")
     parser.add_argument("--only", nargs="+", default=[""], help="campaigns whose name starts with one of these")
     parser.add_argument("--jobs", type=int, default=2, help="worker processes")

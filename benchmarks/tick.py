@@ -7,7 +7,7 @@ lack: run it in a worktree of one of them as well, in turns, to compare the two 
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 
 import numpy as np
@@ -21,13 +21,16 @@ from impact_rs_sim.scene import Scene
 
 def main() -> None:
     """Print median and spread."""
-    trials = int(sys.argv[1]) if len(sys.argv) > 1 else 5
-    scenario = load_scenario(sys.argv[2] if len(sys.argv) > 2 else "push")
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("trials", type=int, nargs="?", default=5, help="how many")
+    parser.add_argument("scenario", nargs="?", default="push", help="a shipped one, or a file")
+    arguments = parser.parse_args()
+    scenario = load_scenario(arguments.scenario)
     plan = plan_trial(Scene.resolve(scenario, next(iter(scenario.objects)), next(iter(scenario.cases))))
     timing = plan.scene.scenario.timing
     impact = round(timing.nominal_impact / timing.control_period)
     ticks, free, touching, whole = [], [], [], []
-    for seed in range(trials):
+    for seed in range(arguments.trials):
         plant, controller = make_plant(plan, seed), Controller(plan)
         with without_garbage_collection():
             for tick in range(timing.ticks):

@@ -4,7 +4,7 @@
 Shows a manifest, how its trials are run, and the analysis: net feedback over the post-impact reference is a line, and
 its zero crossing is the measured velocity. Prints every trial as it ends, then the estimate beside the predictions.
 
-    ./run python examples/campaign.py [FOLDER]       (the same folder again: what is there is not run again)
+    ./run python examples/campaign.py [FOLDER]       (the same folder again: finished trials are not repeated)
 """
 
 import sys

@@ -12,9 +12,9 @@ import sys
 from pathlib import Path
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
+from impact_rs_analysis.evidence.measured_runs import read_runs
+from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
-from impact_rs_analysis.evidence.runs import read_runs
-from impact_rs_analysis.evidence.store import ReplayStore
 from impact_rs_sim.model import load_model
 
 FOLDER = Path("campaigns/example")
@@ -22,7 +22,7 @@ FOLDER = Path("campaigns/example")
 
 def main(folder: Path = FOLDER, model: str | Path = "nominal") -> ComparisonDocument:
     """Print how far the model is from the trials."""
-    source = ReplaySource.of(read_runs(folder, map), load_model(model), ReplayStore(map))
+    source = ReplaySource.of(read_runs(folder, map), load_model(model), ReplayCache(map))
     document = compare(source)
     print(f"model {document.model.name!r} against {document.trials} trials: score {document.score:.2f}")
     for condition in document.conditions:

@@ -3,7 +3,7 @@
 
 Shows how trials of another plant are recorded, and the diagnosis of what the nominal model lacks. The support is 1.6
 times as rough as the model says; three effects are considered. Prints the verdict on each with estimate and interval.
-Takes a minute or two; what it has run is kept, the trials in the folder and runs of the twin in ~/.cache/impact_rs.
+Takes a minute or two; trials are kept in the folder, and replays in ~/.cache/impact_rs.
 
     ./run python examples/diagnose.py [FOLDER]
 """
@@ -13,9 +13,9 @@ from pathlib import Path
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.evidence.measured_runs import read_runs
+from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
-from impact_rs_analysis.evidence.runs import read_runs
-from impact_rs_analysis.evidence.store import ReplayStore
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
 from impact_rs_sim.numbers import estimate_in_line
 from impact_rs_sim.scenario import load_scenario
@@ -42,7 +42,7 @@ def record(folder: Path, conditions: list[tuple[str, str]] = CONDITIONS, repeats
 def main(folder: Path, effects: list[str] = EFFECTS) -> DiagnosisDocument:
     """Diagnose the trials of a folder."""
     model = load_model("nominal")
-    document = diagnose(ReplaySource.of(read_runs(folder, map), model, ReplayStore(map)), model, effects)
+    document = diagnose(ReplaySource.of(read_runs(folder, map), model, ReplayCache(map)), model, effects)
     print(f"{document.verdict}: {document.summary}")
     for effect in document.effects:
         for name, found in effect.parameters.items():

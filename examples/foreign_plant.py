@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node in the plant's place: another simulator, in plain rclpy and Pinocchio, runs trials with our four other nodes.
 
-Shows all that such a node has to do (docs/foreign_plant.md): three services, joint states out, torques in, in lockstep.
-Its world is much simpler than that of our plant: drives are rigid and carry B_theta, sensors have no noise, and the
-object slides and does not turn. It never looks at references or predictions, and publishes no ground truth.
+Shows the whole contract of such a node (docs/real_robot.md): three services, joint states out, torques in, in lockstep.
+Its simulation is much simpler than our plant: drives are rigid and carry B_theta, sensors have no noise, and the object
+slides and does not turn. It reads no references or predictions, and publishes no ground truth.
 
     ./run python examples/foreign_plant.py                                         (in one terminal)
     ./run impact-rs campaign push -o campaigns/foreign --via nodes --without plant (in another)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Say an effect of your own in a formula, and see what it does to a push.
+"""Write an effect of your own as a formula, and see what it does to a push.
 
 Shows a formula effect, the physics with it, and a trial in one process. Prints how far the box goes without the cable
 and with it.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predict the velocity jump of a push for three beliefs about the motor inertia.
+"""Predict the velocity jump of a push for three motor inertias.
 
 Shows a trial specification, the scene that follows from it, and the impact map. Prints one line for each motor-inertia
 model: velocity of the end effector just after the impact, impulse on the box, and how well the laws are met.

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read one trial back from its bag, as arrays, and look at its impact.
 
-Shows how a bag is opened, what it knows of its trial, and two of its topics as columns. Prints what was run, when the
+Shows how a bag is opened, the trial that it holds, and two of its topics as columns. Prints what was run, when the
 impact was detected, and the velocity of the end effector before and after it. The bag is any trial of ours; the default
 is one of those that examples/campaign.py makes.
 

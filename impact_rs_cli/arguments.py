@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands of the loop share: arguments RUNS and MODEL, worker processes, and warnings about bags."""
+"""What the commands of the loop share: RUNS, settings, worker processes, and warnings about bags."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from impact_rs_cli.terminal import Command, Terminal
+from impact_rs_cli.terminal import Action, Terminal
+from impact_rs_commands.shared import RUNS_TEXT
 from impact_rs_control.plan import check_joint_counts
 from impact_rs_sim.errors import InputError, shortened
-from impact_rs_sim.impact_map import CONTACTS
 from impact_rs_sim.robot_check import failures_of
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.schema import parse_value
@@ -22,16 +22,9 @@ from impact_rs_trials.store import is_url, local_copy
 from impact_rs_trials.workers import Map, Workforce, workers
 
 MOST_SHOWN = 5
-RUNS = "folder with bags of trials, searched with its subfolders, or URL"
 
 
-def add_runs(parser: argparse.ArgumentParser) -> None:
-    """The argument RUNS and the option ``--model``."""
-    parser.add_argument("runs", metavar="RUNS", nargs="?", help=f"{RUNS}; leave it out with --impacts")
-    add_model(parser)
-
-
-def on_local_runs(run: Command) -> Command:
+def on_local_runs(run: Action) -> Action:
     """A command that reads ``args.runs`` from a local folder; bags at a URL are copied into a temporary one.
 
     Raises:
@@ -46,7 +39,7 @@ def on_local_runs(run: Command) -> Command:
                 raise InputError(f"--impacts {impacts} takes the place of RUNS; leave {args.runs} out")
             return run(args, terminal)
         if args.runs is None:
-            raise InputError(f"nothing to read; expected RUNS, a {RUNS}, or --impacts TABLE")
+            raise InputError(f"nothing to read; expected RUNS, a {RUNS_TEXT}, or --impacts TABLE")
         if is_url(args.runs) and args.scheduler is not None:
             raise InputError(
                 "with --scheduler RUNS must be a folder that all workers can read; copy the bags into one",
@@ -60,76 +53,20 @@ def on_local_runs(run: Command) -> Command:
     return command
 
 
-def add_contact(parser: argparse.ArgumentParser, help: str) -> None:
-    """The option ``--contact``; ``help`` says what it decides."""
-    parser.add_argument("--contact", choices=CONTACTS, default="first", help=f"{help}; default: %(default)s")
-
-
-def add_model(parser: argparse.ArgumentParser) -> None:
-    """The option ``--model``."""
-    parser.add_argument(
-        "--model", type=Path, default=Path("nominal"), metavar="FILE", help="model file; default: the nominal model"
-    )
-
-
-def add_jobs(parser: argparse.ArgumentParser) -> None:
-    """The options ``--jobs`` and ``--scheduler``."""
-    parser.add_argument("--jobs", type=int, metavar="N", help="worker processes; default: one per core")
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="run on the workers of a running dask scheduler instead (tcp://host:port)",
-    )
-
-
-def add_without(parser: argparse.ArgumentParser) -> None:
-    """The option ``--without``."""
-    parser.add_argument(
-        "--without",
-        nargs="+",
-        default=[],
-        metavar="NODE",
-        help="nodes that are not started because you provide them; the command waits for yours",
-    )
-
-
-def add_namespace(parser: argparse.ArgumentParser) -> None:
-    """The option ``--namespace``."""
-    parser.add_argument(
-        "--namespace",
-        default="",
-        metavar="NAME",
-        help="ROS namespace of the nodes; lets several sets of nodes run side by side; default: none",
-    )
-
-
-def add_settings(parser: argparse.ArgumentParser) -> None:
-    """The option ``--set``."""
-    parser.add_argument(
-        "--set",
-        dest="settings",
-        nargs="+",
-        type=_setting,
-        default=[],
-        metavar="KEY=VALUE",
-        help="override values of the scenario, for example control.clamp_force=90",
-    )
-
-
-def _setting(text: str) -> tuple[str, Any]:
-    """Key and value of a setting.
+def settings_of(args: argparse.Namespace) -> dict[str, Any]:
+    """Values of ``--set`` by dotted key.
 
     Raises:
-        argparse.ArgumentTypeError: There is no key, or the value is no YAML.
+        InputError: There is no key, or the value is no YAML.
     """
-    key, equals, value = text.partition("=")
-    try:
+    settings = {}
+    for text in args.settings:
+        key, equals, value = text.partition("=")
         read = parse_value(value, shortened(key))
-    except InputError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-    if not (key and equals and value):
-        raise argparse.ArgumentTypeError(f"expected KEY=VALUE, for example control.clamp_force=90, got {text!r}")
-    return key, read
+        if not (key and equals and value):
+            raise InputError(f"argument --set: expected KEY=VALUE, for example control.clamp_force=90, got {text!r}")
+        settings[key] = read
+    return settings
 
 
 def workforce_of(args: argparse.Namespace) -> Workforce:

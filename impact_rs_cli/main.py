@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``impact-rs``: the command line. Holds no logic; every subcommand is a module of :mod:`impact_rs_cli.commands`."""
+"""``impact-rs``: the command line, without logic of its own.
+
+Commands are declared in :mod:`impact_rs_commands`; each is run by a module of :mod:`impact_rs_cli.commands`.
+"""
 
 from __future__ import annotations
 
@@ -9,33 +12,12 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib import import_module
 
-from impact_rs_cli.parser import CommandParser, Parser
+from impact_rs_cli.parser import CommandParser, Parser, spelled
+from impact_rs_commands import COMMANDS
 from impact_rs_sim.errors import InputError, full_traceback, shortened
 from impact_rs_sim.version import package_version
-
-COMMANDS = {  # name: module of impact_rs_cli.commands, imported when the command is used, and what it does
-    "demo": ("demo", "run the whole loop once: trials, analysis, diagnosis, better model"),
-    "map": ("map", "predict the velocities just after an impact"),
-    "trial": ("trial", "run one trial and record it"),
-    "campaign": ("campaign", "run many trials, or continue a campaign"),
-    "analyze": ("analyze", "compare predictions with recorded trials"),
-    "study": ("study", "run and analyse all 450 trials of the published study"),
-    "show": ("show", "show a trial in 3D"),
-    "export": ("export", "write a campaign into one Parquet or HDF5 file"),
-    "compare": ("compare", "show where a model fails against trials"),
-    "diagnose": ("diagnose", "name the physical effect that a model lacks"),
-    "add": ("add_effect", "add a diagnosed effect to a model"),
-    "history": ("history", "show how the error fell from model to model"),
-    "effects": ("effects", "list the library of physical effects"),
-    "blind": ("blind", "make a campaign with a hidden effect, or score a diagnosis"),
-    "friction": ("friction", "identify the friction compensation of a scenario"),
-    "robot": ("robot", "import the URDF of your own robot, and check it"),
-    "scenario": ("scenario", "write a scenario to start from, for any robot"),
-    "paper": ("paper", "fit a motor-inertia scale to the published results"),
-    "up": ("up", "start the ROS 2 nodes"),
-    "workbench": ("workbench", "run the loop on a page in the browser"),
-}
 
 LONGEST_MESSAGE = 2000  # characters of an error; some repeat what they were given
 
@@ -65,13 +47,13 @@ Predict, measure and explain simultaneous robot impacts.
 
 def parser() -> Parser:
     """The argument parser with all subcommands, none of them imported."""
-    main_parser = Parser(prog="impact-rs", description=TEXT)
+    main_parser = Parser(prog="impact-rs", description=spelled(TEXT))
     main_parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     subparsers = main_parser.add_subparsers(
         title="commands", metavar="COMMAND", required=True, parser_class=CommandParser
     )
-    for name, (module, summary) in COMMANDS.items():
-        subparsers.add_parser(name, help=summary, module=f"impact_rs_cli.commands.{module}")
+    for command in COMMANDS.values():
+        subparsers.add_parser(command.name, help=command.summary, command=command)
     return main_parser
 
 
@@ -100,7 +82,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser().parse_args(argv, args)
         if args.debug:
             _show_log()
-        code: int = args.run(args)
+        code = _run(args)
         sys.stdout.flush()  # raises here if the disk is full; when Python ends it would be too late
         return code
     except SystemExit as stop:  # --help, or a mistake in the arguments that has been reported
@@ -123,6 +105,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(error, f"a text is not as it should be: {shortened(str(error))}", 2, args.debug)
     except RuntimeError as error:  # an impact map without an answer, nodes that do not start
         return _fail(error, str(error), 1, args.debug)
+
+
+def _run(args: argparse.Namespace) -> int:
+    """Run the command in its module, which is imported now: ``--help`` waits for no library."""
+    module = import_module(f"impact_rs_cli.commands.{args.command.file}")
+    code: int = import_module("impact_rs_cli.terminal").run(getattr(module, args.command.function), args)
+    return code
 
 
 def _os_words(error: OSError) -> str:

@@ -7,20 +7,20 @@ import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
-from impact_rs_analysis.evidence.aligned import aligned_runs
-from impact_rs_analysis.evidence.cluster import Added, Source
+from impact_rs_analysis.evidence.cluster import Added
+from impact_rs_analysis.evidence.command_clock import read_laboratory_runs
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
-from impact_rs_analysis.evidence.laboratory import read_laboratory_runs
+from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
 from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
-from impact_rs_analysis.evidence.runs import Runs, read_runs
-from impact_rs_analysis.evidence.store import ReplayStore
-from impact_rs_analysis.evidence.tracks import TrackSet, tracks_of_recordings, tracks_of_runs
+from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_cli.arguments import started, warn_skipped
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.effects.base import Joints
@@ -28,48 +28,12 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.recordings.experiment import load_experiment
-from impact_rs_trials.recordings.impact_table import ImpactTable, read_impact_table
-from impact_rs_trials.recordings.mapping import Mapping, load_mapping
-from impact_rs_trials.recordings.recording import Recording, is_foreign, read_recordings
+from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_trials.recordings.mapping import load_mapping
+from impact_rs_trials.recordings.recording import is_foreign, read_recordings
 from impact_rs_trials.workers import Map
 
 DEFAULT_MAPPING = "joint_state"
-
-
-def add_source(parser: argparse.ArgumentParser) -> None:
-    """The options ``--mapping``, ``--experiment``, ``--impacts``, ``--scenario`` and ``--no-discrepancy``."""
-    parser.add_argument(
-        "--mapping",
-        metavar="NAME",
-        help="RUNS is a recording of a real robot in free motion (.db3, .mcap, .csv, .npz, or a folder of them): name "
-        "of a mapping (joint_state, franka_robot_state), or path of a mapping file; default: joint_state",
-    )
-    parser.add_argument(
-        "--experiment",
-        type=Path,
-        metavar="FILE.yaml",
-        help="RUNS is a folder of runs recorded with another controller: experiment file with scenario, mapping and "
-        "table of runs (docs/laboratory.md); path relative to the working directory, else to RUNS",
-    )
-    parser.add_argument(
-        "--impacts",
-        type=Path,
-        metavar="TABLE",
-        help="instead of RUNS: a table (.csv, .parquet) with one row per impact, of one free body on a plane or of an "
-        "arm and an object; a column header is name and unit, for example 'vx_before [m/s]' (docs/impact_tables.md)",
-    )
-    parser.add_argument(
-        "--scenario",
-        metavar="NAME",
-        help="with --impacts: scenario (name or file) whose robots, pads and support the rows refer to; without it "
-        "each row is one free body that hits a fixed plane",
-    )
-    parser.add_argument(
-        "--no-discrepancy",
-        action="store_true",
-        help="assume that the simulation is exact: ignore the model discrepancy between simulators "
-        "(config/discrepancy.yaml)",
-    )
 
 
 class Measurements:
@@ -78,31 +42,48 @@ class Measurements:
     Args:
         map_tasks: Parallel map.
         terminal: Shows the progress.
-        trials: Trials; None: recordings.
-        recordings: Recordings; empty: trials.
-        mapping: How the recordings were read.
-        discrepancy: Of the simulation; None: as measured.
-        impacts: Table of impacts; None: trials or recordings.
-        each_arm: Whether arms of one kind have parameters of their own.
+        source: Makes the source of evidence for a model; replays go through the store.
+        trials: Trials; None: something else.
+        what: What was read, in words.
     """
 
     def __init__(
         self,
         map_tasks: Map,
         terminal: Terminal,
-        trials: Runs | None,
-        recordings: tuple[Recording, ...] = (),
-        mapping: Mapping | None = None,
-        discrepancy: Discrepancy | None = None,
-        impacts: ImpactTable | None = None,
-        each_arm: bool = False,
+        source: Callable[[Model, ReplayCache], Source],
+        trials: Runs | None = None,
+        what: str = "trials",
     ) -> None:
-        self.impacts, self._each_arm = impacts, each_arm
-        self.trials, self.recordings, self.mapping = trials, recordings, mapping
-        self._map, self._terminal, self._discrepancy = map_tasks, terminal, discrepancy
+        self.trials, self.what = trials, what
+        self._map, self._terminal, self._source = map_tasks, terminal, source
         self._stage = lambda *_: None
-        self._store = ReplayStore(map_tasks, lambda what, done, total: self._stage(what, done, total))
+        self._store = ReplayCache(map_tasks, lambda what, done, total: self._stage(what, done, total))
         self._sources: dict[str, Source] = {}
+
+    @classmethod
+    def of_trials(
+        cls,
+        map_tasks: Map,
+        terminal: Terminal,
+        trials: Runs,
+        discrepancy: Discrepancy | None = None,
+        each_arm: bool = False,
+    ) -> Self:
+        """Trials, or runs of another controller.
+
+        Args:
+            map_tasks: Parallel map.
+            terminal: Shows the progress.
+            trials: The runs.
+            discrepancy: Of the simulation; None: as measured.
+            each_arm: Whether arms of one kind have parameters of their own.
+        """
+
+        def source(model: Model, store: ReplayCache) -> Source:
+            return ReplaySource.of(trials, model, store, discrepancy, each_arm)
+
+        return cls(map_tasks, terminal, source, trials)
 
     @contextmanager
     def progress(self) -> Iterator[None]:
@@ -122,33 +103,17 @@ class Measurements:
         """
         key = f"{model.digest} {[spec.name for spec in model.formulas]} {model.arms}"
         if key not in self._sources:
-            if self.impacts is not None:
-                source: Source = ImpactTableSource(self.impacts, model, self._each_arm)
-            elif self.trials is not None:
-                source = ReplaySource.of(self.trials, model, self._store, self._discrepancy, self._each_arm)
-            else:
-                assert self.mapping is not None
-                source = RecordingSource.of(self.recordings, self.mapping, model)
-            self._sources[key] = source
+            self._sources[key] = self._source(model, self._store)
         return self._sources[key]
 
-    def tracks(self, model: Model, added: Added = ()) -> tuple[TrackSet, ...]:
+    def tracks(self, model: Model, added: Added = ()) -> tuple[Track, ...]:
         """Measured and predicted signals over time, for reports.
 
         Args:
             model: The model.
             added: Effects found on top of it; for recordings and impacts shown beside the model.
         """
-        if self.trials is not None:
-            return tracks_of_runs(aligned_runs(self.trials, model, self._map, added))
-        source = self.against(model)
-        if isinstance(source, ImpactTableSource):
-            return source.tracks(added)
-        assert isinstance(source, RecordingSource)
-        rests = {"the model": source.rest}
-        if added:
-            rests = {"the model with what was found": source.rest_with(added), "the model as it is": source.rest}
-        return tracks_of_recordings(source, rests)
+        return self.against(model).tracks(self._map, added)
 
 
 @contextmanager
@@ -177,7 +142,12 @@ def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = Fals
         scenario = None if args.scenario is None else load_scenario(args.scenario)
         table = read_impact_table(args.impacts, scenario)
         with started(args) as map_tasks:
-            yield Measurements(map_tasks, terminal, None, impacts=table, each_arm=each_arm)
+            yield Measurements(
+                map_tasks,
+                terminal,
+                lambda model, _: ImpactTableSource(table, model, each_arm),
+                what="tables of impacts",
+            )
         return
     discrepancy = NO_DISCREPANCY if args.no_discrepancy else None
     path = Path(args.runs)
@@ -185,15 +155,20 @@ def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = Fals
         if args.experiment is not None:
             if args.mapping is not None:
                 raise InputError("--mapping and --experiment exclude each other: the experiment file names the mapping")
-            runs = read_experiment(path, args.experiment, map_tasks, terminal)
-            yield Measurements(map_tasks, terminal, runs, discrepancy=discrepancy, each_arm=each_arm)
-            return
-        if args.mapping is not None or is_foreign(path):
+            trials = read_experiment(path, args.experiment, map_tasks, terminal)
+        elif args.mapping is not None or is_foreign(path):
             mapping = load_mapping(args.mapping or DEFAULT_MAPPING)
-            yield Measurements(map_tasks, terminal, None, tuple(read_recordings(path, mapping)), mapping)
+            recordings = read_recordings(path, mapping)
+            yield Measurements(
+                map_tasks,
+                terminal,
+                lambda model, _: RecordingSource.of(recordings, mapping, model),
+                what="recordings without a scenario",
+            )
             return
-        trials = read(path, map_tasks, terminal)
-        yield Measurements(map_tasks, terminal, trials, discrepancy=discrepancy, each_arm=each_arm)
+        else:
+            trials = read(path, map_tasks, terminal)
+        yield Measurements.of_trials(map_tasks, terminal, trials, discrepancy, each_arm)
 
 
 def experiment_file(given: Path, directory: Path, terminal: Terminal) -> Path:
@@ -267,8 +242,7 @@ def only_trials(measurements: Measurements, option: str) -> Runs:
         InputError: Recordings or a table of impacts were read.
     """
     if measurements.trials is None:
-        what = "recordings without a scenario" if measurements.impacts is None else "tables of impacts"
-        raise InputError(f"{option} is for trials; for {what} use --json or the report")
+        raise InputError(f"{option} is for trials; for {measurements.what} use --json or the report")
     return measurements.trials
 
 

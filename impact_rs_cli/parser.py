@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Argument parsers: an error is one line with a suggestion, and a command is imported when it is used."""
+"""Argument parsers, made from the declarations of commands; an error is one line with a suggestion."""
 
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import sys
-from importlib import import_module
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NoReturn
 
+from impact_rs_commands.declaration import READ, WRITTEN, Command, Option
 from impact_rs_sim.errors import did_you_mean, shortened
 
 LONGEST_MESSAGE = 1000  # characters; what the user typed is repeated in it
+PROGRAM = os.environ.get("IMPACT_RS_PROGRAM", "impact-rs")  # how hints spell it: ./run sets "./run impact-rs"
 
 
 class Parser(argparse.ArgumentParser):
@@ -56,22 +60,68 @@ class Parser(argparse.ArgumentParser):
 
 
 class CommandParser(Parser):
-    """Parser of one command, which its module completes when the command is used.
+    """Parser of one command, which gets its arguments when the command is used.
 
     Args:
-        module: Name of the module; its ``add(parser)`` is called.
+        command: The command.
+        helped: Whose help it has; None: its own.
     """
 
-    def __init__(self, *args: Any, module: str, **settings: Any) -> None:
+    def __init__(self, *args: Any, command: Command, helped: Command | None = None, **settings: Any) -> None:
         super().__init__(*args, **settings)
-        self._module: str | None = module
+        self._command: Command | None = command
+        self._help = helped or command
+
+    def complete(self) -> CommandParser:
+        """The parser with the arguments of its command."""
+        if self._command is None:
+            return self
+        command, self._command = self._command, None
+        self.description = spelled(self._help.help_text)
+        self.set_defaults(command=command, resumable=command.resumable)
+        for option in command.options:
+            _add(self, option)
+        if command.actions:
+            actions = self.add_subparsers(title="actions", metavar="ACTION", required=True, parser_class=CommandParser)
+            for below in command.actions:
+                actions.add_parser(below.name.split()[-1], help=below.summary, command=below, helped=command)
+        return self
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse with the arguments that the module of the command declares."""
-        if self._module is not None:
-            module, self._module = import_module(self._module), None
-            module.add(self)
+        """Parse with the arguments of the command."""
+        self.complete()
         for argument in args or ():
             if not argument or re.fullmatch(r"--?[\w-]+=", argument):  # a variable of a shell that is not set
                 self.error(f"an argument is empty ({argument!r}): expected a value")
         return super().parse_known_args(args, namespace)
+
+
+def spelled(text: str) -> str:
+    """A text of a declaration with the program as the user calls it."""
+    return re.sub(r"\bimpact-rs(?= [a-z])", lambda _: PROGRAM, text)
+
+
+def _add(parser: argparse.ArgumentParser, option: Option) -> None:
+    """Add one argument."""
+    settings: dict[str, Any] = {"help": spelled(option.help_text).replace("%", "%%") or None}
+    if option.kind in ("switch", "json"):
+        parser.add_argument(*option.flags, dest=option.name, action="store_true", **settings)
+        return
+    settings |= {"type": _type(option), "metavar": option.metavar or None, "choices": option.choices or None}
+    settings["default"] = list(option.default) if isinstance(option.default, tuple) else option.default
+    if option.many:
+        settings["nargs"] = "+"
+    if option.flags:
+        settings |= {"dest": option.name, "required": option.required}
+    elif not option.required:
+        settings["nargs"] = "?"
+    parser.add_argument(*(option.flags or (option.name,)), **settings)
+
+
+def _type(option: Option) -> Callable[[str], Any]:
+    """What reads a value; argparse reads defaults that are texts with it, too."""
+    if option.former:
+        return lambda text: dict(option.former).get(text, text)
+    if option.kind in (*READ, *WRITTEN) and not option.url:
+        return Path
+    return {"whole": int, "number": float}.get(option.kind, str)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import ctypes
-import functools
 import json
 import os
 import sys
@@ -21,11 +20,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.progress import ProgressFile
 from impact_rs_trials.store import is_bag, is_url
 
-OUTPUTS = ("output", "mcap", "report")  # where commands write, as their parsers call it
-
 Report = Callable[[int, int], None]
-
-PROGRAM = os.environ.get("IMPACT_RS_PROGRAM", "impact-rs")  # how hints spell it: ./run sets "./run impact-rs"
 
 
 class _Output(Console):
@@ -155,13 +150,7 @@ def output_folder(path: Path) -> Iterator[Path]:
                 folder.rmdir()
 
 
-Command = Callable[[argparse.Namespace, Terminal], int]
-
-
-def declare(parser: argparse.ArgumentParser, run: Command, text: str) -> None:
-    """Set the function that runs a command, and the text of its help."""
-    parser.description = text
-    parser.set_defaults(run=functools.partial(_with_terminal, run))
+Action = Callable[[argparse.Namespace, Terminal], int]
 
 
 def check_outputs(args: argparse.Namespace) -> None:
@@ -170,7 +159,8 @@ def check_outputs(args: argparse.Namespace) -> None:
     Raises:
         InputError: They would be.
     """
-    for name in OUTPUTS:
+    written = args.command.written
+    for name in written:
         given = getattr(args, name, None)
         if not isinstance(given, (str, Path)) or is_url(given):
             continue
@@ -178,7 +168,7 @@ def check_outputs(args: argparse.Namespace) -> None:
         if bag := next((folder for folder in (target, *target.parents) if is_bag(folder)), None):
             raise InputError(f"lies inside the bag {bag}; bags are never changed, choose another folder", file=given)
         for other, value in vars(args).items():
-            if other in (*OUTPUTS, "scenario") or not isinstance(value, (str, Path)) or not os.path.exists(value):
+            if other in (*written, "scenario") or not isinstance(value, (str, Path)) or not os.path.exists(value):
                 continue  # the name of a scenario may also be that of a folder
             if target == Path(value).resolve():
                 raise InputError(
@@ -187,15 +177,15 @@ def check_outputs(args: argparse.Namespace) -> None:
                 )
 
 
-def _with_terminal(run: Command, args: argparse.Namespace) -> int:
+def run(action: Action, args: argparse.Namespace) -> int:
+    """Run a command with a terminal; returns its exit code.
+
+    Raises:
+        InputError: The user made a mistake.
+    """
     check_outputs(args)
     terminal = Terminal(args.json, args.debug)
     with terminal.owned_output():
-        code = run(args, terminal)
+        code = action(args, terminal)
     terminal.finish()
     return code
-
-
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """The option ``--json``."""
-    parser.add_argument("--json", action="store_true", help="print one JSON document on standard output, nothing else")

@@ -1,12 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reference-spreading QP control of one or several arms (paper sec. Control approach).
 
-Ante, interim and post mode differ in reference, in the weight gamma of velocity feedback, and in what is fed forward
-against joint friction and for the wrench on the object:
+The controller uses measured signals only: q, dq and tau_J of every joint. With M, h, J and dJ/dt dq of the rigid model,
+position p, axes R and twist v = J dq of frame E in E[A], one control tick of an arm goes as follows.
 
-    e_p = ddp - ddp_d - gamma 2 sqrt(k_p) (dp_d - dp) - k_p (p_d - p) - a_fric - a_f       (paper eqs. e_pos_*)
+**1. Impact** (:mod:`impact_rs_control.detection`). A momentum observer estimates the external wrench. The first arm
+that detects an impact ends the ante mode of all arms, at T_imp.
 
-The controller uses measured signals only.
+**2. Mode** (paper sec. Interim mode). Weight of the velocity feedback:
+
+    ante: gamma = 1,      interim: gamma = (t - T_imp) / dt_int,      post: gamma = 1
+
+The references are those before the impact in the ante mode, those after it in interim and post mode.
+
+**3. Tasks** (paper eqs. e_pos_ante, e_theta_ante, e_pos_int, e_pos_post). Position (3), orientation (3) and k posture
+joints follow their references x_d by feedback and feedforward, with the gain k_p, k_theta or k_q of the task:
+
+    a_fb = gamma 2 sqrt(k) (dx_d - dx) + k e                                           (paper eq. fb_error)
+    e_p = p_d - p,      e_theta = R log(R^T R_d),      e_q = q_d - q
+    a = ddx_d + a_fb + a_fric + a_f,      a_f = J (M + B_theta)^-1 J^T f_d             (paper eq. a_p_f)
+
+a_fric compensates joint friction, a_f exerts the wrench f_d on the object after the impact; the same torque moves the
+posture joints, so a_f has their rows as well. The paper's task error is J ddq + dJ/dt dq - a. Its eq. e_theta_ante has
+another sign before k_theta, which would turn the pad away from R_d.
+
+**4. Quadratic program** (:mod:`impact_rs_control.qp`). With S, which picks the posture joints,
+
+    min_ddq ||A ddq - b||_W^2,      A = [J; S; 1],      b = [a_E - dJ/dt dq; a_q; -2 sqrt(k_q) dq]   (paper eq. QP_ante)
+    W = diag(w_p, w_p, w_p, w_theta, w_theta, w_theta, w_q, ..., w_idle, ...)
+    H = A^T W A + eps 1,      g = -A^T W b
+
+within the limits of position, velocity and torque (paper eqs. const_q, const_dq, const_tau). The last rows of A and b
+slow down all joints, and are there only where the tasks leave joints over, 6 + k < n.
+
+**5. Torque** (paper eq. eom_ante): tau_d = (M + B_theta) ddq + h.
+
+**6. Measure** (paper eq. a_fb_net): the net feedback is the integral of a_fb from t_1 to t_2.
+
+Steps 1, 3 and 4 are compiled (``src/control.cpp``); ``test/impact_rs_control/test_compiled_tick.py`` has the tick in
+NumPy and compares both.
 """
 
 from __future__ import annotations
@@ -170,17 +202,7 @@ class ArmController:
         q, dq, terms = measured.position, measured.velocity, watched.terms
         mode, gamma = self._mode(tick)
         feedback, tasks, targets, inertia = self._law.decide(
-            min(tick, self._last_tick),
-            mode is not Mode.ANTE,
-            gamma,
-            q,
-            dq,
-            terms.mass_matrix,
-            terms.jacobian,
-            terms.drift,
-            terms.position,
-            terms.rotation,
-            terms.twist,
+            min(tick, self._last_tick), mode is not Mode.ANTE, gamma, q, dq, terms
         )
         solution = self._qp.solve(AccelerationProblem(tasks, targets, self._weights, inertia, terms.bias, q, dq))
         torque = inertia @ solution.acceleration + terms.bias

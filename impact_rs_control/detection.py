@@ -6,8 +6,13 @@
 
 (De Luca and Mattone; see Haddadin et al. 2017, the survey the paper cites.) The joint torque is measured on the link
 side of the motor, so motor friction and the torque loop do not enter. The dynamically consistent inverse of J^T maps
-the residual to a force at the end effector. A slow baseline, as a wrong payload causes, is subtracted, and the
-remaining sudden part is compared with the threshold. ``src/control.cpp`` implements the arithmetic.
+the residual to a wrench at the end effector,
+
+    f = (J M^-1 J^T)^-1 J M^-1 r,      F = -n . f_lin - F_slow,      dF_slow/dt = F / T while F is below the threshold
+
+with n the direction of the ante-impact velocity. A slow force, as a wrong payload causes, is thus taken out with the
+time constant T, and an impact is detected when F exceeds the threshold. The integral and F_slow advance by the control
+period (explicit Euler) in ``src/control.cpp``.
 """
 
 from __future__ import annotations
@@ -67,4 +72,4 @@ class ImpactDetector:
             terms: Rigid-body terms at ``q``, ``dq``.
         """
         coriolis = pin.computeCoriolisMatrix(self._model.pinocchio, self._model.data, q, dq)
-        return self._observer.update(dq, torque, terms.mass_matrix, terms.bias, coriolis, terms.jacobian)
+        return self._observer.update(dq, torque, terms, coriolis)

@@ -17,7 +17,7 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.effort_arms import REST, EffortArms
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
-from impact_rs_ros.robot_states import STATES, ArmStates, Clock
+from impact_rs_ros.robot_states import STATES, ArmStates
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.topics import CLOCK
 
@@ -50,9 +50,8 @@ class Arming:
         arms: The robot, nothing sent to it yet for this trial.
         mocap: Reads poses of the object; None: none are wanted.
         inbox: Where the robot's states and the object's poses come in.
-        clock: Of the robot.
         limits: What the robot must keep.
-        holder: Who holds the arms while they are looked at, since the trial before; None: nobody yet.
+        holder: Who holds the arms while they are looked at, since the trial before; None: none yet.
         monotonic: A clock that never goes back [s].
     """
 
@@ -62,7 +61,6 @@ class Arming:
         arms: EffortArms,
         mocap: TrackerPoses | None,
         inbox: Inbox,
-        clock: Clock,
         limits: ArmingLimits,
         holder: EffortArms | None = None,
         monotonic: Callable[[], float] = time.monotonic,
@@ -71,11 +69,10 @@ class Arming:
         self._arms = arms
         self._mocap = mocap
         self._inbox = inbox
-        self._clock = clock
         self._limits = limits
         self._holder = holder
         self._monotonic = monotonic
-        self._timeless = False  # states came whose age could not be told
+        self._timeless = False  # states came whose age is not known
         self._pose: PoseStamped | None = None  # where the object was last seen
 
     def look(self) -> str:
@@ -156,7 +153,7 @@ class Arming:
                     self._see(self._mocap.read(data))
                 if topic != STATES:
                     continue
-                if not self._clock.known:
+                if not self._arms.states.clock.known:
                     self._timeless = True
                     continue
                 if holder is not None and holder is not self._arms:
@@ -175,7 +172,7 @@ class Arming:
     def _see(self, pose: PoseStamped | None) -> None:
         if pose is not None:
             stamp = pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec
-            self._pose = pose if abs(1e-9 * (self._clock.now() - stamp)) <= POSE_AGE else None
+            self._pose = pose if abs(1e-9 * (self._arms.states.clock.now() - stamp)) <= POSE_AGE else None
 
 
 def start_complaint(plan: TrialPlan, states: ArmStates, tolerance: float) -> str:

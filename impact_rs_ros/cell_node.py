@@ -49,7 +49,6 @@ class CellNode(LeadingNode[CellTrial]):
         self._commands: dict[str, Publisher] = {}
         self._clock = RobotClock(self.node)
         self._held: EffortArms | None = None  # the arms that were sent something, which are held unless they are led
-        self._period = 0.001  # s, of the states of these arms
         self._robots = 1  # publishers of joint states when the trial was armed
         self._surveyed = 0.0
         self._watchdog_brakes = False
@@ -107,10 +106,10 @@ class CellNode(LeadingNode[CellTrial]):
         self.inbox.clear()
         self._clock.forget()
         still = ArmingLimits(start, self.parameter("arm_jitter_limit"))
-        arming = Arming(plan, arms, mocap, self.inbox, self._clock, still, self._held)
+        arming = Arming(plan, arms, mocap, self.inbox, still, self._held)
         found = arming.look()
         self._await_listeners()
-        self._held, self._period = arms, plan.scene.scenario.timing.control_period
+        self._held = arms
         self.log.info(f"armed: {found}{arming.hold()}")
         limits = TrialLimits(
             state_timeout=self.parameter("state_timeout"),
@@ -136,7 +135,7 @@ class CellNode(LeadingNode[CellTrial]):
 
     def _rest(self, seconds: float) -> None:
         if self._held is not None:
-            rest_until(self._held, self.inbox, self._period, time.monotonic() + seconds, time.monotonic)
+            rest_until(self._held, self.inbox, time.monotonic() + seconds, time.monotonic)
 
     def _on_watchdog(self, message: Bool) -> None:
         self._watchdog_brakes = message.data
@@ -151,7 +150,7 @@ class CellNode(LeadingNode[CellTrial]):
         return outcome
 
     def _strangers(self) -> str:
-        """Who publishes what they should not, by name; empty: nobody."""
+        """Who publishes what they should not, by name; empty: no one."""
         for arm in self.arms:
             topic = resolved(self.node, commands_topic(arm))
             own = self.node.get_name(), self.node.get_namespace()

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from impact_rs_control.guard import torque_complaint
+from impact_rs_control.arm_limits import torque_complaint
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.arming import start_complaint
 from impact_rs_ros.effort_arms import EffortArms

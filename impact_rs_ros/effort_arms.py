@@ -13,13 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from impact_rs_control.arm_limits import rate_limited
 from impact_rs_control.fallback import FRESH, holding_torque
-from impact_rs_control.guard import rate_limited
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.robot_states import STATES, ArmStates, Clock, RobotStates, joint_names
 from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
 
 REST = 0.02  # rad/s, m/s; slower is at rest: the holding torque then changes by a thousandth of what an arm weighs
 STEPS = 2.0  # periods, that count at most as time since the last torque: a pause permits no jump
@@ -34,13 +33,10 @@ class EffortArms:
     """The arms of one trial.
 
     Args:
-        models: By arm.
+        states: What the robot reports; has its models, period and clock.
         motor_inertia: B that the torque loop leaves, ``(n,)`` [kg m^2], by arm.
-        states: What the robot reports.
         adds_gravity: Whether the robot compensates gravity itself.
         rate: Of a torque, at most [N m/s].
-        period: Between two states [s].
-        clock: Of the robot.
         send: Sends an arm's effort controller its torques.
 
     Attributes:
@@ -52,24 +48,18 @@ class EffortArms:
 
     def __init__(
         self,
-        models: Mapping[str, RobotModel],
-        motor_inertia: Mapping[str, Array],
         states: RobotStates,
+        motor_inertia: Mapping[str, Array],
         adds_gravity: bool,
         rate: float,
-        period: float,
-        clock: Clock,
         send: Callable[[str, Array], None],
     ) -> None:
         self.states = states
         self.limited = 0
         self.held = False
-        self._models = models
         self._motor_inertia = motor_inertia
         self.adds_gravity = adds_gravity
         self._rate = rate
-        self._period = period
-        self._clock = clock
         self._send = send
         self._sent: dict[str, tuple[float, Array]] = {}  # when [s], and what, by arm
         self._braked: ArmStates | None = None  # the state that the brake has answered
@@ -83,8 +73,8 @@ class EffortArms:
 
     def continue_from(self, arm: str, sent: Array) -> None:
         """Another process sent this torque last, ``(n,)`` [N m]: the next one changes it no faster than allowed."""
-        if sent.shape == (self._models[arm].joint_count,) and np.isfinite(sent).all():
-            self._sent[arm] = self._clock.steady(), sent
+        if sent.shape == (self.states.models[arm].joint_count,) and np.isfinite(sent).all():
+            self._sent[arm] = self.states.clock.steady(), sent
 
     def rest(self) -> None:
         """Brake and hold on a fresh state, once a state; without one carry the arms' weight and no more.
@@ -101,7 +91,7 @@ class EffortArms:
         self._braked = latest if fresh else None
         reached = []
         for name, arm in latest.arms.items():
-            model = self._models[name]
+            model = self.states.models[name]
             torque = model.gravity_torque(arm.position)
             if fresh:
                 torque = holding_torque(model, self._motor_inertia[name], arm.position, arm.velocity)
@@ -112,11 +102,11 @@ class EffortArms:
     def _set(self, arm: str, torque: Array) -> bool:
         """Send a torque as far as the rate allows; whether all of it could be sent."""
         assert self.states.latest is not None
-        gravity = self._models[arm].gravity_torque(self.states.latest.arms[arm].position)
+        gravity = self.states.models[arm].gravity_torque(self.states.latest.arms[arm].position)
         carried = gravity if self.adds_gravity else np.zeros_like(gravity)
-        now = self._clock.steady()
-        last, before = self._sent.get(arm, (now - self._period, gravity - carried))
-        elapsed = min(max(now - last, 0.0), STEPS * self._period)
+        now = self.states.clock.steady()
+        last, before = self._sent.get(arm, (now - self.states.period, gravity - carried))
+        elapsed = min(max(now - last, 0.0), STEPS * self.states.period)
         wanted = torque - carried
         sent = rate_limited(wanted, before, self._rate * elapsed)
         reached = bool(np.allclose(sent, wanted))
@@ -145,29 +135,25 @@ def arms_of(
     joints = joint_names(parameter("joints"), {arm: model.joint_count for arm, model in models.items()})
     period = scene.scenario.timing.control_period
     return EffortArms(
-        models,
-        {arm: scene.physics.arms[arm].motor_inertia_reduced for arm in models},
         RobotStates(models, joints, period, parameter("state_timeout"), clock),
+        {arm: scene.physics.arms[arm].motor_inertia_reduced for arm in models},
         parameter("robot_adds_gravity"),
         parameter("torque_rate_limit"),
-        period,
-        clock,
         send,
     )
 
 
-def rest_until(arms: EffortArms, inbox: Inbox, period: float, until: float, monotonic: Callable[[], float]) -> None:
+def rest_until(arms: EffortArms, inbox: Inbox, until: float, monotonic: Callable[[], float]) -> None:
     """Brake and hold, or carry the weight, until ``until`` on the clock ``monotonic`` [s].
 
     Args:
         arms: The arms.
         inbox: Where the robot's states come in; everything else in it is thrown away.
-        period: Between two states [s].
         until: When to return [s].
         monotonic: A clock that never goes back [s].
     """
     while (left := until - monotonic()) > 0.0:
-        inbox.wait(min(left, period))
+        inbox.wait(min(left, arms.states.period))
         for topic, data in inbox.take():
             if topic == STATES:
                 arms.states.read(data)

@@ -110,11 +110,7 @@ class ExperimentNode(NodeProgram):
         return bool(handle.is_cancel_requested or self._cancelling.is_set())
 
     def _check(self, goal: Any) -> None:
-        """Check that a goal can be run.
-
-        Raises:
-            InputError: It names something that does not exist.
-        """
+        """Raise ``InputError`` if a goal names something that does not exist."""
         self.output(goal.output_directory, "output_directory")
         if isinstance(goal, RunCampaign.Goal):
             self._manifest(goal)
@@ -124,11 +120,7 @@ class ExperimentNode(NodeProgram):
             parse_model(goal.plant_model, "plant_model")
 
     def _manifest(self, goal: RunCampaign.Goal) -> Manifest:
-        """The campaign of a goal; empty fields take the values of the scenario.
-
-        Raises:
-            InputError: There is no such campaign.
-        """
+        """The campaign of a goal; empty fields take the values of the scenario."""
         inertia = goal.motor_inertia or "reduced"
         if inertia not in MOTOR_INERTIA_MODELS:
             known = f"expected one of {', '.join(MOTOR_INERTIA_MODELS)}"

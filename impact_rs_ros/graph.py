@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The five nodes and their caller: runs trials through the nodes and restarts a node that dies."""
+"""The five nodes and their caller, which runs trials through them.
+
+One rule for every failure in a campaign: a node that ends or freezes is *lost*. When a node is lost or a trial is
+aborted, all nodes are stopped and started again, and the trial is repeated once.
+"""
 
 from __future__ import annotations
 
@@ -18,31 +22,26 @@ from typing import Any, Self
 import rclpy
 from impact_rs.action import RunCampaign, RunTrial
 from impact_rs.srv import ComputeImpactMap, ConfigureTrial, FinishTrial
-from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from impact_rs_ros.middleware import set_middleware
 from impact_rs_ros.names import full_namespace, within
-from impact_rs_ros.node_processes import NODES, STOP_TIMEOUT, NodeProcesses, ours
+from impact_rs_ros.node_processes import NODES, NodeProcesses, ours
 from impact_rs_ros.presence import Presence
 from impact_rs_sim.model import Model, model_text
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.bags.trial_info import TrialKey
+from impact_rs_trials.bags.trial_info import Outcome, TrialKey
 from impact_rs_trials.campaign import Manifest, TrialReport, keep_failure
 from impact_rs_trials.store import open_store
 
 START_TIMEOUT = 60.0  # s, for all nodes to answer; imports take some seconds on a busy machine
+STARTS = 3  # attempts to start the nodes, if one is killed or freezes meanwhile
 FOREIGN_TIMEOUT = 120.0  # s, for the user's own node in place of one of ours; it may have to be started by hand
-STARTS = 3  # of a node that is killed, or freezes, while it starts
-QUESTIONS = 6  # requests that test whether a node answers; the first may be lost during discovery
-ANSWER_TIMEOUT = 0.5  # s, for the answer to one; a longer pause of the machine leaves only one of them unanswered
-SILENCE = 1.0  # s without feedback on a trial, after which the experiment node is asked whether it still answers
-ATTEMPTS = 3  # of a trial; the next one after a kill may stall as well
-RESULT_TIMEOUT = 10.0  # s, for the answer to a goal, beyond what the experiment node may wait itself
+RESULT_TIMEOUT = 10.0  # s, for the answer of a service, or to a goal
+SILENCE = 60.0  # s without feedback on a trial; longer than the experiment node waits for any other node
 
 _CONFIGURABLE = {"configure_trial": ConfigureTrial, "finish_trial": FinishTrial}
 SERVICES: dict[str, dict[str, Any]] = {
@@ -63,39 +62,41 @@ class GraphError(RuntimeError):
     """The nodes cannot be run; the message says why."""
 
 
-class NodeHangs(GraphError):
-    """A node lives and does not answer."""
-
-
 class Graph:
     """The five nodes, and this process as their caller; :meth:`running` starts them.
 
+    After a restart this process has a new node, too: the middleware lists the services of a killed node for 20 s, and a
+    new participant never meets it.
+
+    Methods raise :class:`GraphError` where nodes do not come up, refuse parameters, reject a goal, or do not answer.
+
     Args:
         nodes: Processes of the nodes.
-        node: Node of this process.
+        ours: Names of the nodes to start.
+        domain_id: ``ROS_DOMAIN_ID``.
+        namespace: ROS namespace of the nodes; empty: the root.
         foreign: Nodes that the user provides, by the name of the node that each replaces.
         notify: Called with a line about what is awaited.
     """
 
     def __init__(
-        self, nodes: NodeProcesses, node: Node, foreign: Sequence[str] = (), notify: Notify = log.info
+        self,
+        nodes: NodeProcesses,
+        ours: Sequence[str] = NODES,
+        domain_id: int = 0,
+        namespace: str = "",
+        foreign: Sequence[str] = (),
+        notify: Notify = log.info,
     ) -> None:
         self.nodes = nodes
-        self.foreign = list(dict.fromkeys(foreign))
-        self._notify = notify
         self.processes = nodes.processes
-        self.node = node
-        self.run_trial = ActionClient(node, RunTrial, "run_trial")
-        self.run_campaign = ActionClient(node, RunCampaign, "run_campaign")
-        self._clients: dict[str, list[Any]] = {
-            owner: [node.create_client(kind, name) for name, kind in services.items()]
-            for owner, services in SERVICES.items()
-        }
-        self.presence = Presence(node, NODES)
-        self._executor = SingleThreadedExecutor(context=node.context)
-        self._executor.add_node(node)
-        self._revived: list[str] = []
-        self._hung: list[str] = []
+        self.foreign = list(dict.fromkeys(foreign))
+        self._ours = ours
+        self._domain_id = domain_id
+        self._namespace = full_namespace(namespace)
+        self._notify = notify
+        self._heard = 0.0  # when the last feedback on a trial came, on the monotonic clock [s]
+        self._connect()
 
     @classmethod
     @contextmanager
@@ -119,7 +120,7 @@ class Graph:
             scenario: Name or path of the scenario the nodes start with.
             domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
             parameters: Parameter file; None: ``config/nodes.yaml``.
-            quiet: Nodes write to a file, shown when one dies, and not to the terminal.
+            quiet: Nodes write to a file, shown when one ends, and not to the terminal.
             root: Folder below which requests may write bags and name scenarios; None: the working directory.
             without: Nodes that the user provides; they are waited for, not started.
             notify: Called with a line about what is awaited.
@@ -127,89 +128,131 @@ class Graph:
 
         Raises:
             InputError: There is no such scenario, no such node, or no such namespace.
-            GraphError: A node ended, or does not come up.
         """
         names = ours(without)
         with ExitStack() as stack:
             logs = stack.enter_context(tempfile.TemporaryDirectory(prefix="impact_rs_"))
             nodes = NodeProcesses.of(scenario, Path(logs), domain_id, parameters, quiet, root, namespace)
-            stack.callback(nodes.stop)
-            for name in names:
-                nodes.start(name)
             set_middleware(os.environ)  # this process talks to them
-            context = Context()
-            rclpy.init(
-                context=context, domain_id=int(os.environ.get("ROS_DOMAIN_ID") or 0) if domain_id is None else domain_id
-            )
-            stack.callback(rclpy.try_shutdown, context=context)
-            runner = rclpy.create_node(f"runner_{os.getpid()}", context=context, namespace=full_namespace(namespace))
-            graph = cls(nodes, runner, without, notify)
+            domain = int(os.environ.get("ROS_DOMAIN_ID") or 0) if domain_id is None else domain_id
+            graph = cls(nodes, names, domain, namespace, without, notify)
             stack.callback(graph.close)
-            graph.wait_until_ready()
+            stack.callback(nodes.stop)
+            graph.start()
             yield graph
 
+    def _connect(self) -> None:
+        """Join the ROS domain with a new node and its clients."""
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=self._domain_id)
+        self.node = rclpy.create_node(f"runner_{os.getpid()}", context=self._context, namespace=self._namespace)
+        self.run_trial = ActionClient(self.node, RunTrial, "run_trial")
+        self.run_campaign = ActionClient(self.node, RunCampaign, "run_campaign")
+        self._clients: dict[str, list[Any]] = {
+            owner: [self.node.create_client(kind, name) for name, kind in services.items()]
+            for owner, services in SERVICES.items()
+        }
+        self.presence = Presence(self.node, NODES)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+
     def close(self) -> None:
-        """Destroy the clients of the nodes."""
+        """Destroy the node of this process."""
         self._executor.shutdown(timeout_sec=1.0)
         self.run_trial.destroy()
         self.run_campaign.destroy()
         self.node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
 
     def spin(self, timeout: float) -> None:
         """Let messages arrive for at most ``timeout`` [s]; returns as soon as one did."""
         self._executor.spin_once(timeout_sec=timeout)
 
-    def wait_until_ready(self) -> None:
-        """Wait until every node offers its services and actions, the user's own nodes included.
+    def start(self) -> None:
+        """Start our nodes, and wait until every node offers its services and actions, the user's own included.
 
-        A node of ours that is killed or freezes meanwhile is started again.
-
-        Raises:
-            GraphError: A node ended by itself, or does not come up.
+        If a node is killed or freezes meanwhile, all are started again.
         """
-        starts = dict.fromkeys(self.processes, 1)
+        for _ in range(STARTS):
+            for name in self._ours:
+                self.nodes.start(name)
+            if not (cause := self._await_ours()):
+                self._await_foreign()
+                return
+            self._stop()
+        raise GraphError(cause)
+
+    def restart(self) -> None:
+        """Stop all nodes of ours, and start them again."""
+        self._stop()
+        self.start()
+
+    def wait_until_ready(self) -> None:
+        """Start all nodes again if one is lost, and wait for those of the user."""
+        if self.lost():
+            self.restart()
+        else:
+            self._await_foreign()
+
+    def replace_lost(self) -> list[str]:
+        """Start the lost nodes again, and no others: a campaign that another program has asked for goes on.
+
+        Returns:
+            A line about each.
+        """
+        lost = self.lost()
+        for name, line in lost.items():
+            if self.nodes.refused(name):
+                raise GraphError(line)
+            self.nodes.kill(name)
+            self.nodes.start(name)
+            self.presence.forget(name)
+        return [f"{line}; it is started again" for line in lost.values()]
+
+    def lost(self) -> dict[str, str]:
+        """A line about each node of ours that ended or froze, by its name."""
+        how = dict.fromkeys(self.presence.lost(*self.processes), "froze") | self.nodes.ended()
+        return {name: f"node {name} {how}: {self.nodes.last_line(name)}" for name, how in how.items()}
+
+    def _stop(self) -> None:
+        """Stop all nodes of ours; a lost one, which may hear no signal but SIGKILL, first."""
+        for name in self.lost():
+            self.nodes.kill(name)
+        self.nodes.stop()
+        self.close()
+        self._connect()
+
+    def _await_ours(self) -> str:
+        """Wait until our nodes offer what they serve; returns why they do not, or an empty text."""
         deadline = time.monotonic() + START_TIMEOUT
-        while waiting := self._not_ready():
-            self.end_frozen()
+        while missing := [service for name in self._ours for service in self._missing(name)]:
+            self.spin(0.02)
+            for name, line in self.lost().items():
+                if self.nodes.failed(name):
+                    raise GraphError(line)
+                return line
             if time.monotonic() > deadline:
-                self._end([waiting])
-                deadline = time.monotonic() + START_TIMEOUT
-            for name, how in self.nodes.dead().items():
-                if not self.nodes.was_ended(name) or starts[name] == STARTS:
-                    raise GraphError(f"node {name} ended with {how} while starting: {self.nodes.last_words(name)}")
-                starts[name] += 1
-            self.revive()
+                return f"no node offers {', '.join(missing)} within {START_TIMEOUT:g} s"
+        return ""
+
+    def _await_foreign(self) -> None:
+        """Wait for the nodes that the user provides, and notify once about each."""
         for name in self.foreign:
-            self._await_foreign(name)
-
-    def _not_ready(self) -> str:
-        """Name of a node of ours that does not offer its services yet; empty: all do."""
-        self.spin(0.02)
-        for name in SERVICES:
-            if name not in self.foreign and self._missing(name):
-                return name
-        # The middleware still lists the services of nodes that died.
-        while self._revived and self.answers(self._revived[-1]):
-            self._revived.pop()
-        return self._revived[-1] if self._revived else ""
-
-    def _await_foreign(self, name: str) -> None:
-        """Wait for a node that the user provides, and notify once."""
-        deadline = time.monotonic() + FOREIGN_TIMEOUT
-        notified = False
-        while missing := self._missing(name):
-            what = "actions" if name == "experiment" else "services"
-            if not notified:
-                self._notify(f"waiting for a {name}: {what} {', '.join(missing)}; for {FOREIGN_TIMEOUT:g} s at most")
-                notified = True
-            for dead, how in self.nodes.dead().items():
-                raise GraphError(f"node {dead} ended with {how}: {self.nodes.last_words(dead)}")
-            if time.monotonic() > deadline:
-                raise GraphError(
-                    f"no {name} came within {FOREIGN_TIMEOUT:g} s: no node offers the {what} {', '.join(missing)} in "
-                    f"ROS domain {self.node.context.get_domain_id()}"
-                )
-            self.spin(0.1)
+            deadline = time.monotonic() + FOREIGN_TIMEOUT
+            notified = False
+            while missing := self._missing(name):
+                what = f"{'actions' if name == 'experiment' else 'services'} {', '.join(missing)}"
+                if not notified:
+                    self._notify(f"waiting for a {name}: {what}; for {FOREIGN_TIMEOUT:g} s at most")
+                    notified = True
+                for line in self.lost().values():
+                    raise GraphError(line)
+                if time.monotonic() > deadline:
+                    raise GraphError(
+                        f"no {name} came within {FOREIGN_TIMEOUT:g} s: no node offers the {what} in ROS domain "
+                        f"{self._domain_id}"
+                    )
+                self.spin(0.1)
 
     def _missing(self, name: str) -> list[str]:
         """Services and actions of a node that are not offered."""
@@ -220,118 +263,22 @@ class Graph:
             missing = [client.srv_name for client in self._clients[name] if not client.service_is_ready()]
         return [self.node.resolve_service_name(service) for service in missing]
 
-    def _ended(self, name: str) -> bool:
-        """Whether the process of a node of ours has ended; false for the user's own nodes."""
-        return name in self.processes and self.processes[name].poll() is not None
-
-    def answers(self, name: str) -> bool:
-        """Whether a node answers a request for one of its parameters."""
-        client = self.node.create_client(GetParameters, f"{name}/get_parameters")
-        try:
-            for _ in range(QUESTIONS):
-                if not self.is_there(name):
-                    break
-                future = client.call_async(GetParameters.Request(names=["scenario"]))
-                deadline = time.monotonic() + ANSWER_TIMEOUT
-                while not future.done() and time.monotonic() < deadline and self.is_there(name):
-                    self.spin(0.02)
-                if future.done():
-                    return True
-                client.remove_pending_request(future)
-            return False
-        finally:
-            self.node.destroy_client(client)
-
-    def is_there(self, name: str) -> bool:
-        """Whether a node runs and its liveliness has not lapsed."""
-        return not self._ended(name) and not self.presence.gone(name)
-
-    def end_frozen(self) -> list[str]:
-        """End every node that runs and is frozen; returns their names, which :meth:`revive` starts again."""
-        return self._end([name for name in self.presence.gone(*self.processes) if not self._ended(name)])
-
-    def end_hung(self) -> list[str]:
-        """End every node that runs and does not answer, frozen or not; returns their names, as :meth:`end_frozen`."""
-        running = [name for name, process in self.processes.items() if process.poll() is None]
-        return self._end([name for name in running if not self.answers(name)])
-
-    def _end(self, names: list[str]) -> list[str]:
-        for name in names:
-            self.nodes.kill(name)
-        self._hung += names
-        return names
-
-    def died(self) -> list[str]:
-        """Nodes whose process ended by itself or was killed from outside."""
-        return [name for name in self.nodes.dead() if name not in self._hung]
-
-    def revive(self) -> list[str]:
-        """Restart every node of ours whose process has ended; returns a line about each."""
-        died, lines = self.died(), []
-        for name, how in self.nodes.dead().items():
-            what = f"died ({how})" if name in died else "did not answer any more"
-            lines.append(f"node {name} {what} and is started again: {self.nodes.last_words(name)}")
-            self.nodes.start(name)
-            self.presence.forget(name)
-            if name not in self._revived:
-                self._revived.append(name)
-        self._hung.clear()
-        return lines
-
     def call_trial(self, goal: RunTrial.Goal, feedback: Any = None) -> RunTrial.Result:
-        """Run one trial.
-
-        No trial is left running when this returns. An experiment node of ours that does not answer is killed, because
-        it would reject the next trial, or run this one beside it.
-
-        Raises:
-            GraphError: The experiment node rejected the goal, or it or the recorder is gone.
-        """
-        try:
-            return self._trial(goal, feedback)
-        except NodeHangs:
-            if "experiment" in self.processes and not self._ended("experiment"):
-                self._end(["experiment"])
-            raise
-
-    def _trial(self, goal: RunTrial.Goal, feedback: Any) -> RunTrial.Result:
-        heard = [time.monotonic()]
+        """Run one trial; if the experiment node is silent, it may go on until :meth:`restart`."""
 
         def hear(message: Any) -> None:
-            heard[0] = time.monotonic()
+            self._heard = time.monotonic()
             if feedback is not None:
                 feedback(message)
 
         handle = self._wait(self.run_trial.send_goal_async(goal, feedback_callback=hear), RESULT_TIMEOUT)
         if not handle.accepted:
-            raise GraphError(f"the experiment node rejected the trial: {self.nodes.last_words('experiment')}")
-        ended = handle.get_result_async()
-        try:
-            answer: RunTrial.Result = self._wait(ended, None, ("experiment", "recorder"), heard).result
-        except (NodeHangs, KeyboardInterrupt):  # no node would answer, or all are stopping
-            raise
-        except BaseException as error:
-            if not self._ended("experiment"):
-                self._cancel(handle, ended, error)
-            raise
+            raise GraphError(f"the experiment node rejected the trial: {self.nodes.last_line('experiment')}")
+        answer: RunTrial.Result = self._wait(handle.get_result_async(), SILENCE).result
         return answer
 
-    def _cancel(self, handle: Any, ended: Any, error: BaseException) -> None:
-        """Cancel a trial because of ``error``, and wait for its end; raises ``NodeHangs`` where it does not end."""
-        try:
-            self._wait(handle.cancel_goal_async(), STOP_TIMEOUT)
-            self._wait(ended, RESULT_TIMEOUT)
-        except NodeHangs:
-            raise NodeHangs(str(error)) from error
-        except GraphError:
-            pass  # the node died
-
     def call(self, kind: Any, name: str, request: Any, timeout: float = RESULT_TIMEOUT) -> Any:
-        """Call a service of a node, and wait at most ``timeout`` [s] for its answer.
-
-        Raises:
-            GraphError: It does not answer.
-        """
+        """Call a service of a node, and wait at most ``timeout`` [s] for its answer."""
         client = self.node.create_client(kind, name)
         try:
             deadline = time.monotonic() + RESULT_TIMEOUT
@@ -343,28 +290,15 @@ class Graph:
         finally:
             self.node.destroy_client(client)
 
-    def _wait(
-        self,
-        future: Any,
-        timeout: float | None,
-        watched: tuple[str, ...] = ("experiment",),
-        heard: list[float] | None = None,
-    ) -> Any:
-        """Result of a future; ``heard`` holds the time of the last feedback on the trial [s]."""
-        deadline = None if timeout is None else time.monotonic() + timeout
+    def _wait(self, future: Any, timeout: float) -> Any:
+        """Result of a future, for which ``timeout`` [s] counts from now and from every feedback on a trial."""
+        self._heard = time.monotonic()
         while not future.done():
             self.spin(0.1)
-            for name in watched:
-                if self._ended(name):
-                    raise GraphError(f"node {name} died: {self.nodes.last_words(name)}")
-            if not self.is_there("experiment"):
-                raise NodeHangs("the experiment node froze")
-            if deadline is not None and time.monotonic() > deadline:
-                raise NodeHangs(f"no answer within {timeout:g} s")
-            if heard is not None and time.monotonic() > heard[0] + SILENCE:
-                heard[0] = time.monotonic()
-                if not self.answers("experiment"):
-                    raise NodeHangs("the experiment node does not answer")
+            if line := self.lost().get("experiment"):
+                raise GraphError(line)
+            if time.monotonic() > self._heard + timeout:
+                raise GraphError(f"the experiment node is silent for {timeout:g} s")
         return future.result()
 
 
@@ -380,7 +314,7 @@ def run_trials_through_nodes(
 ) -> Iterator[TrialReport]:
     """Run trials of a campaign through the nodes, one after the other; yields a report per trial as it ends.
 
-    A node that dies ends its trial with an error and is started again; the campaign goes on.
+    If a node is lost or a trial is aborted, all nodes are started again and the trial is repeated once.
 
     Args:
         directory: Campaign folder.
@@ -409,10 +343,12 @@ def run_trials_through_nodes(
 def run_trial(
     graph: Graph, directory: Path, manifest: Manifest, key: TrialKey, plant_model: Model | None = None
 ) -> TrialReport:
-    """Run one trial of a campaign; failures are in the report, and nodes that died are started again.
+    """Run one trial of a campaign; a failure, and every node that was lost, is named in the report.
 
-    A trial that was aborted although no node died is repeated, at most twice: shortly after one process is killed,
-    messages of the others may come too late. A node that does not answer is started again first.
+    If a node is lost or the trial is aborted, all nodes are started again. An aborted trial is then repeated once.
+
+    Raises:
+        GraphError: The nodes cannot be started again.
     """
     goal = RunTrial.Goal(
         scenario=manifest.scenario,
@@ -425,27 +361,25 @@ def run_trial(
         output_directory=str(directory.resolve()),
         plant_model="" if plant_model is None else model_text(plant_model),
     )
-    ended: list[str] = []
-    for _ in range(ATTEMPTS):
-        try:
-            result = graph.call_trial(goal)
-            outcome, message = result.outcome, result.message
-        except GraphError as error:
-            outcome, message = "ABORTED", str(error)
+    outcome, message = _attempt(graph, goal)
+    remarks = list(graph.lost().values())
+    if outcome == "ABORTED" or remarks:
+        remarks = [*(remarks or [message]), "all nodes were started again"]
+        graph.restart()
         if outcome == "ABORTED":
-            graph.end_hung()
-        else:
-            graph.end_frozen()
-        died = graph.died()
-        revived = graph.revive()
-        ended += revived
-        if revived:
-            graph.wait_until_ready()
-        if died or outcome != "ABORTED":
-            break
+            outcome, message = _attempt(graph, goal)
     trace = graph.nodes.outputs() if outcome == "ABORTED" else ""
-    report = TrialReport(key, outcome, "; ".join(filter(None, (message, *ended))), trace)
+    report = TrialReport(key, outcome, "; ".join(filter(None, dict.fromkeys((message, *remarks)))), trace)
     return keep_failure(open_store(directory), report)
+
+
+def _attempt(graph: Graph, goal: RunTrial.Goal) -> tuple[Outcome, str]:
+    """Outcome and message of a trial; ABORTED where the experiment node gives none."""
+    try:
+        result = graph.call_trial(goal)
+    except GraphError as error:
+        return "ABORTED", str(error)
+    return result.outcome, result.message
 
 
 def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (), namespace: str = "") -> int:
@@ -485,8 +419,7 @@ def up(scenario: str, domain_id: int | None = None, without: Sequence[str] = (),
             which = known.name, next(iter(known.objects)), next(iter(known.cases))
             print(_instructions(names, *which, full_namespace(namespace)), flush=True)
             while not stopping:
-                graph.end_frozen()
-                for line in graph.revive():
+                for line in graph.replace_lost():
                     print(line, file=sys.stderr, flush=True)
                 graph.spin(0.2)
             print("stopping the nodes", flush=True)

@@ -20,6 +20,7 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_sim.scenario import scenario_path
 
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
+REFUSED = 2  # exit code of a node with a parameter that is not allowed; to start it again does not help
 STOP_TIMEOUT = 4.0  # s, for all nodes to end after SIGTERM
 CLOSING = 2.5  # s of it, for the experiment node to end its trial
 
@@ -69,16 +70,9 @@ class NodeProcesses:
         root: Path | None = None,
         namespace: str = "",
     ) -> Self:
-        """The nodes of a scenario.
+        """The nodes of a scenario, with the arguments of :meth:`impact_rs_ros.graph.Graph.running`.
 
-        Args:
-            scenario: Name or path of the scenario the nodes start with.
-            logs: Folder that they write into.
-            domain_id: ``ROS_DOMAIN_ID``; None: the environment's.
-            parameters: Parameter file; None: ``config/nodes.yaml``.
-            quiet: Whether they write only warnings and errors, to files there and not to the terminal.
-            root: Folder below which requests may write bags and name scenarios; None: the working directory.
-            namespace: ROS namespace of the nodes; empty: the root.
+        Quiet nodes write only warnings and errors, to files in the folder ``logs``.
 
         Raises:
             InputError: There is no such scenario, or no such namespace.
@@ -102,8 +96,8 @@ class NodeProcesses:
         return cls(arguments, environment, logs, quiet)
 
     def start(self, name: str) -> None:
-        """Start a node."""
-        with open(self._log(name), "ab") as log:
+        """Start a node, with an empty log."""
+        with open(self._log(name), "wb") as log:
             self.processes[name] = subprocess.Popen(
                 [sys.executable, "-m", f"impact_rs_ros.{name}_node", "--ros-args", *self._arguments],
                 env=self.environment,
@@ -113,13 +107,17 @@ class NodeProcesses:
                 start_new_session=True,  # Ctrl-C reaches only the runner, which stops the nodes in order
             )
 
-    def dead(self) -> dict[str, str]:
+    def ended(self) -> dict[str, str]:
         """How each node ended whose process has ended, by its name."""
         return {name: _how(process) for name, process in self.processes.items() if process.poll() is not None}
 
-    def was_ended(self, name: str) -> bool:
-        """Whether a process that has ended was killed or terminated by a signal, or ended without error."""
-        return (self.processes[name].poll() or 0) <= 0
+    def failed(self, name: str) -> bool:
+        """Whether a node ended by itself, with an error."""
+        return (self.processes[name].poll() or 0) > 0
+
+    def refused(self, name: str) -> bool:
+        """Whether a node ended because of a mistake of the user."""
+        return self.processes[name].poll() == REFUSED
 
     def kill(self, name: str) -> None:
         """End a node by force."""
@@ -127,7 +125,7 @@ class NodeProcesses:
         self.processes[name].wait()
 
     def output(self, name: str) -> str:
-        """What a quiet node wrote."""
+        """What a quiet node has written since it was started."""
         return self._log(name).read_text(errors="replace")
 
     def outputs(self) -> str:
@@ -135,7 +133,7 @@ class NodeProcesses:
         written = {name: self.output(name).strip() for name in self.processes}
         return "\n\n".join(f"node {name} wrote:\n{text}" for name, text in written.items() if text)
 
-    def last_words(self, name: str) -> str:
+    def last_line(self, name: str) -> str:
         """Last line that a quiet node wrote."""
         lines = self.output(name).strip().splitlines()
         return lines[-1] if lines else "it wrote nothing" if self._quiet else "see its output above"
@@ -169,4 +167,4 @@ def _wait_for(process: subprocess.Popen[bytes], deadline: float) -> None:
 
 def _how(process: subprocess.Popen[bytes]) -> str:
     code = process.returncode
-    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
+    return f"was killed ({signal.Signals(-code).name})" if code < 0 else f"ended with exit code {code}"

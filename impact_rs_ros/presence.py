@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which nodes run: a killed or frozen node is noticed within 3 s, and so are two nodes of one name.
+"""Liveliness: a killed or frozen node is noticed within 3 s, and so are two nodes of one name.
 
 Every node has a publisher on ``~/alive``. The middleware asserts its *liveliness* from a thread of its own, so that
 long work in Python raises no alarm. When no assertion has come for a lease, it notifies the subscribers. A node that is
@@ -23,7 +23,7 @@ from std_msgs.msg import Empty
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.qos import ALIVE, LEASE, PRESENT
 
-NOT_MET = "_NODE_NAME_UNKNOWN_"  # the middleware's name of a node of which only a publisher is discovered yet
+UNKNOWN = "_NODE_NAME_UNKNOWN_"  # the middleware's name of a node of which only a publisher is discovered yet
 GRACE = 1.0  # s; a lease can lapse and be renewed at once when another publisher of the same topic leaves
 
 
@@ -64,32 +64,26 @@ class Presence:
             self._alive[name] = event.alive_count
             self._since[name] = time.monotonic()
 
-    def forget(self, name: str) -> None:
-        """Forget a node that is started again: it is not gone before it was alive once more."""
-        self._known.discard(name)
+    def forget(self, *names: str) -> None:
+        """These nodes were started again, or may have been: they are not lost before they were alive once more."""
+        self._known.difference_update(names)
 
-    def forget_absent(self) -> None:
-        """Forget every node that is not alive: a busy machine discovers a restarted node late."""
-        self._known = {name for name in self._known if self._alive[name]}
+    def absent(self) -> list[str]:
+        """Nodes that are not alive now, lost or never started."""
+        return [name for name, count in self._alive.items() if not count]
 
-    def alive(self, name: str) -> bool:
-        """Whether a node is alive."""
-        return self._alive[name] > 0
-
-    def gone(self, *names: str) -> list[str]:
+    def lost(self, *names: str) -> list[str]:
         """Those of these nodes that were alive and are not any more."""
         latest = time.monotonic() - GRACE
-        return [name for name in names if name in self._known and not self._alive[name] and self._since[name] < latest]
+        return [name for name in self.absent() if name in names and name in self._known and self._since[name] < latest]
 
-    def duplicates(self, *names: str, settled: bool = False) -> list[str]:
-        """Those of these names that several running nodes share.
+    def duplicates(self) -> dict[str, bool]:
+        """Names that several nodes share, and whether that is certain.
 
-        Args:
-            names: Names of the nodes.
-            settled: Leave out names whose count changed within the lease: one of two may have died since.
+        It is not within a lease after a change: one of the two may have died.
         """
-        latest = time.monotonic() - (LEASE + GRACE if settled else 0.0)
-        return [name for name in names if self._alive[name] > 1 and self._since[name] <= latest]
+        latest = time.monotonic() - LEASE - GRACE
+        return {name: self._since[name] < latest for name, count in self._alive.items() if count > 1}
 
     def full_name(self, name: str) -> str:
         """Name of a node with its namespace, as remapped."""
@@ -101,7 +95,7 @@ class Presence:
         A node that died is listed for 20 s. Hidden nodes such as ``ros2 topic pub`` are included.
         """
         found = self._node.get_publishers_info_by_topic(topic)
-        named = [one for one in found if one.node_name != NOT_MET]
+        named = [one for one in found if one.node_name != UNKNOWN]
         return sorted({f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in named})
 
 
@@ -121,22 +115,22 @@ class SubscriptionsMatched:
     def __init__(self, node: Node, names: Iterable[str]) -> None:
         self._node = node
         self._topics = [f"{name}/alive" for name in names]
-        self._inbox = Inbox(node, "acquaintance", ALIVE)
-        self._met: set[str] = set()
+        self._inbox = Inbox(node, "matching", ALIVE)
+        self._matched: set[str] = set()
 
     def begin(self) -> None:
         """Wait anew, for the discovery of every subscription that exists now."""
-        self._met.clear()
+        self._matched.clear()
         self._inbox.connect(dict.fromkeys(self._topics, "std_msgs/msg/Empty"))
 
     def awaited(self) -> list[str]:
         """``NAME/alive`` of the running nodes that have not discovered the subscriptions yet."""
         self._inbox.gather()
-        self._met.update(topic for topic, _ in self._inbox.take())
+        self._matched.update(topic for topic, _ in self._inbox.take())
         return [
             topic
             for topic in self._topics
-            if topic not in self._met and self._node.count_publishers(self._node.resolve_topic_name(topic))
+            if topic not in self._matched and self._node.count_publishers(self._node.resolve_topic_name(topic))
         ]
 
     def close(self) -> None:

@@ -7,7 +7,8 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -19,7 +20,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from impact_rs_ros import parameters, presence
+from impact_rs_ros import node_parameters, presence
 from impact_rs_ros.middleware import set_middleware
 from impact_rs_ros.qos import offered
 from impact_rs_ros.roots import below, scenario_below
@@ -36,7 +37,10 @@ IDLE = 0.05  # s, how long an idle node waits for work in one turn
 
 
 class NodeProgram:
-    """A node and its main loop."""
+    """A node and its main loop.
+
+    What a request names is checked where it is used; a mistake raises ``InputError``, which the service answers.
+    """
 
     kind: ClassVar[str]
     name: ClassVar[str] = ""
@@ -47,7 +51,7 @@ class NodeProgram:
     def __init__(self) -> None:
         self.node = Node(self.name or self.kind)
         self.log = self.node.get_logger()
-        parameters.declare(self.node, self.kind)
+        node_parameters.declare(self.node, self.kind)
         self.executor = self.make_executor()
         self.executor.add_node(self.node)
         self._alive = presence.announce(self.node)
@@ -73,15 +77,11 @@ class NodeProgram:
         self.offer()
         self.log.info(
             f"ready: serves {', '.join(self.served())} in ROS domain {self.node.context.get_domain_id()}, namespace "
-            f"{self.node.get_namespace()}; {parameters.text(self.node, self.kind)}"
+            f"{self.node.get_namespace()}; {node_parameters.text(self.node, self.kind)}"
         )
 
     def rehearse(self, spec: TrialSpec) -> None:
-        """Load what a trial needs of this node.
-
-        Raises:
-            InputError: The scenario cannot be run.
-        """
+        """Load what a trial needs of this node."""
         _ = spec.scene
 
     def connect(self, arms: list[str]) -> None:
@@ -101,30 +101,18 @@ class NodeProgram:
 
     def parameter(self, name: str) -> Any:
         """Present value of a parameter."""
-        return parameters.value(self.node, name)
+        return node_parameters.value(self.node, name)
 
     def scenario_name(self, requested: str) -> str:
-        """Name or path of the scenario of a request; empty: the node's own.
-
-        Raises:
-            InputError: The file lies where requests may not read.
-        """
+        """Name or path of the scenario of a request, below ``config_root``; empty: the node's own."""
         return scenario_below(requested, self.parameter("scenario"), self.parameter("config_root"))
 
     def scenario(self, requested: str) -> Scenario:
-        """The scenario of a request, as :meth:`scenario_name` finds it.
-
-        Raises:
-            InputError: There is none of this name, or the file lies where requests may not read.
-        """
+        """The scenario of a request, as :meth:`scenario_name` finds it."""
         return load_scenario(self.scenario_name(requested))
 
     def output(self, requested: str, key: str) -> Path:
-        """Output path of a request.
-
-        Raises:
-            InputError: It lies where requests may not write.
-        """
+        """Output path of a request, below ``data_root``; ``key`` is its field."""
         return below(requested, self.parameter("data_root"), key, "data_root")
 
     def serve(self, timeout: float) -> None:
@@ -141,6 +129,18 @@ class NodeProgram:
                 f"what came in could not be served, and is left out: {full_traceback(error)}",
                 throttle_duration_sec=THROTTLE,
             )
+
+    @contextmanager
+    def answering(self, response: Any, task: str) -> Iterator[None]:
+        """Answer a request with the reason where it cannot be served: no request ends a node."""
+        try:
+            yield
+        except InputError as error:
+            self.log.error(f"trial refused: {error}")
+            response.message = str(error)
+        except Exception as error:
+            self.log.error(f"cannot {task}: {full_traceback(error)}")
+            response.message = f"{self.kind}: {type(error).__name__}: {error}"
 
     def turn(self) -> None:
         """One turn of the main loop; must return within a fraction of a second."""

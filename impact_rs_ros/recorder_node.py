@@ -25,7 +25,7 @@ from impact_rs_ros.derived import DERIVED, DerivedMessages
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.message_types import decoded
 from impact_rs_ros.names import resolved
-from impact_rs_ros.presence import Presence, SubscriptionsMatched
+from impact_rs_ros.presence import SubscriptionsMatched
 from impact_rs_ros.process import HARDWARE, NodeProgram, run
 from impact_rs_ros.qos import RECORD
 from impact_rs_sim.errors import InputError, full_traceback
@@ -156,8 +156,8 @@ class OpenTrial:
         """Trial time of the newest message [s]."""
         return 1e-9 * max(self._last.values(), default=0)
 
-    def said(self, outcome: str) -> str:
-        """Beginning of the log line on how it ended; a path follows."""
+    def summary(self, outcome: str) -> str:
+        """How it ended, for the log; a path follows."""
         return f"{self.name}: {outcome} after {self.time:.3f} s, {self.bag.messages} messages in"
 
     def missing(self, expected: dict[str, int]) -> str:
@@ -234,7 +234,6 @@ class RecorderNode(NodeProgram):
         self._messages = 0
         self._failure = ""  # why the last bag is not a complete trial
         self._saved = 0.0  # when the bag was last written to the disk, on the monotonic clock [s]
-        self._presence = Presence(self.node, ["experiment"])
         self._subscriptions = SubscriptionsMatched(self.node, ["plant", "controller"])
 
     def rehearse(self, spec: TrialSpec) -> None:
@@ -249,7 +248,6 @@ class RecorderNode(NodeProgram):
     def turn(self) -> None:
         self.serve(self.parameter("drain_period"))
         self._drain()
-        self._end_abandoned()
         self.diagnose()
 
     def status(self) -> tuple[str, dict[str, object]]:
@@ -263,8 +261,8 @@ class RecorderNode(NodeProgram):
     def connect(self, arms: list[str]) -> None:
         if arms != self._arms:
             self._arms = []  # until it has succeeded: a name of an arm may not be valid in a topic
-            recorded, said = topics.recorded(arms).items(), topics.latched(arms)
-            self._inbox.connect({topic: kind for topic, kind in recorded if topic not in said})
+            recorded, latched = topics.recorded(arms).items(), topics.latched(arms)
+            self._inbox.connect({topic: kind for topic, kind in recorded if topic not in latched})
             self._arms = arms
 
     def _await_publishers(self) -> None:
@@ -285,10 +283,10 @@ class RecorderNode(NodeProgram):
             time.sleep(0.005)
         undiscovered = [topic.removesuffix("/alive") for topic in self._subscriptions.awaited()]
         absent = [topic for topic in unmatched if not self._publishers(topic)]
-        unheard = [topic for topic in unmatched if topic not in absent]
+        unreceived = [topic for topic in unmatched if topic not in absent]
         wrong = [f"no publisher of {', '.join(absent)}; are plant and controller running?"] if absent else []
-        if unheard:
-            wrong.append(f"{', '.join(unheard)}: published, but not received; is the publisher's QoS reliable?")
+        if unreceived:
+            wrong.append(f"{', '.join(unreceived)}: published, but not received; is the publisher's QoS reliable?")
         if undiscovered:  # the beginning of the trial would be lost
             wrong.append(
                 f"{' and '.join(undiscovered)} did not discover the recorder's subscriptions within {MATCHING:g} s"
@@ -333,17 +331,6 @@ class RecorderNode(NodeProgram):
             for status in message.status
         )
 
-    def _end_abandoned(self) -> None:
-        """Close the bag of a trial whose experiment node has died."""
-        recording = self._recording
-        if recording is not None and self._presence.gone("experiment"):
-            self._abort()
-            self._failure = "the experiment node was killed or froze in a trial"
-            self.log.warning(
-                f"{recording.said('ABORTED')} {partial_path(recording.bag.path)}: the experiment node was "
-                "killed or froze"
-            )
-
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
@@ -354,8 +341,7 @@ class RecorderNode(NodeProgram):
         self._abort()
         self._configured = self._finished = None
         self._failure = ""
-        self._presence.forget_absent()  # the experiment node is alive, for it made this request
-        try:
+        with self.answering(response, "open the bag"):
             info = TrialInfo.from_message(request.trial)
             plan = info.spec.plan if info.scenario_json else None
             if not request.bag_path:
@@ -380,17 +366,11 @@ class RecorderNode(NodeProgram):
             )
             self._recording = OpenTrial(name, bag, self._arms, duration, plan, tracked)
             self._configured = request
-        except InputError as error:
-            self.log.error(f"trial refused: {error}")
-            response.message = self._failure = str(error)
-            return response
-        except Exception as error:  # no trial ends a node
+            self.log.debug(f"recording {path}")
+            response.success = True
+        if not response.success:
             self._open.close()
-            self.log.error(f"cannot open the bag: {full_traceback(error)}")
-            response.message = self._failure = f"recorder: {type(error).__name__}: {error}"
-            return response
-        self.log.debug(f"recording {path}")
-        response.success = True
+            self._failure = response.message
         return response
 
     def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
@@ -425,7 +405,7 @@ class RecorderNode(NodeProgram):
             self._open.close()
         self._failure = verdict.reason if verdict.outcome == "ABORTED" else ""
         path = bag.path if verdict.outcome != "ABORTED" else partial_path(bag.path)
-        text = f"{recording.said(verdict.outcome)} {path}"
+        text = f"{recording.summary(verdict.outcome)} {path}"
         if verdict == Verdict("OK"):
             self.log.info(text)
         else:

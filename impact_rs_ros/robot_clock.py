@@ -8,7 +8,7 @@ import time
 from rclpy.node import Node
 
 from impact_rs_ros.exchange import Inbox
-from impact_rs_ros.parameters import value
+from impact_rs_ros.node_parameters import value
 from impact_rs_ros.qos import WATCH
 from impact_rs_trials.bags import topics
 
@@ -42,7 +42,7 @@ class RobotClock:
         return max(self._simulated, self._seen) if self._simulated else 0
 
     def steady(self) -> float:
-        """Time of which differences are taken [s]; it never goes back, whoever sets this machine's clock.
+        """Time of which differences are taken [s]; it never goes back, also when the clock of the machine is set.
 
         It follows a simulator, however slow, and this machine where the simulator has stopped.
         """

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from impact_rs_control.guard import state_complaint
+from impact_rs_control.arm_limits import state_complaint
 from impact_rs_control.motion_monitor import MotionMonitor
 from impact_rs_ros.joint_signals import FIELDS, joint_signals, names_of
 from impact_rs_sim.errors import InputError
@@ -142,7 +142,7 @@ class RobotStates:
         clock: Of the robot.
 
     Attributes:
-        joints: The robot's names of the joints, by arm.
+        models, joints, period, clock: As above.
         latest: The last usable state; None: there was none yet.
         commanded: Torque of a controller by arm, ``(n,)`` [N m]; empty: the arms are held.
         oldest: Largest age of a state when it came [s].
@@ -159,11 +159,11 @@ class RobotStates:
         self.latest: ArmStates | None = None
         self.commanded: dict[str, Array] = {}
         self.oldest = 0.0
-        self._models = models
+        self.models = models
         self.joints = joints
-        self._period = period
+        self.period = period
         self._timeout = timeout
-        self._clock = clock
+        self.clock = clock
         self._reader = StateReader(joints)
         self._monitors = {arm: MotionMonitor(model, joints[arm]) for arm, model in models.items()}
         self._measured = 0.0  # when the last usable state was measured, on the steady clock [s]
@@ -178,7 +178,7 @@ class RobotStates:
     @property
     def age(self) -> float:
         """Age of the last usable state [s]."""
-        return float("inf") if self.latest is None else self._clock.steady() - self._measured
+        return float("inf") if self.latest is None else self.clock.steady() - self._measured
 
     def read(self, data: bytes) -> ArmStates | None:
         """The state in a message, with a complaint where it is not usable; None: there is no new state in it."""
@@ -186,23 +186,23 @@ class RobotStates:
         if states is None:
             return None
         if not states.complaint:
-            self._clock.saw(states.stamp)
+            self.clock.saw(states.stamp)
             if not self._is_new(states):
                 return self._two_sources(states)
             complaint = self._too_old(states) or self._impossible(states)
             states = replace(states, complaint=complaint)
         if not states.complaint:
             self.latest = states
-            self._measured = self._clock.steady() - max(0.0, self._age_of(states))
+            self._measured = self.clock.steady() - max(0.0, self._age_of(states))
         return states
 
     def _age_of(self, states: ArmStates) -> float:
         """Age by its stamp [s]; negative: from the future."""
-        return 1e-9 * (self._clock.now() - states.stamp)
+        return 1e-9 * (self.clock.now() - states.stamp)
 
     def _is_new(self, states: ArmStates) -> bool:
         """Whether it was measured a period after the newest one, and is no repetition nor from a second source."""
-        least = NEWER * self._period * 1e9
+        least = NEWER * self.period * 1e9
         new = self._newest is None or states.stamp - self._newest > least
         # A stamp of long ago is old, or of a robot that was started again: what follows tells.
         new = new or (self._newest is not None and self._newest - states.stamp > self._timeout * 1e9)
@@ -226,13 +226,13 @@ class RobotStates:
         self.oldest = max(self.oldest, age)
         if age > limit:
             return f"the robot's state is {age:.4f} s old, state_timeout is {limit:g} s"
-        if age < -self._period:
+        if age < -self.period:
             return f"the robot's state is stamped {-age:.4f} s in the future, by this machine's clock"
         return ""
 
     def _impossible(self, states: ArmStates) -> str:
         for name, arm in states.arms.items():
-            model, joints = self._models[name], self.joints[name]
+            model, joints = self.models[name], self.joints[name]
             if complaint := state_complaint(model, joints, arm.position, arm.velocity, arm.torque):
                 return complaint
         for name, arm in states.arms.items():

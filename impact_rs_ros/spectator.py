@@ -47,9 +47,9 @@ class Spectator:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._place = f"ROS domain {node.context.get_domain_id()}, namespace {node.get_namespace()}"
-        self._latched = Inbox(node, "said", LATCHED)
+        self._latched = Inbox(node, "latched", LATCHED)
         self._latched.connect(DESCRIBING)
-        self._signals = Inbox(node, "told", WATCH, raw=True)
+        self._signals = Inbox(node, "signals", WATCH, raw=True)
         self._signals.connect({STATES: topics.JOINT_STATE})
         self._info: TrialInfo | None = None
         self._known = Snapshot("absent", self._place)
@@ -86,12 +86,12 @@ class Spectator:
         self._latched.gather()
         for topic, message in self._latched.take():
             if topic == topics.TRIAL_INFO:
-                self._hear_trial(message)
+                self._take_trial(message)
             elif self._info is None:
                 self._show(description=message.data)
         self._signals.gather()
         for topic, data in self._signals.take():
-            self._hear_state(topic, data)
+            self._take_state(topic, data)
         return self._now()
 
     def close(self) -> None:
@@ -130,7 +130,7 @@ class Spectator:
         number = self._known.number + 1
         self._known = Snapshot(self._known.situation, self._place, number, **scene)
 
-    def _hear_trial(self, message: Any) -> None:
+    def _take_trial(self, message: Any) -> None:
         """A trial begins: another scene, or the same once more."""
         info = TrialInfo.from_message(message)
         before, self._info = self._info, info
@@ -150,7 +150,7 @@ class Spectator:
         kinds = topics.recorded(arms)
         self._signals.connect({name: kinds[name] for name in names})
 
-    def _hear_state(self, topic: str, data: bytes) -> None:
+    def _take_state(self, topic: str, data: bytes) -> None:
         if topic in self._arm_of:
             message = decoded(data, message_type(topics.WRENCH))
             if message is None:

@@ -18,7 +18,7 @@ from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.process import THROTTLE, NodeProgram
 from impact_rs_ros.qos import AWAITED
-from impact_rs_sim.errors import InputError, full_traceback
+from impact_rs_sim.errors import full_traceback
 from impact_rs_trials.bags.messages import MessageMaker
 from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
@@ -176,7 +176,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             response.success = True  # a repeated request, because the answer took long
             return response
         self._configured = self._finished = None
-        try:
+        with self.answering(response, "prepare the trial"):
             if self.running:
                 self._leave()
             info = TrialInfo.from_message(request.trial)
@@ -185,21 +185,13 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             self.inbox.clear()
             self.outbox.reset(self.streams(StreamMaker(plan)))
             self.trial = self.prepare(plan, info)
-        except InputError as error:
-            self.log.error(f"trial refused: {error}")
-            response.message = str(error)
-            return response
-        except Exception as error:  # no trial ends a node
-            self.log.error(f"cannot prepare the trial: {full_traceback(error)}")
-            response.message = f"{self.kind}: {type(error).__name__}: {error}"
-            return response
-        self.running = True
-        self._configured = request
-        self._name = f"{info.scenario}/{info.key.name}"
-        gc.collect()
-        gc.disable()  # a collection takes longer than a tick
-        self.log.debug(f"configured {self._name}, seed {info.seed}")
-        response.success = True
+            self.running = True
+            self._configured = request
+            self._name = f"{info.scenario}/{info.key.name}"
+            gc.collect()
+            gc.disable()  # a collection takes longer than a tick
+            self.log.debug(f"configured {self._name}, seed {info.seed}")
+            response.success = True
         return response
 
     def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:

@@ -7,6 +7,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from std_srvs.srv import Trigger
 
 from impact_msgs_py.conversions import pose_to_message
 from impact_rs_control.plan import TrialPlan
-from impact_rs_ros import parameters
+from impact_rs_ros import node_parameters
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.names import on_network, resolved
@@ -148,7 +149,7 @@ class TrialSession:
             cancelled: Returns whether to stop.
             plant_model: Text of a model file whose effects the plant has; empty: none.
         """
-        self._presence.forget_absent()
+        self._presence.forget(*self._presence.absent())  # discovered late, or started again by another program
         info = TrialInfo.of(plan, key, seed, "nodes")
         path = directory / key.name
         maker = MessageMaker(RosidlTypes(), plan)
@@ -161,15 +162,15 @@ class TrialSession:
         try:
             trial = maker.trial_info(info)
             secret = replace(info, model_yaml=plant_model)
-            if plant_model and not parameters.value(self._node, "hide_model"):
+            if plant_model and not node_parameters.value(self._node, "hide_model"):
                 trial = maker.trial_info(secret)
-            self._check_alone(wait=True)
+            self._check_alone()
             self._configure_all(plan, trial, maker.trial_info(secret), path)
             self._check_publishers()
             self._trial_info.publish(trial)
             self.describe(plan)
             self._follow(progress, plan, feedback, cancelled)
-            self._check_alone(wait=True)
+            self._check_alone()
             self._check_publishers()
         except (TrialError, InputError) as error:
             reason = self._cause(str(error))
@@ -181,10 +182,10 @@ class TrialSession:
         Its services can answer before its ``~/alive`` is discovered, which takes up to a lease.
         """
         deadline = time.monotonic() + LEASE
-        while self._has_duplicate_servers() and not self._presence.duplicates(*ALL) and time.monotonic() < deadline:
+        while self._has_duplicate_servers() and not self._presence.duplicates() and time.monotonic() < deadline:
             time.sleep(LOOK)
         try:
-            self._check_alone(wait=True)
+            self._check_alone()
         except TrialError as duplicate:
             return str(duplicate)
         return reason
@@ -203,13 +204,7 @@ class TrialSession:
             self._descriptions[topic].publish(String(data=urdf))
 
     def _call(self, name: str, client: Client, request: Any, timeout: float) -> Any:
-        """Answer of a service; the request is repeated if none comes.
-
-        A slow node answers every request, and any of its answers counts: it does not act on a repeated request again.
-
-        Raises:
-            TrialError: No answer.
-        """
+        """Answer of a service, which is asked again if none comes; any answer counts, and a node acts only once."""
         began = time.monotonic()
         deadline = began + timeout
 
@@ -243,39 +238,29 @@ class TrialSession:
         answers: dict[str, Any] = {}
         failures: dict[str, str] = {}
 
-        def one(name: str, client: Client, request: Any) -> None:
+        def one(name: str) -> None:
             try:
-                answers[name] = self._call(name, client, request, timeout)
+                answers[name] = self._call(name, *calls[name], timeout)
             except TrialError as error:
                 failures[name] = str(error)
 
-        threads = [threading.Thread(target=one, args=(name, *call), daemon=True) for name, call in calls.items()]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        with ThreadPoolExecutor() as pool:
+            list(pool.map(one, calls))
         return answers, failures
 
     def _check_present(self, *names: str) -> None:
         """Raise ``TrialError`` if one of these nodes was killed or froze."""
-        if gone := self._presence.gone(*names):
-            raise TrialError(f"node {self._presence.full_name(gone[0])} was killed or froze")
+        for name in self._presence.lost(*names):
+            raise TrialError(f"node {self._presence.full_name(name)} was killed or froze")
 
-    def _check_alone(self, wait: bool = False) -> None:
-        """Require that every node name is unique.
-
-        Args:
-            wait: Wait until it is certain that neither of two nodes has died; otherwise ignore uncertain cases.
-
-        Raises:
-            TrialError: Two nodes share a name.
-        """
-        while wait and self._presence.duplicates(*ALL) and not self._presence.duplicates(*ALL, settled=True):
+    def _check_alone(self) -> None:
+        """Raise ``TrialError`` if two nodes share a name; waits until it is certain that neither of them has ended."""
+        while (duplicates := self._presence.duplicates()) and not any(duplicates.values()):
             time.sleep(LOOK)
-        if duplicates := self._presence.duplicates(*ALL, settled=True):
+        for name in (name for name, certain in duplicates.items() if certain):
             raise TrialError(
-                f"two nodes are called {self._presence.full_name(duplicates[0])}: stop one of them, or give one "
-                "another namespace or ROS_DOMAIN_ID"
+                f"two nodes are called {self._presence.full_name(name)}: stop one of them, or give one another "
+                "namespace or ROS_DOMAIN_ID"
             )
 
     def _check_publishers(self) -> None:
@@ -300,7 +285,7 @@ class TrialSession:
             np.concatenate((placed.position, quaternion_of(placed.rotation)))
         )
         requests["recorder"].bag_path = str(path)
-        timeout = parameters.value(self._node, "service_timeout")
+        timeout = node_parameters.value(self._node, "service_timeout")
         failures = self._refusals(list(requests), requests, timeout)
         if list(failures) == ["recorder"]:  # it may have looked for publishers before the others had them
             failures = self._refusals(["recorder"], requests, timeout)
@@ -321,8 +306,10 @@ class TrialSession:
         cancelled: Callable[[], bool],
     ) -> None:
         """Start the plant, and report progress until the trial is over."""
-        period = parameters.value(self._node, "feedback_period")
-        patience = parameters.value(self._node, "service_timeout")  # until the first sample: discovery takes its time
+        period = node_parameters.value(self._node, "feedback_period")
+        patience = node_parameters.value(
+            self._node, "service_timeout"
+        )  # until the first sample: discovery takes its time
         over = threading.Event()
         future = self._run.call_async(Trigger.Request())
         future.add_done_callback(lambda _: over.set())
@@ -338,7 +325,7 @@ class TrialSession:
                 self._look(progress)
                 if progress.time != before and not math.isnan(progress.time):
                     alive = time.monotonic()
-                    patience = parameters.value(self._node, "progress_timeout")
+                    patience = node_parameters.value(self._node, "progress_timeout")
                     feedback(progress)
                 elif time.monotonic() - alive > patience:
                     raise TrialError(
@@ -374,9 +361,8 @@ class TrialSession:
     def _finish_all(self, progress: Progress, reason: str, path: Path) -> TrialResult:
         aborted = bool(reason)
         request = FinishTrial.Request(aborted=aborted, reason=reason)
-        calls = {
-            name: (self._finish[name], request) for name in ("plant", "controller") if not self._presence.gone(name)
-        }
+        lost = self._presence.lost("plant", "controller")
+        calls = {name: (self._finish[name], request) for name in ("plant", "controller") if name not in lost}
         answers, failures = self._call_all(calls, FINISH)
         if not aborted:
             failures |= {name: answer.message for name, answer in answers.items() if not answer.success}
@@ -402,7 +388,7 @@ class TrialSession:
     def _close_bag(self, request: FinishTrial.Request) -> FinishTrial.Response:
         """Let the recorder close the bag; raises ``TrialError`` if it does not answer."""
         # The recorder may wait for late messages.
-        patience = FINISH if request.aborted else parameters.value(self._node, "finish_timeout")
+        patience = FINISH if request.aborted else node_parameters.value(self._node, "finish_timeout")
         self._check_present("recorder")
         answer: FinishTrial.Response = self._call("recorder", self._finish["recorder"], request, patience)
         return answer

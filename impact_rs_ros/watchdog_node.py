@@ -3,7 +3,7 @@
 
 A JointGroupEffortController of ros2_control holds the last command for ever. This node hears the same joint states and
 commands as the robot. Commands that have stopped for ``command_timeout`` while a joint moves make it take over: it
-brakes and holds the arms as the cell does (:meth:`impact_rs_ros.effort_arms.EffortArms.rest`) until somebody calls
+brakes and holds the arms as the cell does (:meth:`impact_rs_ros.effort_arms.EffortArms.rest`) until a call of
 ``~/reset``. It says so on ``~/braking`` (latched), where the cell arms nothing.
 """
 

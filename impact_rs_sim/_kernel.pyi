@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiled part (``src/``): the impact map from end to end, motors, and the arithmetic of a control tick."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
 
 from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RigidTerms
 
 ACCEPTED: float
 """|g F| that is an answer of Newton's method [m/s]."""
@@ -48,13 +52,13 @@ class Terms:
     def linearise(
         self, impulses: Array, velocity: Array, least: Array | float
     ) -> tuple[Array, Array, Array, Array, tuple[str, ...], Array]:
-        """The fields of :class:`impact_rs_sim.impact_map.newton.Linearisation`."""
+        """The fields of :class:`impact_rs_sim.impact_map.laws.Linearisation`."""
 
-    def settle(self, impulses: Array, least: Array | float, compliance: float) -> tuple[Array, bool]:
-        """:func:`impact_rs_sim.impact_map.newton.settle`."""
+    def newton(self, impulses: Array, least: Array | float, compliance: float) -> tuple[Array, bool]:
+        """:func:`impact_rs_sim.impact_map.laws.newton`."""
 
     def harden(self, impulses: Array, least: Array | float, compliance: float) -> Array:
-        """:func:`impact_rs_sim.impact_map.newton.harden`."""
+        """:func:`impact_rs_sim.impact_map.laws.harden`."""
 
     def solve(self, compliance: float) -> tuple[Array, bool, int]:
         """Impulses ``(m, 3)`` [N s] from nothing, whether they are an answer, and how many steps it took."""
@@ -245,10 +249,8 @@ class Observer:
     def force(self) -> float:
         """Sudden part against the direction [N]."""
 
-    def update(
-        self, velocity: Array, torque: Array, inertia: Array, bias: Array, coriolis: Array, jacobian: Array
-    ) -> bool:
-        """Take one measurement: dq, tau_J, and M, h, C and J there; whether the force is above the threshold."""
+    def update(self, velocity: Array, torque: Array, terms: RigidTerms, coriolis: Array) -> bool:
+        """Take one measurement: dq, tau_J, and the terms and C there; whether the force is above the threshold."""
 
 _Phase = tuple[Array, Array, Array, Array]
 """References of E's position and the posture joints ``(ticks, 3 + k)``; velocities and accelerations of the tasks,
@@ -280,20 +282,17 @@ class TaskLaw:
         idle: bool,
     ) -> None: ...
     def decide(
-        self,
-        tick: int,
-        after: bool,
-        gamma: float,
-        position: Array,
-        velocity: Array,
-        inertia: Array,
-        jacobian: Array,
-        drift: Array,
-        place: Array,
-        axes: Array,
-        twist: Array,
+        self, tick: int, after: bool, gamma: float, position: Array, velocity: Array, terms: RigidTerms
     ) -> tuple[Array, Array, Array, Array]:
-        """One tick: q, dq, and M, J, dJ/dt dq, origin and axes of E, J dq there.
+        """Tasks of one tick.
+
+        Args:
+            tick: Number of the tick, for the references.
+            after: Whether the ante mode has ended.
+            gamma: Weight of velocity feedback [-].
+            position: q, ``(n,)`` [rad].
+            velocity: dq, ``(n,)`` [rad/s].
+            terms: Rigid-body terms there.
 
         Returns:
             Feedback ``(6 + k,)``; A ``(rows, n)`` and b ``(rows,)`` of the quadratic program; M + B_theta ``(n, n)``.
@@ -334,3 +333,104 @@ class Program:
 
     def parts(self) -> tuple[Array, Array, Array, Array, Array, Array, Array]:
         """The fields of a :class:`~impact_rs_control.qp.QuadraticProgram`."""
+
+OPERATIONS: Sequence[str]
+"""What the code of a formula may contain, by number: ``Formula`` in src/twin_formula.hpp."""
+
+TwinLoad = Callable[[float, Array, Array], tuple[Array, Array]]
+"""Torques on links and motors, ``(n,)`` each [N m], from time [s], q and dq."""
+
+TwinFormula = tuple[str, int, int, Sequence[int], Sequence[float]]
+"""Name of the effect; 0 link, 1 motor, 2 end effector; joint or axis from 0; code, as in src/twin_formula.hpp, and the
+constants that it takes."""
+
+_Pad = tuple[Array, Array, Array, float | None, float, float, float]
+
+class TwinArm:
+    """One arm of a :class:`Twin`: what :class:`impact_rs_sim.physics.ArmPhysics` says of it.
+
+    Args:
+        links: The links, with the end effector.
+        motors: Motors and springs of its joints, in any state.
+        shaping: B_rho B_theta^-1, ``(n,)`` [-].
+        gain: The desired torque is multiplied by this, ``(n,)`` [-].
+        offset: Added to it, ``(n,)`` [N m].
+        stiffness: K, ``(n,)`` [N m/rad].
+        damping: D, ``(n,)`` [N m s/rad].
+        delay: Of the desired torque [s].
+        joint_torque: Whether the torques are measured joint torques, without a motor.
+        pad: Middle from the origin of E [m], axes, both in axes of the last joint; half extents [m]; stiffness [N/m]
+            (None: rigid) and damping [N s/m] of the face; shear compliance [m/N] and creep [m/(s N)].
+        pull: f_0 [N], k [N/m] and p_impact [m] of a spring on E; None: there is none.
+        formulas: Loads of formulas.
+        load: Loads of Python classes; None: there are none.
+
+    Raises:
+        ValueError: An array has the wrong size, or a formula is none for this arm.
+    """
+
+    def __init__(
+        self,
+        links: Chain,
+        motors: Motors,
+        shaping: Array,
+        gain: Array,
+        offset: Array,
+        stiffness: Array,
+        damping: Array,
+        delay: float,
+        joint_torque: bool,
+        pad: _Pad,
+        pull: tuple[Array, float, Array] | None,
+        formulas: Sequence[TwinFormula],
+        load: TwinLoad | None,
+    ) -> None: ...
+
+class Twin:
+    """A scene of :mod:`impact_rs_sim.twin`, without a state.
+
+    Args:
+        arms: The arms.
+        box: Mass [kg], half extents [m], principal moments [kg m^2] and centre of mass [m] of the object.
+        support: Height, half extents along x and y [m], friction and compliance [m/N]; None: there is none.
+        pad_friction: Coulomb coefficient of the pads [-].
+        rolling_arm: Lever of the moment that resists rolling [m].
+        gravity: Acceleration of gravity in A, ``(3,)`` [m/s^2].
+        period: Period of the torque loop [s].
+        refinement: Steps in a period in which a pad meets the object.
+
+    Raises:
+        ValueError: An array has the wrong size, or there is no step in a period.
+    """
+
+    def __init__(
+        self,
+        arms: Sequence[TwinArm],
+        box: tuple[float, Array, Array, Array],
+        support: tuple[float, float, float, float, float] | None,
+        pad_friction: float,
+        rolling_arm: float,
+        gravity: Array,
+        period: float,
+        refinement: int,
+    ) -> None: ...
+
+_TwinArmStart = tuple[Array, Array, Array, Array, Array, Array, Array, NDArray[np.int32]]
+TwinTask = tuple[Twin, Sequence[_TwinArmStart], tuple[Array, Array, Array] | None, Array, int]
+"""Scene; by arm q, dq, tau_J, dtau_J, times and values of earlier commands, torques and the row that acts in every
+period; position, axes and twist of the object, or None; ticks [s], and periods from one to the next."""
+
+def run_twins(
+    jobs: Sequence[TwinTask], threads: int
+) -> list[tuple[Array, int, int, int, int, float, Sequence[float], str]]:
+    """Run jobs, several at a time.
+
+    Returns:
+        By job a row per tick: q, dq, tau_J, theta, dtheta of every arm, then, where there is an object, its middle,
+        quaternion x y z w, velocity and angular velocity; and the last fields of
+        :class:`impact_rs_sim.twin.Result`, from ``steps`` on.
+
+    Raises:
+        ValueError: An array has the wrong size.
+        Exception: That of a load of a Python class.
+    """

@@ -30,7 +30,7 @@ from impact_rs_sim.errors import NotABody
 from impact_rs_sim.pad_shear import PadShear, Side, Touch
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts
-from impact_rs_sim.rotations import quaternion_of, yaw_of_quaternions
+from impact_rs_sim.rotations import continuous, quaternion_of
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.urdf import joint_names, write_urdf
 
@@ -214,21 +214,22 @@ class BulletWorld:
         position, quaternion = self._get_pose(self.object)
         return position + quaternion
 
-    def tracked(self, poses: Array) -> tuple[Array, Array]:
+    def tracked(self, poses: Array) -> Array:
         """Pose of the object along its motion, as a tracker measures it.
 
         Args:
             poses: Rows of :meth:`object_pose`, ``(k, 7)``.
 
         Returns:
-            Its geometric centre, ``(k, 3)`` [m], and its angle about z of A, ``(k,)`` [rad], without jumps.
+            Its geometric centre [m] and orientation x y z w, without changes of sign between rows, ``(k, 7)``.
         """
-        yaw = yaw_of_quaternions(poses[:, 3:])
+        poses = np.column_stack((poses[:, :3], continuous(poses[:, 3:])))
         if not self._com_is_offset:
-            return poses[:, :3], yaw
+            return poses
         axis, w, offset = poses[:, 3:6], poses[:, 6:], self.physics.object.com_offset
         turned = np.cross(axis, offset)
-        return poses[:, :3] - (offset + 2.0 * (w * turned + np.cross(axis, turned))), yaw
+        poses[:, :3] -= offset + 2.0 * (w * turned + np.cross(axis, turned))
+        return poses
 
     def object_state(self) -> BodyState:
         """State of the object, at its geometric centre."""

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results are written to a temporary file and renamed: a file is complete, and an earlier one stays until then."""
+"""Results are written to a temporary file and renamed: a file is complete, and an earlier one stays until then.
+
+An ``OSError`` on the way, a full disk for example, becomes an :class:`InputError` that names the file.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +29,6 @@ def whole(path: Path) -> Iterator[Path]:
 
     Args:
         path: The file; its folder is made.
-
-    Raises:
-        InputError: An ``OSError`` in the context: a full disk, a folder that cannot be written.
     """
     aside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
@@ -43,11 +43,7 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file, completely or not at all.
-
-    Raises:
-        InputError: It cannot be written.
-    """
+    """Write a text file, completely or not at all."""
     with whole(path) as aside:
         aside.write_text(text, encoding="utf-8")
 
@@ -58,9 +54,6 @@ def whole_folder(directory: Path) -> Iterator[Path]:
 
     Args:
         directory: Their folder; it is made, and what else is in there stays.
-
-    Raises:
-        InputError: An ``OSError`` in the context.
     """
     aside = directory / f".{os.getpid()}.partial"
     try:

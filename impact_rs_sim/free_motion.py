@@ -39,7 +39,7 @@ class FreeStretch:
 
 @dataclass(frozen=True)
 class FreePath:
-    """Resulting motion, at every tick; arrays are ``(k, n)``.
+    """Resulting motion of one arm, at every tick; arrays are ``(k, n)``.
 
     Attributes:
         position: q [rad].

@@ -11,17 +11,17 @@ import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.files import is_file
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.schema import NonNegativeVector, PositiveVector, Schema, Vector, Vector3, load
+from impact_rs_sim.schema import NonNegativeVector, PositiveVector, Schema, Vector, Vector3, load, omitted
 
 Array = NDArray[np.float64]
 JointType = Literal["revolute", "prismatic"]
@@ -64,7 +64,7 @@ def joined_units(units: Iterable[str]) -> str:
 class JointOrigin(Schema):
     """Placement of a joint in the previous link, and its type: rotation about its own +z, or translation along it."""
 
-    type: JointType = Field("revolute", description="revolute: turns about +z; prismatic: slides along +z")
+    type: JointType = omitted("revolute", description="revolute: turns about +z; prismatic: slides along +z")
     xyz: Vector3 = Field(description="origin of the joint in the previous link [m]")
     rpy: Vector3 = Field(description="roll, pitch, yaw of the joint in the previous link [rad]")
 
@@ -73,33 +73,17 @@ class JointOrigin(Schema):
         """Units of the values of this joint."""
         return UNITS[self.type]
 
-    @model_serializer(mode="wrap")
-    def _without_the_usual_type(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit defaults, so that bags of arms whose joints all turn stay as they were."""
-        data: dict[str, Any] = handler(self)
-        if self.type == "revolute":
-            data.pop("type", None)
-        return data
-
 
 class Flange(Schema):
     """Placement of the flange in the last link; the end effector stands on its +z."""
 
     xyz: Vector3 = Field(description="origin of the flange in the last link [m]")
-    rpy: Vector3 = Field((0.0, 0.0, 0.0), description="roll, pitch, yaw of the flange in the last link [rad]")
+    rpy: Vector3 = omitted((0.0, 0.0, 0.0), description="roll, pitch, yaw of the flange in the last link [rad]")
 
     @property
     def rotation(self) -> Array:
         """Axes of the flange in the last link, ``(3, 3)``."""
         return np.asarray(pin.rpy.rpyToMatrix(*self.rpy))
-
-    @model_serializer(mode="wrap")
-    def _without_the_usual_axes(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit defaults, so that a flange with the axes of the last link stays as it was."""
-        data: dict[str, Any] = handler(self)
-        if not any(self.rpy):
-            data.pop("rpy", None)
-        return data
 
 
 class Mesh(Schema):
@@ -119,15 +103,7 @@ class Link(Schema):
     inertia: tuple[float, float, float, float, float, float] = Field(
         description="ixx, ixy, ixz, iyy, iyz, izz about the centre of mass [kg m^2]"
     )
-    meshes: tuple[Mesh, ...] = Field((), description="what viewers show; none: a simple shape")
-
-    @model_serializer(mode="wrap")
-    def _without_no_meshes(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit defaults, so that bags of arms without meshes stay as they were."""
-        data: dict[str, Any] = handler(self)
-        if not self.meshes:
-            data.pop("meshes", None)
-        return data
+    meshes: tuple[Mesh, ...] = omitted((), description="what viewers show; none: a simple shape")
 
     @property
     def inertia_matrix(self) -> Array:
@@ -161,7 +137,7 @@ class RobotFacts(Schema):
     flange: Flange = Field(description="flange on the last link")
     limits: Limits = Field(description="hardware limits")
     links: tuple[Link, ...] = Field(min_length=1, description="link inertials")
-    base_meshes: tuple[Mesh, ...] = Field((), description="what viewers show of the base; none: a simple shape")
+    base_meshes: tuple[Mesh, ...] = omitted((), description="what viewers show of the base; none: a simple shape")
     friction: SigmoidFriction | None = Field(None, description="identified joint friction")
     reflected_rotor_inertia_other_source_kg_m2: PositiveVector | None = Field(
         None, description="reflected rotor inertia per joint from another source [kg m^2], prismatic [kg]"
@@ -169,19 +145,9 @@ class RobotFacts(Schema):
     joint_stiffness_typical_Nm_per_rad: PositiveVector | None = Field(
         None, description="order of magnitude of the joint stiffness [N m/rad], prismatic [N/m]"
     )
-    joint_torque_loop: bool = Field(
+    joint_torque_loop: bool = omitted(
         True, description="whether the joints have torque sensors and a loop about them; without: drive.type rigid"
     )
-
-    @model_serializer(mode="wrap")
-    def _without_what_is_usual(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit defaults, so that bags of robots with a torque loop, or without meshes, stay as they were."""
-        data: dict[str, Any] = handler(self)
-        if self.joint_torque_loop:
-            data.pop("joint_torque_loop", None)
-        if not self.base_meshes:
-            data.pop("base_meshes", None)
-        return data
 
     @model_validator(mode="after")
     def _same_length_everywhere(self) -> Self:

@@ -22,13 +22,19 @@ def quaternion_of(rotation: Array) -> Array:
     return np.asarray(pin.SE3ToXYZQUAT(pin.SE3(rotation, _ORIGIN))[3:])
 
 
+def continuous(quaternion: Array) -> Array:
+    """Quaternions without changes of sign between rows (q and -q are one orientation), ``(m, 4)``."""
+    flips = np.cumprod(np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0.0, -1.0, 1.0))
+    return np.asarray(quaternion * np.concatenate(([1.0], flips))[: len(quaternion), None])
+
+
 def yaw_of_quaternions(quaternion: Array) -> Array:
-    """Rotation about z, unwrapped, ``(m,)`` [rad].
+    """Rotation about z, unwrapped along time, ``(..., m)`` [rad].
 
     Args:
-        quaternion: x y z w, ``(m, 4)``.
+        quaternion: x y z w, ``(..., m, 4)``.
     """
     if quaternion.size == 0:
-        return np.zeros(0)
-    x, y, z, w = quaternion.T
+        return np.zeros(quaternion.shape[:-1])
+    x, y, z, w = np.moveaxis(quaternion, -1, 0)
     return np.unwrap(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))

@@ -3,6 +3,9 @@
 
 A scenario (``config/scenarios/*.yaml``) is the human-readable scene language. It says nothing about what
 we *believe* of the physics beyond nominal values; beliefs that change live in model files.
+
+A name that is not there raises an :class:`InputError` that lists those that are, a file that cannot be used one that
+names file and key.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 import pinocchio as pin
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.files import is_file
@@ -34,6 +37,7 @@ from impact_rs_sim.schema import (
     Vector3,
     load,
     load_mapping,
+    omitted,
     validate,
 )
 
@@ -89,7 +93,7 @@ class EndEffectorSpec(Schema):
 class DriveSettings(Schema):
     """Motor side of the joints (paper eqs. EOM_motor, torque_control_law)."""
 
-    type: Literal["torque_loop", "rigid"] = Field(
+    type: Literal["torque_loop", "rigid"] = omitted(
         "torque_loop",
         description="torque_loop: a loop about the joint torque shapes the motor's inertia to B_theta; rigid: there is "
         "none, and the links carry B_rho whole, whatever the motor is asked",
@@ -97,7 +101,7 @@ class DriveSettings(Schema):
     motor_inertia_rotor: PositiveVector = Field(
         description="B_rho, rotor inertia times the square of the gear ratio, per joint [kg m^2], prismatic [kg]"
     )
-    motor_inertia_reduced: PositiveVector | None = Field(
+    motor_inertia_reduced: PositiveVector | None = omitted(
         None,
         description="B_theta, motor inertia that the torque loop leaves, per joint [kg m^2], prismatic [kg]; required "
         "for torque_loop, absent for rigid, where it is B_rho",
@@ -110,13 +114,6 @@ class DriveSettings(Schema):
         "none", description="joint friction in the plant: none, or the robot's identified friction"
     )
     actuation_delay: NonNegative = Field(0.0, description="delay of the desired torque [s]")
-
-    @model_serializer(mode="wrap")
-    def _without_the_usual_type(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit defaults, so that bags of robots with a torque loop stay as they were."""
-        data: dict[str, Any] = handler(self)
-        data.pop("type" if self.type == "torque_loop" else "motor_inertia_reduced", None)
-        return data
 
     @model_validator(mode="after")
     def _inertia_of_its_type(self) -> Self:
@@ -141,23 +138,17 @@ POSE = ("position", "pad_normal", "pad_up", "joint_guess")
 class ImpactPose(Schema):
     """Configuration of the arm at the impact: the pose of frame E, or the position of every joint."""
 
-    position: Vector3 | None = Field(None, description="origin of frame E at impact [m]")
-    pad_normal: Vector3 | None = Field(None, description="direction out of the pad at impact, unit vector")
-    pad_up: Vector3 | None = Field(None, description="direction of E's y axis at impact, unit vector")
-    joint_guess: Vector | None = Field(
+    position: Vector3 | None = omitted(None, description="origin of frame E at impact [m]")
+    pad_normal: Vector3 | None = omitted(None, description="direction out of the pad at impact, unit vector")
+    pad_up: Vector3 | None = omitted(None, description="direction of E's y axis at impact, unit vector")
+    joint_guess: Vector | None = omitted(
         None, description="joint positions to start inverse kinematics from [rad], prismatic [m]"
     )
-    joint_position: Vector | None = Field(
+    joint_position: Vector | None = omitted(
         None,
         description="joint positions at impact, in the place of the four keys above; for arms that cannot hold a pose, "
         "with fewer than six joints [rad], prismatic [m]",
     )
-
-    @model_serializer(mode="wrap")
-    def _as_it_was_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit defaults, so that bags of scenarios with a pose stay as they were."""
-        data: dict[str, Any] = handler(self)
-        return {key: value for key, value in data.items() if value is not None}
 
     @property
     def placement(self) -> pin.SE3:
@@ -285,18 +276,10 @@ class Contact(Schema):
     restitution: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
         0.0, description="restitution of the rigid impact map [-]"
     )
-    restitution_law: Literal["newton", "poisson"] = Field(
+    restitution_law: Literal["newton", "poisson"] = omitted(
         "newton",
         description="whose law: newton (of velocities; may gain energy with friction) or poisson (of impulses)",
     )
-
-    @model_serializer(mode="wrap")
-    def _without_the_usual_law(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit defaults, so that bags of scenarios with Newton's law stay as they were."""
-        data: dict[str, Any] = handler(self)
-        if self.restitution_law == "newton":
-            data.pop("restitution_law", None)
-        return data
 
 
 class CaseRobot(Schema):
@@ -311,19 +294,11 @@ class CaseRobot(Schema):
     joint_1_velocity: float | None = Field(
         None, description="velocity of joint 1 at impact [rad/s], prismatic [m/s]; absent: least-norm joint velocity"
     )
-    posture: dict[str, float] = Field(
+    posture: dict[str, float] = omitted(
         {},
         description="the same for further joints, or others: position at impact by joint, as in joint_3: 0.2 [rad], "
         "prismatic [m]",
     )
-
-    @model_serializer(mode="wrap")
-    def _without_what_is_usual(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit defaults, so that bags of scenarios whose posture task is joint 1 stay as they were."""
-        data: dict[str, Any] = handler(self)
-        if not self.posture:
-            data.pop("posture", None)
-        return data
 
     @model_validator(mode="after")
     def _a_posture_of_joints(self) -> Self:
@@ -440,19 +415,11 @@ class Control(Schema):
         0.0, description="force with which every pad presses after the impact [N]; 0: the object is pushed, not held"
     )
     detection: Detection = Field(description="impact detection")
-    reference_contact: Literal["first", "settled"] = Field(
+    reference_contact: Literal["first", "settled"] = omitted(
         "first",
         description="post-impact references follow the velocity just after the first simultaneous impact (first), or "
         "when the contact that lasts is closed (settled)",
     )
-
-    @model_serializer(mode="wrap")
-    def _without_the_default_contact(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit defaults, so that bags and digests of scenarios that follow the first impact stay as they were."""
-        data: dict[str, Any] = handler(self)
-        if self.reference_contact == "first":
-            data.pop("reference_contact", None)
-        return data
 
 
 class Sensors(Schema):
@@ -544,24 +511,14 @@ class Scenario(Schema):
     control: Control = Field(description="controller")
     sensors: Sensors = Field(description="measurement")
     scatter: Scatter = Field(description="trial-to-trial scatter")
-    uncertainty: Uncertainties = Field(
-        default_factory=Uncertainties, description="what `impact-rs map --uncertainty` takes for known how well"
+    uncertainty: Uncertainties = omitted(
+        Uncertainties(), description="what `impact-rs map --uncertainty` takes for known how well"
     )
-    friction_compensation: FrictionCompensation | None = Field(
+    friction_compensation: FrictionCompensation | None = omitted(
         None,
         description="a path, seen from the scenario file's folder, to what `impact-rs friction identify` wrote; "
         "absent: friction is left to the feedback. That file has these keys",
     )
-
-    @model_serializer(mode="wrap")
-    def _without_absent_compensation(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit defaults, so that bags of scenarios without it, or with usual uncertainties, stay as they were."""
-        data: dict[str, Any] = handler(self)
-        if self.uncertainty == Uncertainties():
-            data.pop("uncertainty", None)
-        if self.friction_compensation is None:
-            data.pop("friction_compensation", None)
-        return data
 
     @model_validator(mode="after")
     def _friction_compensation_fits(self) -> Self:
@@ -622,11 +579,7 @@ class Scenario(Schema):
         return self
 
     def impact_placement(self, robot: str, object_name: str) -> pin.SE3:
-        """Placement of an arm's frame E in the inertial frame when its pad touches an object.
-
-        Raises:
-            InputError: The scenario has no such object.
-        """
+        """Placement of an arm's frame E in the inertial frame when its pad touches an object."""
         placement = self.robots[robot].impact_placement
         if self.object_position is not None:
             normal = placement.rotation[:, 2]
@@ -651,9 +604,6 @@ class Scenario(Schema):
 
         Args:
             settings: Values by dotted key, as in ``control.clamp_force``; lists and mappings as in YAML.
-
-        Raises:
-            InputError: The scenario has no such key, or cannot have such a value.
         """
         if not settings:
             return self
@@ -680,27 +630,15 @@ class Scenario(Schema):
         return AXES[self.axis]
 
     def object(self, name: str) -> ObjectSpec:
-        """The object ``name``.
-
-        Raises:
-            InputError: There is none; the message lists those there are.
-        """
+        """The object ``name``."""
         return _choose("object", name, self.objects, self.name)
 
     def case(self, name: str) -> Case:
-        """The case ``name``; ``1`` is short for ``case_1``.
-
-        Raises:
-            InputError: There is none; the message lists those there are.
-        """
+        """The case ``name``; ``1`` is short for ``case_1``."""
         return self.cases[self.case_name(name)]
 
     def case_name(self, name: str) -> str:
-        """Full name of the case ``name``; ``1`` is short for ``case_1``.
-
-        Raises:
-            InputError: There is none; the message lists those there are.
-        """
+        """Full name of the case ``name``; ``1`` is short for ``case_1``."""
         full = f"case_{name}" if f"case_{name}" in self.cases else name
         _choose("case", full, self.cases, self.name)
         return full
@@ -715,11 +653,7 @@ def _choose(kind: str, name: str, table: dict[str, Item], scenario: str) -> Item
 
 
 def scenario_path(name: str) -> Path:
-    """Path of the scenario ``name`` in the config folder, or ``name`` itself where it is a path to a YAML file.
-
-    Raises:
-        InputError: There is no such scenario; the message lists those there are.
-    """
+    """Path of the scenario ``name`` in the config folder, or ``name`` itself where it is a path to a YAML file."""
     directory = config_directory() / "scenarios"
     path = Path(name) if name.endswith((".yaml", ".yml")) else directory / f"{name}.yaml"
     if not is_file(path):
@@ -771,12 +705,7 @@ def _compensated(path: Path, modified: int, compensation_path: Path, compensatio
 
 
 def load_scenario(name: str) -> Scenario:
-    """Load a scenario by name or path, and the friction compensation that it names.
-
-    Raises:
-        InputError: There is no such scenario, a file breaks its schema, or the friction compensation belongs to another
-            scenario.
-    """
+    """Load a scenario by name or path, and the friction compensation that it names."""
     path = scenario_path(name).resolve()
     modified = path.stat().st_mtime_ns
     scenario, compensation = _load_cached(path, modified)

@@ -3,6 +3,9 @@
 
 A schema is a frozen pydantic model whose fields carry a description that ends in the unit, so that an error
 can say what was expected, and in which unit.
+
+Every function here raises :class:`InputError` for what it cannot take. The message names file, line or key, value, and
+what was expected; of several mistakes the first is spelled out.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 import yaml
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError, ValidationInfo
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
 
 from impact_rs_sim.errors import InputError, shortened
 
@@ -28,6 +31,15 @@ class Schema(BaseModel):
 
 
 SchemaType = TypeVar("SchemaType", bound=Schema)
+
+
+def omitted(default: Any, *, description: str) -> Any:
+    """Field that is written only where it differs from its default.
+
+    A key that a later version adds is such a field: what is written without it stays as it was, byte by byte, and with
+    it every digest.
+    """
+    return Field(default, exclude_if=lambda value: value == default, description=description)
 
 
 def _as_tuple(value: Any) -> Any:
@@ -137,9 +149,6 @@ def parse_value(text: str, file: str | Path) -> Any:
     Args:
         text: The YAML.
         file: Only names the place in errors.
-
-    Raises:
-        InputError: The text is not such YAML; the message has line, column and key.
     """
     if len(text) > LARGEST_TEXT:
         raise InputError(f"has {len(text)} characters, expected at most {LARGEST_TEXT}", file=file)
@@ -160,11 +169,7 @@ def parse_value(text: str, file: str | Path) -> Any:
 
 
 def parse_yaml(text: str, file: str | Path) -> dict[str, Any]:
-    """Parse a YAML mapping; see :func:`parse_value`.
-
-    Raises:
-        InputError: The text is not YAML or not a mapping.
-    """
+    """Parse a YAML mapping; see :func:`parse_value`."""
     data = parse_value(text, file)
     if not isinstance(data, dict):
         raise InputError(f"expected a YAML mapping, found {type(data).__name__}", file=file)
@@ -172,21 +177,12 @@ def parse_yaml(text: str, file: str | Path) -> dict[str, Any]:
 
 
 def load(schema: type[SchemaType], path: str | Path) -> SchemaType:
-    """Read and validate one file.
-
-    Raises:
-        InputError: The file is missing, is no YAML, or breaks the schema. The message names file, key, value and
-            what was expected with its unit.
-    """
+    """Read and validate one file."""
     return validate(schema, load_mapping(path), path)
 
 
 def load_mapping(path: str | Path) -> dict[str, Any]:
-    """Read one file without validating it.
-
-    Raises:
-        InputError: The file is missing, is no YAML, or no mapping.
-    """
+    """Read one file without validating it."""
     return parse_yaml(read_text(path), path)
 
 
@@ -196,9 +192,6 @@ def read_text(path: str | Path, most: int = LARGEST_TEXT) -> str:
     Args:
         path: The file.
         most: Bytes that it may have.
-
-    Raises:
-        InputError: It cannot be read, is no UTF-8, or is larger.
     """
     try:
         with Path(path).open("rb") as file:
@@ -221,9 +214,6 @@ def validate(schema: type[SchemaType], data: Any, file: str | Path | None, conte
         data: As :func:`parse_yaml` returns them.
         file: Where they are from; None: not from a file.
         context: ``RECORDED`` for what an earlier version may have written.
-
-    Raises:
-        InputError: As :func:`load`; the first mistake is spelled out, the number of others is given.
     """
     try:
         return schema.model_validate(data, context=context)

@@ -7,6 +7,7 @@
 
 Each arrow is a pure function, whose results a process caches: repeats share their plan, velocity scales their scene.
 The cache key is the content of the scenario and not its name, because its file, or one that it names, may be edited.
+Each raises :class:`InputError` where the text is no scenario, an object or case is missing, or a pose is out of reach.
 """
 
 from __future__ import annotations
@@ -47,48 +48,28 @@ class TrialSpec:
     def of(
         cls, scenario: Scenario, object_name: str, case: str, scale: float = 1.0, motor_inertia: str = "reduced"
     ) -> TrialSpec:
-        """The trial of a scenario; ``1`` is short for ``case_1``.
-
-        Raises:
-            InputError: The scenario has no such object or case.
-        """
+        """The trial of a scenario; ``1`` is short for ``case_1``."""
         scenario.object(object_name)
         return cls(scenario.model_dump_json(), object_name, scenario.case_name(case), scale, motor_inertia)
 
     @property
     def scenario(self) -> Scenario:
-        """The scenario.
-
-        Raises:
-            InputError: ``scenario_json`` is none.
-        """
+        """The scenario."""
         return _scenario(self.scenario_json)
 
     @property
     def scene(self) -> Scene:
-        """The scenario with object and case, at the nominal moment of impact; the same object every time.
-
-        Raises:
-            InputError: There is no such scenario, object or case, or its pose cannot be reached.
-        """
+        """The scenario with object and case, at the nominal moment of impact; the same object every time."""
         return _scene(self.scenario_json, self.object, self.case)
 
     @property
     def plan(self) -> TrialPlan:
-        """References and nominal physics; the same object every time.
-
-        Raises:
-            InputError: As :attr:`scene` and :func:`~impact_rs_control.plan.plan_trial`.
-        """
+        """References and nominal physics; the same object every time."""
         return _plan(self)
 
 
 def recorded_scenario(text: str, file: str | Path) -> Scenario:
-    """The scenario that a bag carries; ``file`` only names the place in errors.
-
-    Raises:
-        InputError: It is no scenario.
-    """
+    """The scenario that a bag carries; ``file`` only names the place in errors."""
     try:
         return _scenario(text)
     except InputError as error:

@@ -3,6 +3,8 @@
 
 A bag in a folder gets its name when it is complete. At a URL a folder cannot be renamed atomically, so
 ``metadata.yaml`` is uploaded last: a bag that has it is complete.
+
+A place that cannot be used, read or written, or that another process works on, raises :class:`InputError` everywhere.
 """
 
 from __future__ import annotations
@@ -70,34 +72,19 @@ class Store(ABC):
         """Bags at any depth, by their path below the place, each with a number that changes when it is written again.
 
         Hidden ones are left out. No file is opened.
-
-        Raises:
-            InputError: There is no such place, or it cannot be read.
         """
 
     @abstractmethod
     def read(self, name: str) -> str:
-        """Text of a file.
-
-        Raises:
-            InputError: It cannot be read.
-        """
+        """Text of a file."""
 
     @abstractmethod
     def write(self, name: str, text: str) -> None:
-        """Write a file of text; makes the place and the folder of the file.
-
-        Raises:
-            InputError: It cannot be written.
-        """
+        """Write a file of text; makes the place and the folder of the file."""
 
     @abstractmethod
     def remove(self, name: str) -> None:
-        """Remove a file, where it is there.
-
-        Raises:
-            InputError: It cannot be removed.
-        """
+        """Remove a file, where it is there."""
 
     @abstractmethod
     def adding(self, name: str) -> AbstractContextManager[Path]:
@@ -195,11 +182,7 @@ class Remote(Store):
 
     @classmethod
     def at(cls, url: str) -> Remote:
-        """The place of a URL.
-
-        Raises:
-            InputError: fsspec does not know the protocol, or lacks the package that speaks it.
-        """
+        """The place of a URL."""
         from fsspec.core import url_to_fs
 
         try:
@@ -288,11 +271,7 @@ class Remote(Store):
 
 
 def open_store(place: str | Path | Store) -> Store:
-    """The store at a place: a path or a URL.
-
-    Raises:
-        InputError: A URL that fsspec cannot use.
-    """
+    """The store at a place: a path or a URL."""
     if isinstance(place, Store):
         return place
     if not is_url(place):
@@ -311,9 +290,6 @@ def local_copy(
         place: Path or URL.
         files: Names of further files that are copied where they exist.
         progress: Progress callback, called with the number of copied bags and of all bags.
-
-    Raises:
-        InputError: The URL cannot be used or read, or there is no bag below it.
     """
     store = open_store(place)
     if not isinstance(store, Remote):
@@ -345,9 +321,6 @@ def owned(store: Store, what: str = "campaign") -> Iterator[None]:
     Args:
         store: The folder.
         what: What lies in it, for the error.
-
-    Raises:
-        InputError: Another process works on it, or it cannot be written.
     """
     if not isinstance(store, Folder):
         yield

@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.array_file import ArrayFile
-from impact_rs_trials.recordings.bag_file import register
+from impact_rs_trials.recordings.bag_file import POSE_PARTS, register
 from impact_rs_trials.recordings.mapping import REQUIRED
 from impact_rs_trials.recordings.sources import ARRAY_SUFFIXES, BAG_SUFFIXES, TABLE_SUFFIXES, is_bag_folder
 from impact_rs_trials.recordings.table_file import TableFile
@@ -181,8 +181,7 @@ def _base_to_tip(name: str) -> tuple[int, list[Any]]:
 def _holds_pose(message: Any, depth: int = DEEPEST) -> bool:
     if hasattr(message, "transforms"):
         return True
-    pairs = (("position", "orientation"), ("translation", "rotation"))
-    if any(hasattr(message, a) and hasattr(message, b) for a, b in pairs):
+    if any(hasattr(message, a) and hasattr(message, b) for a, b in POSE_PARTS):
         return True
     inner = (getattr(message, name, None) for name in ("pose", "transform"))
     return depth > 0 and any(_holds_pose(part, depth - 1) for part in inner if part is not None)

@@ -41,7 +41,7 @@ class Order:
     """A command to be run.
 
     Attributes:
-        step: Step of the loop that it belongs to.
+        step: Name of the command.
         arguments: Arguments of ``impact-rs``, with paths as the job's working directory sees them.
         writes: Files and folders that it writes.
     """
@@ -57,7 +57,7 @@ class Job:
 
     Attributes:
         number: Its number.
-        step: Step of the loop that it belongs to.
+        step: Name of the command, in records of earlier versions the step of the loop.
         command: The command that does the same in a terminal.
         arguments: Arguments of ``impact-rs``.
         writes: What it writes.

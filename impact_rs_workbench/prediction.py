@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from impact_rs_analysis.report.figures import MODEL_STYLE
+from impact_rs_commands.predicting import MAP
 from impact_rs_control.plan import LARGEST_SCALE
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, predict_impact
@@ -120,12 +121,9 @@ def settings_of(scenario: Scenario, question: Question) -> dict[str, Setting]:
 
 def map_arguments(scenario: str, question: Question, settings: Mapping[str, Setting]) -> list[str]:
     """The arguments of ``impact-rs`` that give the same answer."""
-    words = ["map", scenario, question.object, question.case, "--uncertainty"]
-    if question.motor_inertia != "reduced":
-        words += ["--motor-inertia", question.motor_inertia]
-    if settings:
-        words += ["--set", *(f"{key}={_yaml(value)}" for key, value in settings.items())]
-    return words
+    named = {"object": question.object, "case": question.case, "motor_inertia": question.motor_inertia}
+    changed = tuple(f"{key}={_yaml(value)}" for key, value in settings.items())
+    return MAP.words({"scenario": scenario, **named, "uncertainty": True, "settings": changed})
 
 
 def _yaml(value: Setting) -> str:

@@ -8,8 +8,9 @@ import re
 from pathlib import Path
 from typing import Any
 
-from impact_rs_analysis.diagnosis.compare import Cell, ComparisonDocument
+from impact_rs_analysis.diagnosis.compare import ComparisonDocument
 from impact_rs_analysis.diagnosis.document import read_document
+from impact_rs_analysis.evidence.levels import Cell
 from impact_rs_analysis.report.comparison import comparison_in_words, on_scale, where_part
 from impact_rs_analysis.report.labels import phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import number_text, p_text, quantity_text

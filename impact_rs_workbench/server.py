@@ -22,19 +22,20 @@ from starlette.routing import Route
 from starlette.types import ASGIApp
 
 from impact_rs_analysis.report.page import PLOTLY
+from impact_rs_commands.predicting import EFFECTS
 from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.impact_map import ImpactMapError
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_trials.store import Folder, owned
-from impact_rs_workbench import formulas, laboratory, manual, prediction, results
-from impact_rs_workbench.formulas import FormulaText
-from impact_rs_workbench.guard import FILE_POLICY, Guard
+from impact_rs_workbench import formula_editor, manual, prediction, recording_description, results
+from impact_rs_workbench.forms import FORMS, form_of, named, order_of, seen
+from impact_rs_workbench.formula_editor import FormulaText
 from impact_rs_workbench.jobs import Jobs
-from impact_rs_workbench.laboratory import Description, PreviewRequest
 from impact_rs_workbench.local import Ended, listening, serve_locally
 from impact_rs_workbench.prediction import Question
-from impact_rs_workbench.steps import order_of, scenario_argument, seen
+from impact_rs_workbench.recording_description import Description, PreviewRequest
+from impact_rs_workbench.request_guard import FILE_POLICY, Guard
 from impact_rs_workbench.workspace import HIDDEN, Workspace
 
 STATIC = {"workbench.css": "text/css", "workbench.js": "text/javascript"}
@@ -78,7 +79,7 @@ class Workbench:
         self._asked += 1
         with self._map:
             found = prediction.answer(scenario, question)
-        name = scenario_argument(self.workspace, question.scenario)
+        name = named(self.workspace, question.scenario)
         words = prediction.map_arguments(name, question, settings)
         return found | {"command": self.command(words)}
 
@@ -126,10 +127,10 @@ def _routes(workbench: Workbench) -> list[Route]:
         return workbench.sweep(_question(data), str(key))
 
     def preview(data: Any) -> Any:
-        return laboratory.preview(workspace, validate(PreviewRequest, data, None))
+        return recording_description.preview(workspace, validate(PreviewRequest, data, None))
 
     def check(data: Any) -> Any:
-        return formulas.check(validate(FormulaText, data, None).text)
+        return formula_editor.check(validate(FormulaText, data, None).text)
 
     return [
         Route("/", _page),
@@ -137,13 +138,14 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/files/{path:path}", _file_of(workspace)),
         Route("/manual/{name}", _manual),
         Route("/manual/images/{name}", _picture),
+        Route("/api/forms", _got(lambda _: {name: form_of(command) for name, command in FORMS.items()})),
         Route("/api/workspace", _got(lambda _: workbench.state())),
         Route("/api/scenario", _got(lambda given: workbench.scenario(given.get("name", "")))),
         Route("/api/comparison", _got(lambda given: results.comparison(workspace.existing(given.get("path", ""))))),
         Route("/api/diagnosis", _got(lambda given: results.diagnosis(workspace.existing(given.get("path", ""))))),
         Route(
             "/api/laboratory",
-            _got(lambda given: laboratory.look(workspace, given.get("path", ""), given.get("scenario", ""))),
+            _got(lambda given: recording_description.look(workspace, given.get("path", ""), given.get("scenario", ""))),
         ),
         Route("/api/jobs", _got(lambda _: jobs.all())),
         Route("/api/jobs/{number}/log", _got(lambda given: {"log": jobs.log(_job(given))})),
@@ -167,15 +169,15 @@ def _command(workbench: Workbench, data: Any) -> dict[str, str]:
 
 def _described(workbench: Workbench, data: Any) -> dict[str, Any]:
     description = validate(Description, data, None)
-    written, remarks = laboratory.describe(workbench.workspace, description)
+    written, remarks = recording_description.describe(workbench.workspace, description)
     name = description.path.strip("./") or "lab"
-    step = {"step": "compare", "runs": description.path, "experiment": written[0], "output": f"reports/compare_{name}"}
-    return {"written": written, "remarks": remarks} | _command(workbench, step)
+    form = {"command": "compare", "runs": description.path, "experiment": written[0]}
+    return {"written": written, "remarks": remarks} | _command(workbench, form | {"output": f"reports/compare_{name}"})
 
 
 def _kept(workbench: Workbench, data: Any) -> dict[str, str]:
-    path = formulas.keep(workbench.workspace, validate(FormulaText, data, None))
-    return {"command": workbench.command(["effects", "--formulas", seen(workbench.workspace.existing(path))])}
+    path = formula_editor.keep(workbench.workspace, validate(FormulaText, data, None))
+    return {"command": workbench.command(EFFECTS.words({"formulas": seen(workbench.workspace.existing(path))}))}
 
 
 def _question(data: Any) -> Question:

@@ -31,7 +31,7 @@ DEEPEST = 5  # folders below the workbench's own that are looked into
 LARGEST_DOCUMENT = 20_000_000  # bytes of a report's numbers
 REPORTS = ("report.html", "compare.html", "diagnosis.html", "history.html")
 NOMINAL = "nominal"
-RUN_TABLE = "runs.csv"
+RUN_TABLE: str = Experiment.model_fields["runs"].default
 
 
 Read = TypeVar("Read")

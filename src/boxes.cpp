@@ -48,7 +48,10 @@ Polygon corners_of(const Box& box, const Vector& direction) {
 }
 
 // The part with sign * coordinate <= limit.
-Polygon clip(const Polygon& polygon, int axis, double sign, double limit) {
+void clip(Polygon& polygon, int axis, double sign, double limit) {
+  bool inside = true;
+  for (int i = 0; i < polygon.count; ++i) inside = inside && sign * polygon.corners[i][axis] - limit <= 0.0;
+  if (inside) return;
   Polygon kept;
   for (int i = 0; i < polygon.count; ++i) {
     const Vector& corner = polygon.corners[i];
@@ -58,7 +61,7 @@ Polygon clip(const Polygon& polygon, int axis, double sign, double limit) {
       kept.corners[kept.count++] = last + (previous / (previous - here)) * (corner - last);
     if (here <= 0.0) kept.corners[kept.count++] = corner;
   }
-  return kept;
+  polygon = kept;
 }
 
 }  // namespace
@@ -99,8 +102,8 @@ void touching(const Box& partner, const Box& object, const Face& face, double to
     polygon.corners[i] = transposed_times(reference.rotation, polygon.corners[i] - reference.centre);
   for (int side = 0; side < 3; ++side) {
     if (side == axis) continue;
-    polygon = clip(polygon, side, 1.0, reference.half[side]);
-    polygon = clip(polygon, side, -1.0, reference.half[side]);
+    clip(polygon, side, 1.0, reference.half[side]);
+    clip(polygon, side, -1.0, reference.half[side]);
   }
   for (int i = 0; i < polygon.count; ++i) {
     const Vector& point = polygon.corners[i];

@@ -12,6 +12,7 @@ Chain::Chain(std::vector<Joint> joints, std::vector<Link> links, const Vector& g
       axes_(joints_.size()),
       bodies_(joints_.size()),
       end_{},
+      last_{},
       velocities_(joints_.size()),
       forces_(joints_.size()),
       inertia_(joints_.size() * joints_.size()),
@@ -53,11 +54,11 @@ void Chain::place(const double* q) {
     }
   }
   end_ = origin + rotation * tip_;
+  last_ = rotation;
 }
 
-void Chain::accelerate(const double* q, const double* dq, const double* tau, double* ddq) {
+void Chain::equations(const double* dq, const double* tau, double* mass, double* driving) {
   const int n = static_cast<int>(joints());
-  place(q);
   Spatial velocity{}, acceleration{Vector{}, -1.0 * gravity_};
   for (int i = 0; i < n; ++i) {
     const Spatial own = dq[i] * axes_[i];
@@ -69,13 +70,19 @@ void Chain::accelerate(const double* q, const double* dq, const double* tau, dou
   Body rest{};  // all links from this one on
   for (int i = n - 1; i >= 0; --i) {
     force = force + forces_[i];
-    ddq[i] = tau[i] - dot(axes_[i], force);
+    driving[i] = tau[i] - dot(axes_[i], force);
     rest.mass += bodies_[i].mass;
     rest.moment = rest.moment + bodies_[i].moment;
     for (int k = 0; k < 9; ++k) rest.inertia[k] += bodies_[i].inertia[k];
     const Spatial moved = times(rest, axes_[i]);
-    for (int j = 0; j <= i; ++j) inertia_[i * n + j] = dot(axes_[j], moved);
+    for (int j = 0; j <= i; ++j) mass[i * n + j] = dot(axes_[j], moved);
   }
+}
+
+void Chain::accelerate(const double* q, const double* dq, const double* tau, double* ddq) {
+  const int n = static_cast<int>(joints());
+  place(q);
+  equations(dq, tau, inertia_.data(), ddq);
   if (!factorise(inertia_.data(), n)) std::fill(ddq, ddq + n, std::numeric_limits<double>::quiet_NaN());
   forward(inertia_.data(), n, ddq, 1);
   backward(inertia_.data(), n, ddq, 1);

@@ -57,6 +57,16 @@ class Chain {
   // ddq = M^-1 (tau - h) of the n joints; NaN where M is not positive definite.
   void accelerate(const double* q, const double* dq, const double* tau, double* ddq);
 
+  // Axes, bodies and tip at these joint positions; the next four are about them.
+  void place(const double* q);
+
+  // M in the lower triangle of (n, n), row by row, and tau - h.
+  void equations(const double* dq, const double* tau, double* mass, double* driving);
+
+  const Spatial& axis(int joint) const { return axes_[joint]; }  // motion at unit speed, about the origin of A
+  const Vector& end() const { return end_; }                     // the tip in A [m]
+  const Matrix& axes_of_last() const { return last_; }           // of the last joint in A
+
   // A step of semi-implicit Euler, velocity first.
   void advance(double* q, double* dq, const double* tau, double period);
 
@@ -73,8 +83,6 @@ class Chain {
 
   static Spatial times(const Body& body, const Spatial& motion);
 
-  void place(const double* q);  // axes_, bodies_ and end_ at these joint positions
-
   std::vector<Joint> joints_;
   std::vector<Link> links_;
   Vector gravity_;
@@ -82,7 +90,8 @@ class Chain {
 
   std::vector<Spatial> axes_;  // of the joints: motion at unit speed
   std::vector<Body> bodies_;
-  Vector end_;  // the tip in A [m]
+  Vector end_;
+  Matrix last_;
   std::vector<Spatial> velocities_, forces_;
   std::vector<double> inertia_;       // M (n, n), row by row
   std::vector<double> acceleration_;  // of the last step

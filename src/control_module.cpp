@@ -13,12 +13,14 @@ class ObserverOfPython {
                    const Numbers& direction)
       : observer_(joints, gain, period, threshold, forgetting, vector(checked(direction, 3, "direction"))) {}
 
-  bool update(const Numbers& velocity, const Numbers& torque, const Columns& inertia, const Numbers& bias,
-              const Numbers& coriolis, const Numbers& jacobian) {
+  // `terms`: a RigidTerms of Python.
+  bool update(const Numbers& velocity, const Numbers& torque, const py::object& terms, const Numbers& coriolis) {
     const py::ssize_t n = observer_.joints();
-    const RigidTerms terms{checked(inertia, n * n, "inertia"), checked(bias, n, "bias"),
+    const Columns inertia(terms.attr("mass_matrix"));
+    const Numbers bias(terms.attr("bias")), jacobian(terms.attr("jacobian"));
+    const RigidTerms rigid{checked(inertia, n * n, "mass_matrix"), checked(bias, n, "bias"),
                            checked(jacobian, 6 * n, "jacobian")};
-    return observer_.update(checked(velocity, n, "velocity"), checked(torque, n, "torque"), terms,
+    return observer_.update(checked(velocity, n, "velocity"), checked(torque, n, "torque"), rigid,
                             checked(coriolis, n * n, "coriolis"));
   }
 
@@ -48,16 +50,19 @@ class TaskLawOfPython {
              phase_of(ante, ticks_, posture.size()), phase_of(post, ticks_, posture.size()),
              copied(orientation, 9 * ticks_, "orientation"), copied(wrench, 6 * ticks_, "wrench"), idle_rate, idle) {}
 
+  // `terms`: a RigidTerms of Python.
   py::tuple decide(py::ssize_t tick, bool after, double gamma, const Numbers& position, const Numbers& velocity,
-                   const Columns& inertia, const Numbers& jacobian, const Numbers& drift, const Numbers& place,
-                   const Columns& axes, const Numbers& twist) {
+                   const py::object& terms) {
     if (tick < 0 || tick >= ticks_) throw py::index_error("tick: none of the plan");
     const py::ssize_t n = law_.joints(), rows = law_.rows();
-    const RigidTerms terms{checked(inertia, n * n, "inertia"), nullptr, checked(jacobian, 6 * n, "jacobian")};
+    const Columns inertia(terms.attr("mass_matrix")), axes(terms.attr("rotation"));
+    const Numbers jacobian(terms.attr("jacobian")), drift(terms.attr("drift")), place(terms.attr("position")),
+        twist(terms.attr("twist"));
+    const RigidTerms rigid{checked(inertia, n * n, "mass_matrix"), nullptr, checked(jacobian, 6 * n, "jacobian")};
     law_.decide(static_cast<int>(tick), after, gamma,
                 {checked(position, n, "position"), checked(velocity, n, "velocity"), checked(drift, 6, "drift"),
-                 checked(place, 3, "place"), checked(twist, 6, "twist"), checked(axes, 9, "axes")},
-                terms);
+                 checked(place, 3, "position"), checked(twist, 6, "twist"), checked(axes, 9, "rotation")},
+                rigid);
     return py::make_tuple(array(law_.feedback, {law_.tasks()}), array(law_.matrix, {rows, n}),
                           array(law_.targets, {rows}), array(law_.inertia, {n, n}));
   }
@@ -112,8 +117,8 @@ void add_control(py::module_& module) {
   py::class_<ObserverOfPython>(module, "Observer")
       .def(py::init<int, double, double, double, double, const Numbers&>(), py::arg("joints"), py::arg("gain"),
            py::arg("period"), py::arg("threshold"), py::arg("forgetting"), py::arg("direction"))
-      .def("update", &ObserverOfPython::update, py::arg("velocity"), py::arg("torque"), py::arg("inertia"),
-           py::arg("bias"), py::arg("coriolis"), py::arg("jacobian"))
+      .def("update", &ObserverOfPython::update, py::arg("velocity"), py::arg("torque"), py::arg("terms"),
+           py::arg("coriolis"))
       .def_property_readonly("wrench", &ObserverOfPython::wrench)
       .def_property_readonly("force", &ObserverOfPython::force);
   py::class_<TaskLawOfPython>(module, "TaskLaw")
@@ -122,8 +127,7 @@ void add_control(py::module_& module) {
            py::arg("motor_inertia"), py::arg("posture"), py::arg("ante"), py::arg("post"), py::arg("orientation"),
            py::arg("wrench"), py::arg("idle_rate"), py::arg("idle"))
       .def("decide", &TaskLawOfPython::decide, py::arg("tick"), py::arg("after"), py::arg("gamma"),
-           py::arg("position"), py::arg("velocity"), py::arg("inertia"), py::arg("jacobian"), py::arg("drift"),
-           py::arg("place"), py::arg("axes"), py::arg("twist"));
+           py::arg("position"), py::arg("velocity"), py::arg("terms"));
   py::class_<ProgramOfPython>(module, "Program")
       .def(py::init<const Numbers&, const Numbers&, const Numbers&, const Numbers&, double, double>(), py::arg("low"),
            py::arg("high"), py::arg("fastest"), py::arg("strongest"), py::arg("period"), py::arg("regularisation"))

@@ -24,13 +24,22 @@ void Drive::sense(const double* q, const double* dq) {
 }
 
 void Drive::step(const double* shaped) {
+  act(shaped);
+  move(period_, period_);
+}
+
+void Drive::act(const double* shaped) {
+  const std::size_t n = joints();
+  for (std::size_t i = 0; i < size(); ++i) actuation[i] = feedback_[i % n] * transmission[i] + shaped[i];
+}
+
+void Drive::move(double kick, double drift) {
   const std::size_t n = joints();
   for (std::size_t i = 0; i < size(); ++i) {
-    actuation[i] = feedback_[i % n] * transmission[i] + shaped[i];
     double net = actuation[i] - transmission[i];
     if (!law_.coulomb.empty()) net += friction[i] = law_.torque(i % n, velocity[i]);
-    velocity[i] += net * rotor_inverse_[i % n] * period_;
-    position[i] += velocity[i] * period_;
+    velocity[i] += net * rotor_inverse_[i % n] * kick;
+    position[i] += velocity[i] * drift;
   }
 }
 

@@ -40,8 +40,14 @@ class Drive {
   // Spring and damper between the motors and links at `q` [rad] that move at `dq` [rad/s].
   void sense(const double* q, const double* dq);
 
-  // One period with B_rho B_theta^-1 tau_d in `shaped` [N m].
+  // One period with B_rho B_theta^-1 tau_d in `shaped` [N m]: act, then move by a period.
   void step(const double* shaped);
+
+  // The torque law: `actuation` until it is called again.
+  void act(const double* shaped);
+
+  // The motors under their torques for `kick`, then along their velocities for `drift` [s].
+  void move(double kick, double drift);
 
   // The same with links that touch nothing: copies of one arm at `q` that move at `dq`, and `load` on the links [N m].
   void coast(Chain& links, const double* shaped, const double* load, double* q, double* dq);

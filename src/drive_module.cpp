@@ -88,6 +88,8 @@ class DriveOfPython {
     return py::make_tuple(q, dq);
   }
 
+  const Drive& drive() const { return drive_; }
+
   template <std::vector<double> Drive::*State>
   Numbers get() const {
     return array(drive_.*State, shape_);
@@ -103,6 +105,8 @@ class DriveOfPython {
 };
 
 }  // namespace
+
+const Drive& drive_of(const py::object& motors) { return motors.cast<const DriveOfPython&>().drive(); }
 
 void add_drive(py::module_& module) {
   using Python = DriveOfPython;

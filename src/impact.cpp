@@ -6,7 +6,10 @@ namespace impact_rs {
 
 namespace {
 
-constexpr int MANY = 3;  // ratio of impulses to velocities above which the solver uses the root
+// Ratio of impulses to velocities above which the solver uses the root: from 14 points of one arm on. Boxes have 8,
+// random problems never more. Given points, as a grid on a face, take 1.3 times as long without
+// it for 16 points, 9 times for 64.
+constexpr int MANY = 3;
 constexpr double ORTHONORMAL = 1e-6;  // of a rotation, as check_problem() of problem.py
 
 Matrix matrix(const double* values) {

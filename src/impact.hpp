@@ -15,7 +15,7 @@ struct Rules {
   double aligned;      // ALIGNED of contacts.py [m]
   double gap;          // GAP_TOLERANCE of contacts.py [m]
   double penetration;  // PENETRATION_TOLERANCE of problem.py [m]
-  double compliance;   // COMPLIANCE of newton.py [-]
+  double compliance;   // COMPLIANCE of laws.py [-]
 };
 
 struct ArmState {

@@ -258,7 +258,7 @@ bool Solver::full_steps(const Terms& terms, std::vector<double>& impulses, doubl
   return lowest <= ACCEPTED;
 }
 
-bool Solver::settle(const Terms& terms, std::vector<double>& impulses, double compliance) {
+bool Solver::newton(const Terms& terms, std::vector<double>& impulses, double compliance) {
   const double mobility = terms.mobility;
   origin_.assign(3 * terms.count, 0.0);
   kept_ = impulses;

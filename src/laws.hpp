@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The contact laws in terms of the impulses, and their solver. Symbols and derivation: newton.py and residual.py in
+// The contact laws in terms of the impulses, and their solver. Symbols and derivation: laws.py in
 // impact_rs_sim/impact_map.
 
 #pragma once
@@ -51,8 +51,8 @@ PointLaw linearise(const Vector& impulse, const Vector& velocity, const Vector& 
 
 class Solver {
  public:
-  // Newton's method from the given impulses, as settle() of newton.py; false: not converged, impulses unchanged.
-  bool settle(const Terms& terms, std::vector<double>& impulses, double compliance);
+  // Newton's method from the given impulses, as newton() of laws.py; false: not converged, impulses unchanged.
+  bool newton(const Terms& terms, std::vector<double>& impulses, double compliance);
 
   // Remove the effect of the compliance on the velocities (proximal point method).
   void harden(const Terms& terms, std::vector<double>& impulses, double compliance);
@@ -82,7 +82,7 @@ struct Judged {
   double penetration = 0.0, complementarity = 0.0, friction = 0.0;  // m/s
 };
 
-// Residuals of the contact laws at impulses and velocities J_c u^+; definitions in residual.py.
+// Residuals of the contact laws at impulses and velocities J_c u^+; definitions in laws.py.
 Judged judge(const Terms& terms, const double* impulses, const double* after);
 
 }  // namespace impact_rs

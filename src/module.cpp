@@ -112,10 +112,10 @@ class TermsOfPython {
                           array(margin, {count}));
   }
 
-  py::tuple settle(const Numbers& guess, const Numbers& least, double compliance) {
+  py::tuple newton(const Numbers& guess, const Numbers& least, double compliance) {
     press(least);
     std::vector<double> impulses = start(guess);
-    const bool converged = Solver().settle(terms_, impulses, compliance);
+    const bool converged = Solver().newton(terms_, impulses, compliance);
     return py::make_tuple(array(impulses, {terms_.count, 3}), converged);
   }
 
@@ -292,7 +292,7 @@ PYBIND11_MODULE(_kernel, module) {
            py::arg("delassus"), py::arg("approach"), py::arg("normals"), py::arg("friction"), py::arg("rebound"),
            py::arg("inverse_mass"), py::arg("mobility"))
       .def("linearise", &TermsOfPython::linearise, py::arg("impulses"), py::arg("velocity"), py::arg("least"))
-      .def("settle", &TermsOfPython::settle, py::arg("impulses"), py::arg("least"), py::arg("compliance"))
+      .def("newton", &TermsOfPython::newton, py::arg("impulses"), py::arg("least"), py::arg("compliance"))
       .def("harden", &TermsOfPython::harden, py::arg("impulses"), py::arg("least"), py::arg("compliance"))
       .def("solve", &TermsOfPython::solve, py::arg("compliance"))
       .def("judge", &TermsOfPython::judge, py::arg("impulses"), py::arg("after"), py::arg("least"));
@@ -301,4 +301,5 @@ PYBIND11_MODULE(_kernel, module) {
   add_chain(module);
   add_control(module);
   add_drive(module);
+  add_twin(module);
 }

@@ -40,8 +40,12 @@ inline Numbers own(const Numbers& values) {
   return Numbers(Shape(values.shape(), values.shape() + values.ndim()), values.data());
 }
 
+class Drive;
+const Drive& drive_of(const py::object& motors);  // of Motors; drive_module.cpp
+
 void add_chain(py::module_& module);    // chain_module.cpp
 void add_control(py::module_& module);  // control_module.cpp
 void add_drive(py::module_& module);    // drive_module.cpp
+void add_twin(py::module_& module);     // twin_module.cpp
 
 }  // namespace impact_rs

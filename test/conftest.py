@@ -57,13 +57,20 @@ def push_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
-def rewrite_bag(source: Path, target: Path, keep: Callable[[str], bool]) -> None:
-    """Copy a bag with its metadata, as another program does (no checksums), without topics that ``keep`` refuses."""
+def rewrite_bag(
+    source: Path, target: Path, keep: Callable[[str], bool], change: Callable[[str, Any], None] | None = None
+) -> None:
+    """Copy a bag with its metadata, as another program does (no checksums), without topics that ``keep`` refuses.
+
+    ``change`` is given the topic of each message and the message itself.
+    """
     from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
     from impact_rs_trials.bags import checksums
     from impact_rs_trials.bags.types import typestore
 
+    target.parent.mkdir(parents=True, exist_ok=True)
+    store = typestore()
     with Reader(source) as reader:
         writer = Writer(target, version=9, storage_plugin=StoragePlugin.MCAP)
         for name, value in (reader.storage.metadata.custom or {}).items():
@@ -71,17 +78,22 @@ def rewrite_bag(source: Path, target: Path, keep: Callable[[str], bool]) -> None
                 writer.set_custom_data(name, value)
         with writer:
             connections = {
-                c.topic: writer.add_connection(c.topic, c.msgtype, typestore=typestore())
+                c.topic: writer.add_connection(c.topic, c.msgtype, typestore=store)
                 for c in reader.connections
                 if keep(c.topic)
             }
             for connection, timestamp, data in reader.messages():
-                if connection.topic in connections:
-                    writer.write(connections[connection.topic], timestamp, data)
+                if connection.topic not in connections:
+                    continue
+                if change is not None:
+                    message = store.deserialize_cdr(data, connection.msgtype)
+                    change(connection.topic, message)
+                    data = store.serialize_cdr(message, connection.msgtype)
+                writer.write(connections[connection.topic], timestamp, data)
 
 
 @pytest.fixture(name="rewrite_bag")
-def _rewrite_bag() -> Callable[[Path, Path, Callable[[str], bool]], None]:
+def _rewrite_bag() -> Callable[..., None]:
     return rewrite_bag
 
 
@@ -138,7 +150,7 @@ CONSIDERED = ["support_friction"]  # few, because every effect costs twin rollou
 
 @pytest.fixture(scope="session")
 def hidden_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six trials of a plant whose support is rougher than anybody knows: two objects and a free motion, twice each."""
+    """Six trials of a plant whose support is rougher than stated: two objects and a free motion, twice each."""
     from impact_rs_control.plan import plan_trial
     from impact_rs_sim.scenario import load_scenario
     from impact_rs_sim.scene import Scene
@@ -148,14 +160,10 @@ def hidden_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     directory = tmp_path_factory.mktemp("hidden") / "runs"
     hidden = [Hidden("support_friction", (HIDDEN_FRICTION,), 6.0)]
-    for scenario, thing, case in (
-        ("push", "parcel", "case_1"),
-        ("push", "juice", "case_1"),
-        ("excite", "none", "fast"),
-    ):
-        plan = plan_trial(Scene.resolve(load_scenario(scenario), thing, case))
+    for scenario, item, case in (("push", "parcel", "case_1"), ("push", "juice", "case_1"), ("excite", "none", "fast")):
+        plan = plan_trial(Scene.resolve(load_scenario(scenario), item, case))
         for repeat in range(2):
-            key = TrialKey(thing, case, 1.0, repeat)
+            key = TrialKey(item, case, 1.0, repeat)
             info = TrialInfo.of(plan, key, key.seed(3), "inprocess")
             verdict, _ = record_trial(plan, info, directory / scenario / key.name, hide(plan.scene.physics, hidden))
             assert verdict.outcome == "OK", verdict.reason

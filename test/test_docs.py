@@ -1,55 +1,218 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The manual leads somewhere: links exist, commands are those of the command line, pictures stay small."""
+"""The manual is right: links and anchors resolve, commands and options exist, tables of keys are those of the code."""
+
+from __future__ import annotations
 
 import re
+import shlex
 import subprocess
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
+from typing import Any, get_args
 
 import pytest
+import yaml
 
 from impact_rs_cli.main import parser
+from impact_rs_commands import COMMANDS
+from impact_rs_sim.effects.formula import AXES, FUNCTIONS, SPEEDS, FormulaFile, FormulaSpec
+from impact_rs_sim.model import Model
+from impact_rs_sim.robot import RobotFacts
+from impact_rs_sim.scenario_docs import _key
+from impact_rs_sim.schema import Schema
 from impact_rs_trials.blind import draw_truth
+from impact_rs_trials.recordings.experiment import COLUMNS, Experiment
+from impact_rs_trials.recordings.mapping import QUANTITY, UNITS, Mapping, SignalName, SignalSource
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+CODE = re.compile(r"^```.*?^```$|^(?: {4,}\S.*\n?)+", re.MULTILINE | re.DOTALL)
+
+
+@cache
+def text(page: Path) -> str:
+    """A page."""
+    return page.read_text(encoding="utf-8")
+
+
+@cache
+def anchors(page: Path) -> set[str]:
+    """Names of its headings, as GitHub and the workbench make them."""
+    headings = re.findall(r"^#+ (.+)$", re.sub(r"^```.*?^```$", "", text(page), flags=re.M | re.S), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", re.sub(r"[`*]", "", heading).lower()).replace(" ", "-") for heading in headings}
+
+
+def table(page: str, head: str) -> list[list[str]]:
+    """Cells of the rows below the header that begins with a column."""
+    after = text(DOCS / page).split(f"\n| {head} |")
+    assert len(after) == 2, f"{page}: expected one table {head!r}"
+    rows = after[1].split("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in re.split(r"(?<!\\)\|", row.strip().strip("|"))] for row in rows]
+
+
+def keys(schema: type[Schema], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted names of all keys, ``NAME`` for a name that a user chooses, and their fields."""
+    for name, field in schema.model_fields.items():
+        key, below = _key(name, field.annotation)
+        if below is None:
+            yield f"{prefix}{name}", field
+        else:
+            yield from keys(below, f"{prefix}{key}.")
+
+
+def commands() -> list[tuple[str, str]]:
+    """Every command line of the program in the manual, with its page."""
+    found = []
+    for page in PAGES:
+        joined = text(page).replace("\\\n", " ")
+        blocks = "\n".join(CODE.findall(joined))
+        lines = re.findall(r"^ *(?:\$ )?(?:\./run )?impact-rs (.+)$", blocks, re.MULTILINE)
+        lines += re.findall(r"`\./run impact-rs ([^`\n]+)`", joined)
+        found += [(page.name, line.strip()) for line in lines if not line.startswith("COMMAND")]
+    return found
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_link_leads_to_a_file(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8")):
-        if "://" not in target:
-            assert (page.parent / target).exists(), target
+def test_every_link_and_anchor_resolves(page: Path) -> None:
+    broken = []
+    for target in re.findall(r"\]\(([^)\s]+)\)", text(page)):
+        name, _, anchor = target.partition("#")
+        place = (page.parent / name).resolve() if name else page
+        if "://" not in target and (not place.exists() or (anchor and anchor not in anchors(place))):
+            broken.append(target)
+    assert not broken
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_command_that_a_page_tells_can_be_parsed_that_far(page: Path) -> None:
-    known = next(action for action in parser()._actions if action.choices).choices
-    for command in re.findall(r"^ +\./run impact-rs ([a-z]+)", page.read_text(encoding="utf-8"), re.MULTILINE):
-        assert command in known, command
+def test_pages_that_the_code_names_exist() -> None:
+    named = set()
+    for folder in ("impact_rs_*", "examples", "config", "src", "launch", "test"):
+        for path in (path for root in ROOT.glob(folder) for path in root.rglob("*")):
+            if path.suffix in (".py", ".js", ".yaml", ".cpp", ".hpp"):
+                named |= set(re.findall(r"docs/(\w+\.md)|page: '(\w+\.md)'", path.read_text(encoding="utf-8")))
+    assert {name for pair in named for name in pair if name and not (DOCS / name).exists()} == set()
 
 
-def test_every_page_is_in_the_index() -> None:
-    index = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
-    missing = [page.name for page in PAGES[1:] if page.name != "README.md" and f"({page.name})" not in index]
+def test_every_command_and_option_is_one_of_the_program(capsys: pytest.CaptureFixture[str]) -> None:
+    wrong = []
+    for page, line in commands():
+        try:
+            parser().parse_args(shlex.split(re.sub(r"(?<=--jobs) N|(?<=--port) N", " 1", line), comments=True))
+        except SystemExit as stop:
+            if stop.code:
+                wrong.append(f"{page}: {line}: {capsys.readouterr().err.strip()}")
+    assert len(commands()) > 80
+    assert not wrong, "\n".join(wrong)
+
+
+def options(command: str) -> set[str]:
+    """Options of a command and of its actions."""
+    found = COMMANDS[command]
+    return {"--help", *(flag for part in (found, *found.actions) for option in part.options for flag in option.flags)}
+
+
+def test_options_in_a_sentence_are_those_of_their_command() -> None:
+    wrong = {
+        f"{page.name}: {command} {option}"
+        for page in PAGES
+        for command, rest in re.findall(r"`(?:impact-rs )?([a-z]+) ([^`\n]*--[^`\n]*)`", text(page))
+        for option in re.findall(r"(?<!\S)--[a-z][a-z-]*", rest)
+        if command in COMMANDS and option not in options(command)
+    }
+    assert not wrong
+
+
+def test_every_script_and_module_that_a_page_runs_exists() -> None:
+    missing = set()
+    for page in PAGES:
+        for module, script in re.findall(
+            r"\./run python (?:-m (benchmarks\.[\w.]+)|(\w+/[\w/]+(?:\.py)?))", text(page)
+        ):
+            path = ROOT / (script or module.replace(".", "/"))
+            if not (path.exists() or path.with_suffix(".py").exists()):
+                missing.add(f"{page.name}: {script or module}")
     assert not missing
 
 
+@pytest.mark.parametrize(
+    ("page", "head", "schema"),
+    [
+        ("your_data.md", "Key", Experiment),
+        ("your_data.md", "Key of a mapping", Mapping),
+        ("your_data.md", "Key of `signals.NAME`", SignalSource),
+        ("diagnosis.md", "Key of an effect", FormulaSpec),
+        ("diagnosis.md", "Key of a model", Model),
+        ("robots.md", "Key of robot facts", RobotFacts),
+    ],
+)
+def test_a_table_of_keys_is_that_of_the_code(page: str, head: str, schema: type[Schema]) -> None:
+    elsewhere = ("signals.NAME.", "formulas[N].")  # have tables of their own
+    fields = {name: field for name, field in keys(schema) if not name.startswith(elsewhere)}
+    columns = text(DOCS / page).split(f"\n| {head} |")[1].splitlines()[0].split("|")
+    default = 1 + [column.strip() for column in columns].index("Default")
+    documented = {name: row for row in table(page, head) for name in re.findall(r"`([^`]+)`", row[0])}
+    assert documented.keys() - {"signals.NAME", "formulas"} == fields.keys()
+    for name, field in fields.items():
+        cell = documented[name][default].strip("`")
+        assert (cell == "required") == field.is_required(), name
+        if cell not in ("required", "absent", "none", "empty", "zeros"):
+            value = list(field.default) if isinstance(field.default, tuple) else field.default
+            assert yaml.safe_load(cell) == value, name
+
+
+def test_signals_of_a_mapping_are_those_of_the_code_with_their_units() -> None:
+    rows = {
+        name: row for row in table("your_data.md", "Signal of a mapping") for name in re.findall(r"`(\w+)`", row[0])
+    }
+    assert rows.keys() == set(get_args(SignalName))
+    for name, row in rows.items():
+        assert set(UNITS[QUANTITY[name]]) <= set(re.findall(r"`([^`]+)`", row[2])), name
+    assert [row[0].strip("`") for row in table("your_data.md", "Column of a run")] == list(COLUMNS)
+
+
+def test_symbols_and_functions_of_a_formula_are_those_of_the_code() -> None:
+    named = {name for row in table("diagnosis.md", "In a formula") for name in re.findall(r"`(\w+)`", row[0])}
+    assert named - {"q1", "q2", "dq1", "dq2", "t", "pi"} == {*FUNCTIONS, *AXES, *SPEEDS, "parameters"}
+
+
+def test_files_that_a_page_shows_are_valid() -> None:
+    """The first key of a block of YAML says which file it is."""
+    kinds: dict[str, type[Schema]] = {
+        "scenario": Experiment,
+        "description": Mapping,
+        "effects": FormulaFile,
+    }
+    shown = [
+        yaml.safe_load(block)
+        for page in ("your_data.md", "diagnosis.md")
+        for block in re.findall(r"^```yaml\n(.*?)^```", text(DOCS / page), re.MULTILINE | re.DOTALL)
+    ]
+    assert len(shown) >= 4
+    for content in shown:
+        kinds[next(iter(content))].model_validate(content)
+
+
+def test_every_page_is_in_the_index_and_every_picture_in_a_page() -> None:
+    everything = "".join(map(text, PAGES))
+    assert [page.name for page in PAGES[1:] if page.name != "README.md" and f"({page.name})" not in everything] == []
+    assert [image.name for image in (DOCS / "images").iterdir() if f"images/{image.name})" not in everything] == []
+
+
 def test_pictures_are_small() -> None:
-    for picture in (ROOT / "docs" / "images").iterdir():
+    for picture in (DOCS / "images").iterdir():
         assert picture.stat().st_size < 300_000, picture.name
 
 
 def test_the_effect_that_the_tutorial_hides_and_finds_is_the_one_that_its_seed_hides() -> None:
-    ((hidden, named),) = re.findall(
-        r"hidden (\w+), named (\w+)", (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
-    )
+    ((hidden, named),) = re.findall(r"hidden (\w+), named (\w+)", text(DOCS / "tutorial.md"))
     assert [hidden] == [named] == [effect.name for effect in draw_truth(7, "single", None, None)]
-    assert f"    {hidden}\n" in (ROOT / "docs" / "missing_effects.md").read_text(encoding="utf-8")
+    assert f"impact-rs add {hidden} " in text(DOCS / "diagnosis.md")
 
 
 def test_every_claim_of_the_safety_argument_names_tests_that_exist() -> None:
     """``docs/real_robot.md``: what can move a robot."""
-    argument = (ROOT / "docs" / "real_robot.md").read_text().split("## Safety argument")[1].split("\n## ")[0]
+    argument = text(DOCS / "real_robot.md").split("## Safety argument")[1].split("\n## ")[0]
     rows = [row for row in argument.splitlines() if "`test_" in row]
     there = {
         name
@@ -64,8 +227,8 @@ def test_every_claim_of_the_safety_argument_names_tests_that_exist() -> None:
 def test_what_the_tutorial_writes_into_a_clone_is_ignored_by_git() -> None:
     if not (ROOT / ".git").exists():
         pytest.skip("not a clone")
-    commands = re.findall(r"^    \./run impact-rs (.*)$", (ROOT / "docs" / "tutorial.md").read_text(), re.MULTILINE)
-    written = {found for command in commands for found in re.findall(r"(?:-o|--report) (\S+)", command)}
+    lines = re.findall(r"^    \./run impact-rs (.*)$", text(DOCS / "tutorial.md"), re.MULTILINE)
+    written = {found for line in lines for found in re.findall(r"(?:-o|--report) (\S+)", line)}
     assert {"trials", "campaigns/quick", "blind_7", "report_1", "diagnosis.json", "model_2.yaml"} <= written
     # A name that ends in a slash is a folder to git, although it is not there.
     paths = [path if Path(path).suffix else f"{path}/" for path in sorted(written)]

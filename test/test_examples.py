@@ -27,7 +27,7 @@ from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.recordings.impact_table import read_impact_table
 from impact_rs_trials.recordings.laboratory import read_laboratory
 
-LONG = ("cube_tosses", "draw_robot", "foreign_plant")  # beside somebody else's files, nodes or views, in full
+LONG = ("cube_tosses", "draw_robot", "foreign_plant")  # beside files, nodes or views of others, in full
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 
@@ -91,11 +91,11 @@ def test_the_cable_of_ones_own_holds_the_box_back() -> None:
     assert free - dragged > 0.001  # m
 
 
-def test_the_bags_of_a_laboratory_are_read_with_the_experiment_file_beside_them(tmp_path: Path) -> None:
+def test_bags_of_a_laboratory_are_read_with_the_experiment_file_beside(tmp_path: Path) -> None:
     load("laboratory").main(tmp_path, ["object_mass", "1.15"], [("push", "parcel", "case_2")], repeats=1)
     ((run,), skipped) = read_laboratory(tmp_path, load_experiment(tmp_path / "experiment.yaml"), map)
-    assert (run.object, run.condition, skipped) == ("parcel", "case_2", [])
-    assert run.object_position[-1, 1] < run.object_position[0, 1] - 0.1  # m, it is pushed along -y
+    assert (run.place[1], run.condition, skipped) == ("parcel", "parcel/case_2", [])
+    assert run.signals.object_position[-1, 1] < run.signals.object_position[0, 1] - 0.1  # m, it is pushed along -y
     assert len(run.remarks) == 1  # that the commands have no stamps
 
 

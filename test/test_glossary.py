@@ -17,10 +17,11 @@ TEXT = {".cpp", ".css", ".hpp", ".html", ".js", ".md", ".msg", ".action", ".py",
 # As counted on 23 November 2026. Lower a number when its count falls; all of them go to 0.
 MOST = {
     "README.md": 0,
-    "docs": 61,
+    "docs": 45,
     "examples": 0,
     "impact_rs_analysis": 58,
     "impact_rs_cli": 0,
+    "impact_rs_commands": 0,
     "impact_rs_control": 0,
     "impact_rs_ros": 7,
     "impact_rs_sim": 6,

@@ -30,6 +30,7 @@ PACKAGES = (
     "impact_msgs_py",
     "impact_rs_analysis",
     "impact_rs_cli",
+    "impact_rs_commands",
     "impact_rs_control",
     "impact_rs_ros",
     "impact_rs_sim",
@@ -86,24 +87,13 @@ def test_one_list_of_python_packages_everywhere() -> None:
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
-def test_a_script_is_executable_and_leads_to_a_module_with_main(script: Path) -> None:
-    assert os.access(script, os.X_OK)
-    lines = script.read_text().splitlines()
-    assert lines[0] == "#!/usr/bin/env python3"
-    imported = next(n for n in ast.parse(script.read_text()).body if isinstance(n, ast.ImportFrom))
-    assert [alias.name for alias in imported.names] == ["main"]
-    module = ROOT / f"{str(imported.module).replace('.', '/')}.py"
-    assert module.is_file()
-    tree = ast.parse(module.read_text())
-    assert any(isinstance(n, ast.FunctionDef) and n.name == "main" for n in tree.body)
-
-
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
-def test_a_script_does_nothing_in_a_worker_process_which_imports_it(
+def test_a_script_leads_to_main_and_does_nothing_where_a_worker_imports_it(
     script: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The processes of a campaign import the program that started them under another name."""
-    module = re.findall(r"^from (\S+) import main$", script.read_text(), re.MULTILINE)[0]
+    assert os.access(script, os.X_OK)
+    assert script.read_text().startswith("#!/usr/bin/env python3\n")
+    (module,) = re.findall(r"^from (\S+) import main$", script.read_text(), re.MULTILINE)
     started: list[str] = []
     monkeypatch.setattr(f"{module}.main", lambda: started.append(module))
     runpy.run_path(str(script), run_name="__mp_main__")
@@ -142,22 +132,20 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         def perform(self, context: dict[str, str]) -> str:
             return context[self.name]
 
+    def action(kind: str) -> Any:
+        return lambda *inputs, **keys: SimpleNamespace(kind=kind, inputs=inputs, **keys)
+
     actions = ("DeclareLaunchArgument", "EmitEvent", "LogInfo", "OpaqueFunction", "RegisterEventHandler")
+    substitutions = {"LaunchConfiguration": lambda name: Configuration(name=name), "PathJoinSubstitution": "/".join}
     stand_ins: dict[str, dict[str, Any]] = {
         "launch": {"LaunchContext": dict, "LaunchDescription": list, "LaunchDescriptionEntity": object},
-        "launch.actions": {
-            name: lambda *inputs, kind=name, **keys: SimpleNamespace(kind=kind, inputs=inputs, **keys)
-            for name in actions
-        },
+        "launch.actions": {name: action(name) for name in actions},
         "launch.event_handlers": {"OnProcessExit": SimpleNamespace},
         "launch.events": {"matches_action": lambda action: action},
         "launch.events.process": {"ProcessExited": SimpleNamespace, "ShutdownProcess": SimpleNamespace},
-        "launch.substitutions": {
-            "LaunchConfiguration": lambda name: Configuration(name=name),
-            "PathJoinSubstitution": "/".join,
-        },
+        "launch.substitutions": substitutions,
         "launch_ros": {},
-        "launch_ros.actions": {"Node": lambda **keys: SimpleNamespace(kind="Node", **keys)},
+        "launch_ros.actions": {"Node": action("Node")},
         "launch_ros.substitutions": {"FindPackageShare": str},
     }
     for name, content in stand_ins.items():
@@ -167,12 +155,8 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return runpy.run_path(str(ROOT / "launch" / "impact_rs.launch.py"))
 
 
-CHOSEN = {
-    "without": "",
-    "params_file": str(ROOT / "config" / "nodes.yaml"),
-    "use_sim_time": "false",
-    "rviz": "false",
-}
+PARAMETERS = str(ROOT / "config" / "nodes.yaml")
+CHOSEN = {"without": "", "params_file": PARAMETERS, "use_sim_time": "false", "rviz": "false"}
 
 
 def launched(launch_file: dict[str, Any], **chosen: str) -> list[Any]:
@@ -180,7 +164,7 @@ def launched(launch_file: dict[str, Any], **chosen: str) -> list[Any]:
     return [entity for entity in launch_file["wanted_nodes"](CHOSEN | chosen) if entity.kind == "Node"]
 
 
-def test_the_launch_file_leaves_out_what_others_provide_and_knows_no_other_names(launch_file: dict[str, Any]) -> None:
+def test_the_launch_file_leaves_out_what_others_provide(launch_file: dict[str, Any]) -> None:
     def started(without: str) -> list[str]:
         return [node.executable for node in launched(launch_file, without=without)]
 
@@ -188,14 +172,11 @@ def test_the_launch_file_leaves_out_what_others_provide_and_knows_no_other_names
     assert started("plant recorder") == ["impact_map", "controller", "experiment"]
     with pytest.raises(RuntimeError, match="no node 'wall'; expected one or more of plant, impact_map"):
         started("plant wall")
-
-
-def test_the_launch_file_refuses_a_parameter_file_that_is_not_there(launch_file: dict[str, Any]) -> None:
     with pytest.raises(RuntimeError, match=r"params_file: there is no file '/nope\.yaml'"):
         launched(launch_file, params_file="/nope.yaml")
 
 
-def test_the_launch_file_starts_a_node_again_that_dies_some_times_and_none_that_refuses_its_parameters(
+def test_the_launch_file_restarts_nodes_unless_parameters_were_refused(
     launch_file: dict[str, Any],
 ) -> None:
     for node in launched(launch_file):
@@ -213,7 +194,7 @@ def test_the_launch_file_starts_a_node_again_that_dies_some_times_and_none_that_
         assert stopped.event.process_matcher is handler.target_action
 
 
-def test_the_plant_has_its_own_time_and_rviz_that_of_the_clock_of_its_namespace(launch_file: dict[str, Any]) -> None:
+def test_the_plant_has_its_own_time_and_all_others_that_of_the_clock(launch_file: dict[str, Any]) -> None:
     nodes = {node.executable: node for node in launched(launch_file, use_sim_time="true", rviz="true")}
     on_clock = {name for name, node in nodes.items() if node.parameters[-1]["use_sim_time"]}
     assert on_clock == {*NODES, "rviz2"} - {"plant"}
@@ -240,19 +221,12 @@ def test_run_sets_the_middleware_as_the_nodes_do(rmw: dict[str, str], chosen: di
     )
     assert block is not None
     script = f"set -eu\nroot={ROOT}\n{block[0]}\nenv -0"
-    told = subprocess.run(["/bin/sh", "-c", script], env=rmw | chosen, capture_output=True, text=True, check=True)
-    found = dict(line.split("=", 1) for line in told.stdout.split("\0") if line)
+    done = subprocess.run(["/bin/sh", "-c", script], env=rmw | chosen, capture_output=True, text=True, check=True)
+    found = dict(line.split("=", 1) for line in done.stdout.split("\0") if line)
     found = {name: value for name, value in found.items() if name in (*CHOICES, *rmw)}
     if PROFILE in environment and PROFILE not in chosen:
         assert Path(environment.pop(PROFILE)).read_text() == Path(found.pop(PROFILE)).read_text()
     assert found == environment
-
-
-def test_launch_files_compile() -> None:
-    launch_files = sorted((ROOT / "launch").glob("*.launch.py"))
-    assert launch_files
-    for path in launch_files:
-        compile(path.read_text(), str(path), "exec")
 
 
 def test_every_source_file_begins_with_the_licence() -> None:
@@ -272,7 +246,7 @@ def requirements(name: str) -> list[str]:
     return [line for line in lines if line and not line.startswith(("#", "-r "))]
 
 
-def test_the_requirements_of_a_workspace_are_those_of_pip_without_the_wheels_of_ros() -> None:
+def test_requirements_of_a_workspace_are_those_of_pip_without_ros() -> None:
     project = pyproject()["project"]
     extras = project["optional-dependencies"]
     assert requirements("requirements.txt") == [d for d in project["dependencies"] if not d.startswith("ros-")]

@@ -61,7 +61,7 @@ def test_on_a_terminal_uv_shows_its_progress(clone: Path) -> None:
     assert "sync" in asked(clone) and "--quiet" not in asked(clone)
 
 
-def test_an_outage_is_told_in_the_words_of_uv_and_the_next_call_tries_again(clone: Path) -> None:
+def test_an_outage_is_reported_by_uv_and_the_next_call_tries_again(clone: Path) -> None:
     done = sync(clone, REFUSED="pypi.org")
     assert done.returncode == 7
     assert done.stderr.splitlines()[-1] == "error: no route to pypi.org"

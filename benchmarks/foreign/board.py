@@ -9,44 +9,26 @@ example ``single:object_mass``; ``--table`` prints what there is and runs nothin
 
 from __future__ import annotations
 
-import argparse
 import json
-import math
 import shutil
 import statistics
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks.board import Entry, Row, arguments, run_board, share
 from benchmarks.foreign.campaign import OUTSIDE, make_campaign
 from benchmarks.foreign.cell import UNKNOWN_HERE
 from impact_rs_sim.effects import library
 from impact_rs_trials.blind import RUNS, TRUTH
-from impact_rs_trials.workers import Map, Workforce, workers
+from impact_rs_trials.workers import Map
 
 MAGNITUDES = (3.0, 8.0)  # parameter scales: clear, gross
 OUTSIDE_MAGNITUDES = (2.0, 6.0)
 NULLS = 5
-FIRST_SEED = 1000  # campaigns of benchmarks/blind.py have other seeds
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One campaign of the matrix."""
-
-    kind: str
-    effect: str | None
-    magnitude: float | None
-    seed: int
-
-    @property
-    def name(self) -> str:
-        """Folder name."""
-        parts = [self.kind, self.effect or "any", "m" + ("any" if self.magnitude is None else f"{self.magnitude:g}")]
-        return "__".join([*parts, f"seed{self.seed}"])
+FIRST_SEED = 1000  # campaigns of benchmarks.blind have other seeds
 
 
 def matrix(seeds: int) -> list[Entry]:
@@ -71,11 +53,8 @@ def impact_rs(*arguments: str | Path) -> str:
     return done.stdout
 
 
-def run(entry: Entry, directory: Path, size: str, jobs: int, map_tasks: Map) -> dict[str, Any]:
+def run(entry: Entry, directory: Path, size: str, jobs: int, map_tasks: Map) -> Row:
     """Make, diagnose and score one campaign; what exists is kept."""
-    result = directory / "score.json"
-    if result.exists():
-        return dict(json.loads(result.read_text()))
     make_campaign(directory, entry.seed, map_tasks, entry.kind, entry.effect, size, entry.magnitude)
     document, clock = directory / "diagnosis.json", directory / "seconds.json"
     if not document.exists():
@@ -84,35 +63,28 @@ def run(entry: Entry, directory: Path, size: str, jobs: int, map_tasks: Map) -> 
         clock.write_text(json.dumps(time.perf_counter() - started) + "\n")
     scored = json.loads(impact_rs("blind", "score", directory, "--diagnosis", document, "--json"))
     diagnosis, truth = json.loads(document.read_text()), json.loads((directory / TRUTH).read_text())
-    content = scored | {
+    return scored | {
         "name": entry.name,
         "magnitude": entry.magnitude,
         "verdict": diagnosis["verdict"],
         "seconds": json.loads(clock.read_text()) if clock.exists() else None,
         "intervals": intervals(diagnosis, truth),
     }
-    result.write_text(json.dumps(content) + "\n")
-    return content
 
 
 def intervals(diagnosis: dict[str, Any], truth: dict[str, Any]) -> dict[str, bool | None]:
     """Whether the 95 % interval of every true parameter covers it, named or not; None where there is no interval."""
-    told = {effect["name"]: effect["parameters"] for effect in diagnosis["effects"]}
+    found = {effect["name"]: effect["parameters"] for effect in diagnosis["effects"]}
     covers: dict[str, bool | None] = {}
     for hidden in truth["effects"]:
         for name, true in hidden["parameters"].items():
-            interval = (told.get(hidden["name"], {}).get(name) or {}).get("ci95")
+            interval = (found.get(hidden["name"], {}).get(name) or {}).get("ci95")
             inside = None if interval is None else interval[0] <= true["value"] <= interval[1]
             covers[f"{hidden['name']}.{name}"] = inside
     return covers
 
 
-def share(values: list[bool]) -> str:
-    """How many of them are true, in percent."""
-    return f"{100.0 * sum(values) / len(values):5.1f} % of {len(values)}" if values else "-"
-
-
-def scoreboard(rows: list[dict[str, Any]]) -> str:
+def scoreboard(rows: list[Row]) -> str:
     """The table."""
     of = {kind: [row for row in rows if row["kind"] == kind] for kind in ("single", "null", "outside")}
     known = {row["name"]: [v for v in row["intervals"].values() if v is not None] for row in of["single"]}
@@ -150,28 +122,18 @@ def scoreboard(rows: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     """Run what is missing, then print the scoreboard."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the campaigns")
+    parser = arguments(__doc__)
     parser.add_argument("--seeds", type=int, default=1, help="how often the matrix is run")
     parser.add_argument("--size", default="small", choices=("small", "full"), help="size of each campaign")
-    parser.add_argument("--jobs", type=int, default=2, help="worker processes")
-    parser.add_argument("--only", default="", help="run entries whose name starts with this (':' for '__')")
-    parser.add_argument("--seconds", type=float, default=math.inf, help="start no further campaign after this time [s]")
     parser.add_argument("--table", action="store_true", help="run nothing, print the board of what is there")
-    arguments = parser.parse_args()
-    wanted = [e for e in matrix(arguments.seeds) if e.name.startswith(arguments.only.replace(":", "__"))]
-    rows, began = [], time.monotonic()
-    with workers(Workforce(1 if arguments.table else arguments.jobs)) as map_tasks:
-        for number, entry in enumerate(wanted, start=1):
-            directory = arguments.output / entry.name
-            late = arguments.table or time.monotonic() - began > arguments.seconds
-            if late and not (directory / "score.json").exists():
-                continue
-            row = run(entry, directory, arguments.size, arguments.jobs, map_tasks)
-            rows.append(row)
-            verdict = "right" if row["correct"] else "WRONG"
-            print(f"[{number}/{len(wanted)}] {entry.name}: {verdict}, {row['verdict']}", flush=True)
-    print(f"\n{len(rows)} of {len(wanted)} campaigns\n{scoreboard(rows)}")
+    options = parser.parse_args()
+    options.seconds = -1.0 if options.table else options.seconds
+    rows = run_board(
+        matrix(options.seeds),
+        options,
+        lambda entry, folder, map_tasks: run(entry, folder, options.size, options.jobs, map_tasks),
+    )
+    print(scoreboard(rows))
 
 
 if __name__ == "__main__":

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blind campaigns recorded on the MuJoCo cell: ``./run python -m benchmarks.foreign.campaign SEED -o DIR``.
+"""Blind campaigns recorded on the MuJoCo cell.
 
 As ``impact-rs blind make`` does on our plant: the same sizes, draws and ``truth.json``, so that ``impact-rs diagnose``
-and ``blind score`` take them. The cell tells no truth: its bags have no topics below ``/truth``. Three things that no
+and ``blind score`` take them. The bags of the cell have no topics below ``/truth``. Three causes that no
 effect of the library says are built into MuJoCo's description of the scene.
 """
 
 from __future__ import annotations
 
-import argparse
 import functools
 from collections.abc import Callable
 from pathlib import Path
@@ -21,8 +20,8 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.physics import Physics
 from impact_rs_trials.bags.record import record_cell
 from impact_rs_trials.bags.trial_info import TrialInfo
-from impact_rs_trials.blind import KINDS, SIZES, BlindTask, make, run_task
-from impact_rs_trials.workers import Map, Workforce, workers
+from impact_rs_trials.blind import BlindTask, make, run_task
+from impact_rs_trials.workers import Map
 
 
 def flexible_base(physics: Physics, magnitude: float) -> Modification:
@@ -46,19 +45,19 @@ def flexible_base(physics: Physics, magnitude: float) -> Modification:
 
 def loose_contents(physics: Physics, magnitude: float) -> Modification:
     """A fifth of the object's mass times the magnitude, at most four fifths, swings in it at 3 Hz."""
-    thing = physics.object
+    object_ = physics.object
     share, rate, ratio = min(0.2 * magnitude, 0.8), 2.0 * np.pi * 3.0, 0.1
-    mass = share * thing.mass
+    mass = share * object_.mass
 
     def modify(spec: mujoco.MjSpec) -> None:
         body = spec.body("object")
-        body.mass = thing.mass - mass
-        body.inertia = (1.0 - share) * thing.inertia
+        body.mass = object_.mass - mass
+        body.inertia = (1.0 - share) * object_.inertia
         contents = body.add_body(
             name="contents",
             mass=mass,
-            ipos=thing.com_offset,
-            inertia=share * thing.inertia,
+            ipos=object_.com_offset,
+            inertia=share * object_.inertia,
             explicitinertial=True,
         )
         for name, axis in (("x", [1.0, 0.0, 0.0]), ("y", [0.0, 1.0, 0.0])):
@@ -122,23 +121,3 @@ def make_campaign(
     work = functools.partial(run_task, record=record)
     for _ in make(directory, seed, map_tasks, kind, effect, size, magnitude, work, tuple(OUTSIDE)):
         pass
-
-
-def main() -> None:
-    """Make one campaign."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("seed", type=int, help="what is drawn depends on it")
-    parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the campaign")
-    parser.add_argument("--kind", default="single", choices=KINDS)
-    parser.add_argument("--effect", help="what to hide; default: drawn")
-    parser.add_argument("--magnitude", type=float, help="size in parameter scales; default: drawn")
-    parser.add_argument("--size", default="small", choices=tuple(SIZES))
-    parser.add_argument("--jobs", type=int, default=2, help="worker processes")
-    args = parser.parse_args()
-    with workers(Workforce(args.jobs)) as map_tasks:
-        make_campaign(args.output, args.seed, map_tasks, args.kind, args.effect, args.size, args.magnitude)
-    print(f"diagnose {args.output / 'runs'}")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A second robot cell, on MuJoCo: somebody else's simulator that shares parameters with ours and nothing else.
+"""A second robot cell, on MuJoCo: another simulator that shares parameters with ours and nothing else.
 
 What a laboratory would build from the same numbers, link parameters included, and where it differs from our plant:
 
@@ -399,15 +399,15 @@ def _describe(physics: Physics, step: float, contacts: ContactSettings) -> mujoc
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     option.impratio = contacts.friction_stiffness_ratio
     option.iterations, option.tolerance = 100, 1e-12
-    thing = physics.object
+    object_ = physics.object
     body = spec.worldbody.add_body(
-        name="object", mass=thing.mass, ipos=thing.com_offset, inertia=thing.inertia, explicitinertial=True
+        name="object", mass=object_.mass, ipos=object_.com_offset, inertia=object_.inertia, explicitinertial=True
     )
     body.add_freejoint(name="object")
-    _add_box(body, "object", thing.size / 2.0, np.zeros(3))
+    _add_box(body, "object", object_.size / 2.0, np.zeros(3))
     if physics.support_height is not None:
         half = np.array([*physics.support_size, SUPPORT_THICKNESS]) / 2.0
-        pressed = -physics.gravity[2] * thing.mass * physics.support_compliance
+        pressed = -physics.gravity[2] * object_.mass * physics.support_compliance
         place = np.array([0.0, 0.0, physics.support_height + pressed - half[2]])
         _add_box(spec.worldbody, "support", half, place)
         _add_contact(spec, "support", physics.support_friction, physics.rolling_arm)

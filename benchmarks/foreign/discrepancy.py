@@ -2,7 +2,7 @@
 """The model discrepancy: how far equally valid simulations of the same parameters lie apart, feature by feature.
 
 ``./run python -m benchmarks.foreign.discrepancy -o config/discrepancy.yaml`` (needs the extra ``peers``). Every
-condition is run without noise and scatter by variants that nobody could call worse than our plant, and replayed as if
+condition is run without noise and scatter by variants as valid as our plant, and replayed as if
 it had been measured. With f the features of :mod:`impact_rs_analysis.evidence.features`, and rms taken over conditions
 and the time bins of a signal,
 
@@ -31,8 +31,8 @@ import yaml
 from benchmarks.foreign.cell import LAYER, ContactSettings, MujocoCell
 from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_analysis.evidence.discrepancy import TABLE, Kind, write_patterns
-from impact_rs_analysis.evidence.measured import MeasuredRun
-from impact_rs_analysis.evidence.twin import observed, quiet
+from impact_rs_analysis.evidence.measured_runs import MeasuredRun
+from impact_rs_analysis.evidence.simulated_trials import observed, quiet
 from impact_rs_control.closed_loop import RobotCell
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.plant import Plant
@@ -205,9 +205,11 @@ def _share(value: float) -> float | None:
 def specs_by_kind() -> dict[Kind, list[TrialSpec]]:
     """What is run."""
     return {
-        "square": [TrialSpec.of(load_scenario(scenario), thing, case) for scenario, thing, case in SQUARE],
-        "oblique": [TrialSpec.of(oblique(load_scenario(s), c, *how), thing, c) for s, thing, c, *how in OBLIQUE],
-        "free": [TrialSpec.of(load_scenario(scenario), thing, case) for scenario, thing, case in FREE],
+        "square": [TrialSpec.of(load_scenario(scenario), object_name, case) for scenario, object_name, case in SQUARE],
+        "oblique": [
+            TrialSpec.of(oblique(load_scenario(s), c, *how), object_name, c) for s, object_name, c, *how in OBLIQUE
+        ],
+        "free": [TrialSpec.of(load_scenario(scenario), object_name, case) for scenario, object_name, case in FREE],
     }
 
 
@@ -279,9 +281,9 @@ def _round(number: float, limit: float) -> float:
 
 def document(groups: list[Group], seconds: float) -> dict[str, Any]:
     """Content of the file."""
-    conditions = [f"{scenario}: {thing}, {case}" for scenario, thing, case in (*SQUARE, *FREE)] + [
-        f"{scenario}: {thing}, {case}, pad tilted by {tilt} rad, velocity {drift} off the normal"
-        for scenario, thing, case, tilt, drift in OBLIQUE
+    conditions = [f"{scenario}: {object_name}, {case}" for scenario, object_name, case in (*SQUARE, *FREE)] + [
+        f"{scenario}: {object_name}, {case}, pad tilted by {tilt} rad, velocity {drift} off the normal"
+        for scenario, object_name, case, tilt, drift in OBLIQUE
     ]
     return {
         "provenance": {

@@ -10,7 +10,6 @@ beside it. It resumes where it stopped; ``--only NAME`` runs those whose name st
 
 from __future__ import annotations
 
-import argparse
 import functools
 import json
 import time
@@ -24,27 +23,21 @@ import numpy as np
 import pinocchio as pin
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from benchmarks.foreign.board import UNKNOWN_HERE, Entry, intervals, scoreboard
+from benchmarks.board import Entry, Row, arguments, diagnosed_laboratory, run_board
+from benchmarks.foreign.board import intervals, scoreboard
 from benchmarks.foreign.campaign import OUTSIDE
-from benchmarks.foreign.cell import Modification, MujocoCell
+from benchmarks.foreign.cell import UNKNOWN_HERE, Modification, MujocoCell
 from benchmarks.foreign.discrepancy import oblique
 from examples.laboratory import EXPERIMENT, START, STORE, messages
-from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.diagnosis.document import read_document, write_document
 from impact_rs_analysis.diagnosis.scoring import held_against_truth
-from impact_rs_analysis.evidence.laboratory import read_laboratory_runs
-from impact_rs_analysis.evidence.replays import ReplaySource
-from impact_rs_analysis.evidence.store import ReplayStore
 from impact_rs_sim.effects import library
-from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.scene import BodyState, Scene
 from impact_rs_trials.blind import RUNS, TRUTH, Hidden, draw_truth, hide, named
-from impact_rs_trials.recordings.experiment import load_experiment
-from impact_rs_trials.workers import Map, Workforce, workers
+from impact_rs_trials.workers import Map
 
 MAGNITUDE, OUTSIDE_MAGNITUDE, NULLS, FIRST_SEED = 3.0, 4.0, 5, 3000
 BOXES = ("parcel", "juice")
@@ -152,7 +145,7 @@ def record(task: RunTask) -> None:
 
 def record_run(
     path: Path,
-    thing: str,
+    object_name: str,
     condition: str,
     seed: int,
     hidden: list[Hidden],
@@ -162,20 +155,20 @@ def record_run(
 
     Args:
         path: New folder of the bag.
-        thing: Object; ``none``: free motion.
+        object_name: Object; ``none``: free motion.
         condition: Of ``CONDITIONS``, or of ``FREE``.
         seed: Of scatter and noise.
         hidden: Effects that its physics have.
         modify: Makes what physics cannot say.
     """
-    if thing == "none":
+    if object_name == "none":
         scene = Scene.resolve(load_scenario("push"), "juice", "case_1")
         ((name, model),) = scene.models.items()
         start = scene.arms[name].position
         torque, duration = excursion(model, start, FREE[condition]), FREE_TIME
         far = BodyState(scene.object.position + [5.0, 5.0, 0.0], np.eye(3), np.zeros(6))
     else:
-        hit = hit_of(thing, condition)
+        hit = hit_of(object_name, condition)
         scene, far = hit.scene, hit.scene.object
         (name,) = scene.models
         torque, start, duration = impedance(hit)
@@ -188,7 +181,7 @@ def record_run(
             measured = cell.measure()
             arm = measured.arms[name]
             command = torque(measured.time, arm.position, arm.velocity)
-            shown = measured if thing != "none" else SimpleNamespace(arms=measured.arms, object=None)
+            shown = measured if object_name != "none" else SimpleNamespace(arms=measured.arms, object=None)
             tick = SimpleNamespace(number=number, measurement=shown, commands={"arm": SimpleNamespace(torque=command)})
             for topic, late, message in messages(tick):  # type: ignore[arg-type]
                 if topic not in topics:
@@ -200,14 +193,14 @@ def record_run(
 
 def rows(entry: Entry, folder: Path, repeats: int = 2) -> Iterator[tuple[RunTask, str]]:
     """Every run, with its row in the table."""
-    kinds = [(thing, condition) for thing in BOXES for condition in CONDITIONS]
+    kinds = [(object_name, condition) for object_name in BOXES for condition in CONDITIONS]
     kinds += [("none", condition) for condition in FREE]
-    for number, (thing, condition) in enumerate([kind for kind in kinds for _ in range(repeats)], start=1):
+    for number, (object_name, condition) in enumerate([kind for kind in kinds for _ in range(repeats)], start=1):
         name = f"run_{number:02d}"
-        kind = "free motion" if thing == "none" else "hit"
+        kind = "free motion" if object_name == "none" else "hit"
         yield (
-            RunTask(str(folder / name), thing, condition, 100 * entry.seed + number, entry),
-            f"{name},{thing},{kind},{condition}",
+            RunTask(str(folder / name), object_name, condition, 100 * entry.seed + number, entry),
+            f"{name},{object_name},{kind},{condition}",
         )
 
 
@@ -227,28 +220,19 @@ def make(entry: Entry, directory: Path, map_tasks: Map) -> None:
     (directory / TRUTH).write_text(json.dumps({"kind": entry.kind, "outside": outside, "effects": effects}) + "\n")
 
 
-def run(entry: Entry, directory: Path, map_tasks: Map) -> dict[str, Any]:
+def run(entry: Entry, directory: Path, map_tasks: Map) -> Row:
     """Make, diagnose and score one campaign; what exists is kept."""
-    result, document = directory / "score.json", directory / "diagnosis.json"
-    if result.exists():
-        return dict(json.loads(result.read_text()))
+    document = directory / "diagnosis.json"
     make(entry, directory, map_tasks)
     started = time.perf_counter()
-    if not document.exists():
-        folder = directory / RUNS
-        runs = read_laboratory_runs(folder, load_experiment(folder / "experiment.yaml"), map_tasks)
-        source = ReplaySource.of(runs, load_model("nominal"), ReplayStore(map_tasks))
-        write_document(diagnose(source, source.model), document)
-    read = read_document(document)
-    content = asdict(held_against_truth(directory, read)) | {
+    read = diagnosed_laboratory(directory / RUNS, document, map_tasks)
+    return asdict(held_against_truth(directory, read)) | {
         "name": entry.name,
         "magnitude": entry.magnitude,
         "verdict": read.verdict,
         "seconds": time.perf_counter() - started,
         "intervals": intervals(json.loads(document.read_text()), json.loads((directory / TRUTH).read_text())),
     }
-    result.write_text(json.dumps(content) + "\n")
-    return content
 
 
 def matrix() -> list[Entry]:
@@ -262,22 +246,7 @@ def matrix() -> list[Entry]:
 
 def main() -> None:
     """Run what is missing, then print the scoreboard."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the campaigns")
-    parser.add_argument("--jobs", type=int, default=2, help="worker processes")
-    parser.add_argument("--only", default="", help="run entries whose name starts with this (':' for '__')")
-    arguments = parser.parse_args()
-    wanted = [entry for entry in matrix() if entry.name.startswith(arguments.only.replace(":", "__"))]
-    done = []
-    with workers(Workforce(arguments.jobs)) as map_tasks:
-        for number, entry in enumerate(wanted, start=1):
-            row = run(entry, arguments.output / entry.name, map_tasks)
-            done.append(row)
-            print(
-                f"[{number}/{len(wanted)}] {entry.name}: {'right' if row['correct'] else 'WRONG'}, {row['verdict']}",
-                flush=True,
-            )
-    print(f"\n{len(done)} of {len(wanted)} campaigns\n{scoreboard(done)}")
+    print(scoreboard(run_board(matrix(), arguments(__doc__).parse_args(), run)))
 
 
 if __name__ == "__main__":

@@ -18,9 +18,10 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from impact_rs_analysis.diagnosis.reference import Reference, combined_half_width
-from impact_rs_analysis.evidence.cluster import Added, Cluster, Source
-from impact_rs_sim.effects import Effect, ScalarParameter
+from impact_rs_analysis.diagnosis.null_distribution import NullDistribution, combined_half_width
+from impact_rs_analysis.evidence.cluster import Added, Cluster
+from impact_rs_analysis.evidence.source import Source
+from impact_rs_sim.effects import Effect, Parameter
 from impact_rs_sim.robot import Array
 
 PRIOR = 100.0  # parameter scales; only bounds parameters that the data do not determine
@@ -56,7 +57,7 @@ class Candidate:
 
     effects: tuple[Effect, ...]
     sizes: tuple[int, ...]
-    scalars: tuple[ScalarParameter, ...]
+    scalars: tuple[Parameter, ...]
     lower: Array
     upper: Array
     point: Array
@@ -244,15 +245,15 @@ class Problem:
     Args:
         candidate: Effects with sensitivities.
         clusters: Residuals, in the same order.
-        guard: Per cluster, neighbours left out of the fit together with it, but not counted in its held-out error.
+        neighbours: Per cluster, neighbours left out of the fit together with it, but not counted in its held-out error.
     """
 
     def __init__(
-        self, candidate: Candidate, clusters: Sequence[Cluster], guard: Sequence[Sequence[int]] | None = None
+        self, candidate: Candidate, clusters: Sequence[Cluster], neighbours: Sequence[Sequence[int]] | None = None
     ) -> None:
         self.candidate = candidate
         self.clusters = tuple(clusters)
-        self._guard = guard
+        self._neighbours = neighbours
         self.targets = [item.mean - offset for item, offset in zip(clusters, candidate.offsets, strict=True)]
         self.information = np.array(
             [item.count * jacobian.T @ jacobian for item, jacobian in zip(clusters, candidate.jacobians, strict=True)]
@@ -303,8 +304,8 @@ class Problem:
     @cached_property
     def left_out(self) -> Array:
         """Estimates without one cluster each, as changes in parameter scales, ``(c, p)``."""
-        guard = self._guard or [()] * len(self.clusters)
-        return np.array([self.solve((c, *guard[c])) for c in range(len(self.clusters))])
+        neighbours = self._neighbours or [()] * len(self.clusters)
+        return np.array([self.solve((c, *neighbours[c])) for c in range(len(self.clusters))])
 
     @cached_property
     def held_out(self) -> Array:
@@ -314,18 +315,18 @@ class Problem:
     def jackknife(self) -> Array:
         """Standard errors from leaving one cluster out, in parameter scales, ``(p,)``."""
         count = len(self.clusters)
-        alone = np.array([self.solve((c,)) for c in range(count)]) if self._guard else self.left_out
+        alone = np.array([self.solve((c,)) for c in range(count)]) if self._neighbours else self.left_out
         spread = np.square(alone - alone.mean(axis=0)).sum(axis=0)
         return np.asarray(np.sqrt((count - 1) / count * spread))
 
-    def half_widths(self, change: Array, reference: Reference, confidence: float = 0.95) -> Array:
+    def half_widths(self, change: Array, null: NullDistribution, confidence: float = 0.95) -> Array:
         """Half widths of intervals in parameter scales, ``(p,)``."""
         inverse = np.linalg.inv(self.total)
-        noise = reference.covariance(self.candidate.jacobians, change, inverse)
-        systematic = reference.discrepancy(self.candidate.jacobians, inverse)
+        noise = null.covariance(self.candidate.jacobians, change, inverse)
+        systematic = null.discrepancy(self.candidate.jacobians, inverse)
         return combined_half_width(
             np.sqrt(np.maximum(np.diag(noise), 0.0)),
-            reference.quantile(confidence),
+            null.quantile(confidence),
             self.jackknife(),
             sum(bool(np.any(jacobian)) for jacobian in self.candidate.jacobians),
             np.sqrt(np.maximum(np.diag(systematic), 0.0)),
@@ -340,11 +341,11 @@ class Problem:
                 score += item.count * jacobian.T @ item.late
         return np.asarray(np.linalg.solve(self.total, score))
 
-    def p_value(self, reference: Reference, tested: slice | Sequence[int]) -> float:
+    def p_value(self, null: NullDistribution, tested: slice | Sequence[int]) -> float:
         """p-value of some parameters being nominal while all others of the candidate are fitted (score test).
 
         Args:
-            reference: From the residuals of the best fit without the tested parameters, or of the model itself if
+            null: From the residuals of the best fit without the tested parameters, or of the model itself if
                 nothing else is fitted.
             tested: Indices of the tested parameters.
         """
@@ -361,7 +362,7 @@ class Problem:
             ]
             information = information - self.total[np.ix_(picked, others)] @ projection
         information = 0.5 * (information + information.T) + 1e-12 * np.eye(picked.size) * np.trace(information)
-        return reference.p_value(jacobians, information)
+        return null.p_value(jacobians, information)
 
 
 def bounded(information: Array, score: Array, lower: Array, upper: Array) -> Array:

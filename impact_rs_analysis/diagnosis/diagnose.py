@@ -4,11 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 
 import numpy as np
 
-from impact_rs_analysis.diagnosis.compare import discrepancy_of, kind_of
 from impact_rs_analysis.diagnosis.document import (
     CorrelatedPair,
     DesignDocument,
@@ -18,13 +16,12 @@ from impact_rs_analysis.diagnosis.document import (
     JointError,
     LackOfFit,
     ModelIdentity,
-    RecordingDocument,
     RunsIdentity,
     UnexplainedDocument,
 )
-from impact_rs_analysis.diagnosis.experiment import next_experiment
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
+from impact_rs_analysis.diagnosis.next_experiment import next_experiment
 from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search, adjusted
 from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P
 from impact_rs_analysis.diagnosis.verdicts import (
@@ -42,9 +39,7 @@ from impact_rs_analysis.diagnosis.verdicts import (
     without_the_doubtful,
 )
 from impact_rs_analysis.diagnosis.words import summary_of
-from impact_rs_analysis.evidence.cluster import Source
-from impact_rs_analysis.evidence.recordings import RecordingSource
-from impact_rs_analysis.evidence.torque_balance import ARM
+from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
@@ -77,11 +72,11 @@ def diagnose(
     present = {item.name for item in source.model.effects}
     effects = [known[name] for name in known if name not in present and (only is None or name in only)]
     search = Search.screened(effects, Evidence.of(source), progress=progress)
-    chosen = None if search.evidence.reference.shortage is not None else search.choose()
+    chosen = None if search.evidence.null.shortage is not None else search.choose()
     rivals: Sequence[Rival] = ()
     held = None
     if chosen is not None:
-        chosen, rivals = search.settle(chosen)
+        chosen, rivals = search.simplified(chosen)
         if (sure := without_the_doubtful(search, chosen)) is not chosen:
             chosen, rivals = sure, () if sure is None else search.rivals(sure)
     if chosen is not None:
@@ -105,7 +100,7 @@ def _p_values(search: Search, chosen: Fit | None) -> dict[str, float]:
     if chosen is not None:
         for effect, part in chosen.candidate.parts:
             reduced = search.left_without(chosen, effect.name)
-            raw[effect.name] = chosen.problem.p_value(reduced.reference, part)
+            raw[effect.name] = chosen.problem.p_value(reduced.null, part)
     return adjusted(raw)
 
 
@@ -117,7 +112,7 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
     ties = {name: found.tied_with(name) for name in found.names}
     remarks = _remarks(found, source)
     document = DiagnosisDocument(
-        source=kind_of(source),
+        source=source.kind,
         verdict=verdict.verdict,
         named=found.names,
         effects=tuple(effect_documents(found, known)),
@@ -137,14 +132,14 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
         lack_of_fit=_lack_of_fit(verdict),
         design=DesignDocument(
             clusters=len(evidence.clusters),
-            freedom=evidence.reference.freedom,
+            freedom=evidence.null.freedom,
             least_p=LEAST_P,
-            shortage=evidence.reference.shortage,
+            shortage=evidence.null.shortage,
         ),
-        discrepancy=discrepancy_of(source),
+        discrepancy=source.discrepancy.document,
         identifiability=_identifiability(found.chosen),
         joints=_joints(source, before, after),
-        recording=RecordingDocument(**asdict(source.facts)) if isinstance(source, RecordingSource) else None,
+        recording=source.recording,
         remarks=tuple(remarks),
         formulas=source.model.formulas,
         arms=source.model.arms,
@@ -188,30 +183,19 @@ def _whole(source: Source, held: Sequence[int]) -> bool:
 
 
 def _joints(source: Source, before: Sequence[Array], after: Sequence[Array]) -> tuple[JointError, ...]:
-    if not isinstance(source, RecordingSource):
-        return ()
-    units = source.physics.arms[ARM].facts.units
-    first, second = (
-        np.sqrt(np.mean(np.square(np.concatenate(rest).reshape(-1, len(units))), axis=0)) * source.sigma
-        for rest in (before, after)
-    )
     return tuple(
-        JointError(
-            joint=f"joint{joint + 1}",
-            before=float(first[joint]),
-            after=float(second[joint]),
-            noise=float(source.balance.noise[joint]),
-            unit=unit.effort,
+        JointError(joint=joint, before=first, after=second, noise=noise, unit=unit)
+        for (joint, first, noise, unit), (_, second, _, _) in zip(
+            source.joint_sizes(before), source.joint_sizes(after), strict=True
         )
-        for joint, unit in enumerate(units)
     )
 
 
 def _remarks(found: Findings, source: Source) -> list[str]:
     remarks = list(source.remarks)
-    reference = found.evidence.reference
-    if reference.shortage is not None:
-        remarks.append(f"too few repeats for a verdict: {reference.shortage}")
+    null = found.evidence.null
+    if null.shortage is not None:
+        remarks.append(f"too few repeats for a verdict: {null.shortage}")
     if source.repeated and source.of_motion and all(item.contact for item in source.clusters):
         remarks.append(
             "no free motion there and back was measured: a push alone cannot distinguish friction, torque offset and "
@@ -234,7 +218,7 @@ def _identifiability(chosen: Fit | None) -> Identifiability:
         return Identifiability()
     singular = np.linalg.svd(np.vstack(chosen.candidate.jacobians), compute_uv=False)
     inverse = np.linalg.inv(chosen.problem.total)
-    covariance = chosen.evidence.reference.covariance(chosen.candidate.jacobians, chosen.change, inverse)
+    covariance = chosen.evidence.null.covariance(chosen.candidate.jacobians, chosen.change, inverse)
     spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     correlation = covariance / np.outer(spread, spread)
     names = [scalar.name for scalar in chosen.candidate.scalars]

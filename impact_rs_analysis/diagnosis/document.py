@@ -15,6 +15,8 @@ from typing import Any, Literal
 from pydantic import Field
 
 from impact_rs_analysis.evidence.cluster import TIMES, ErrorUnit
+from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
+from impact_rs_analysis.evidence.levels import RecordingDocument
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.files import write_whole
@@ -170,13 +172,6 @@ class HoldOutDocument(Schema):
     folds: int = Field(0, description="how many times the search was run without some of the data")
 
 
-class DiscrepancyDocument(Schema):
-    """Model discrepancy that was allowed for."""
-
-    used: bool = Field(False, description="whether it is part of sigma, intervals and verdicts")
-    provenance: str = Field("", description="how it was measured")
-
-
 class DesignDocument(Schema):
     """Amount of data, and what a verdict lacks."""
 
@@ -194,20 +189,6 @@ class JointError(Schema):
     after: float = Field(description="with the chosen effects [unit]")
     noise: float = Field(description="noise of the recorded torque [unit]")
     unit: str = Field("N m", description="unit of all of them; N of a joint that slides")
-
-
-class RecordingDocument(Schema):
-    """How recordings were read and filtered."""
-
-    files: tuple[str, ...] = Field(description="paths")
-    robot: str = Field(description="robot facts that were used")
-    end_effector_mass_kg: float = Field(description="mounted mass by the mapping [kg]")
-    samples: int = Field(description="samples read")
-    recorded_s: float = Field(description="their duration [s]")
-    used_s: float = Field(description="duration without the edges of the low-pass [s]")
-    sampled_Hz: float = Field(description="sampling rate [Hz]")
-    low_pass_Hz: float = Field(description="cut-off of the zero-phase low-pass [Hz]")
-    signals: tuple[str, ...] = Field((), description="signals that were found")
 
 
 class DiagnosisDocument(Schema):

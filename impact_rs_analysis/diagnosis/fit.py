@@ -11,8 +11,9 @@ import numpy as np
 import scipy
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, linearise
-from impact_rs_analysis.diagnosis.reference import BlockReference, Reference, RotationReference
-from impact_rs_analysis.evidence.cluster import Cluster, Source, size_of
+from impact_rs_analysis.diagnosis.null_distribution import NullDistribution, RotationNull, SignFlipNull
+from impact_rs_analysis.evidence.cluster import Cluster, size_of
+from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.robot import Array
 
 STEPS = 6
@@ -50,14 +51,14 @@ class Evidence:
         return Evidence(source, chosen, tuple(source.clusters[number] for number in chosen), thrifty)
 
     @cached_property
-    def reference(self) -> Reference:
-        """Reference distribution of the residuals under noise alone."""
-        return (RotationReference if self.source.repeated else BlockReference)(self.clusters)
+    def null(self) -> NullDistribution:
+        """NullDistribution distribution of the residuals under noise alone."""
+        return (RotationNull if self.source.repeated else SignFlipNull)(self.clusters)
 
     @cached_property
     def lack_of_fit(self) -> float | None:
         """p-value of the residuals being noise and discrepancy; None without repeats."""
-        return self.reference.lack_of_fit([item.mean for item in self.clusters])
+        return self.null.lack_of_fit([item.mean for item in self.clusters])
 
     @cached_property
     def errors(self) -> Array:
@@ -70,7 +71,7 @@ class Evidence:
         return np.array([item.expected for item in self.clusters])
 
     @cached_property
-    def guard(self) -> tuple[tuple[int, ...], ...] | None:
+    def neighbours(self) -> tuple[tuple[int, ...], ...] | None:
         """Neighbours of every cluster on the same recording, with correlated noise; None for trials."""
         if self.source.repeated:
             return None
@@ -103,7 +104,7 @@ class Evidence:
 
     def problem(self, candidate: Candidate) -> Problem:
         """Least squares of a candidate that is linearised in these clusters."""
-        return Problem(candidate, self.clusters, self.guard)
+        return Problem(candidate, self.clusters, self.neighbours)
 
     def shifted(self, changes: Sequence[Array]) -> Evidence:
         """The evidence with ``changes`` subtracted from the residuals of every cluster, ``(F,)`` each [-]."""
@@ -161,7 +162,7 @@ class Fit:
         """Half widths of intervals in parameter scales, ``(p,)``, with the uncertainty of the clocks."""
         clock = confidence * self.evidence.source.clock  # of equally likely offsets
         unsure = np.array([clock if scalar.unit == "s" else 0.0 for scalar in self.candidate.scalars])
-        own = self.problem.half_widths(self.change, self.evidence.reference, confidence)
+        own = self.problem.half_widths(self.change, self.evidence.null, confidence)
         moved = scipy.stats.norm.ppf(0.5 + confidence / 2.0) * self.problem.moved_by_clock()
         return np.asarray(np.sqrt(own**2 + moved**2 + (unsure / self.candidate.scale) ** 2))
 
@@ -184,7 +185,7 @@ class Fit:
 
     def lack_of_fit(self) -> float | None:
         """p-value of the remaining residuals being noise and discrepancy; None without repeats."""
-        return self.evidence.reference.lack_of_fit(self.rest)
+        return self.evidence.null.lack_of_fit(self.rest)
 
 
 def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf, steps: int = STEPS) -> Fit:

@@ -4,7 +4,7 @@
 Held-out data influence neither shortlist, nor choice, nor estimate of the effects that predict them. For every fold the
 whole search (:mod:`impact_rs_analysis.diagnosis.search`) runs on the other clusters, and the model with the effects it
 found predicts the fold. Conditions are held out with all their repeats. Of several recordings whole recordings are held
-out; of a single one runs of neighbouring stretches, with a guard stretch on either side.
+out; of a single one runs of neighbouring stretches, without the neighbours on either side.
 
 Where predictions are expensive, a fit of a fold may start at the result of the search over all clusters, if that
 explains the fold's training clusters better than its own start. Approximate leave-one-out stops after one step from
@@ -23,7 +23,7 @@ from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.diagnosis.thresholds import FOLDS, LEAST_CLUSTERS, SHORTLIST_OF_FOLD
-from impact_rs_analysis.evidence.cluster import Source
+from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
 
@@ -75,8 +75,8 @@ def folds_of(source: Source) -> list[Fold]:
         groups = [part.tolist() for part in np.array_split(numbers, FOLDS)]
     result = []
     for held in groups:
-        guard = set() if source.repeated or len(units) >= LEAST_CLUSTERS else _neighbours(source, held)
-        training = tuple(n for n in range(len(source.clusters)) if n not in held and n not in guard)
+        beside = set() if source.repeated or len(units) >= LEAST_CLUSTERS else _neighbours(source, held)
+        training = tuple(n for n in range(len(source.clusters)) if n not in held and n not in beside)
         result.append(Fold(tuple(held), training))
     return result
 
@@ -122,7 +122,7 @@ def _predicted(
     search = Search.screened(effects, evidence, SHORTLIST_OF_FOLD, known=known)
     found = search.choose(thrifty=True)
     if found is not None and source.cheap:
-        found, _ = search.settle(found)
+        found, _ = search.simplified(found)
     added = () if found is None else found.candidate.split(found.estimate)
     both = source.predict([(n, what) for n in fold.held for what in ((), added)], "hold-out")
     rest = []

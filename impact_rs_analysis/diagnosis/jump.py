@@ -3,8 +3,8 @@
 
 The map is evaluated at the nominal impact of a native trial. Of a laboratory's run it is evaluated in the measured
 ante-impact state, with the object moved along the contact normal until it touches. The measured jump is the
-experimental estimate from the net feedback (:mod:`impact_rs_analysis.measure.fit`) if trials of a set follow several
-post-impact velocities; else the change of velocity from just before the impact to 20 ... 40 ms after it.
+experimental estimate from the net feedback (:mod:`impact_rs_analysis.measure.linear_fit`) if trials of a set follow
+several post-impact velocities; else the change of velocity from just before the impact to 20 ... 40 ms after it.
 """
 
 from __future__ import annotations
@@ -16,10 +16,12 @@ import numpy as np
 
 from impact_rs_analysis.evidence.ante_impact import problem_of
 from impact_rs_analysis.evidence.cluster import Cluster
+from impact_rs_analysis.evidence.discrepancy import Discrepancy
 from impact_rs_analysis.evidence.features import AXES, SETTLED
-from impact_rs_analysis.evidence.measured import MeasuredRun
-from impact_rs_analysis.evidence.runs import Runs
-from impact_rs_analysis.measure.fit import FitError, fit_zero_crossing
+from impact_rs_analysis.evidence.levels import JumpLevel, Level, root_mean_square, rounded
+from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
+from impact_rs_analysis.evidence.replays import clusters_of
+from impact_rs_analysis.measure.linear_fit import FitError, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, compute_impact_map
@@ -27,6 +29,32 @@ from impact_rs_sim.model import Model
 from impact_rs_trials.bags.reader import BagError, TrialBag
 
 JOINTS = "joint velocity jump"
+
+
+WHAT = (
+    "velocity jump of the impact map against the jump measured 20 to 40 ms after the impact, or against the "
+    "net-feedback estimate. Joint velocities are listed but not counted: by then the controller has begun to move the "
+    "joints"
+)
+
+
+def jump_level(runs: Runs, model: Model, discrepancy: Discrepancy) -> tuple[dict[str, Level], list[str]]:
+    """Level ``jump`` of a comparison, and remarks on missing jumps.
+
+    Args:
+        runs: All usable runs.
+        model: The model.
+        discrepancy: Model discrepancy that is allowed for.
+    """
+    # The map does not start from each run's own state, so repeatability is the scatter of the measured numbers.
+    measured, _ = clusters_of(runs, [run.measured for run in runs.runs], discrepancy)
+    entries, remarks = jump_entries(runs, measured, model)
+    level = Level(
+        what=WHAT,
+        times_noise=rounded(root_mean_square([entry.times_noise for entry in entries if entry.signal != JOINTS])),
+        entries=tuple(entry.rounded for entry in entries),
+    )
+    return {"jump": level}, remarks
 
 
 @dataclass(frozen=True)
@@ -54,6 +82,22 @@ class JumpEntry:
     predicted: float
     unit: str
     noise: float
+
+    @property
+    def rounded(self) -> JumpLevel:
+        """As a document has it."""
+        return JumpLevel(
+            scenario=self.scenario,
+            object=self.object,
+            case=self.case,
+            signal=self.signal,
+            index=self.index,
+            measured=rounded(self.measured),
+            predicted=rounded(self.predicted),
+            error=rounded(self.error),
+            unit=self.unit,
+            times_noise=rounded(self.times_noise),
+        )
 
     @property
     def error(self) -> float:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, DiagnosisDocument
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
-from impact_rs_analysis.evidence.runs import runs_digest
+from impact_rs_analysis.evidence.measured_runs import runs_digest
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.blind import RUNS, TRUTH
 

@@ -174,7 +174,7 @@ class Search:
     def _bent_beside(self, chosen: Fit, name: str) -> Candidate | None:
         """Chosen effects and one more, fitted to the motion before contact; None if that does not lower the error."""
         evidence, whole = self._before_contact(), chosen.evidence
-        if evidence.reference.freedom < LEAST_FREEDOM:
+        if evidence.null.freedom < LEAST_FREEDOM:
             return None
         effects, effect = chosen.candidate.effects, self.singles[name].effects[0]
         nominal = np.concatenate((chosen.estimate, effect.nominal(self.source.joints)))
@@ -227,7 +227,7 @@ class Search:
         if self.source.cheap or not any(item.contact for item in self.evidence.clusters):
             return {}
         evidence = self._before_contact()
-        if evidence.reference.freedom < LEAST_FREEDOM:
+        if evidence.null.freedom < LEAST_FREEDOM:
             return {}
         seen = [effect for effect in effects if any(in_free_motion(effect, item) for item in evidence.clusters)]
         dear = {effect.name for effect in seen if len(effect.scalars(self.source.joints)) > 1}
@@ -242,7 +242,7 @@ class Search:
         absent = {
             name
             for name in dear & alone.keys()
-            if evidence.problem(alone[name]).p_value(evidence.reference, slice(None)) > NOTHING
+            if evidence.problem(alone[name]).p_value(evidence.null, slice(None)) > NOTHING
         }
         rest = {name: alone[name] for name in alone.keys() - absent}
         if dear & rest.keys():
@@ -321,7 +321,7 @@ class Search:
                 count = chosen.candidate.point.size
                 problem, tested = chosen.evidence.problem(joined), slice(count, joined.point.size)
                 evidence = chosen.left
-            raw[name] = problem.p_value(evidence.reference, tested)
+            raw[name] = problem.p_value(evidence.null, tested)
         return raw
 
     def choose(self, thrifty: bool = False) -> Fit | None:
@@ -340,7 +340,7 @@ class Search:
     def _extend(self, chosen: Fit | None, thrifty: bool) -> Fit | None:
         """Add effects until none is accepted."""
         first = self.evidence.excess(self.evidence.errors)
-        decidable = self.evidence.reference.shortage is None
+        decidable = self.evidence.null.shortage is None
         while chosen is None or len(chosen.candidate.effects) < MOST_EFFECTS:
             if chosen is not None and (left := chosen.lack_of_fit()) is not None and left > SIGNIFICANT:
                 break
@@ -504,7 +504,7 @@ class Search:
                 chosen = measure_again(pair)
         return chosen
 
-    def settle(self, chosen: Fit) -> tuple[Fit, list[Rival]]:
+    def simplified(self, chosen: Fit) -> tuple[Fit, list[Rival]]:
         """Replace effects by equivalent ones with fewer parameters, and list the remaining alternatives.
 
         A constant vertical force is attributed to a payload rather than to a spring or to gains of all joints.
@@ -592,7 +592,7 @@ def consistent(fitted: Fit, first: int = 0) -> bool:
     if sum(bool(np.any(jacobian)) for jacobian in candidate.jacobians) < LEAST_TO_DISAGREE:
         return True
     own = np.array([number >= first and not scalar.shape for number, scalar in enumerate(candidate.scalars)])
-    if fitted.evidence.reference.shortage is not None or not np.any(own):
+    if fitted.evidence.null.shortage is not None or not np.any(own):
         return True
     confidence = 1.0 - SIGNIFICANT / float(np.count_nonzero(own))
     widths = fitted.widths(confidence)

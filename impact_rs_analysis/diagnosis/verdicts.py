@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verdicts on every effect and on the whole, from fits, reference distributions and the hold-out."""
+"""Verdicts on every effect and on the whole, from fits, null distributions and the hold-out."""
 
 from __future__ import annotations
 
@@ -227,7 +227,7 @@ def headline(found: Findings) -> Headline:
     after = before if chosen is None else chosen.lack_of_fit()
     errors = np.array([float(np.mean(np.square(rest))) for rest in found.unexplained])
     share = evidence.excess(errors) / max(evidence.excess(evidence.errors), 1e-300)
-    if evidence.reference.shortage is not None:
+    if evidence.null.shortage is not None:
         return Headline(TOO_FEW, share, before, after)
     if not evidence.source.repeated:
         noise, left = noise_size(evidence), residual_size(evidence, found.unexplained)
@@ -294,8 +294,8 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
     own = np.array([not scalar.shape for scalar in chosen.candidate.scalars[part]])
     widths, bound = chosen.half_widths[part][own], _at_bound(chosen)[part][own]
     places = any(scalar.joint is not None or scalar.arm for scalar in chosen.candidate.scalars[part])
-    if evidence.reference.shortage is not None:
-        verdict, reason = TOO_FEW, evidence.reference.shortage
+    if evidence.null.shortage is not None:
+        verdict, reason = TOO_FEW, evidence.null.shortage
     elif np.all(widths > UNSEEN):
         verdict, reason = UNIDENTIFIABLE, "the data do not determine it: its interval is too wide"
     elif np.all(bound) or (np.any(bound) and not places):
@@ -338,8 +338,8 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
     shown = np.array([not scalar.shape for scalar in fitted.candidate.scalars[part]])
     p = found.p_values.get(name, 1.0)
     rivals = tuple(dict.fromkeys(rival.instead_of for rival in tied))
-    if evidence.reference.shortage is not None:
-        verdict, reason = TOO_FEW, evidence.reference.shortage
+    if evidence.null.shortage is not None:
+        verdict, reason = TOO_FEW, evidence.null.shortage
     elif np.all(fitted.half_widths[part][shown] > UNSEEN):
         verdict, reason = UNIDENTIFIABLE, "the data do not determine it: its interval is too wide"
     elif rivals:
@@ -436,7 +436,7 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float 
     without = evidence.problem(candidate.fixed(index))
     left = without.rest(without.solve())
     shifts = [item.mean - rest for item, rest in zip(evidence.clusters, left, strict=True)]
-    p = fitted.problem.p_value(evidence.shifted(shifts).reference, [index])
+    p = fitted.problem.p_value(evidence.shifted(shifts).null, [index])
     rest, rest_without = fitted.problem.left_out_rest, without.left_out_rest
     own, own_without = (_of_joint(evidence, values, scalar.arm, joint) for values in (rest, rest_without))
     error, error_without = float(own.mean()), float(own_without.mean())

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from impact_rs_analysis.evidence.features import JUMP_BEFORE
-from impact_rs_analysis.evidence.measured import MeasuredRun
+from impact_rs_analysis.evidence.measured_runs import MeasuredRun
 from impact_rs_sim.impact_map import ImpactProblem
 from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
 from impact_rs_sim.physics import Physics
@@ -25,8 +25,8 @@ def ante_impact_state(run: MeasuredRun) -> dict[str, ArmState]:
 
     Extrapolated by lines through the last milliseconds before it; their mean would lag behind an accelerating arm.
     """
-    window, states = run.signals[-1], {}
-    for name, arm in run.signals[-1].arms.items():
+    window, states = run.windowed[-1], {}
+    for name, arm in run.windowed[-1].arms.items():
         onset = run.impacts[name]
         rows = (window.time >= onset + JUMP_BEFORE[0]) & (window.time <= onset + JUMP_BEFORE[1])
         time = window.time[rows] - onset

@@ -21,26 +21,18 @@ with r_f the mean residual of n repeats. Without repeats the size is that of the
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 import numpy as np
 from pydantic import AfterValidator
 
-from impact_rs_sim.effects.base import Joints
-from impact_rs_sim.errors import InputError
-from impact_rs_sim.model import Model
-from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import Array, JointType, RobotFacts
+from impact_rs_sim.robot import Array
 
 Added = tuple[tuple[str, tuple[float, ...]], ...]
 """Effects added to a model: names with their parameter vectors."""
-
-Item = TypeVar("Item")
-Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -166,179 +158,6 @@ def _present_unit(unit: str) -> str:
 
 ErrorUnit = Annotated[str, AfterValidator(_present_unit)]
 """Unit of errors in a document; documents of earlier versions are read."""
-
-
-@dataclass(frozen=True)
-class Identity:
-    """Identity of the measurements.
-
-    Attributes:
-        digest: Digest of all measurements; empty: not known.
-        count: Number of runs, rows or recordings.
-        conditions: Names of the conditions.
-    """
-
-    digest: str
-    count: int
-    conditions: tuple[str, ...]
-
-
-class Source(ABC):
-    """Source of residuals and sensitivities: measurements, and a model that predicts them.
-
-    Attributes:
-        model: The model, to which effects are added.
-        clusters: Residuals of the model.
-        physics: Physics of one cluster under the model, for the number of joints.
-        worlds: All distinct physics of the clusters under the model, for bounds of parameters.
-        repeated: Whether clusters hold repeats; if not, clusters are stretches of time.
-        cheap: Whether predictions are cheap enough to try several starts of a fit.
-        remarks: Remarks on the measurements, for the reader.
-        residual_unit: Unit of the size of residuals without repeats.
-        size_unit: Unit of :meth:`size`.
-        pieces: Name of the clusters without repeats, plural.
-        of_motion: Whether motion before and after an impact was measured, or the impact alone.
-        clock: Largest offset between the clocks of commands and measurements, either way [s]; a delay shorter than this
-            cannot be distinguished from it.
-        least_change: Without repeats, an effect is accepted if the interval of a parameter lies more than so many
-            parameter scales from nominal; 0: the relevance limits of the features decide.
-    """
-
-    model: Model
-    clusters: tuple[Cluster, ...]
-    physics: Physics
-    repeated: bool
-    cheap: bool
-    remarks: Sequence[str] = ()
-    residual_unit: str = "N m"
-    size_unit: str = TIMES
-    pieces: str = "stretches of time"
-    of_motion: bool = True
-    clock: float = 0.0
-    least_change: float = 1.0
-
-    @property
-    def worlds(self) -> Sequence[Physics]:
-        """See the class."""
-        return [self.physics]
-
-    @property
-    def joints(self) -> tuple[JointType, ...]:
-        """Joint types, base to tip, of an arm that shares its parameters with all others; none without an arm.
-
-        Raises:
-            InputError: Arms with different joints have the same name.
-        """
-        found = {(name, joints) for world in self.worlds for name, joints in world.arm_joints}
-        if not self.model.arms and len({joints for _, joints in found}) > 1:
-            arms = ", ".join(f"{name} with {len(joints)} joints" for name, joints in sorted(found))
-            raise InputError(f"arms {arms}: parameters carry the name of their arm; expected another name for each")
-        arm = next(iter(self.physics.arms.values()), None)
-        return () if arm is None else arm.facts.joint_types
-
-    @property
-    def identity(self) -> Identity:
-        """Identity of the measurements; subclasses add runs or rows."""
-        units = tuple(dict.fromkeys(item.unit for item in self.clusters))
-        return Identity("", len(units), units)
-
-    def size(self) -> float:
-        """Size of the model's residuals, in multiples of repeatability (module text) [-]."""
-        return size_of([item.error for item in self.clusters], [item.expected for item in self.clusters])
-
-    def noise_size(self) -> float | None:
-        """Value of :meth:`size` if only noise is left; None without repeats."""
-        return 1.0 if any(np.any(item.pure > 0.0) for item in self.clusters) else None
-
-    def residual_weight(self, item: Cluster) -> Array:
-        """Factors from scaled residuals to ``residual_unit``, without repeats, ``(F,)``."""
-        return item.sigma
-
-    @property
-    def free_motion(self) -> Source | None:
-        """The clusters before contact, if they are cheaper to predict alone; else None."""
-        return None
-
-    def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
-        """``function(source, item)`` of every item, in parallel processes if predictions are expensive.
-
-        Args:
-            function: Without side effects, and loadable by another process.
-            items: Arguments.
-            what: Purpose, shown as progress.
-        """
-        del what
-        return [function(self, item) for item in items]
-
-    @abstractmethod
-    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
-        """Features, in their units, of clusters (by number) with effects on top of the model.
-
-        Args:
-            wanted: Number of the cluster, and the added effects.
-            what: Purpose, shown as progress.
-
-        Returns:
-            ``(F,)`` each; None if a contact is missing, or if the effects give a body without positive inertia.
-        """
-
-    def differences(
-        self, numbers: Sequence[int], before: Added, after: Added, what: str, every: bool = True
-    ) -> list[Array | None]:
-        """Change of features with a change of effects, in their units.
-
-        Args:
-            numbers: Of the clusters.
-            before: Added effects before.
-            after: Added effects after.
-            what: Purpose, shown as progress.
-            every: Whether to average over all repeats of a cluster; else one repeat stands for all.
-
-        Returns:
-            ``(F,)`` each; None where one of the two cannot be predicted.
-        """
-        del every
-        found = self.predict([(number, added) for added in (before, after) for number in numbers], what)
-        return [difference(a, b) for a, b in zip(found[: len(numbers)], found[len(numbers) :], strict=True)]
-
-    @abstractmethod
-    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
-        """Residuals of the model with effects, on the scale of ``like``; None if they cannot be simulated."""
-
-
-def with_per_arm_parameters(model: Model, worlds: Iterable[Physics], each_arm: bool = False) -> Model:
-    """The model with separate effect parameters for every arm, where arms do not share them.
-
-    Arms of one kind share parameters: that halves their number, and a motion of one arm informs about the other. Arms
-    of different kinds have separate parameters.
-
-    Args:
-        model: The model; one with arms is returned unchanged.
-        worlds: All measured physics.
-        each_arm: Whether arms of one kind have separate parameters, too.
-
-    Raises:
-        InputError: ``each_arm``, and one name stands for several robots.
-    """
-    found: dict[str, list[RobotFacts]] = {}
-    for physics in worlds:
-        for name, arm in physics.arms.items():
-            kinds = found.setdefault(name, [])
-            if arm.facts not in kinds:
-                kinds.append(arm.facts)
-    several = [name for name, kinds in found.items() if len(kinds) > 1]
-    if each_arm and several:
-        raise InputError(f"arm {several[0]!r} is another robot in another scenario; expected another name for each")
-    first = next(iter(found.values()), [])
-    alike = all(kinds == first for kinds in found.values())
-    if model.arms or several or (alike and not each_arm):
-        return model
-    return model.model_copy(update={"arms": {name: _joints_of(kinds[0]) for name, kinds in found.items()}})
-
-
-def _joints_of(facts: RobotFacts) -> Joints:
-    """The joints of an arm as in a model file."""
-    return facts.joint_types if "prismatic" in facts.joint_types else facts.joint_count
 
 
 def difference(before: Array | None, after: Array | None) -> Array | None:

@@ -72,6 +72,13 @@ class Provenance(Schema):
     combined: str = Field("", description="how variants were combined")
 
 
+class DiscrepancyDocument(Schema):
+    """Model discrepancy that was allowed for."""
+
+    used: bool = Field(False, description="whether it is part of sigma, intervals and verdicts")
+    provenance: str = Field("", description="how it was measured")
+
+
 class Discrepancy(Schema):
     """``config/discrepancy.yaml``."""
 
@@ -111,6 +118,11 @@ class Discrepancy(Schema):
         found *= np.divide(size, norms, out=np.zeros_like(norms), where=norms > 0.0)
         alone = np.diag(np.where(norms > 0.0, 0.0, size))
         return np.vstack((found, alone[np.any(alone > 0.0, axis=1)]))
+
+    @property
+    def document(self) -> DiscrepancyDocument:
+        """What a document says of it."""
+        return DiscrepancyDocument(used=bool(self.entries), provenance=self.in_words)
 
     @property
     def in_words(self) -> str:

@@ -34,17 +34,18 @@ from functools import cached_property
 
 import numpy as np
 
-from impact_rs_analysis.evidence.cluster import (
-    TIMES,
-    Added,
-    Cluster,
-    Feature,
-    Identity,
-    Source,
-    pooled_error,
-    with_per_arm_parameters,
+from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, pooled_error
+from impact_rs_analysis.evidence.levels import (
+    Comparison,
+    ConditionScore,
+    condition_scores,
+    level_of,
+    rounded,
+    where_of,
+    where_of_blocks,
 )
-from impact_rs_analysis.evidence.tracks import TrackSet, TrackSignal
+from impact_rs_analysis.evidence.source import Identity, Source, with_per_arm_parameters
+from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.impact_map.contacts import contact_frame
 from impact_rs_sim.impact_map.measured import MeasuredImpact, restitution_of, solve_measured
@@ -54,6 +55,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.impact_table import ImpactTable
+from impact_rs_trials.workers import Map
 
 BLOCKS = 24  # at most: of 24 blocks a fold leaves 18 for the search, and the test needs 12
 LEAST_CONDITIONS = 3  # with repeats; with fewer, blocks are used
@@ -81,6 +83,17 @@ NO_NOISE = (
 )
 
 
+WHAT = "velocities just after every impact, measured and predicted by the impact map from the state before"
+SIZE_REPEATED = (
+    "size of the difference between measured and predicted velocities over all conditions, in multiples of "
+    "repeatability"
+)
+SIZE_ALONE = (
+    "root mean square over the impacts of measured minus predicted velocity; angular and joint velocities are weighted "
+    "by their kinetic energy"
+)
+
+
 @dataclass(frozen=True)
 class _Group:
     """Rows of one cluster, by position in the table."""
@@ -105,7 +118,9 @@ class ImpactTableSource(Source):
         InputError: The impact map has no solution for some row.
     """
 
+    kind = "impacts"
     cheap = True
+    not_measured = ("motion before and after", "torques", "forces")
     residual_unit = "m/s"
     pieces = "blocks of rows"
     of_motion = False
@@ -128,6 +143,7 @@ class ImpactTableSource(Source):
         self.repeated = groups is not None
         self._groups = tuple(_blocks(table) if groups is None else groups)
         self.size_unit = TIMES if self.repeated else self.residual_unit
+        self.size_is = SIZE_REPEATED if self.repeated else SIZE_ALONE
         self.clusters = self._clusters()
         self.remarks = tuple(self._remarks())
 
@@ -215,24 +231,30 @@ class ImpactTableSource(Source):
             return None
         return float(np.sqrt(np.mean(np.sum(np.square(self.table.noise * self.worth), axis=1))))
 
-    def tracks(self, added: Added = ()) -> tuple[TrackSet, ...]:
-        """Measured and predicted velocities by row, for a scatter plot.
+    def compare_levels(self) -> Comparison:
+        """See :meth:`Source.compare_levels`: the velocities just after the impact."""
+        phases = tuple(dict.fromkeys(feature.phase for item in self.clusters for feature in item.features))
+        whole = ConditionScore(name=self.table.path.name, repeats=len(self.clusters), score=rounded(self.size()))
+        return Comparison(
+            levels={"impacts": level_of(WHAT, self.clusters, phases)},
+            where=tuple((where_of if self.repeated else where_of_blocks)(self.clusters)),
+            conditions=condition_scores(self.clusters) if self.repeated else (whole,),
+        )
 
-        Args:
-            added: Effects found in addition to the model; shown as a second prediction.
-        """
+    def tracks(self, map_tasks: Map, added: Added = ()) -> tuple[Track, ...]:
+        """See :meth:`Source.tracks`: measured and predicted velocities by row, for a scatter plot."""
+        del map_tasks
         predictions = {"the model": self.predicted}
         if added:
             found = self.predicted_with(added)
             predictions = {"model": self.predicted, "model with the effects found": found}
         number = np.array([float(row.number) for row in self.table.rows])
         return tuple(
-            TrackSet(
+            Track(
                 label=label,
-                impact=None,
                 time=number,
-                signals=tuple(
-                    TrackSignal(f"{feature.signal} {feature.index}", feature.unit, self.measured[:, i], values[:, i])
+                curves=tuple(
+                    ComparedSignal(f"{feature.signal} {feature.index}", feature.unit, self.measured[:, i], values[:, i])
                     for i, feature in enumerate(self.signals)
                 ),
             )

@@ -3,18 +3,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from impact_rs_analysis.evidence.features import LOSS_WITHIN, onset_level, onset_of
+from impact_rs_analysis.evidence.features import LOSS_WITHIN, onset_level, onsets_of
 from impact_rs_analysis.evidence.replay import BEFORE_IMPACT
-from impact_rs_analysis.evidence.run import Run
 from impact_rs_control.detection import ImpactDetector
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Detection
+from impact_rs_trials.runs import Run
 
 OBSERVER_GAIN = 500.0  # 1/s
 TIMES_NOISE = 8.0  # the threshold over the noise of the observed force
@@ -39,13 +40,13 @@ def impacts_of(run: Run) -> dict[str, tuple[float, float]]:
         for start, end in run.gaps:  # the end of an interpolated gap looks like an impact
             force[(time > start) & (time < end + SETTLES)] = 0.0
         row = first_rise(force, np.linalg.norm(velocity, axis=1), run.period)
-        begin, level = None, None
+        begin, level = math.nan, None
         if row is not None:
             first = max(0, row - round((BEFORE_IMPACT + 0.01) / run.period))
             rows = slice(first, row + round(LOSS_WITHIN / run.period))
             level = onset_level(time[rows], velocity[rows])
-            begin = None if level is None else onset_of(time[rows], velocity[rows], level)
-        if begin is None or level is None:
+            begin = math.nan if level is None else float(onsets_of(time[rows], velocity[None, rows], level)[0])
+        if math.isnan(begin) or level is None:
             raise InputError(f"arm {name!r} hits nothing: no sudden force slows it down")
         found[name] = (begin, level)
     return found

@@ -10,17 +10,32 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature, Source
-from impact_rs_analysis.evidence.torque_balance import ARM, Motion, TorqueBalance, physics_of, prepare
+from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature
+from impact_rs_analysis.evidence.levels import (
+    Cell,
+    Comparison,
+    ConditionScore,
+    Level,
+    RecordingDocument,
+    SignalLevel,
+    root_mean_square,
+    rounded,
+)
+from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.evidence.torque_balance import Motion, TorqueBalance, prepare
+from impact_rs_analysis.evidence.tracks import ComparedSignal, Track, track_of_motion
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array, joined_units
 from impact_rs_trials.recordings.mapping import Mapping
-from impact_rs_trials.recordings.recording import Recording
+from impact_rs_trials.recordings.recording import ARM
+from impact_rs_trials.runs import Run
+from impact_rs_trials.workers import Map
 
 STRETCHES = 24  # at least, if they are not shorter than SHORTEST
 LONGEST, SHORTEST = 2.0, 0.5  # s
@@ -28,6 +43,8 @@ LEAST_STRETCHES = 12
 SLOW = 0.05  # rad/s, m/s
 SIGNAL = "torque"
 PHASES = ("moving up", "moving down", "slow")
+WHAT = "torque balance of the arm in free motion, both sides low-passed"
+LEAST_SAMPLES = 5  # of a phase of one joint; fewer are not reported
 
 REMARKS = (
     "a recording is one condition: stretches of it are held out, so estimates are not tested at other speeds, poses or "
@@ -36,33 +53,6 @@ REMARKS = (
     "come from an effect of the library",
 )
 BEHIND_MOTORS = "the torque was measured behind the motors, so their inertia is not in it"
-
-
-@dataclass(frozen=True)
-class RecordingFacts:
-    """How recordings were read and filtered.
-
-    Attributes:
-        files: Paths of the recordings.
-        robot: Robot facts that were used.
-        end_effector_mass_kg: Mounted mass by the mapping [kg].
-        samples: Samples read.
-        recorded_s: Their duration [s].
-        used_s: Duration without the edges [s].
-        sampled_Hz: Sampling rate [Hz].
-        low_pass_Hz: Cut-off of the low-pass [Hz].
-        signals: Signals that were found.
-    """
-
-    files: tuple[str, ...]
-    robot: str
-    end_effector_mass_kg: float
-    samples: int
-    recorded_s: float
-    used_s: float
-    sampled_Hz: float
-    low_pass_Hz: float
-    signals: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -98,12 +88,15 @@ class RecordingSource(Source):
         reading: Remarks on how the recordings were read.
     """
 
+    kind = "recordings"
     repeated = False
     cheap = True
+    size_is = "root mean square of recorded minus predicted joint torque over all joints and samples"
+    not_measured = ("velocity jump", "contact and impulses", "object", "controller and its references")
 
     def __init__(
         self,
-        recordings: Sequence[Recording],
+        recordings: Sequence[Run],
         mapping: Mapping,
         model: Model,
         motions: Sequence[Motion],
@@ -115,7 +108,7 @@ class RecordingSource(Source):
         self.balance = TorqueBalance(list(motions))
         self.rest = self.balance.recorded - self.balance.predict(physics)
         self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.rest), axis=0)), 1e-12)
-        self.residual_unit = joined_units(joint.effort for joint in physics.arms[ARM].facts.units)
+        self.size_unit = self.residual_unit = joined_units(joint.effort for joint in physics.arms[ARM].facts.units)
         self._stretches = tuple(stretches)
         self._predicted: dict[Added, Array | None] = {}
         self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))
@@ -125,35 +118,40 @@ class RecordingSource(Source):
         self.remarks = (*REMARKS, *((BEHIND_MOTORS,) if behind_motors else ()), *self.reading)
 
     @classmethod
-    def of(cls, recordings: Sequence[Recording], mapping: Mapping, model: Model) -> RecordingSource:
+    def of(cls, recordings: Sequence[Run], mapping: Mapping, model: Model) -> RecordingSource:
         """Filter recordings and predict them.
 
         Raises:
             InputError: Sampled too slowly, or too short for a hold-out.
         """
         motions = [prepare(recording, mapping.low_pass) for recording in recordings]
-        physics = model.apply(physics_of(mapping, motions))
-        return cls(recordings, mapping, model, motions, physics, _cut(recordings, motions))
+        return cls(recordings, mapping, model, motions, model.apply(_physics_of(recordings)), _cut(recordings, motions))
 
     @property
-    def facts(self) -> RecordingFacts:
+    def comparison_remarks(self) -> tuple[str, ...]:
+        """See :class:`Source`: those on how the recordings were read."""
+        return self.reading
+
+    @cached_property
+    def recording(self) -> RecordingDocument:  # type: ignore[override]
         """How the recordings were read."""
-        return RecordingFacts(
+        times = [run.signals.time for run in self.recordings]
+        return RecordingDocument(
             files=tuple(dict.fromkeys(str(recording.path) for recording in self.recordings)),
             robot=self.mapping.robot,
             end_effector_mass_kg=self.mapping.end_effector.mass,
-            samples=int(sum(recording.time.size for recording in self.recordings)),
-            recorded_s=float(sum(recording.time[-1] - recording.time[0] for recording in self.recordings)),
+            samples=int(sum(time.size for time in times)),
+            recorded_s=float(sum(time[-1] - time[0] for time in times)),
             used_s=float(sum(m.time[m.kept].size / m.rate for m in self.motions)),
-            sampled_Hz=float(1.0 / np.median(np.diff(self.recordings[0].time))),
+            sampled_Hz=float(1.0 / np.median(np.diff(times[0]))),
             low_pass_Hz=self.motions[0].cut_off,
-            signals=tuple(sorted({"position", "velocity", "torque", *self.recordings[0].others})),
+            signals=tuple(sorted(self.recordings[0].signals.arms[ARM].measured)),
         )
 
     @property
     def stretch_seconds(self) -> float:
         """Mean length of a stretch [s]."""
-        return self.facts.used_s / len(self._stretches)
+        return self.recording.used_s / len(self._stretches)
 
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         """See :meth:`Source.predict`."""
@@ -175,6 +173,98 @@ class RecordingSource(Source):
             replace(item, residuals=(rest[self._stretches[numbers[item.name]].rows].ravel() / item.sigma)[None, :])
             for item in like
         ]
+
+    def size(self) -> float:
+        """See :meth:`Source.size`; root mean square of the torque residual [N m]."""
+        return root_mean_square(self.rest)
+
+    def noise_size(self) -> float:
+        """See :meth:`Source.noise_size`."""
+        return root_mean_square(np.maximum(self.balance.noise, 1e-12))
+
+    def compare_levels(self) -> Comparison:
+        """See :meth:`Source.compare_levels`: the torque of every joint."""
+        noise = np.maximum(self.balance.noise, 1e-12)
+        phases = [[feature.phase for feature in item.features] for item in self.clusters]
+        phase = np.concatenate([np.array(row, dtype=object).reshape(-1, self.rest.shape[1]) for row in phases])
+        signals, cells = [], []
+        for joint, units in enumerate(self.physics.arms[ARM].facts.units):
+            own = self.rest[:, joint]
+            signals.append(
+                SignalLevel(
+                    phase="free",
+                    signal=SIGNAL,
+                    index=f"joint{joint + 1}",
+                    error=rounded(root_mean_square(own)),
+                    mean=rounded(float(own.mean())),
+                    noise_floor=rounded(float(noise[joint])),
+                    unit=units.effort,
+                    times_noise=rounded(root_mean_square(own) / float(noise[joint])),
+                )
+            )
+            for name in dict.fromkeys(phase[:, joint]):
+                part = own[phase[:, joint] == name]
+                if part.size >= LEAST_SAMPLES:
+                    cells.append(self._cell(name, joint, part, float(noise[joint])))
+        every = root_mean_square(np.sqrt(np.mean(np.square(self.rest), axis=0)) / noise)
+        level = Level(what=WHAT, times_noise=rounded(every), signals=tuple(signals))
+        files: dict[str, list[Array]] = {}
+        for item in self.clusters:
+            files.setdefault(item.unit, []).append(item.mean * item.sigma)
+        return Comparison(
+            levels={"recording": level},
+            where=tuple(sorted(cells, key=lambda cell: -cell.share)),
+            conditions=tuple(
+                ConditionScore(name=name, repeats=len(parts), score=rounded(root_mean_square(np.concatenate(parts))))
+                for name, parts in files.items()
+            ),
+        )
+
+    def _cell(self, phase: str, joint: int, rest: Array, noise: float) -> Cell:
+        """Residual of one joint in one phase."""
+        return Cell(
+            scenario=", ".join(run.path.name for run in self.recordings),
+            object="",
+            case="",
+            phase=phase,
+            signal=SIGNAL,
+            index=f"joint{joint + 1}",
+            error=rounded(float(rest.mean())),
+            unit=self.physics.arms[ARM].facts.units[joint].effort,
+            floor=0.0,
+            share=rounded(float(np.sum(np.square(rest))) / max(float(np.sum(np.square(self.rest))), 1e-300)),
+            times_noise=rounded(root_mean_square(rest) / noise),
+        )
+
+    def joint_sizes(self, rest: Sequence[Array]) -> list[tuple[str, float, float, str]]:
+        """See :meth:`Source.joint_sizes`."""
+        units = self.physics.arms[ARM].facts.units
+        sizes = np.sqrt(np.mean(np.square(np.concatenate(rest).reshape(-1, len(units))), axis=0)) * self.sigma
+        return [
+            (f"joint{joint + 1}", float(sizes[joint]), float(self.balance.noise[joint]), unit.effort)
+            for joint, unit in enumerate(units)
+        ]
+
+    def tracks(self, map_tasks: Map, added: Added = ()) -> tuple[Track, ...]:
+        """See :meth:`Source.tracks`: torque of every joint of every recording, recorded and predicted."""
+        del map_tasks
+        rests = {"the model": self.rest}
+        if added:
+            rests = {"the model with what was found": self.rest_with(added), "the model as it is": self.rest}
+        units = [joint.effort for joint in self.physics.arms[ARM].facts.units]
+        found = []
+        for label, rest in rests.items():
+            start = 0
+            for run, motion in zip(self.recordings, self.motions, strict=True):
+                rows = slice(start, start := start + motion.time[motion.kept].size)
+                measured, predicted = self.balance.recorded[rows], (self.balance.recorded - rest)[rows]
+                curves = [
+                    ComparedSignal(f"torque of joint {joint + 1}", unit, measured[:, joint], predicted[:, joint])
+                    for joint, unit in enumerate(units)
+                ]
+                name = label if len(self.motions) == 1 else f"{run.path.name}, {label}"
+                found.append(track_of_motion(name, self.physics, motion, curves))
+        return tuple(found)
 
     def rest_with(self, added: Added) -> Array:
         """Recorded minus predicted torque of the model with effects, ``(k, n)`` [N m].
@@ -225,7 +315,14 @@ def _feature(phase: str, joint: int, unit: str) -> Feature:
     return Feature(phase, SIGNAL, f"joint{joint + 1}", 0, unit, 0.0)
 
 
-def _cut(recordings: Sequence[Recording], motions: Sequence[Motion]) -> list[Stretch]:
+def _physics_of(runs: Sequence[Run]) -> Physics:
+    """Nominal physics of the arm; where its end effector is on average is that of all recordings."""
+    physics = runs[0].physics
+    places = [run.physics.arms[ARM].impact_position for run in runs]
+    return replace(physics, arms={ARM: replace(physics.arms[ARM], impact_position=np.mean(places, axis=0))})
+
+
+def _cut(recordings: Sequence[Run], motions: Sequence[Motion]) -> list[Stretch]:
     """Cut the motions into stretches of one length.
 
     Raises:

@@ -24,8 +24,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from impact_rs_analysis.evidence.run import DriveName, Run
-from impact_rs_analysis.evidence.signals import ArmSignals, Signals
 from impact_rs_sim.bullet_world import check_body
 from impact_rs_sim.drive import Drive, DriveStart, LinkTorque
 from impact_rs_sim.errors import InputError
@@ -34,6 +32,7 @@ from impact_rs_sim.mechanics import Mechanics
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_trials.runs import ArmSignals, DriveName, Run, Signals
 
 FREE = 0.1  # s, length of a window of free motion
 FREE_OF_HIT, FREE_ALONE = 4, 12  # windows of free motion in a run with an impact, and in one without
@@ -112,6 +111,7 @@ def windows_of(run: Run, impacts: dict[str, float]) -> list[Window]:
         InputError: A gap lies in the window about the impact.
     """
     time = run.signals.time
+    assert run.object is not None
     box = run.object
     found = []
     if impacts:
@@ -171,8 +171,8 @@ def _window(run: Run, start: float, end: float, box: BodyState, number: int | No
         torque, rate = _slope_fit(time, arm.torque, ticks[0])
         arms[name] = ArmState(q, dq)
         earlier: tuple[tuple[float, Array], ...] = ()
-        if run.command:
-            sent, values = run.command_time[name], run.command[name]
+        if run.commanded:
+            sent, values = arm.command_time, arm.command
             torques[name], acting[name] = _held(sent, values, grid, run.period / substeps)
             known = np.nonzero((sent < ticks[0]) & (sent > ticks[0] - EARLIER))[0]
             earlier = tuple((float(sent[row] - ticks[0]), values[row]) for row in known)
@@ -316,11 +316,8 @@ def _freely(
         ]
         paths = run_free(physics, name, stretches, period, windows[0].substeps, kind)
         for own, path in zip(arms, paths, strict=True):
-            own[name] = ArmSignals(
-                path.position, path.velocity, path.torque, path.motor_position, path.motor_velocity, np.zeros(0)
-            )
-    none = np.zeros(0)
-    return [Signals(window.time, own, none, np.zeros((0, 3)), none) for window, own in zip(windows, arms, strict=True)]
+            own[name] = ArmSignals(path.position, path.velocity, path.torque, path.motor_position, path.motor_velocity)
+    return [Signals(window.time, own) for window, own in zip(windows, arms, strict=True)]
 
 
 def _replayed(window: Window, mechanics: Mechanics) -> Signals:
@@ -345,14 +342,11 @@ def _replayed(window: Window, mechanics: Mechanics) -> Signals:
         if tick + 1 < ticks:
             rows = slice(tick * substeps, (tick + 1) * substeps)
             mechanics.step({name: desired[name][rows] for name in names}, float(window.time[tick]))
-    arms = {
-        name: ArmSignals(own["q"], own["dq"], own["tau"], own["m"], own["dm"], np.zeros(0))
-        for name, own in columns.items()
-    }
+    arms = {name: ArmSignals(own["q"], own["dq"], own["tau"], own["m"], own["dm"]) for name, own in columns.items()}
     # The object at the times of tracking, because means over few samples depend on their times.
-    centre, yaw = mechanics.world.tracked(poses)
-    seen = [np.interp(window.seen, window.time, column) for column in (*centre.T, yaw)]
-    return Signals(window.time, arms, window.seen, np.column_stack(seen[:3]), seen[3])
+    tracked = mechanics.world.tracked(poses)
+    seen = np.column_stack([np.interp(window.seen, window.time, column) for column in tracked.T])
+    return Signals(window.time, arms, window.seen, seen[:, :3], seen[:, 3:])
 
 
 def _resting(signals: Signals, nominal: BodyState, until: float) -> BodyState:

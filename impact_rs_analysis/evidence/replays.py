@@ -12,28 +12,30 @@ from pathlib import Path
 import numpy as np
 
 from impact_rs_analysis.evidence.ante_impact import obliqueness
-from impact_rs_analysis.evidence.cluster import (
-    Added,
-    Cluster,
-    Identity,
-    Item,
-    Made,
-    Source,
-    difference,
-    pooled_error,
-    with_per_arm_parameters,
-)
+from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, difference, pooled_error
 from impact_rs_analysis.evidence.discrepancy import Discrepancy, Kind, measured_discrepancy
-from impact_rs_analysis.evidence.measured import MeasuredRun
-from impact_rs_analysis.evidence.runs import Runs
-from impact_rs_analysis.evidence.store import Replay, ReplayStore
+from impact_rs_analysis.evidence.levels import Comparison, condition_scores, level_of, signal_levels, where_of
+from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
+from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache
+from impact_rs_analysis.evidence.source import Identity, Item, Made, Source, with_per_arm_parameters
+from impact_rs_analysis.evidence.tracks import Track, tracks_of_runs
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
+from impact_rs_trials.runs import NONE, Signals
+from impact_rs_trials.workers import Map
 
 MOST_MISSED = 0.5  # of the runs with an impact; if the replay misses more, the model is refused
 SQUARE = 0.02  # rad; up to 1 degree simulators agree as well as on square hits
+
+LEVELS = {  # what a level compares, and its phases
+    "free_motion": ("torque balances and deflection in windows without contact", ("free",)),
+    "trial": (
+        "the replay from before the impact through the push: velocity, contact force and object motion",
+        ("impact", "push"),
+    ),
+}
 
 
 def clusters_of(
@@ -147,7 +149,7 @@ def max_bin(run: MeasuredRun, phase: str, signal: str) -> int:
 
 
 def _with_late(
-    clusters: Sequence[Cluster], runs: Runs, residuals: Sequence[Array], model: Model, store: ReplayStore
+    clusters: Sequence[Cluster], runs: Runs, residuals: Sequence[Array], model: Model, store: ReplayCache
 ) -> tuple[Cluster, ...]:
     """Clusters with the effect of the clock of commands (``late``)."""
     firsts = {run.condition: values for run, values in zip(reversed(runs.runs), reversed(residuals), strict=True)}
@@ -178,12 +180,13 @@ class ReplaySource(Source):
 
     repeated = True
     cheap = False
+    runs: Runs
 
     def __init__(
         self,
         runs: Runs,
         model: Model,
-        store: ReplayStore,
+        store: ReplayCache,
         clusters: tuple[Cluster, ...],
         discrepancy: Discrepancy,
         remarks: Sequence[str] = (),
@@ -193,6 +196,12 @@ class ReplaySource(Source):
         self.conditions = list(runs.conditions.values())
         self.physics = model.apply(self.conditions[0][0].setup.physics)
         self._numbers = {item.name: number for number, item in enumerate(clusters)}
+        known = self.noise_size() is not None
+        self.size_unit = TIMES if known else "-"
+        self.size_is = (
+            "size of the difference between measurement and replay over all features and conditions, in multiples of "
+            f"{'repeatability' if known else 'the relevance limit'}"
+        )
 
     @cached_property
     def worlds(self) -> Sequence[Physics]:
@@ -209,7 +218,7 @@ class ReplaySource(Source):
         cls,
         runs: Runs,
         model: Model,
-        store: ReplayStore,
+        store: ReplayCache,
         discrepancy: Discrepancy | None = None,
         each_arm: bool = False,
     ) -> ReplaySource:
@@ -248,6 +257,19 @@ class ReplaySource(Source):
         clusters = _with_late(clusters, runs, residuals, model, store)
         return cls(runs, model, store, clusters, discrepancy, (*runs.remarks, *remarks))
 
+    def compare_levels(self) -> Comparison:
+        """See :meth:`Source.compare_levels`: free motion, and the replay through the impact."""
+        return Comparison(
+            levels={name: level_of(what, self.clusters, phases) for name, (what, phases) in LEVELS.items()},
+            where=tuple(where_of(self.clusters)),
+            conditions=condition_scores(self.clusters),
+            joints=tuple(signal_levels(self.clusters, by_joint=True)[0]),
+        )
+
+    def tracks(self, map_tasks: Map, added: Added = ()) -> tuple[Track, ...]:
+        """See :meth:`Source.tracks`: the first run of every condition beside its replay."""
+        return tracks_of_runs(self.runs, self.model, map_tasks, added)
+
     @cached_property
     def free_motion(self) -> ReplaySource | None:
         """See :attr:`Source.free_motion`; free motion takes a tenth of the time of the impact window."""
@@ -268,7 +290,7 @@ class ReplaySource(Source):
 
     def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
         """See :meth:`Source.spread`; every process gets a copy of the replays made so far."""
-        bare = tuple(replace(run, signals=()) for run in self.runs.runs)  # for figures and clusters only
+        bare = tuple(replace(run, signals=Signals(NONE, {})) for run in self.runs.runs)  # for figures and clusters only
         runs, store = replace(self.runs, runs=bare, late={}), self.store.in_one_process()
         alone = ReplaySource(runs, self.model, store, self.clusters, self.discrepancy, self.remarks)
         return self.store.spread(partial(function, alone), items, what)

@@ -16,17 +16,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 import scipy
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import ArmPhysics, JointFriction, ObjectPhysics, Physics
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.mapping import Mapping
-from impact_rs_trials.recordings.recording import Recording
+from impact_rs_trials.recordings.recording import ARM
+from impact_rs_trials.runs import Run
 
-ARM = "arm"
 ORDER = 4
 GRID = 10.0  # samples per period of the cut-off frequency, at most
 EDGE = 2.0  # periods of the cut-off frequency, cut off at both ends
@@ -69,37 +66,36 @@ def _low_pass(values: Array, cut_off: float, rate: float) -> Array:
     )
 
 
-def prepare(recording: Recording, cut_off: float) -> Motion:
-    """Filter and differentiate one recording.
+def prepare(run: Run, cut_off: float) -> Motion:
+    """Filter and differentiate a recording of free motion.
 
     Raises:
         InputError: Sampled too slowly for the cut-off, or too short.
     """
-    start = recording.time - recording.time[0]
+    arm = run.signals.arms[ARM]
+    start = run.signals.time - run.signals.time[0]
     sampled = 1.0 / float(np.median(np.diff(start)))
     if cut_off > 0.3 * sampled:
         raise InputError(
             f"sampled at {sampled:.3g} Hz, too slow for low_pass = {cut_off:g} Hz; at most {0.3 * sampled:.2g} Hz",
-            file=recording.path,
+            file=run.path,
         )
     even = np.arange(0.0, start[-1], 1.0 / sampled)
 
     def resampled(values: Array) -> Array:
         return np.column_stack([np.interp(even, start, column) for column in values.T])
 
-    raw = resampled(recording.torque)
+    raw = resampled(arm.torque)
     once = _low_pass(raw, cut_off, sampled)
     noise = _noise(raw, cut_off, sampled)
     stride = max(1, int(sampled / (GRID * cut_off)))
     rate = sampled / stride
-    q, dq = (
-        _low_pass(resampled(values), cut_off, sampled)[::stride] for values in (recording.position, recording.velocity)
-    )
+    q, dq = (_low_pass(resampled(values), cut_off, sampled)[::stride] for values in (arm.position, arm.velocity))
     edge = int(np.ceil(EDGE * rate / cut_off))
     if q.shape[0] < 2 * edge + 60:
         raise InputError(
             f"{start[-1]:.3g} s long, at least {(2 * edge + 60) / rate:.2g} s needed with low_pass = {cut_off:g} Hz",
-            file=recording.path,
+            file=run.path,
         )
     return Motion(
         time=even[::stride],
@@ -121,39 +117,6 @@ def _noise(raw: Array, cut_off: float, rate: float) -> Array:
     if not np.any(above):
         above = frequency >= 1.2 * cut_off
     return np.asarray(np.sqrt(np.median(density[above], axis=0) * cut_off))
-
-
-def physics_of(mapping: Mapping, motions: list[Motion]) -> Physics:
-    """Nominal physics of the recorded arm: rigid, frictionless, level, with the mounted mass of the mapping."""
-    facts = mapping.facts
-    count = facts.joint_count
-    base = pin.SE3(pin.rpy.rpyToMatrix(*mapping.base_rpy), np.zeros(3))
-    end_effector = mapping.end_effector.build()
-    inertia = np.zeros(count)
-    if mapping.torque_measured_at == "motor":
-        if mapping.motor_inertia is None:
-            raise InputError("torque_measured_at: motor needs motor_inertia [kg m^2], prismatic [kg]")
-        inertia = np.array(mapping.motor_inertia)
-    model = RobotModel(facts, end_effector, base)
-    places = [model.placement(q).translation for motion in motions for q in motion.position[:: len(motion.time) // 50]]
-    arm = ArmPhysics(
-        facts=facts,
-        base=base,
-        end_effector=end_effector,
-        motor_inertia_rotor=inertia,
-        motor_inertia_reduced=inertia,
-        stiffness=np.full(count, np.inf),
-        damping=np.zeros(count),
-        friction=JointFriction.none(count),
-        torque_offset=np.zeros(count),
-        torque_gain=np.ones(count),
-        actuation_delay=0.0,
-        pad_stiffness=None,
-        pad_damping=0.0,
-        impact_position=np.mean(places, axis=0),
-    )
-    nothing = ObjectPhysics(1.0, np.ones(3), np.ones(3), np.zeros(3))
-    return Physics({ARM: arm}, nothing, None, (1.0, 1.0), 0.0, 0.0, 0.0)
 
 
 class TorqueBalance:

@@ -1,28 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured and predicted signals over time, for figures."""
+"""Tracks: one run over time, measured and predicted on a common clock, for figures, the 3D view and aligned bags.
+
+Contact forces are those of the momentum observer (:mod:`impact_rs_control.detection`), for model and measurement alike.
+They include errors of the nominal rigid model of the arm.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
-from impact_rs_analysis.evidence.animation import Animation, animation_of_motion, animation_of_run
-from impact_rs_analysis.evidence.torque_balance import ARM
+from impact_rs_analysis.evidence.cluster import Added
+from impact_rs_analysis.evidence.features import JUMP_BEFORE, JUMP_WINDOWS, OBJECT_WINDOWS, SETTLED
+from impact_rs_analysis.evidence.impacts import impacts_of, observe
+from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
+from impact_rs_analysis.evidence.replay_cache import with_effects
+from impact_rs_analysis.evidence.torque_balance import Motion
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
-
-if TYPE_CHECKING:  # pages with tracks do not import their sources
-    from impact_rs_analysis.evidence.aligned import AlignedRun
-    from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.rotations import continuous, quaternion_of, yaw_of_quaternions
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.recordings.recording import ARM
+from impact_rs_trials.runs import NONE, ArmSignals, Run, Signals, none
 
 AXES = "xyz"
+OBJECT = "object"  # name of the object among the bodies
+AFTER = JUMP_WINDOWS[SETTLED]  # s from the begin of the impact; window of the velocity after it
 
 
 @dataclass(frozen=True)
-class TrackSignal:
+class ComparedSignal:
     """One signal, measured and predicted.
 
     Attributes:
@@ -39,120 +55,336 @@ class TrackSignal:
 
 
 @dataclass(frozen=True)
-class TrackSet:
-    """Signals on one clock.
+class VelocityJump:
+    """Velocity of one body before and after the impact.
 
     Attributes:
-        label: Name of the trial, or of recording and model.
-        impact: Begin of the impact [s]; None without an impact.
-        time: Of the trial or since the start of the recording, ``(k,)`` [s].
-        signals: The signals, ``(k,)`` each.
-        animation: The run for the 3D view; None if positions are not known.
+        body: Name of the arm, whose end effector it is, or ``object``.
+        place: Position of the body at the begin of the impact, in A, ``(3,)`` [m].
+        before: Velocity 18 to 3 ms before that, in A, ``(3,)`` [m/s].
+        after: Velocity 20 to 40 ms after it, of the object 6 to 40 ms, in A, ``(3,)`` [m/s].
+    """
+
+    body: str
+    place: Array
+    before: Array
+    after: Array
+
+
+@dataclass(frozen=True)
+class ArmTrack:
+    """Motion of one arm; empty where it is not known.
+
+    Attributes:
+        position: q, ``(k, n)`` [rad].
+        velocity: dq, ``(k, n)`` [rad/s].
+        torque: tau_J, ``(k, n)`` [N m].
+        pose: Pose of frame E in A as position and quaternion x y z w, ``(k, 7)`` [m, -].
+        twist: Twist of E in E[A], ``(k, 6)`` [m/s, rad/s].
+        force: Contact force of the arm on its environment, at E, axes of A, ``(k, 3)`` [N].
+    """
+
+    position: Array
+    velocity: Array = field(default_factory=none)
+    torque: Array = field(default_factory=none)
+    pose: Array = field(default_factory=none)
+    twist: Array = field(default_factory=none)
+    force: Array = field(default_factory=none)
+
+
+@dataclass(frozen=True)
+class TrackSide:
+    """Motion of arms and object, measured or predicted.
+
+    Attributes:
+        arms: By name.
+        object: Pose of the object's centre in A as position and quaternion x y z w, ``(k, 7)`` [m, -]; NaN where not
+            tracked.
+        jumps: Velocities before and after the impact.
+    """
+
+    arms: dict[str, ArmTrack]
+    object: Array
+    jumps: tuple[VelocityJump, ...] = ()
+
+
+@dataclass(frozen=True)
+class Track:
+    """One run over time.
+
+    Attributes:
+        label: Name of the run, or of recording and model.
+        time: Of the run, or since the start of the recording [s]; of a table the number of the row, ``(k,)``.
+        impact: Begin of the first impact [s]; None without an impact.
+        starts: Rows in which a stretch begins; there are no data between two stretches.
+        curves: Signals for figures.
+        physics: Nominal physics of the scene; None: not known.
+        measured: The measurement; None without motion.
+        predicted: The replay from the measured start of every stretch; None without a model.
     """
 
     label: str
-    impact: float | None
     time: Array
-    signals: tuple[TrackSignal, ...]
-    animation: Animation | None = None
+    impact: float | None = None
+    starts: tuple[int, ...] = (0,)
+    curves: tuple[ComparedSignal, ...] = ()
+    physics: Physics | None = None
+    measured: TrackSide | None = None
+    predicted: TrackSide | None = None
+
+    @property
+    def in_3d(self) -> bool:
+        """Whether it can be shown in 3D."""
+        return self.physics is not None and self.measured is not None
 
 
-def tracks_of_runs(aligned: Sequence[AlignedRun]) -> tuple[TrackSet, ...]:
-    """Tracks of runs against their replays, those with an impact first; windows are separated by NaN."""
-    return tuple(
-        TrackSet(
-            label=label,
-            impact=item.impact,
-            time=_parted(item.time, item.starts),
-            signals=tuple(
-                replace(
-                    signal,
-                    measured=_parted(signal.measured, item.starts),
-                    predicted=_parted(signal.predicted, item.starts),
-                )
-                for signal in _signals(item)
-            ),
-            animation=animation_of_run(item, label),
-        )
-        for item in sorted(aligned, key=lambda item: not item.run.hit)
-        for label in [item.run.condition.removeprefix(f"{item.run.place[0]}/").replace("/", ", ")]
-    )
+# ---- runs beside a model --------------------------------------------------------------------------------------------
 
 
-def _parted(values: Array, starts: Sequence[int]) -> Array:
-    """Values with a NaN before every window but the first, which breaks the line."""
-    return np.insert(values.astype(float), list(starts[1:]), np.nan)
+def tracks_of_runs(runs: Runs, model: Model, map_tasks: Any, added: Added = ()) -> tuple[Track, ...]:
+    """The first run of every condition beside its replay, those with an impact first."""
+    firsts = sorted((group[0] for group in runs.conditions.values()), key=lambda run: not run.hit)
+    return tuple(map_tasks(_track_of_task, [(run, model, added) for run in firsts]))
 
 
-def tracks_of_recordings(source: RecordingSource, rests: Mapping[str, Array]) -> tuple[TrackSet, ...]:
-    """Torque of every joint of every recording, recorded and predicted by one or several models.
+def _track_of_task(task: tuple[MeasuredRun, Model, Added]) -> Track:
+    return track_of_run(*task)
+
+
+def track_of_run(run: MeasuredRun, model: Model, added: Added = ()) -> Track:
+    """A run beside its replay, window by window.
 
     Args:
-        source: The recordings.
-        rests: By label, torque residuals of a model for all recordings, ``(k, n)`` [N m].
+        run: The measurement.
+        model: The model.
+        added: Effects added to it.
     """
-    found = []
-    recorded = source.balance.recorded
-    units = [joint.effort for joint in source.physics.arms[ARM].facts.units]
-    for label, rest in rests.items():
-        start = 0
-        for recording, motion in zip(source.recordings, source.motions, strict=True):
-            time = motion.time[motion.kept]
-            rows = slice(start, start + time.size)
-            start += time.size
-            measured, predicted = recorded[rows], (recorded - rest)[rows]
-            name = label if len(source.motions) == 1 else f"{recording.path.name}, {label}"
-            found.append(
-                TrackSet(
-                    label=name,
-                    impact=None,
-                    time=time,
-                    signals=tuple(
-                        TrackSignal(f"torque of joint {joint + 1}", unit, measured[:, joint], predicted[:, joint])
-                        for joint, unit in enumerate(units)
-                    ),
-                    animation=animation_of_motion(name, source.physics, ARM, motion),
-                )
+    setup = run.setup
+    replayed = setup.replayed(with_effects(model, setup.physics, added))
+    time = np.concatenate([window.time for window in setup.windows])
+    starts = tuple(np.cumsum([0, *(window.time.size for window in setup.windows[:-1])]).tolist())
+    measured, predicted = (_windowed_side(run, windows, time, starts) for windows in (run.windowed, replayed))
+    label = run.condition.removeprefix(f"{run.place[0]}/").replace("/", ", ")
+    impact = min(run.impacts.values(), default=None)
+    track = Track(label, time, impact, starts, (), setup.physics, measured, predicted)
+    return replace(track, curves=tuple(_curves(track, measured, predicted, run.axis)))
+
+
+def _windowed_side(run: MeasuredRun, windows: Sequence[Signals], time: Array, starts: Sequence[int]) -> TrackSide:
+    """Motion in all windows; before the window of the impact a tracked object rests where it will be hit."""
+    arms = {
+        name: ArmSignals(
+            *(
+                np.concatenate([getattr(window.arms[name], key) for window in windows])
+                for key in ("position", "velocity", "torque")
             )
+        )
+        for name in windows[0].arms
+    }
+    poses = []
+    for window, signals in zip(run.setup.windows, windows, strict=True):
+        pose = _poses_at(window.time, signals)
+        if run.setup.tracked and not window.contact:
+            pose[:] = [*window.object.position, *quaternion_of(window.object.rotation)]
+        elif run.setup.tracked:  # the tracker is slower than the joints
+            pose = _held(pose)
+        poses.append(pose)
+    return _side(run.setup.physics, time, starts, arms, np.concatenate(poses), run.impacts)
+
+
+def _held(poses: Array) -> Array:
+    """Poses with the first and last tracked ones held at the ends."""
+    seen = np.flatnonzero(np.isfinite(poses[:, 0]))
+    return poses[np.clip(np.arange(len(poses)), seen[0], seen[-1])] if seen.size else poses
+
+
+def _curves(track: Track, measured: TrackSide, predicted: TrackSide, main: int) -> list[ComparedSignal]:
+    """Signals of a run: end effectors along the main axis first, then joints, then the object."""
+    assert track.physics is not None
+    found: list[ComparedSignal] = []
+    axes = [(axis, AXES[axis], "m/s") for axis in (main, *(axis for axis in range(3) if axis != main))]
+    for name, own in measured.arms.items():
+        model = predicted.arms[name]
+        units = track.physics.arms[name].facts.units
+        torques = [(joint, str(joint + 1), unit.effort) for joint, unit in enumerate(units)]
+        speeds = [(joint, str(joint + 1), unit.velocity) for joint, unit in enumerate(units)]
+        curves = [
+            *_columns("end-effector velocity", own.twist, model.twist, axes),
+            *_columns("torque of joint", own.torque, model.torque, torques),
+            *_columns("velocity of joint", own.velocity, model.velocity, speeds),
+        ]
+        several = len(measured.arms) > 1
+        found += [replace(curve, name=f"{name}: {curve.name}") for curve in curves] if several else curves
+    if np.isfinite(measured.object).any():
+        pose, other = measured.object, predicted.object
+        found += _columns("object position", pose, other, [(axis, AXES[axis], "m") for axis in range(2)])
+        a, b = (_rate(track, values[:, :3]) for values in (pose, other))
+        found += _columns("object velocity", a, b, [(axis, AXES[axis], "m/s") for axis in range(2)])
+        a, b = (_yaw(track, values) for values in (pose, other))
+        found.append(ComparedSignal("object yaw", "rad", a, b))
+        found.append(ComparedSignal("object yaw rate", "rad/s", _rate(track, a), _rate(track, b)))
+    return found
+
+
+def _yaw(track: Track, poses: Array) -> Array:
+    """Rotation about z, stretch by stretch, ``(k,)`` [rad]."""
+    return np.concatenate([yaw_of_quaternions(poses[rows, 3:]) for rows in _slices(track.starts, len(poses))])
+
+
+def _rate(track: Track, values: Array) -> Array:
+    """Time derivative of a position, stretch by stretch; NaN for a stretch of one sample."""
+    found = np.full(values.shape, np.nan)
+    for rows in _slices(track.starts, len(values)):
+        if rows.stop - rows.start > 1:
+            found[rows] = np.gradient(values[rows], track.time[rows], axis=0)
+    return found
+
+
+def _columns(
+    name: str, measured: Array, predicted: Array, picks: Iterable[tuple[int, str, str]]
+) -> list[ComparedSignal]:
+    return [ComparedSignal(f"{name} {label}", unit, measured[:, i], predicted[:, i]) for i, label, unit in picks]
+
+
+# ---- runs as measured -----------------------------------------------------------------------------------------------
+
+
+def track_of_recording(run: Run) -> Track:
+    """A whole run as measured, stretch by stretch between gaps."""
+    signals, time = run.signals, run.signals.time
+    kept = np.ones(time.size, dtype=bool)
+    for start, end in run.gaps:
+        kept &= (time <= start) | (time >= end)
+    time = time[kept]
+    starts = (0, *(int(np.searchsorted(time, end)) for _, end in run.gaps))
+    arms = {name: arm.at(kept) for name, arm in signals.arms.items()}
+    try:
+        impacts = {arm: begin for arm, (begin, _) in impacts_of(run).items()} if run.hit else {}
+    except InputError:  # no impact: the run is shown all the same
+        impacts = {}
+    side = _side(run.physics, time, starts, arms, _poses_at(time, signals), impacts)
+    return Track(run.name, time, min(impacts.values(), default=None), starts, (), run.physics, side)
+
+
+def track_of_bag(bag: TrialBag) -> Track:
+    """A trial as far as it was recorded, from the robot's own topics; ``/truth`` is not read.
+
+    Raises:
+        BagError: An arm's joint states are missing or damaged.
+        InputError: The scenario in the bag cannot be read.
+    """
+    physics = bag.info.spec.scene.physics
+    columns = {arm: _joint_states(bag, arm) for arm in bag.info.robots}
+    time = next(iter(columns.values()))[0]
+    arms = {}
+    for name, (own, arm) in columns.items():
+        at = {key: _at(time, own, values) for key in arm.measured for values in [getattr(arm, key)]}
+        arms[name] = ArmSignals(**({"velocity": NONE, "torque": NONE} | at))
+    seen = bag.poses(topics.OBJECT_POSE)
+    signals = Signals(time, arms, seen.time, seen.position, seen.quaternion)
+    tracked = bag.info.spec.scenario.excursion is None
+    poses = _poses_at(time, signals) if tracked else np.full((time.size, 7), np.nan)
+    impacts = {arm: moment for arm in arms if np.isfinite(moment := bag.impact_time(arm))}
+    side = _side(physics, time, (0,), arms, poses, impacts)
+    return Track(bag.path.name, time, min(impacts.values(), default=None), physics=physics, measured=side)
+
+
+def _joint_states(bag: TrialBag, arm: str) -> tuple[Array, ArmSignals]:
+    """Times and joint signals of an arm; velocity and torque are empty if one of them is missing."""
+    topic = topics.joint_states(arm)
+    columns = bag.joints(topic)
+    if columns.time.size < 2 or not columns.position.size:
+        raise BagError(bag.path, f"{topic} has no joint positions")
+    if not np.isfinite(columns.position).all() or np.any(np.diff(columns.time) <= 0.0):
+        raise BagError(bag.path, f"{topic} has positions that are not finite, or stamps that run backwards")
+    known = columns.velocity.size and columns.effort.size
+    signals = (columns.position, columns.velocity, columns.effort) if known else (columns.position, NONE, NONE)
+    return columns.time, ArmSignals(*signals)
+
+
+def track_of_motion(label: str, physics: Physics, motion: Motion, curves: Sequence[ComparedSignal]) -> Track:
+    """A recording of free motion, with the joints of its arm only."""
+    kept = motion.kept
+    time = motion.time[kept]
+    side = TrackSide({ARM: ArmTrack(motion.position[kept], motion.velocity[kept])}, np.full((time.size, 7), np.nan))
+    return Track(label, time, curves=tuple(curves), physics=physics, measured=side)
+
+
+# ---- one side -------------------------------------------------------------------------------------------------------
+
+
+def _side(
+    physics: Physics,
+    time: Array,
+    starts: Sequence[int],
+    arms: Mapping[str, ArmSignals],
+    poses: Array,
+    impacts: Mapping[str, float],
+) -> TrackSide:
+    """Motion with pose, twist and contact force of every end effector, and the velocity jumps."""
+    models = physics.robot_models()
+    tracks = {name: _arm_track(arm, models[name], time, starts) for name, arm in arms.items()}
+    return TrackSide(tracks, poses, _jumps(time, tracks, poses, impacts))
+
+
+def _arm_track(arm: ArmSignals, model: RobotModel, time: Array, starts: Sequence[int]) -> ArmTrack:
+    pose = np.array([pin.SE3ToXYZQUAT(model.placement(q)) for q in arm.position])
+    if not (arm.velocity.size and arm.torque.size):
+        return ArmTrack(arm.position, arm.velocity, arm.torque, pose)
+    force = np.concatenate(
+        [
+            -observe(time[rows], arm.position[rows], arm.velocity[rows], arm.torque[rows], model).force
+            for rows in _slices(starts, time.size)
+        ]
+    )
+    twist = np.array([model.jacobian(q) @ dq for q, dq in zip(arm.position, arm.velocity, strict=True)])
+    return ArmTrack(arm.position, arm.velocity, arm.torque, pose, twist, force)
+
+
+def _slices(starts: Sequence[int], size: int) -> list[slice]:
+    return [slice(start, end) for start, end in pairwise((*starts, size))]
+
+
+def _poses_at(time: Array, signals: Signals) -> Array:
+    """Tracked poses of the object interpolated at some times, ``(k, 7)``; NaN outside the tracked time."""
+    seen = signals.object_time
+    if seen.size < 2:
+        return np.full((time.size, 7), np.nan)
+    poses = _at(time, seen, np.column_stack((signals.object_position, continuous(signals.object_quaternion))))
+    poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1)[:, None]
+    period = float(np.median(np.diff(seen)))
+    poses[(time < seen[0] - period) | (time > seen[-1] + period)] = np.nan
+    return poses
+
+
+def _at(time: Array, known: Array, values: Array) -> Array:
+    return np.column_stack([np.interp(time, known, column) for column in values.T])
+
+
+def _jumps(
+    time: Array, arms: Mapping[str, ArmTrack], poses: Array, impacts: Mapping[str, float]
+) -> tuple[VelocityJump, ...]:
+    """Velocity jumps of every arm that hit, and of the object; none if the windows hold no samples."""
+    found = []
+    for arm, begin in impacts.items():
+        if not arms[arm].twist.size:
+            continue
+        before, after = _within(time, begin, JUMP_BEFORE), _within(time, begin, AFTER)
+        row = min(int(np.searchsorted(time, begin)), time.size - 1)
+        if before.any() and after.any():
+            means = [arms[arm].twist[rows, :3].mean(axis=0) for rows in (before, after)]
+            found.append(VelocityJump(arm, arms[arm].pose[row, :3], *means))
+    if impacts:
+        first, last = min(impacts.values()), max(impacts.values())
+        before, after = _within(time, first, JUMP_BEFORE), _within(time, last, OBJECT_WINDOWS[0])
+        rows = np.logical_or(before, after)
+        if before.sum() > 1 and after.sum() > 1 and np.isfinite(poses[rows]).all():
+            slopes = [np.polyfit(time[part], poses[part, :3], 1)[0] for part in (before, after)]
+            row = min(int(np.searchsorted(time, first)), time.size - 1)
+            found.append(VelocityJump(OBJECT, poses[row, :3], *slopes))
     return tuple(found)
 
 
-def _signals(item: AlignedRun) -> list[TrackSignal]:
-    """Signals of a run: end effectors along the main axis first, then joints, then the object."""
-    found: list[TrackSignal] = []
-    main = item.run.axis
-    axes = [(axis, AXES[axis], "m/s") for axis in (main, *(axis for axis in range(3) if axis != main))]
-    for arm, measured in item.measured.arms.items():
-        predicted = item.predicted.arms[arm]
-        units = item.run.setup.physics.arms[arm].facts.units
-        torques = [(joint, str(joint + 1), unit.effort) for joint, unit in enumerate(units)]
-        speeds = [(joint, str(joint + 1), unit.velocity) for joint, unit in enumerate(units)]
-        own = [
-            *_columns("end-effector velocity", measured.twist, predicted.twist, axes),
-            *_columns("torque of joint", measured.torque, predicted.torque, torques),
-            *_columns("velocity of joint", measured.velocity, predicted.velocity, speeds),
-        ]
-        several = len(item.measured.arms) > 1
-        found += [replace(signal, name=f"{arm}: {signal.name}") for signal in own] if several else own
-    a, b = item.measured, item.predicted
-    if np.isfinite(a.object_yaw).any():
-        plane = [(axis, AXES[axis], "m") for axis in range(2)]
-        found += _columns("object position", a.object_position, b.object_position, plane)
-        speeds = [(axis, AXES[axis], "m/s") for axis in range(2)]
-        found += _columns("object velocity", _rate(item, a.object_position), _rate(item, b.object_position), speeds)
-        found.append(TrackSignal("object yaw", "rad", a.object_yaw, b.object_yaw))
-        found.append(TrackSignal("object yaw rate", "rad/s", _rate(item, a.object_yaw), _rate(item, b.object_yaw)))
-    return found
-
-
-def _rate(item: AlignedRun, values: Array) -> Array:
-    """Time derivative of a position, window by window; NaN for a window of one sample."""
-    found = np.full(values.shape, np.nan)
-    for start, end in pairwise([*item.starts, len(values)]):
-        if end - start > 1:
-            found[start:end] = np.gradient(values[start:end], item.time[start:end], axis=0)
-    return found
-
-
-def _columns(name: str, measured: Array, predicted: Array, picks: Iterable[tuple[int, str, str]]) -> list[TrackSignal]:
-    return [TrackSignal(f"{name} {label}", unit, measured[:, i], predicted[:, i]) for i, label, unit in picks]
+def _within(time: Array, begin: float, window: tuple[float, float]) -> Array:
+    """Mask of the samples in a window relative to the begin of the impact."""
+    return np.asarray((time >= begin + window[0]) & (time <= begin + window[1]))

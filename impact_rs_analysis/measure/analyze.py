@@ -19,7 +19,7 @@ import numpy as np
 
 from impact_rs_analysis.measure.arms import ArmDocument, arms_of
 from impact_rs_analysis.measure.far import Jump, far_jumps
-from impact_rs_analysis.measure.fit import FitError, LineFit, fit_zero_crossing
+from impact_rs_analysis.measure.linear_fit import FitError, LineFit, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import TrialFeedback, net_feedback
 from impact_rs_analysis.measure.predictions import predict_arms, prediction_interval
 from impact_rs_analysis.measure.published import PaperRow, published
@@ -30,8 +30,8 @@ from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
 from impact_rs_sim.schema import load
 from impact_rs_trials.bags.reader import TrialBag, reason_of
 from impact_rs_trials.campaign import MANIFEST, Manifest
-from impact_rs_trials.sensitivity import varied_folders
 from impact_rs_trials.spec import recorded_scenario
+from impact_rs_trials.varied_settings import varied_folders
 from impact_rs_trials.workers import Map
 
 MANY = 100  # bags; fewer are read faster in one process

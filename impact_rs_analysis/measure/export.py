@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from impact_rs_analysis.evidence.runs import find_bags
+from impact_rs_analysis.evidence.measured_runs import find_bags
 from impact_rs_analysis.measure.analyze import SkippedBag
 from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.errors import InputError

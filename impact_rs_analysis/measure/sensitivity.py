@@ -2,7 +2,7 @@
 """Systematic band of an estimate: its change with settings on which it should not depend.
 
 With x0 the zero crossing of some trials of a campaign, and x0(k) that of the same trials with setting k put to another
-value (:mod:`impact_rs_trials.sensitivity`, same seeds; the window is varied in the trials as they are),
+value (:mod:`impact_rs_trials.varied_settings`, same seeds; the window is varied in the trials as they are),
 
     s_k = (x0(k) - x0) / x0,    band = [-sqrt(sum over k of min(s_k, 0)^2), +sqrt(sum over k of max(s_k, 0)^2)]
 
@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from impact_rs_analysis.measure.fit import FitError, fit_zero_crossing
+from impact_rs_analysis.measure.linear_fit import FitError, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import TrialFeedback, held_integral
-from impact_rs_trials.sensitivity import SETTINGS
+from impact_rs_trials.varied_settings import SETTINGS
 
 WINDOW = "window"
 WINDOW_FACTORS = (2.0 / 3.0, 4.0 / 3.0)  # of the time after the nominal impact; twice would be longer than a trial

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from impact_rs_analysis.evidence.animation import Animation, animation_of_bag
+from impact_rs_analysis.evidence.tracks import Track, track_of_bag
 from impact_rs_analysis.measure.analyze import Analysis, ArmSet, ExperimentSet
 from impact_rs_analysis.measure.arms import ArmDocument
 from impact_rs_analysis.measure.far import far_words
@@ -237,11 +237,11 @@ def _table_rows(rows: Sequence[Row], contacts: Sequence[str]) -> tuple[TableRow,
     )
 
 
-def _animation(entry: ExperimentSet) -> Animation | None:
+def _animation(entry: ExperimentSet) -> Track | None:
     """The trial of a set with the least feedback, nearest to the estimate; None if it cannot be shown."""
     trial = min(entry.trials, key=lambda trial: abs(trial.net))
     try:
-        return replace(animation_of_bag(TrialBag.open(trial.path)), label=f"{entry.label}: {trial.name}")
+        return replace(track_of_bag(TrialBag.open(trial.path)), label=f"{entry.label}: {trial.name}")
     except (BagError, InputError) as error:  # the estimate needs fewer topics than the 3D view
         logger.warning("%s is not shown in 3D: %s", trial.name, reason_of(error))
         return None

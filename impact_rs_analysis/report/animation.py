@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rs_analysis.evidence.animation import OBJECT, Animation, Movement
+from impact_rs_analysis.evidence.tracks import OBJECT, Track, TrackSide
 from impact_rs_analysis.report.page import packed
-from impact_rs_analysis.report.scene import scene_data
+from impact_rs_analysis.report.scene_3d import scene_data
 from impact_rs_sim.robot import Array
 
 SLOW_BEFORE, SLOW_AFTER = 0.02, 0.06  # s about the impact, shown in slow motion
@@ -34,9 +34,9 @@ class ReplayPart:
     choose: bool
 
     @classmethod
-    def of(cls, animations: Sequence[Animation], choose: bool = True) -> ReplayPart | None:
+    def of(cls, tracks: Sequence[Track], choose: bool = True) -> ReplayPart | None:
         """Runs of a page; None without runs."""
-        return cls(animation_data(animations), choose and len(animations) > 1) if animations else None
+        return cls(animation_data(tracks), choose and len(tracks) > 1) if tracks else None
 
     @property
     def labels(self) -> list[str]:
@@ -44,58 +44,60 @@ class ReplayPart:
         return [run["label"] for run in self.data["runs"]]
 
 
-def animation_data(animations: Sequence[Animation]) -> dict[str, Any]:
+def animation_data(tracks: Sequence[Track]) -> dict[str, Any]:
     """Argument ``data`` of ``new ImpactReplay(element, data)``.
 
     Returns:
-        ``scenes`` (:mod:`impact_rs_analysis.report.scene`), and by run its label, number of its scene, begin of the
+        ``scenes`` (:mod:`impact_rs_analysis.report.scene_3d`), and by run its label, number of its scene, begin of the
         impact and of the slow part [s], times [s] with the rows in which stretches begin, and its sides ``measured``
         and ``model``: joint positions of all arms side by side [rad], contact forces [N], pose
         of the object [m, -], and velocities before and after the impact [m/s].
     """
-    coarser = max(1.0, len(animations) / MOST_RUNS)
+    coarser = max(1.0, len(tracks) / MOST_RUNS)
     scenes: list[dict[str, Any]] = []
     runs = []
-    for animation in animations:
-        scene = scene_data(animation.physics)
+    for track in tracks:
+        assert track.physics is not None
+        scene = scene_data(track.physics)
         if scene not in scenes:
             scenes.append(scene)
-        runs.append(_run_data(animation, scenes.index(scene), (coarser * STRIDES[0], coarser * STRIDES[1])))
+        runs.append(_run_data(track, scenes.index(scene), (coarser * STRIDES[0], coarser * STRIDES[1])))
     return {"scenes": scenes, "runs": runs}
 
 
-def _run_data(animation: Animation, scene: int, strides: tuple[float, float]) -> dict[str, Any]:
-    time, impact = animation.time, animation.impact
-    shown = shown_rows(animation, strides[0], max(strides[1], float(time[-1] - time[0]) / MOST_ROWS))
-    starts = np.searchsorted(shown, animation.starts)
+def _run_data(track: Track, scene: int, strides: tuple[float, float]) -> dict[str, Any]:
+    assert track.measured is not None
+    time, impact = track.time, track.impact
+    shown = shown_rows(track, strides[0], max(strides[1], float(time[-1] - time[0]) / MOST_ROWS))
+    starts = np.searchsorted(shown, track.starts)
     slow = None if impact is None else [impact - SLOW_BEFORE, impact + SLOW_AFTER]
     return {
-        "label": animation.label,
+        "label": track.label,
         "scene": scene,
         "impact": impact,
         "slow": slow,
         "starts": starts.tolist(),
         "time": packed(time[shown]),
-        "measured": _side(animation.measured, shown),
-        "model": None if animation.model is None else _side(animation.model, shown),
+        "measured": _side(track.measured, shown),
+        "model": None if track.predicted is None else _side(track.predicted, shown),
     }
 
 
-def shown_rows(animation: Animation, fine: float, coarse: float) -> NDArray[np.int64]:
+def shown_rows(track: Track, fine: float, coarse: float) -> NDArray[np.int64]:
     """Rows for a page: dense about the impact, coarse elsewhere, and the ends of every stretch.
 
     Args:
-        animation: The run.
+        track: The run.
         fine: Time between rows about the impact, at least [s].
         coarse: Time between other rows [s].
     """
-    time = animation.time
-    edges = (*animation.starts, time.size)
+    time = track.time
+    edges = (*track.starts, time.size)
     kept = np.zeros(time.size, dtype=bool)
-    kept[[*animation.starts, *(edge - 1 for edge in edges[1:])]] = True
+    kept[[*track.starts, *(edge - 1 for edge in edges[1:])]] = True
     kept |= _first_of_each(time, coarse)
-    if animation.impact is not None:
-        slow = (time >= animation.impact - SLOW_BEFORE) & (time <= animation.impact + SLOW_AFTER)
+    if track.impact is not None:
+        slow = (time >= track.impact - SLOW_BEFORE) & (time <= track.impact + SLOW_AFTER)
         kept |= slow & _first_of_each(time, fine)
     return np.flatnonzero(kept)
 
@@ -106,19 +108,19 @@ def _first_of_each(time: Array, period: float) -> NDArray[np.bool_]:
     return np.concatenate(([True], steps[1:] > steps[:-1]))
 
 
-def _side(movement: Movement, shown: NDArray[np.int64]) -> dict[str, Any]:
-    forces = np.column_stack([movement.forces[arm] for arm in movement.joints]) if movement.forces else None
+def _side(side: TrackSide, shown: NDArray[np.int64]) -> dict[str, Any]:
+    forces = [arm.force for arm in side.arms.values()]
     return {
-        "joints": packed(np.column_stack(list(movement.joints.values()))[shown]),
-        "forces": None if forces is None else packed(forces[shown]),
-        "object": None if np.isnan(movement.object).all() else packed(movement.object[shown]),
+        "joints": packed(np.column_stack([arm.position for arm in side.arms.values()])[shown]),
+        "forces": packed(np.column_stack(forces)[shown]) if all(force.size for force in forces) else None,
+        "object": None if np.isnan(side.object).all() else packed(side.object[shown]),
         "jumps": [
             {
-                "arm": None if jump.body == OBJECT else list(movement.joints).index(jump.body),
+                "arm": None if jump.body == OBJECT else list(side.arms).index(jump.body),
                 "place": jump.place.tolist(),
                 "before": jump.before.tolist(),
                 "after": jump.after.tolist(),
             }
-            for jump in movement.jumps
+            for jump in side.jumps
         ],
     }

@@ -10,12 +10,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from impact_rs_analysis.diagnosis.compare import Cell, ComparisonDocument, JumpLevel, SignalLevel
+from impact_rs_analysis.diagnosis.compare import ComparisonDocument
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.cluster import TIMES
-from impact_rs_analysis.evidence.tracks import TrackSet
+from impact_rs_analysis.evidence.levels import Cell, JumpLevel, SignalLevel
+from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_analysis.report.animation import ReplayPart
-from impact_rs_analysis.report.history import HistoryPart, history_part
+from impact_rs_analysis.report.error_history import HistoryPart, history_part
 from impact_rs_analysis.report.labels import (
     LEVELS,
     NOISE,
@@ -160,7 +161,7 @@ class ComparisonPage:
 
 def write_comparison(
     document: ComparisonDocument,
-    tracks: Sequence[TrackSet],
+    tracks: Sequence[Track],
     versions: Sequence[VersionError] | None,
     directory: Path,
     others: Mapping[str, str] = MappingProxyType({}),
@@ -298,15 +299,14 @@ def where_part(document: ComparisonDocument) -> WherePart:
     )
 
 
-def tracks_part(document: ComparisonDocument, tracks: Sequence[TrackSet]) -> TracksPart:
+def tracks_part(document: ComparisonDocument, tracks: Sequence[Track]) -> TracksPart:
     """Tracks with the data for choosing one in the page."""
     if document.source == "impacts":
         scatter = Plot("scatter", scatter_plot(tracks), zoom=True) if tracks else None
         return TracksPart([], Plot("tracks-plot", tracks_plot(), zoom=True), False, scatter)
-    animations = [track.animation for track in tracks if track.animation is not None]
     return TracksPart(
         track_data(tracks),
         Plot("tracks-plot", tracks_plot(), zoom=True),
         document.source == "trials",
-        replay=ReplayPart.of(animations, choose=False) if len(animations) == len(tracks) else None,
+        replay=ReplayPart.of(tracks, choose=False) if all(track.in_3d for track in tracks) else None,
     )

@@ -17,9 +17,9 @@ from impact_rs_analysis.diagnosis.document import (
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
 from impact_rs_analysis.evidence.cluster import TIMES
-from impact_rs_analysis.evidence.tracks import TrackSet
+from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_analysis.report.comparison import TracksPart, WherePart, tracks_part, where_part, yardstick_of
-from impact_rs_analysis.report.history import HistoryPart, history_part
+from impact_rs_analysis.report.error_history import HistoryPart, history_part
 from impact_rs_analysis.report.labels import Tag, signal_text, tag_of
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import effects_plot, joints_plot
@@ -116,7 +116,7 @@ class DiagnosisPage:
 def write_diagnosis(
     document: DiagnosisDocument,
     comparison: ComparisonDocument,
-    tracks: Sequence[TrackSet],
+    tracks: Sequence[Track],
     versions: Sequence[VersionError] | None,
     directory: Path,
 ) -> Path:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from impact_rs_analysis.diagnosis.document import CONFIRMED, NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE
 
 if TYPE_CHECKING:
-    from impact_rs_analysis.diagnosis.compare import Cell, JumpLevel, SignalLevel
+    from impact_rs_analysis.evidence.levels import Cell, JumpLevel, SignalLevel
 
 PHASES = {"free": "Free motion", "impact": "Impact (first 80 ms)", "push": "Push"}
 LEVELS = {

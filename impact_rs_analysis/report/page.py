@@ -20,9 +20,10 @@ import plotly.graph_objects as go
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup, escape
+from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.thresholds import LEAST_P
-from impact_rs_analysis.evidence.tracks import TrackSet
+from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_sim.files import whole_folder
 from impact_rs_sim.numbers import estimate_in_line, speed_text
 from impact_rs_sim.robot import Array
@@ -92,31 +93,36 @@ def write_files(directory: Path, files: Mapping[str, str]) -> list[Path]:
     return [directory / name for name in files]
 
 
-def track_data(tracks: Sequence[TrackSet]) -> list[dict[str, Any]]:
+def track_data(tracks: Sequence[Track]) -> list[dict[str, Any]]:
     """Tracks as the page's script reads them: thinned out, with the gaps between windows, as base64 float32."""
-    columns = sum(1 + 2 * len(track.signals) for track in tracks)
+    columns = sum(1 + 2 * len(track.curves) for track in tracks)
     most = min(MOST_POINTS, MOST_NUMBERS // max(columns, 1))
     sets = []
     for track in tracks:
-        shown = ~np.isfinite(track.time)
-        shown[:: max(1, math.ceil(track.time.size / most))] = True
+        rows = np.arange(0, track.time.size, max(1, math.ceil(track.time.size / most)))
+        breaks = np.searchsorted(rows, track.starts[1:])
         sets.append(
             {
                 "label": track.label,
                 "impact": track.impact,
-                "time": packed(track.time[shown]),
+                "time": packed(_broken(track.time[rows], breaks)),
                 "signals": [
                     {
-                        "name": signal.name,
-                        "unit": unit_text(signal.unit),
-                        "measured": packed(signal.measured[shown]),
-                        "predicted": packed(signal.predicted[shown]),
+                        "name": curve.name,
+                        "unit": unit_text(curve.unit),
+                        "measured": packed(_broken(curve.measured[rows], breaks)),
+                        "predicted": packed(_broken(curve.predicted[rows], breaks)),
                     }
-                    for signal in track.signals
+                    for curve in track.curves
                 ],
             }
         )
     return sets
+
+
+def _broken(values: Array, breaks: NDArray[np.intp]) -> Array:
+    """Values with a NaN before each row of ``breaks``, where a line ends."""
+    return np.insert(values.astype(float), breaks, np.nan)
 
 
 def packed(values: Array) -> str:

@@ -13,16 +13,16 @@ import numpy as np
 import plotly.graph_objects as go
 
 from impact_rs_analysis.evidence.cluster import TIMES
-from impact_rs_analysis.evidence.tracks import TrackSet
+from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED, Curve, Figure, Panel
 from impact_rs_analysis.report.labels import Tag, phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import quantity_text
 from impact_rs_sim.robot import Array, joined_units
 
 if TYPE_CHECKING:  # the figures of an analysis need nothing of a diagnosis
-    from impact_rs_analysis.diagnosis.compare import Cell, SignalLevel
     from impact_rs_analysis.diagnosis.document import DiagnosisDocument, JointError
     from impact_rs_analysis.diagnosis.history import VersionError
+    from impact_rs_analysis.evidence.levels import Cell, SignalLevel
 
 GREY, GRID, ZERO = "#BBBBBB", "#E6E6E6", "#999999"
 TAG_COLOURS = {Tag.GOOD: GREEN, Tag.MAYBE: ORANGE, Tag.NO: GREY}
@@ -373,9 +373,9 @@ def tracks_plot() -> go.Figure:
     )
 
 
-def scatter_plot(sets: Sequence[TrackSet]) -> go.Figure:
+def scatter_plot(sets: Sequence[Track]) -> go.Figure:
     """Measured over predicted numbers, a panel per quantity; of several predictions the last is on top."""
-    groups = list(dict.fromkeys(signal.name.rsplit(" ", 1)[0] for signal in sets[0].signals))
+    groups = list(dict.fromkeys(signal.name.rsplit(" ", 1)[0] for signal in sets[0].curves))
     drawn = _figure()
     gap = 0.12
     width = (1.0 - gap * (len(groups) - 1)) / len(groups)
@@ -383,7 +383,7 @@ def scatter_plot(sets: Sequence[TrackSet]) -> go.Figure:
         suffix = "" if number == 0 else str(number + 1)
         ends: list[float] = []
         for place, track in enumerate(sets):
-            own = [signal for signal in track.signals if signal.name.rsplit(" ", 1)[0] == group]
+            own = [signal for signal in track.curves if signal.name.rsplit(" ", 1)[0] == group]
             x = np.concatenate([signal.predicted for signal in own])
             y = np.concatenate([signal.measured for signal in own])
             names = [name for signal in own for name in [_plain(signal.name.rsplit(" ", 1)[1])] * signal.measured.size]
@@ -411,7 +411,7 @@ def scatter_plot(sets: Sequence[TrackSet]) -> go.Figure:
             type="line", x0=low, y0=low, x1=high, y1=high, xref=f"x{suffix}", yref=f"y{suffix}", layer="below",
             line={"color": ZERO, "width": 1},
         )  # fmt: skip
-        unit = _plain(next(signal.unit for signal in sets[0].signals if signal.name.startswith(group)))
+        unit = _plain(next(signal.unit for signal in sets[0].curves if signal.name.startswith(group)))
         left = number * (width + gap)
         drawn.update_layout(
             {

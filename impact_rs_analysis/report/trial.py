@@ -3,21 +3,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from impact_rs_analysis.evidence.aligned import AlignedRun
-from impact_rs_analysis.evidence.animation import (
-    OBJECT,
-    Animation,
-    animation_of_bag,
-    animation_of_laboratory,
-    animation_of_run,
-)
+from impact_rs_analysis.evidence.tracks import OBJECT, Track, track_of_bag, track_of_recording
 from impact_rs_analysis.report.animation import ReplayPart, shown_rows
 from impact_rs_analysis.report.figures import (
     BLACK,
@@ -37,9 +30,8 @@ from impact_rs_analysis.report.page import Plot, number_text, render
 from impact_rs_analysis.report.plots import curves_plot
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.robot import Array, joined_units
-from impact_rs_sim.scenario import Scenario
 from impact_rs_trials.bags.reader import TrialBag
-from impact_rs_trials.recordings.laboratory import LaboratoryRun
+from impact_rs_trials.runs import NONE, Run
 
 STRIDES = (0.001, 0.004)  # s between samples of a figure at least, about the impact and elsewhere
 COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
@@ -93,7 +85,7 @@ def write_trial(bag: TrialBag, path: Path) -> Path:
         BagError: An arm's joint states are missing or damaged.
         InputError: The scenario in the bag cannot be read, or the page cannot be written.
     """
-    animation, info = animation_of_bag(bag), bag.info
+    track, info = track_of_bag(bag), bag.info
     facts = (
         (
             "Scenario",
@@ -101,50 +93,46 @@ def write_trial(bag: TrialBag, path: Path) -> Path:
             f"{number_text(info.velocity_scale)} times the prediction",
         ),
         ("Outcome", f"{bag.outcome}: {bag.reason}"),
-        ("Impact", "none was detected" if animation.impact is None else f"detected at {animation.impact:.3f} s"),
+        ("Impact", "none was detected" if track.impact is None else f"detected at {track.impact:.3f} s"),
     )
-    return _write(f"Trial {bag.path.name}", facts, (), animation, path)
+    return _write(f"Trial {bag.path.name}", facts, (), track, path)
 
 
-def write_laboratory_run(
-    item: LaboratoryRun, scenario: Scenario, path: Path, aligned: AlignedRun | None = None, model: str = ""
-) -> Path:
-    """Write the page of a laboratory run.
+def write_run(run: Run, path: Path, beside: Track | None = None, model: str = "") -> Path:
+    """Write the page of a run of another controller.
 
     Args:
-        item: The run.
-        scenario: Its scene.
+        run: The run.
         path: The page; an earlier one is replaced.
-        aligned: The run with its replay; None: the whole run alone.
+        beside: The run beside its replay; None: the whole run alone.
         model: Name of the model of that replay.
 
     Raises:
         InputError: The page cannot be written.
     """
-    animation = animation_of_laboratory(item, scenario) if aligned is None else animation_of_run(aligned, item.name)
-    what = f"{item.object} is hit" if item.hit else "free motion"
-    rate = 1.0 / float(np.median(np.diff(item.time)))
-    recorded = [f"joints at {rate:.0f} Hz for {number_text(float(item.time[-1]))} s"]
-    if item.hit:
-        seen = item.object_time.size
-        tracked = 1.0 / float(np.median(np.diff(item.object_time))) if seen > 1 else 0.0
+    track = track_of_recording(run) if beside is None else replace(beside, label=run.name)
+    scenario, object_name, condition = run.place
+    what = f"{object_name} is hit" if run.hit else "free motion"
+    signals = run.signals
+    recorded = [f"joints at {1.0 / run.period:.0f} Hz for {number_text(float(signals.time[-1]))} s"]
+    if run.hit:
+        seen = signals.object_time.size
+        tracked = 1.0 / float(np.median(np.diff(signals.object_time))) if seen > 1 else 0.0
         recorded.append(f"object tracked at {tracked:.0f} Hz" if seen > 1 else "the object was not tracked")
-    facts = [("Run", f"{what}{f', {item.condition}' if item.condition else ''}; scenario {scenario.name}")]
+    facts = [("Run", f"{what}{f', {condition}' if condition else ''}; scenario {scenario}")]
     facts.append(("Recorded", ", ".join(recorded)))
-    if item.hit:
-        begin = animation.impact
+    if run.hit:
+        begin = track.impact
         found = "none was found" if begin is None else f"found at {begin:.3f} s after the first sample"
         facts.append(("Impact", found))
-    if aligned is not None:
+    if beside is not None:
         facts.append(("Model", f"{model}, from the measured state at the begin of every window; the rest is left out"))
-    return _write(f"Run {item.name}", tuple(facts), item.remarks, animation, path)
+    return _write(f"Run {run.name}", tuple(facts), run.remarks, track, path)
 
 
-def _write(
-    title: str, facts: tuple[tuple[str, str], ...], notes: tuple[str, ...], animation: Animation, path: Path
-) -> Path:
-    replay = ReplayPart.of([animation])
-    assert replay is not None
+def _write(title: str, facts: tuple[tuple[str, str], ...], notes: tuple[str, ...], track: Track, path: Path) -> Path:
+    replay = ReplayPart.of([track])
+    assert replay is not None and track.measured is not None
     page = TrialPage(
         title=title,
         facts=facts,
@@ -155,45 +143,50 @@ def _write(
                 _text(jump.before),
                 _text(jump.after),
             )
-            for jump in animation.measured.jumps
+            for jump in track.measured.jumps
         ),
         replay=replay,
-        plots=tuple(trial_plots(animation)),
+        plots=tuple(trial_plots(track)),
     )
     write_whole(path, render("trial.html.j2", page, replay=True))
     return path
 
 
-def trial_plots(animation: Animation) -> list[Plot]:
+def trial_plots(track: Track) -> list[Plot]:
     """Velocity of the end effector, joint velocities and joint positions, arm by arm."""
-    shown = shown_rows(animation, *STRIDES)
+    assert track.physics is not None and track.measured is not None
+    shown = shown_rows(track, *STRIDES)
     found = []
-    for number, (arm, own) in enumerate(animation.physics.arms.items()):
-        of_arm = f" of {arm}" if len(animation.physics.arms) > 1 else ""
-        moved, units = animation.measured, own.facts.units
+    for number, (arm, own) in enumerate(track.physics.arms.items()):
+        of_arm = f" of {arm}" if len(track.physics.arms) > 1 else ""
+        moved, units = track.measured.arms[arm], own.facts.units
         joints = [f"joint {joint + 1}" for joint in range(own.facts.joint_count)]
         position, velocity = (joined_units(unit) for unit in ([u.position for u in units], [u.velocity for u in units]))
         for name, title, unit, labels, values in (
-            ("velocity", f"Velocity of the end effector{of_arm}", "m/s", list("xyz"), moved.velocities.get(arm)),
-            ("dq", f"Joint velocities{of_arm}", velocity, joints, moved.rates.get(arm)),
-            ("q", f"Joint positions{of_arm}", position, joints, moved.joints[arm]),
+            (
+                "velocity",
+                f"Velocity of the end effector{of_arm}",
+                "m/s",
+                list("xyz"),
+                moved.twist[:, :3] if moved.twist.size else NONE,
+            ),
+            ("dq", f"Joint velocities{of_arm}", velocity, joints, moved.velocity),
+            ("q", f"Joint positions{of_arm}", position, joints, moved.position),
         ):
-            if values is not None:
-                drawn = _over_time(animation, shown, values, labels, unit)
+            if values.size:
+                drawn = _over_time(track, shown, values, labels, unit)
                 found.append(Plot(f"{name}-{number}", drawn, title=title, zoom=True, run=0))
     return found
 
 
-def _over_time(
-    animation: Animation, shown: NDArray[np.int64], values: Array, labels: list[str], unit: str
-) -> go.Figure:
-    breaks = np.searchsorted(shown, animation.starts[1:])  # a line breaks where a stretch ends
-    time = np.insert(animation.time[shown], breaks, np.nan)
+def _over_time(track: Track, shown: NDArray[np.int64], values: Array, labels: list[str], unit: str) -> go.Figure:
+    breaks = np.searchsorted(shown, track.starts[1:])  # a line breaks where a stretch ends
+    time = np.insert(track.time[shown], breaks, np.nan)
     drawn = np.insert(values[shown].astype(float), breaks, np.nan, axis=0)
     curves = tuple(
         Curve(label, time, drawn[:, column], COLOURS[column % len(COLOURS)]) for column, label in enumerate(labels)
     )
-    notes = () if animation.impact is None else (Note(animation.impact, "impact"),)
+    notes = () if track.impact is None else (Note(track.impact, "impact"),)
     figure = Figure("", "", "", TIME, (Panel(f"[{unit}]", curves),), notes)
     return curves_plot(figure).update_layout(height=HEIGHT, margin={"t": 30})
 

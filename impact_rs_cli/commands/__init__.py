@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The subcommands of ``impact-rs``, one per file: ``add(parser)`` declares its arguments and what runs it."""
+"""What the commands of ``impact-rs`` do, one per file; :mod:`impact_rs_commands` declares them."""

@@ -11,13 +11,13 @@ from rich.text import Text
 
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
 from impact_rs_analysis.measure.far import far_words
-from impact_rs_analysis.measure.laboratory import jumps_of
 from impact_rs_analysis.measure.table import Row, result_table, shown_contacts
+from impact_rs_analysis.measure.velocity_jumps import jumps_of
 from impact_rs_analysis.report import write_report
 from impact_rs_analysis.report.analysis import ArmRow, arm_rows, sensitivity_rows
-from impact_rs_cli.arguments import add_contact, add_jobs, started
+from impact_rs_cli.arguments import started
 from impact_rs_cli.measurements import read_experiment
-from impact_rs_cli.terminal import Terminal, add_json, declare, output_folder
+from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.numbers import speed_text
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
@@ -25,51 +25,6 @@ from impact_rs_trials.bags.checksums import unsealed_words
 from impact_rs_trials.campaign import MANIFEST
 from impact_rs_trials.store import is_url, local_copy
 from impact_rs_trials.workers import Map
-
-TEXT = """\
-Compare the impact map's predictions with a folder of trials.
-
-For every object and case: the net feedback of each trial over its post-impact reference velocity, a line through them,
-and its zero crossing, which is the experimental estimate of the post-impact velocity, with a 95 % interval. Errors are
-(prediction - estimate) / estimate in percent, for three models of the motor inertia, just after the first simultaneous
-impact and for the settled contact, when the pads lie flat on the object and move with it. Writes report.html (opens
-offline and on a phone), analysis.json, and the figures as PNG.
-
-If settings were varied (impact-rs campaign --sensitivity, impact-rs study), every estimate also has a systematic band:
-how far it moves with settings that it should not depend on. More trials do not make this band smaller.
-
-Damaged or foreign bags and failed trials are listed with the reason and left out; trials without impact never enter a
-fit. Published numbers appear beside a set with the published robot, object and velocity only. A warning names each
-prediction that is further from the estimate than a fifth of the ante-impact speed.
-
-Runs recorded with another controller have no net feedback. With --experiment the speed 20 to 40 ms after the impact is
-compared with the impact map of the measured state just before it.
-
-example:
-  impact-rs analyze lab/ --experiment experiment.yaml
-  impact-rs analyze campaigns/push                  # report in campaigns/push/report
-  impact-rs analyze campaigns/push -o /tmp/report --json
-
-Units: speeds in m/s along the scenario's axis, errors in percent."""
-
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the command."""
-    declare(parser, run, TEXT)
-    parser.add_argument("directory", metavar="DIR", help="folder whose subfolders are bags of trials, or URL")
-    parser.add_argument(
-        "-o", dest="output", type=Path, metavar="REPORT_DIR", help="folder for the report; default: DIR/report"
-    )
-    parser.add_argument(
-        "--experiment",
-        type=Path,
-        metavar="FILE.yaml",
-        help="DIR holds runs recorded with another controller: their experiment file, relative to the working "
-        "directory, else to DIR",
-    )
-    add_contact(parser, "predictions shown in the figures (both have a table); with --experiment those of the table")
-    add_jobs(parser)
-    add_json(parser)
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:

@@ -8,8 +8,9 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 
-from impact_rs_cli.arguments import add_jobs, add_namespace, add_settings, add_without, check_robots, workforce_of
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
+from impact_rs_cli.arguments import check_robots, settings_of, workforce_of
+from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_ros.names import full_namespace
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
@@ -23,56 +24,9 @@ from impact_rs_trials.campaign import (
     still_to_run,
     wrong_outcomes,
 )
-from impact_rs_trials.sensitivity import with_sensitivity
 from impact_rs_trials.store import Folder, Store, open_store, owned
+from impact_rs_trials.varied_settings import with_sensitivity
 from impact_rs_trials.workers import Workforce
-
-TEXT = """\
-Run all trials of a scenario, or a selection of them, and record one bag each.
-
-To continue an interrupted campaign, run the same command again: finished bags stay, a half-written one is run again.
-Trials run in parallel worker processes; results do not depend on their number (--jobs). With --scheduler they run on
-the workers of a dask scheduler; DIR is then a folder that all workers share, or a URL.
-
-example:
-  impact-rs campaign push -o campaigns/push
-  impact-rs campaign push -o campaigns/quick --objects cat_food --cases 2 --scales 0.8 1.0 1.2 --trials 2
-  impact-rs campaign grab -o campaigns/firm --set control.clamp_force=90
-  impact-rs campaign push -o s3://bucket/push --scheduler tcp://10.0.0.1:8786
-  impact-rs campaign push -o campaigns/mine --via nodes --without plant
-  impact-rs analyze campaigns/push
-
-Units: scales have none (post-impact reference velocity over predicted velocity)."""
-
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the command."""
-    declare(parser, run, TEXT)
-    parser.add_argument("scenario", metavar="SCENARIO", help="name of a scenario, or path of its YAML file")
-    parser.add_argument("-o", dest="output", required=True, metavar="DIR", help="folder of the campaign, or URL")
-    parser.add_argument("--objects", nargs="+", metavar="NAME", help="default: all of the scenario")
-    parser.add_argument("--cases", nargs="+", metavar="NAME", help="default: all of the scenario")
-    parser.add_argument("--scales", nargs="+", type=float, metavar="S", help="default: the scenario's [-]")
-    parser.add_argument("--trials", type=int, metavar="N", help="repeats of every scale; default: the scenario's")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the campaign; default: 0")
-    add_settings(parser)
-    parser.add_argument(
-        "--sensitivity",
-        action="store_true",
-        help="also halve and double, one at a time, settings that the estimate should not depend on (three scales of "
-        "the first case); analyze then reports a systematic band",
-    )
-    add_jobs(parser)
-    parser.add_argument(
-        "--via",
-        choices=("inprocess", "nodes"),
-        default="inprocess",
-        help="run trials in this program, or through the ROS 2 nodes (one at a time); default: %(default)s",
-    )
-    add_without(parser)
-    add_namespace(parser)
-    add_json(parser)
-    parser.set_defaults(resumable=True)
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -90,9 +44,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     store = open_store(args.output)
     workforce = workforce_of(args)
     manifest = make_manifest(
-        args.scenario, args.objects, args.cases, args.scales, args.trials, args.seed, dict(args.settings)
+        args.scenario, args.objects, args.cases, args.scales, args.trials, args.seed, settings_of(args)
     )
-    check_robots(load_scenario(args.scenario).with_settings(dict(args.settings)), terminal)
+    check_robots(load_scenario(args.scenario).with_settings(settings_of(args)), terminal)
     campaigns: Mapping[Store, Manifest] = {store: manifest}
     if args.sensitivity:
         if not isinstance(store, Folder):

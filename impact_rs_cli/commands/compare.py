@@ -6,58 +6,21 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from rich.markup import escape
 from rich.table import Table
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
 from impact_rs_analysis.diagnosis.document import TIMES
 from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.diagnosis.jump import JOINTS
-from impact_rs_analysis.evidence.aligned import aligned_runs, check_free, write_aligned
+from impact_rs_analysis.evidence.aligned_bags import check_free, write_aligned
+from impact_rs_analysis.evidence.tracks import track_of_run
 from impact_rs_analysis.report.comparison import write_comparison
-from impact_rs_cli.arguments import add_jobs, add_runs, number, on_local_runs
-from impact_rs_cli.measurements import Measurements, add_source, measured, only_trials
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
+from impact_rs_cli.arguments import number, on_local_runs
+from impact_rs_cli.measurements import Measurements, measured, only_trials
+from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.robot import joined_units
-
-TEXT = f"""\
-Compare a model with measurements, and show where it fails.
-
-Three levels: the velocity jump of the impact map, free motion, and the impact with the push after it. The latter two
-use a twin: an open-loop simulation from the measured state, driven by the recorded torque. Differences have their own
-units and are also given as multiples of repeatability (the scatter of repeats). One score summarises all; a score of 1
-equals repeatability. Only measured signals are read.
-
-example:
-  {PROGRAM} compare campaigns/blind/runs --model config/models/nominal.yaml -o report
-  {PROGRAM} compare campaigns/blind/runs --model model_2.yaml --mcap aligned --json
-
-Runs recorded with another controller (bags, CSV, NPZ, Parquet, HDF5):
-  {PROGRAM} compare lab/ --experiment experiment.yaml -o report
-
-A recording of a real robot in free motion is compared on joint torque:
-  {PROGRAM} compare recording.db3 --mapping joint_state
-
-A table with one row per impact, of one free body on a plane or of an arm and an object (--scenario), is compared
-on the velocities just after; docs/impact_tables.md lists its columns:
-  {PROGRAM} compare --impacts tosses.csv
-  {PROGRAM} compare --impacts pushes.csv --scenario push
-
-Units: beside each difference; scores are multiples of repeatability, for recordings N m, for impacts without repeats
-m/s."""
-
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the command."""
-    declare(parser, run, TEXT)
-    add_runs(parser)
-    add_source(parser)
-    parser.add_argument("-o", dest="output", type=Path, metavar="REPORT_DIR", help="folder for an HTML report")
-    parser.add_argument(
-        "--mcap", type=Path, metavar="DIR", help="folder for aligned bags: measured, predicted and residual signals"
-    )
-    add_jobs(parser)
-    add_json(parser)
 
 
 @on_local_runs
@@ -93,16 +56,15 @@ def comparison_of(measurements: Measurements, model: Model, terminal: Terminal) 
 def _write_bags(directory: Path, measurements: Measurements, model: Model, terminal: Terminal) -> None:
     runs = only_trials(measurements, "--mcap")
     with output_folder(directory), terminal.progress("aligned bags") as report_progress:
-        aligned = aligned_runs(runs, model, map)
-        for count, trial in enumerate(aligned, start=1):
-            write_aligned(trial, directory)
-            report_progress(count, len(aligned))
-    terminal.say(f"aligned bags: {len(aligned)} in {directory.resolve()}")
+        for count, (condition, group) in enumerate(runs.conditions.items(), start=1):
+            write_aligned(track_of_run(group[0], model), condition, directory)
+            report_progress(count, len(runs.conditions))
+    terminal.say(f"aligned bags: {len(runs.conditions)} in {directory.resolve()}")
 
 
 def _show(document: ComparisonDocument, terminal: Terminal) -> None:
     floor = document.noise_floor
-    alone = "" if floor is None else f", noise alone gives {number(floor)}"
+    alone = "" if floor is None else f" (noise: {number(floor)})"
     of_trials = document.source == "trials"
     many = "" if document.trials == 1 else "s"
     where = (
@@ -143,9 +105,9 @@ def _show_joints(document: ComparisonDocument, terminal: Terminal) -> None:
 
 
 def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
-    alone = "the rms of all, by kinetic energy" if document.noise_floor is None else "what noise alone gives"
+    alone = "the rms of all, by kinetic energy" if document.noise_floor is None else "the noise"
     times = TIMES if document.source == "trials" or document.score_unit == TIMES else f"times {alone}"
-    table = Table(title=f"How large the differences are [{times}]")
+    table = Table(title=escape(f"How large the differences are [{times}]"))
     table.add_column("level")
     table.add_column("difference", justify="right")
     table.add_column("worst signal")

@@ -23,7 +23,8 @@ from impact_rs_cli.commands.compare import comparison_of
 from impact_rs_cli.commands.diagnose import diagnosis_of, report_of
 from impact_rs_cli.commands.history import show_history
 from impact_rs_cli.measurements import Measurements, read
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
+from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_ros.graph import Graph, run_trial
 from impact_rs_sim.model import Model, load_model, save_model
 from impact_rs_sim.numbers import estimate_in_line
@@ -39,37 +40,12 @@ OBJECTS, CASES = ["parcel", "juice"], ["case_1", "case_2"]
 REPEATS = 2
 MODEL = "nominal"
 
-TEXT = f"""\
-Run the whole loop through the ROS 2 nodes: a robot hits and pushes boxes, and its plant has a hidden physical effect
-that the model lacks. The bags are analysed as in the paper; compare shows where the model fails, diagnose names the
-missing effect, add writes a better model, and history shows how the error falls.
-
-Takes some minutes, half of them for trials, and ends with the next commands. --quick runs the paper's experiment alone,
-without a hidden effect: five trials, their analysis and the report, in well under a minute.
-
-example:
-  {PROGRAM} demo
-  {PROGRAM} demo --quick
-  {PROGRAM} demo -o /tmp/impact_demo
-
-Units: speeds in m/s; errors in percent, or as multiples of repeatability."""
-
 
 class Demonstration(Schema):
     """``config/demo.yaml``."""
 
     hidden: Model = Field(description="effect of the plant that the model does not know")
     considered: tuple[str, ...] = Field(min_length=1, description="effects that the diagnosis considers")
-
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the command."""
-    declare(parser, run, TEXT)
-    parser.add_argument(
-        "-o", dest="output", type=Path, default=Path("demo_output"), metavar="DIR", help="default: %(default)s"
-    )
-    parser.add_argument("--quick", action="store_true", help="the paper's experiment alone, without a hidden effect")
-    add_json(parser)
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -152,7 +128,7 @@ def walk_the_loop(
     model, considered = load_model(MODEL), list(demonstration.considered)
     (hidden,) = demonstration.hidden.effects
     with workers(Workforce(min(2, os.cpu_count() or 1))) as map_tasks:
-        measurements = Measurements(map_tasks, terminal, read(runs_directory, map_tasks, terminal))
+        measurements = Measurements.of_trials(map_tasks, terminal, read(runs_directory, map_tasks, terminal))
         terminal.say("", "2. Where does the model fail?")
         before = comparison_of(measurements, model, terminal)
         with measurements.progress():

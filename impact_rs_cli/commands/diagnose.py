@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from rich.markup import escape
 from rich.table import Table
 
 from impact_rs_analysis.diagnosis.compare import compare
@@ -21,65 +22,17 @@ from impact_rs_analysis.diagnosis.document import (
 from impact_rs_analysis.diagnosis.formulas import try_out
 from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.report.diagnosis import write_diagnosis
-from impact_rs_cli.arguments import add_jobs, add_runs, number, on_local_runs
-from impact_rs_cli.measurements import Measurements, add_source, added_of, measured
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
+from impact_rs_cli.arguments import number, on_local_runs
+from impact_rs_cli.measurements import Measurements, added_of, measured
+from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.effects.formula import load_formulas
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.robot import joined_units
 
-TEXT = f"""\
-Find out which physical effect a model lacks.
-
-Fits every effect of the library ({PROGRAM} effects lists them) and of your own formulas to the measurements, and
-judges it by its held-out error: how well it predicts conditions that the search has not seen. The verdict on an effect
-is CONFIRMED, CONFUSABLE-WITH{{...}}, PRESENT-BUT-SMALL, NOT-IDENTIFIABLE, NO-IMPROVEMENT or AT-BOUND; the verdict on
-the model names the missing effects, or is NOTHING-MISSING, NONE-EXPLAINS, PARTLY{{...}} or TOO-FEW-REPEATS.
-
-Needs at least three conditions (object x case) and three extra repeats (runs minus conditions >= 3). A free motion
-(scenario excite) separates friction, offset and gain of the torque.
-
-example:
-  {PROGRAM} diagnose campaigns/blind/runs --model config/models/nominal.yaml -o diagnosis.json
-  {PROGRAM} diagnose campaigns/blind/runs -o diagnosis.json --effects torque_offset joint_coulomb_friction
-  {PROGRAM} add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
-
-Runs recorded with another controller (bags, CSV, NPZ, Parquet, HDF5):
-  {PROGRAM} diagnose lab/ --experiment experiment.yaml -o diagnosis.json
-
-A recording of a real robot in free motion is compared on joint torque:
-  {PROGRAM} diagnose recording.db3 --mapping joint_state
-
-A table with one row per impact, of one free body on a plane or of an arm and an object (--scenario), is diagnosed
-on the velocities just after; docs/impact_tables.md lists its columns:
-  {PROGRAM} diagnose --impacts tosses.csv -o diagnosis.json
-  {PROGRAM} diagnose --impacts pushes.csv --scenario push -o diagnosis.json
-
-Units: beside each estimate; errors are multiples of repeatability, for recordings N m, for impacts without repeats
-m/s."""
-
 MOST_SHOWN = 8
-
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the command."""
-    declare(parser, run, TEXT)
-    add_runs(parser)
-    add_source(parser)
-    parser.add_argument("-o", dest="output", type=Path, metavar="FILE.json", help="file for the diagnosis")
-    parser.add_argument("--effects", nargs="+", metavar="NAME", help="consider only these effects; default: all")
-    parser.add_argument("--formulas", type=Path, metavar="FILE.yaml", help="consider your own effects as well")
-    parser.add_argument("--report", type=Path, metavar="DIR", help="folder for an HTML report")
-    parser.add_argument(
-        "--each-arm",
-        action="store_true",
-        help="fit parameters of every arm separately; by default arms of one kind share them (arms of different kinds "
-        "never do)",
-    )
-    add_jobs(parser)
-    add_json(parser)
 
 
 @on_local_runs
@@ -195,7 +148,7 @@ def _show(document: DiagnosisDocument, terminal: Terminal) -> None:
         terminal.say(f"held out: {document.hold_out.what}")
     if document.joints:
         unit = joined_units(row.unit for row in document.joints)
-        table = Table(title=f"Held-out torque error by joint [{unit} rms]")
+        table = Table(title=escape(f"Held-out torque error by joint [{unit} rms]"))
         for heading in ("", *(row.joint for row in document.joints)):
             table.add_column(heading, justify="right")
         for name in ("before", "after", "noise"):

@@ -4,36 +4,15 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from rich.table import Table
 
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare
+from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.effects import Effect, library
 from impact_rs_sim.effects.formula import load_formulas
 from impact_rs_sim.errors import InputError, did_you_mean
-
-TEXT = f"""\
-List the physical effects that a model may have and that diagnose considers, or explain one of them.
-
-Add your own effects with a Python entry point (group impact_rs.effects) or a YAML file of formulas (--formulas checks
-it).
-
-example:
-  {PROGRAM} effects
-  {PROGRAM} effects torque_offset
-  {PROGRAM} effects --formulas cable.yaml
-
-Units: beside every parameter."""
-
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the command."""
-    declare(parser, run, TEXT)
-    parser.add_argument("name", nargs="?", metavar="NAME", help="one effect; default: all")
-    parser.add_argument("--formulas", type=Path, metavar="FILE.yaml", help="also list the effects of a formula file")
-    add_json(parser)
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:

@@ -4,39 +4,15 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
+from rich.markup import escape
 from rich.table import Table
 
 from impact_rs_analysis.diagnosis.history import VersionError, history, versions
-from impact_rs_analysis.report.history import write_history
-from impact_rs_cli.arguments import RUNS, add_jobs, number, on_local_runs
-from impact_rs_cli.measurements import add_source, measured
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
-
-TEXT = f"""\
-Show the error of every version of a model, from its first parent to MODEL.yaml.
-
-Two errors: with the parameters of the file, and held out, where the parameters of the added effect are fitted to all
-other conditions. Fitting noise does not reduce the held-out error.
-
-example:
-  {PROGRAM} history model_3.yaml --runs campaigns/blind/runs
-  {PROGRAM} history model_3.yaml --runs campaigns/blind/runs -o report --json
-  {PROGRAM} history model_2.yaml --impacts tosses.csv
-
-Units: errors are multiples of repeatability, for recordings of the torque noise; for impacts without repeats m/s."""
-
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the command."""
-    declare(parser, run, TEXT)
-    parser.add_argument("model", type=Path, metavar="MODEL.yaml", help="the last model")
-    parser.add_argument("--runs", metavar="RUNS", help=f"{RUNS}; leave it out with --impacts")
-    parser.add_argument("-o", dest="output", type=Path, metavar="DIR", help="folder for an HTML page with the plot")
-    add_source(parser)
-    add_jobs(parser)
-    add_json(parser)
+from impact_rs_analysis.report.error_history import write_history
+from impact_rs_cli.arguments import number, on_local_runs
+from impact_rs_cli.measurements import measured
+from impact_rs_cli.terminal import Terminal, output_folder
 
 
 @on_local_runs
@@ -58,10 +34,10 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 def show_history(found: list[VersionError], terminal: Terminal) -> None:
     """The table."""
-    table = Table(title=f"Error per model version [{found[0].unit}]")
+    table = Table(title=escape(f"Error per model version [{found[0].unit}]"))
     for heading in ("model", "effect added"):
         table.add_column(heading)
-    for heading in ("fit", "held out", "repetition alone"):
+    for heading in ("fit", "held out", "noise"):
         table.add_column(heading, justify="right")
     for entry in found:
         table.add_row(

@@ -5,20 +5,18 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from impact_rs_cli.arguments import add_contact, add_jobs, add_settings, started
-from impact_rs_cli.terminal import Terminal, add_json, declare
+from impact_rs_cli.arguments import settings_of, started
+from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import DEFAULT_ENGINE, ENGINES, ImpactProblem, engine_name, predict_impact
+from impact_rs_sim.impact_map import ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.derivatives import Derivatives, differentiate_safely, velocity_names
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, predict
 from impact_rs_sim.impact_map.uniqueness import CHOICE, Uniqueness, uniqueness_of
 from impact_rs_sim.numbers import estimate_text
-from impact_rs_sim.physics import RESTITUTION_LAWS
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.map_table import answer_table, write_answers
@@ -27,69 +25,6 @@ from impact_rs_trials.recordings.impact_table import read_impact_table
 MOST_SWITCHES = 3  # that are shown; all are in the JSON document
 LEAST_SWITCHES = 0.01  # share of the draws from which one is shown
 
-TEXT = """\
-Predict the velocities after the nominal impact of a scenario.
-
-Solves the rigid impact map: from the ante-impact configuration and velocities to the post-impact velocities of all
-joints and bodies and the contact impulses. Where the contact laws have several solutions, it also gives their spread.
---motor-inertia selects the reflected inertia of the motors: 'reduced' (B_theta, with the robot's torque loop), 'rotor'
-(B_rho, without it) or 'zero'. --contact selects the instant: 'first', just after the first simultaneous impact, or
-'settled', when the pads lie flat on the object and move with it.
-
-example:
-  impact-rs map push cat_food case_2
-  impact-rs map push cat_food 2 --motor-inertia rotor --json
-  impact-rs map grab cat_food 2 --contact settled
-  impact-rs map push cat_food 2 --uncertainty
-  impact-rs map push cat_food 2 --derivatives
-  impact-rs map push cat_food 2 --set contact.restitution=0.2 objects.cat_food.mass=1.5
-  impact-rs map push --table problems.parquet -o answers.parquet
-  impact-rs map --table tosses.csv -o answers.csv
-
---table solves one problem per row of a table of impacts (docs/impact_tables.md) without post-impact velocities: impacts
-of an arm if a scenario is given, of free bodies otherwise.
-
-Units: m/s and rad/s, impulses in N s, vectors in the axes of the world frame, SI throughout."""
-
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the command."""
-    declare(parser, run, TEXT)
-    parser.add_argument("scenario", metavar="SCENARIO", nargs="?", help="name of a scenario, or path of its YAML file")
-    parser.add_argument("object", metavar="OBJECT", nargs="?", help="name of an object of the scenario")
-    parser.add_argument("case", metavar="CASE", nargs="?", help="name of a case of the scenario; 2 is short for case_2")
-    parser.add_argument(
-        "--motor-inertia", choices=("reduced", "rotor", "zero"), default="reduced", help="default: %(default)s"
-    )
-    add_contact(parser, "first: just after the first impact; settled: when the faces lie on each other")
-    parser.add_argument(
-        "--engine",
-        type=engine_name,
-        choices=tuple(ENGINES),
-        default=DEFAULT_ENGINE,
-        help="solver of the first contact: exact, Newton's method on the contact laws (default; formerly pinocchio), "
-        "or bullet, the independent check: the impact map extracted from steps of the physics engine Bullet",
-    )
-    parser.add_argument(
-        "--restitution-law", choices=RESTITUTION_LAWS, help="law of restitution; default: that of the scenario"
-    )
-    parser.add_argument(
-        "--uncertainty",
-        action="store_true",
-        help="interval of every velocity from the uncertainties of the scenario, and the share of each source",
-    )
-    parser.add_argument(
-        "--derivatives",
-        action="store_true",
-        help="derivatives of every velocity with respect to masses, inertias, B, friction, restitution, poses and "
-        "ante-impact velocities",
-    )
-    add_settings(parser)
-    parser.add_argument("--table", type=Path, metavar="FILE", help="many problems: a .csv or .parquet table of impacts")
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="file for the answers of --table")
-    add_jobs(parser)
-    add_json(parser)
-
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
@@ -97,7 +32,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         return _many(args, terminal)
     if args.scenario is None or args.object is None or args.case is None:
         raise InputError("expected SCENARIO OBJECT CASE, or --table FILE -o FILE")
-    scenario = load_scenario(args.scenario).with_settings(dict(args.settings))
+    scenario = load_scenario(args.scenario).with_settings(settings_of(args))
     scenario.object(args.object)
     scene = Scene.resolve(scenario, args.object, args.case)
     problem = ImpactProblem.at_nominal_impact(scene, args.motor_inertia)

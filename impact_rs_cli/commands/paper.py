@@ -4,34 +4,13 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from rich.table import Table
 
 from impact_rs_analysis.measure.paper import study_paper
-from impact_rs_analysis.report.paper import write_paper
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare, output_folder
+from impact_rs_analysis.report.paper_figures import write_paper
+from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.numbers import estimate_text
-
-TEXT = f"""\
-Fit one motor-inertia scale to the 18 published rows (config/paper/tables.yaml).
-
-The published predictions are known for no motor inertia, for B_theta and for B_rho = 3 B_theta. In between they are
-interpolated by a parabola in s, B = s B_theta. Gives the s with the smallest mean absolute mismatch, its interval from
-resampling the rows, the mismatch of held-out rows, and the rows that no motor inertia between 0 and B_rho explains.
-
-example:
-  {PROGRAM} paper
-  {PROGRAM} paper --json -o report
-
-Units: mismatch is (prediction - estimate) / estimate in percent; the scale has none."""
-
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the command."""
-    declare(parser, run, TEXT)
-    parser.add_argument("-o", dest="output", type=Path, metavar="REPORT_DIR", help="folder for figure and table")
-    add_json(parser)
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:

@@ -8,77 +8,24 @@ import webbrowser
 from itertools import islice
 from pathlib import Path
 
-from impact_rs_analysis.evidence.aligned import AlignedRun, align
-from impact_rs_analysis.report.trial import write_laboratory_run, write_trial
-from impact_rs_cli.arguments import add_jobs, started
+from impact_rs_analysis.evidence.tracks import Track, track_of_run
+from impact_rs_analysis.report.trial import write_run, write_trial
+from impact_rs_cli.arguments import started
 from impact_rs_cli.measurements import experiment_file, read_experiment
-from impact_rs_cli.terminal import PROGRAM, Terminal, add_json, declare
+from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.recordings.experiment import load_experiment
-from impact_rs_trials.recordings.laboratory import LaboratoryRun, read_one
+from impact_rs_trials.recordings.laboratory import read_one
+from impact_rs_trials.runs import Run
 from impact_rs_trials.store import is_bag
 from impact_rs_trials.workers import Map
-
-TEXT = f"""\
-Show one run in 3D: arms, object and support as measured, contact forces, velocities before and after the impact.
-
-Writes one HTML page that opens offline and on a phone, and opens it in the browser. A time slider moves the bodies and
-the plots of joint positions, joint velocities and end-effector velocity together; the impact is played a hundred times
-slower. Space plays, arrow keys step by 1 ms, with shift by 10 ms, I goes to the impact. Only measured signals are read.
-
-example:
-  {PROGRAM} show campaigns/push/cat_food__case_2__s1.000__r0
-  {PROGRAM} show campaigns/push/cat_food__case_2__s1.000__r0 -o impact.html --no-browser
-
-A run recorded with another controller, as compare reads it; with --model beside its twin, window by window:
-  {PROGRAM} show lab --experiment lab/experiment.yaml --run run_03
-  {PROGRAM} show lab --experiment lab/experiment.yaml --run run_03 --model model_2.yaml
-
-Running nodes (up, a cell, nodes of your own), live until Ctrl-C; the page is served to this machine alone:
-  {PROGRAM} show --live
-  {PROGRAM} show --live --namespace cell_a --no-browser
-
-Units: s, m, m/s, N; joints in rad and rad/s (prismatic joints in m and m/s)."""
 
 MOST_LOOKED_AT = 1000  # folders searched for a trial to suggest
 LIVE_ALONE = ("namespace", "port")  # options that only --live has
 LABORATORY_ALONE = ("run_name", "model", "jobs", "scheduler")  # and those of --experiment
 OF_PAGES = ("path", "output", "experiment", *LABORATORY_ALONE)  # and options that mean nothing with --live
-
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Declare the command."""
-    declare(parser, run, TEXT)
-    parser.add_argument(
-        "path", type=Path, metavar="BAG", nargs="?",
-        help="folder of a trial; with --experiment the folder of the recordings; leave it out with --live",
-    )  # fmt: skip
-    parser.add_argument(
-        "--experiment", type=Path, metavar="FILE.yaml",
-        help="BAG is a folder of runs recorded with another controller: their experiment file (docs/laboratory.md); "
-        "relative to the working directory, else to BAG",
-    )  # fmt: skip
-    parser.add_argument(
-        "--run", dest="run_name", metavar="NAME", help="with --experiment: name of the run in its table"
-    )
-    parser.add_argument(
-        "--model",
-        type=Path,
-        metavar="FILE",
-        help="with --experiment: model file, or nominal, whose twin is shown beside the run",
-    )
-    parser.add_argument("--live", action="store_true", help="show the running nodes until Ctrl-C")
-    parser.add_argument("--namespace", metavar="NAME", help="with --live: ROS namespace of the nodes; default: none")
-    parser.add_argument("--port", type=int, metavar="N", help="with --live: port to listen on; default: a free one")
-    parser.add_argument(
-        "-o", dest="output", type=Path, metavar="FILE.html",
-        help="the page; default: NAME_OF_THE_BAG.html beside the bag, DIR_RUN.html beside a folder of runs",
-    )  # fmt: skip
-    parser.add_argument("--no-browser", action="store_true", help="do not open the page, only write or serve it")
-    add_jobs(parser)
-    add_json(parser)
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -87,7 +34,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         _none_of(args, OF_PAGES, "--live shows running nodes")
         if args.json:
             raise InputError("--live serves a page and has no JSON document; leave --json out")
-        from impact_rs_cli.live import show_live  # ROS 2 and a web server, which a page in a file does without
+        from impact_rs_cli.live_graph import show_live  # ROS 2 and a web server, which a page in a file does without
 
         return show_live(args.namespace or "", args.port or 0, not args.no_browser, terminal)
     _none_of(args, LIVE_ALONE, "without --live a page is written into a file")
@@ -158,21 +105,20 @@ def _laboratory_page(args: argparse.Namespace, terminal: Terminal) -> Path:
     args.experiment = experiment_file(args.experiment, directory, terminal)
     experiment = load_experiment(args.experiment)
     with started(args) as map_tasks:
-        item = read_one(directory, experiment, args.run_name, map_tasks)
-        path = _output(args, f"{directory.name}_{item.name}.html")
-        aligned = None if args.model is None else _beside_model(args, item, map_tasks, terminal)
-    if item.hit and item.object_time.size < 2:
-        terminal.warn(f"{item.name}: the pose of {item.object} was not recorded, so it is not shown")
-    model = "" if args.model is None else str(args.model)
-    return write_laboratory_run(item, experiment.load_scenario(), path, aligned, model).resolve()
+        shown = read_one(directory, experiment, args.run_name, map_tasks)
+        path = _output(args, f"{directory.name}_{shown.name}.html")
+        beside = None if args.model is None else _beside_model(args, shown, map_tasks, terminal)
+    if shown.hit and shown.signals.object_time.size < 2:
+        terminal.warn(f"{shown.name}: the pose of {shown.place[1]} was not recorded, so it is not shown")
+    return write_run(shown, path, beside, "" if args.model is None else str(args.model)).resolve()
 
 
-def _beside_model(args: argparse.Namespace, item: LaboratoryRun, map_tasks: Map, terminal: Terminal) -> AlignedRun:
+def _beside_model(args: argparse.Namespace, shown: Run, map_tasks: Map, terminal: Terminal) -> Track:
     """The run beside its twin; all runs are read, because their clocks are estimated together."""
     model = load_model(args.model)
     runs = read_experiment(args.path, args.experiment, map_tasks, terminal)
-    found = next((own for own in runs.runs if own.path == item.path), None)
+    found = next((own for own in runs.runs if own.path == shown.path), None)
     if found is None:
-        reason = dict(runs.skipped).get(str(item.path), "it was left out")
-        raise InputError(f"cannot be compared with a model: {reason}", file=item.path)
-    return align(found, model)
+        reason = dict(runs.skipped).get(str(shown.path), "it was left out")
+        raise InputError(f"cannot be compared with a model: {reason}", file=shown.path)
+    return track_of_run(found, model)

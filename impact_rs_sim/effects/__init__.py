@@ -12,7 +12,7 @@ import functools
 from importlib.metadata import entry_points
 
 from impact_rs_sim.effects.actuation import ACTUATION_DELAY, TORQUE_GAIN, TORQUE_OFFSET
-from impact_rs_sim.effects.base import ArmEffect, Effect, Parameter, ScalarParameter, SceneEffect
+from impact_rs_sim.effects.base import ArmEffect, Effect, Parameter, SceneEffect
 from impact_rs_sim.effects.contact import (
     PAD_COMPLIANCE,
     PAD_CREEP,
@@ -28,10 +28,10 @@ from impact_rs_sim.effects.joint import JOINT_STIFFNESS
 from impact_rs_sim.effects.link import END_EFFECTOR_PAYLOAD
 from impact_rs_sim.effects.motor import COULOMB_FRICTION, MOTOR_INERTIA_SCALE, STRIBECK_FRICTION, VISCOUS_FRICTION
 from impact_rs_sim.effects.object import OBJECT_COM_OFFSET, OBJECT_MASS
-from impact_rs_sim.effects.scene import BASE_TILT, EXTERNAL_SPRING
+from impact_rs_sim.effects.surroundings import BASE_TILT, EXTERNAL_SPRING
 from impact_rs_sim.errors import InputError
 
-__all__ = ["ArmEffect", "Effect", "Parameter", "ScalarParameter", "SceneEffect", "library"]
+__all__ = ["ArmEffect", "Effect", "Parameter", "SceneEffect", "library"]
 
 ENTRY_POINT_GROUP = "impact_rs.effects"
 BUILT_IN: tuple[Effect, ...] = (

@@ -48,10 +48,10 @@ def types_of(joints: Joints) -> tuple[JointType, ...]:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect, or one per joint.
+    """One number of an effect, or one per joint: :meth:`scalars` spells it out.
 
     Attributes:
-        name: Name, for example ``coulomb``.
+        name: Name, for example ``coulomb``; spelled out ``coulomb_joint2``.
         unit: Unit, ``-`` where it has none.
         nominal: Value at which the effect does nothing.
         lower: Smallest meaningful value.
@@ -64,6 +64,8 @@ class Parameter:
         grid: Starting values of a shape parameter, where trying them is cheap.
         far: Starting values for a second fit after a poor one, where the contact state changes on the way.
         hidden: Range of values in blind campaigns; None: some scales away from nominal.
+        joint: Joint of a scalar, counted from 0; None: the effect as a whole.
+        arm: Arm that it belongs to; empty: all arms share it.
     """
 
     name: str
@@ -79,13 +81,28 @@ class Parameter:
     grid: tuple[float, ...] = ()
     far: tuple[float, ...] = ()
     hidden: tuple[float, float] | None = None
+    joint: int | None = None
+    arm: str = ""
 
-    def scalars(self, joints: Joints) -> list[ScalarParameter]:
-        """One scalar, or one per joint: ``coulomb_joint1`` ... for a parameter per joint, each in its joint's unit."""
+    def scalars(self, joints: Joints) -> list[Parameter]:
+        """Itself, or one scalar per joint: ``coulomb_joint1`` ..., each in its joint's unit."""
         if not self.per_joint:
-            return [self._scalar(self.name, None)]
-        kinds = enumerate(types_of(joints))
-        return [self._of(kind)._scalar(f"{self.name}_joint{joint + 1}", joint) for joint, kind in kinds]
+            return [self]
+        return [
+            replace(self._of(kind), name=f"{self.name}_joint{joint + 1}", per_joint=False, joint=joint)
+            for joint, kind in enumerate(types_of(joints))
+        ]
+
+    @property
+    def difference(self) -> float:
+        """Step of the first finite difference."""
+        return self.scale if self.step is None else self.step
+
+    @property
+    def shared_name(self) -> str:
+        """Name of a scalar where arms share it."""
+        joint = "" if self.joint is None else f"_joint{self.joint + 1}"
+        return self.name if not self.arm else self.name.removesuffix(joint).removesuffix(f"_{self.arm}") + joint
 
     def _of(self, kind: JointType) -> Parameter:
         """The parameter of a joint that moves so."""
@@ -104,55 +121,6 @@ class Parameter:
             far=tuple(factor * value for value in self.far),
             hidden=None if self.hidden is None else (factor * self.hidden[0], factor * self.hidden[1]),
         )
-
-    def _scalar(self, name: str, joint: int | None) -> ScalarParameter:
-        return ScalarParameter(
-            name=name,
-            unit=self.unit,
-            nominal=self.nominal,
-            lower=self.lower,
-            upper=self.upper,
-            scale=self.scale,
-            meaning=self.meaning,
-            step=self.scale if self.step is None else self.step,
-            joint=joint,
-            shape=self.shape,
-            grid=self.grid,
-            far=self.far,
-            hidden=self.hidden,
-        )
-
-
-@dataclass(frozen=True)
-class ScalarParameter:
-    """One scalar of an effect; fields as in :class:`Parameter`.
-
-    Attributes:
-        step: Step of the first finite difference.
-        joint: Joint it belongs to, counted from 0; None: the effect as a whole.
-        arm: Arm it belongs to; empty: all arms share it.
-    """
-
-    name: str
-    unit: str
-    nominal: float
-    lower: float
-    upper: float
-    scale: float
-    meaning: str
-    step: float
-    joint: int | None = None
-    arm: str = ""
-    shape: bool = False
-    grid: tuple[float, ...] = ()
-    far: tuple[float, ...] = ()
-    hidden: tuple[float, float] | None = None
-
-    @property
-    def shared_name(self) -> str:
-        """Its name where arms share it."""
-        joint = "" if self.joint is None else f"_joint{self.joint + 1}"
-        return self.name if not self.arm else self.name.removesuffix(joint).removesuffix(f"_{self.arm}") + joint
 
 
 class Effect(ABC):
@@ -183,11 +151,11 @@ class Effect(ABC):
             values: By parameter name: ``(n,)`` for a parameter per joint, ``(1,)`` otherwise, in its unit.
         """
 
-    def scalars(self, joints: Joints) -> list[ScalarParameter]:
+    def scalars(self, joints: Joints) -> list[Parameter]:
         """The parameters, joint by joint."""
         return [scalar for _, own in self.spelled(joints) for scalar in own]
 
-    def spelled(self, joints: Joints) -> list[tuple[str, list[ScalarParameter]]]:
+    def spelled(self, joints: Joints) -> list[tuple[str, list[Parameter]]]:
         """Every parameter by name, joint by joint."""
         return [(parameter.name, parameter.scalars(joints)) for parameter in self.parameters]
 
@@ -216,7 +184,7 @@ class Effect(ABC):
         """Finite-difference steps from ``at`` ``(p,)``, backwards at an upper bound, ``(p,)``."""
         return np.array(
             [
-                scalar.step if scalar.lower <= value + scalar.step <= scalar.upper else -scalar.step
+                scalar.difference if scalar.lower <= value + scalar.difference <= scalar.upper else -scalar.difference
                 for scalar, value in zip(self.scalars(joints), at, strict=True)
             ]
         )

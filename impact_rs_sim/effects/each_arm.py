@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from impact_rs_sim.effects.base import ArmEffect, Effect, Joints, ScalarParameter, Values, digest, types_of
+from impact_rs_sim.effects.base import ArmEffect, Effect, Joints, Parameter, Values, digest, types_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array, JointType
@@ -33,7 +33,9 @@ class EachArm(Effect):
         self.name, self.acts_on, self.sentence = effect.name, effect.acts_on, effect.sentence
         self.phases = effect.phases
         self.parameters = tuple(
-            replace(parameter, name=f"{parameter.name}_{arm}") for arm in joints for parameter in effect.parameters
+            replace(parameter, name=f"{parameter.name}_{arm}", arm=arm)
+            for arm in joints
+            for parameter in effect.parameters
         )
 
     def apply(self, physics: Physics, values: Values) -> Physics:
@@ -49,15 +51,10 @@ class EachArm(Effect):
             arms[name] = self.effect.apply(_alone(physics, name), own).arms[name]
         return replace(physics, arms=arms)
 
-    def spelled(self, joints: Joints) -> list[tuple[str, list[ScalarParameter]]]:
+    def spelled(self, joints: Joints) -> list[tuple[str, list[Parameter]]]:
         """See :meth:`Effect.spelled`; the joints of every arm are known."""
         del joints
-        scalars = (
-            [replace(scalar, arm=arm) for scalar in replace(parameter, name=f"{parameter.name}_{arm}").scalars(own)]
-            for arm, own in self.joints.items()
-            for parameter in self.effect.parameters
-        )
-        return list(zip((parameter.name for parameter in self.parameters), scalars, strict=True))
+        return [(parameter.name, parameter.scalars(self.joints[parameter.arm])) for parameter in self.parameters]
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
         """See :meth:`Effect.bounds`; an arm that is not in the scene sets none beyond those of its parameters.

@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map.compiled import SOLVED, CompiledMap
 from impact_rs_sim.impact_map.engine import ENERGY_TOLERANCE
-from impact_rs_sim.impact_map.exact import ExactEngine
+from impact_rs_sim.impact_map.exact import SOLVED, CompiledMap, ExactEngine
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array

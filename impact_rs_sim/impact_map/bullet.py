@@ -44,9 +44,8 @@ import numpy as np
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, Meeting
 from impact_rs_sim.impact_map.engine import Answer, Engine
+from impact_rs_sim.impact_map.laws import ContactTerms, System
 from impact_rs_sim.impact_map.problem import ImpactProblem
-from impact_rs_sim.impact_map.residual import ContactTerms
-from impact_rs_sim.impact_map.system import System
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState

@@ -5,7 +5,7 @@
     K* contains  v^+ + e J_n u^- n + mu |v_t^+| n,  perpendicular to L in K      (K: Coulomb's cones, de Saxce's term)
 
 Where the solution is not unique, that of ADMM depends on its first guess: with sliding corners u^+ differs by up to
-some percent of the ante-impact speed. Newton's method (:mod:`impact_rs_sim.impact_map.newton`) continues from it to the
+some percent of the ante-impact speed. Newton's method (:mod:`impact_rs_sim.impact_map.laws`) continues from it to the
 solution with minimum-norm impulses. Mostly ADMM is not needed (``src/laws.cpp``): with a compliance of a tenth of its
 inverse mass at every point the solution is unique, shares loads evenly, and some Gauss-Seidel sweeps are a good first
 guess; from there the compliance is reduced. Of 100,000 random pushes 6 needed ADMM, and none remained unsolved.
@@ -21,8 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.impact_map.contacts import contact_frame
-from impact_rs_sim.impact_map.newton import COMPLIANCE, harden, settle
-from impact_rs_sim.impact_map.residual import ContactTerms
+from impact_rs_sim.impact_map.laws import COMPLIANCE, ContactTerms, harden, newton
 from impact_rs_sim.robot import Array
 
 COARSE = 1e-5  # m/s, tolerance of ADMM for a first guess of Newton's method
@@ -55,7 +54,7 @@ def solve_contacts(terms: ContactTerms) -> tuple[Array, int]:
     for feasibility in (COARSE, FEASIBILITY):
         guess, iterations = solve_cones(terms, feasibility)
         total += iterations
-        impulses, converged = settle(terms, guess)
+        impulses, converged = newton(terms, guess)
         if converged:
             return harden(terms, impulses), total
     return guess, total

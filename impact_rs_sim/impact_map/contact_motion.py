@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_rs_sim.impact_map.contacts import Box, ContactPoint, Meeting
-from impact_rs_sim.impact_map.system import point_maps
+from impact_rs_sim.impact_map.laws import point_maps
 from impact_rs_sim.robot import Array
 
 _ON_PLANE = 1e-9  # m; clipping leaves points in the planes that clip them up to rounding

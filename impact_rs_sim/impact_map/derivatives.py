@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Derivatives of the impact map, in closed form at the active contact states.
 
-With the laws F(L, s, mu) = 0 of :mod:`impact_rs_sim.impact_map.newton`, s = J u^- + G L + e (J_n u^-) n and
+With the laws F(L, s, mu) = 0 of :mod:`impact_rs_sim.impact_map.laws`, s = J u^- + G L + e (J_n u^-) n and
 u^+ = u^- + H^-1 J^T L, a parameter theta moves u^+ by
 
     (F_L + F_s G) dL = -(F_s ds|_L + F_mu dmu)                       every point keeps its state: open, stick or slide
@@ -30,11 +30,19 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contact_motion import PointMotion, point_motion
 from impact_rs_sim.impact_map.contacts import ContactPoint, Meeting, find_contacts
-from impact_rs_sim.impact_map.newton import COMPLIANCE, delassus, linearise, settle, slope, yielding_velocity
-from impact_rs_sim.impact_map.parameters import AXES, MapParameter, parameters_of
+from impact_rs_sim.impact_map.laws import (
+    COMPLIANCE,
+    ContactTerms,
+    System,
+    build_system,
+    delassus,
+    linearise,
+    newton,
+    slope,
+    yielding_velocity,
+)
+from impact_rs_sim.impact_map.perturbation import AXES, MapParameter, parameters_of
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
-from impact_rs_sim.impact_map.residual import ContactTerms
-from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 
@@ -148,7 +156,7 @@ def differentiate(
     system = build_system(problem, models)
     contacts = find_contacts(problem.physics, found)
     terms = ContactTerms.of(system, contacts, problem.restitution)
-    impulses, converged = settle(terms, solve_contacts(terms)[0], compliance=compliance)
+    impulses, converged = newton(terms, solve_contacts(terms)[0], compliance=compliance)
     if not converged:
         raise ImpactMapError("Newton's method found no contact states to differentiate at")
     velocity = system.velocity + terms.response @ impulses.ravel()

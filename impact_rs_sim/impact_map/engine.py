@@ -12,6 +12,7 @@ import numpy as np
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import ContactPoint, Meeting
+from impact_rs_sim.impact_map.laws import ContactTerms, System, build_system
 from impact_rs_sim.impact_map.problem import (
     ContactImpulse,
     EnergyGain,
@@ -21,8 +22,6 @@ from impact_rs_sim.impact_map.problem import (
     Residual,
     check_problem,
 )
-from impact_rs_sim.impact_map.residual import ContactTerms
-from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -143,13 +142,6 @@ class Engine(ABC):
                 energy, which Newton's law allows and nature does not.
         """
         start = time.perf_counter()
-        return self._at_once(problem, start) or self._step_by_step(problem, start)
-
-    def _at_once(self, problem: ImpactProblem, start: float) -> ImpactResult | None:
-        """The result, where an engine has a fast path for the problem; None: solve step by step."""
-        return None
-
-    def _step_by_step(self, problem: ImpactProblem, start: float) -> ImpactResult:
         meetings = check_problem(problem, self.models)
         if problem.restitution_law not in self.laws:
             raise InputError(

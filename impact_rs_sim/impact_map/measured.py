@@ -32,9 +32,8 @@ from impact_rs_sim.impact_map.contacts import (
 )
 from impact_rs_sim.impact_map.engine import Answer, check_energy
 from impact_rs_sim.impact_map.exact import ExactEngine
+from impact_rs_sim.impact_map.laws import ContactTerms, System, build_system
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
-from impact_rs_sim.impact_map.residual import ContactTerms
-from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel

@@ -24,9 +24,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_rs_sim.impact_map.cones import solve_contacts
-from impact_rs_sim.impact_map.newton import harden, settle
+from impact_rs_sim.impact_map.laws import ContactTerms, harden, newton
 from impact_rs_sim.impact_map.problem import ImpactMapError, Residual
-from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.robot import Array
 
 
@@ -62,7 +61,7 @@ def solve_poisson(terms: ContactTerms) -> TwoPhases:
     least = terms.restitution * np.maximum(first.split(pressed)[0], 0.0)
     second = replace(first, before=compressed)
     for guess in (terms.restitution * pressed, least[:, None] * terms.normals):
-        returned, converged = settle(second, guess, least)
+        returned, converged = newton(second, guess, least)
         if converged:
             break
     else:

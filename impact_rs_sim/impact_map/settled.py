@@ -48,6 +48,7 @@ from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, find_contacts
 from impact_rs_sim.impact_map.engine import result_of
 from impact_rs_sim.impact_map.exact import ExactEngine
+from impact_rs_sim.impact_map.laws import ContactTerms, System, build_system
 from impact_rs_sim.impact_map.problem import (
     ImpactMapError,
     ImpactProblem,
@@ -55,8 +56,6 @@ from impact_rs_sim.impact_map.problem import (
     Residual,
     check_problem,
 )
-from impact_rs_sim.impact_map.residual import ContactTerms
-from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.robot import Array
 
 REACH = 0.01  # m; points of a pad's face that are nearer than this close: a pad of 0.1 m that is tilted by 0.1 rad

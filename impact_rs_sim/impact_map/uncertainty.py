@@ -30,8 +30,8 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contacts import SUPPORT
 from impact_rs_sim.impact_map.derivatives import differentiate_safely, velocity_names
-from impact_rs_sim.impact_map.newton import states
-from impact_rs_sim.impact_map.parameters import AXES, change
+from impact_rs_sim.impact_map.laws import states
+from impact_rs_sim.impact_map.perturbation import AXES, change
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel

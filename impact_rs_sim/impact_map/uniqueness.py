@@ -8,7 +8,7 @@ every choice of three points of every such face is solved by itself. The solutio
 whole problem span the **spread**. First guesses are the solution of the impact map and, with Pinocchio 4, that of ADMM,
 so that solutions with other contact states are found as well.
 
-The impact map returns the one of points with equal compliance (:mod:`impact_rs_sim.impact_map.newton`).
+The impact map returns the one of points with equal compliance (:mod:`impact_rs_sim.impact_map.laws`).
 """
 
 from __future__ import annotations
@@ -21,10 +21,8 @@ import numpy as np
 
 from impact_rs_sim.impact_map.cones import has_admm, solve_cones, solve_contacts
 from impact_rs_sim.impact_map.contacts import find_contacts
-from impact_rs_sim.impact_map.newton import settle
+from impact_rs_sim.impact_map.laws import ContactTerms, System, build_system, newton
 from impact_rs_sim.impact_map.problem import ImpactProblem, check_problem
-from impact_rs_sim.impact_map.residual import ContactTerms
-from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 
@@ -96,7 +94,7 @@ def lawful_answers(terms: ContactTerms) -> list[Array]:
         some = _of_points(terms, points)
         for guess in guesses:
             impulses = np.zeros_like(chosen)
-            impulses[points], converged = settle(some, guess[points])
+            impulses[points], converged = newton(some, guess[points])
             velocity = terms.before + terms.response @ impulses.ravel()
             if converged and terms.residual(impulses, velocity).largest <= LAWFUL:
                 answers.append(velocity)

@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checksums of a bag, which reveal any changed bit.
 
-``rosbags`` writes MCAP with checksums of 0, which mean "unknown". :func:`seal` fills them in (CRC-32, at the positions
-that the format defines)::
+``rosbags`` writes MCAP with checksums of 0, which mean "unknown". The writer sets those of the chunks, :func:`seal` the
+two of the file (CRC-32, at the positions that the format defines)::
 
     magic | header | chunks, message indexes, metadata | data end | summary | footer | magic
                      ^ of a chunk's messages             ^ of all before it   ^ of the summary and the footer itself
 
-A bag holds its ``metadata.yaml`` twice, as a file and inside the MCAP file. In a sealed bag both are identical, so that
-the same checksums protect the file. :func:`check` verifies all of it if the metadata of the bag declare checksums;
+A bag holds its ``metadata.yaml`` twice, as a file and inside the MCAP file. In a sealed bag both have the same text, so
+that the same checksums protect the file. :func:`check` verifies all of it if the metadata of the bag declare checksums;
 those of earlier versions and of other programs do not.
+
+The ``mcap`` package reads what is left of a file that was never closed. It could write and check whole files as well,
+but takes one Python object per message and index entry: for a trial of 12,000 messages 86 ms instead of 40 ms to write,
+14 ms instead of 1 ms to check.
 """
 
 from __future__ import annotations
@@ -21,44 +25,41 @@ from textwrap import indent
 from typing import Final
 from zlib import crc32
 
-from rosbags.rosbag2.storage_mcap import decompress
+from mcap.records import Channel, Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
 
 NAME: Final = "checksums"
 KIND: Final = "crc32"  # value in the custom data of a sealed bag
 METADATA = "metadata.yaml"
+HEADING = "rosbag2_bagfile_information:\n"  # of metadata.yaml; what lies in the MCAP file stands below it
 MAGIC = b"\x89MCAP0\r\n"
-FOOTER, CHANNEL, MESSAGE, CHUNK, METADATA_RECORD, DATA_END = 0x02, 0x04, 0x05, 0x06, 0x0C, 0x0F
 HEAD = 9  # bytes of a record before its content: its kind and size
 CHUNK_CHECKSUM = 24  # its offset in the content of a chunk
+MESSAGE = 0x05  # kind of a record
 _SAID = f"{NAME}: {KIND}\n".encode()
-_U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
-_MESSAGE_HEAD = struct.Struct("<HIQ")  # channel, sequence, time; the time of publication and the message follow
+_U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
+_DATA_END, _FOOTER = b"\x0f" + _U64.pack(4), b"\x02" + _U64.pack(20)  # heads of these records
 
 
 class ChecksumError(Exception):
     """Bytes have changed since they were written; the message says where."""
 
 
-def seal(bag: Path) -> None:
-    """Add checksums to a closed bag.
-
-    Args:
-        bag: Its folder, with one MCAP file, whose custom data says ``checksums: crc32``.
+def seal(path: Path) -> None:
+    """Set the checksums of a closed MCAP file whose chunks have theirs.
 
     Raises:
         OSError: It cannot be written.
     """
-    (path,) = bag.glob("*.mcap")
-    data = bytearray(path.read_bytes())
     with path.open("r+b") as file:
-        for kind, start, _ in _records(data):  # in this order: the data's end covers the checksums of its chunks
-            if kind == CHUNK and _U32.unpack_from(data, start + CHUNK_CHECKSUM)[0]:
-                continue  # the writer has set it
-            for place, value in _checksum(data, kind, start):
-                _U32.pack_into(data, place, value)
-                file.seek(place)
-                file.write(_U32.pack(value))
-    (bag / METADATA).write_bytes(_metadata(data))
+        for place, value in _checksums(file.read()):
+            file.seek(place)
+            file.write(_U32.pack(value))
+
+
+def metadata_text(inner: str) -> str:
+    """``metadata.yaml`` from the text inside the MCAP file: what ``rosbags`` writes, but for its line breaks."""
+    return f"{HEADING}{indent(inner, '  ')}\n"
 
 
 def check(bag: Path) -> bool:
@@ -68,10 +69,10 @@ def check(bag: Path) -> bool:
         bag: Its folder.
 
     Returns:
-        False where it carries no checksums of ours: only those that it does carry are held against it.
+        False where it has no checksums of ours; those that it does have are checked.
 
     Raises:
-        ChecksumError: A checksum is wrong, or lacks in a bag that was sealed.
+        ChecksumError: A checksum is wrong, or is missing in a bag that was sealed.
         OSError: It cannot be read.
     """
     metadata = (bag / METADATA).read_bytes()
@@ -80,16 +81,19 @@ def check(bag: Path) -> bool:
         data = path.read_bytes()
         sealed = sealed or _SAID in data  # metadata lie in the file as they are, whatever becomes of their own file
         try:
-            _check_file(data, sealed)
-            if sealed and _metadata(data) != metadata:
-                raise ChecksumError(f"{METADATA} is not the one that was recorded")
-        except (struct.error, IndexError, ValueError):
+            for place, value in _checksums(data):
+                (found,) = _U32.unpack_from(data, place)
+                if found != value and (sealed or found):
+                    raise ChecksumError(f"damaged: its checksum is {found:08x}, that of what is there {value:08x}")
+        except (struct.error, ValueError):
             raise ChecksumError(f"{path.name} is cut off or damaged") from None
+        if sealed and not _holds(data, metadata):
+            raise ChecksumError(f"{METADATA} is not the one that was recorded")
     return sealed
 
 
 def says_so(bag: Path) -> bool:
-    """Whether the metadata of a bag say that it was sealed; nothing is held against it here."""
+    """Whether the metadata of a bag say that it was sealed; nothing is checked."""
     try:
         return _SAID in (bag / METADATA).read_bytes()
     except OSError:
@@ -114,100 +118,45 @@ def whole_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
     Raises:
         OSError: The file cannot be read.
     """
-    data = path.read_bytes()
     names: dict[int, str] = {}
-    try:
-        for kind, start, end in _contents(data, len(MAGIC), len(data)):
-            if kind != CHUNK:
-                continue
-            chunk = _unpacked(data, start)
-            if end > len(data) or _U32.unpack_from(data, start + CHUNK_CHECKSUM)[0] != crc32(chunk):
-                return
-            for inner, at, behind in _contents(chunk, 0, len(chunk)):
-                if inner == CHANNEL:
-                    names[_U16.unpack_from(chunk, at)[0]] = _text(memoryview(chunk), at + 4)[0].decode()
-                elif inner == MESSAGE:
-                    channel, _, nanoseconds = _MESSAGE_HEAD.unpack_from(chunk, at)
-                    yield names[channel], nanoseconds, chunk[at + 22 : behind]
-    except Exception:  # what breaks off or is damaged can fail anywhere inside the library
-        return
+    with path.open("rb") as file:
+        try:
+            for chunk in StreamReader(file, emit_chunks=True).records:
+                if not isinstance(chunk, Chunk):
+                    continue
+                if not chunk.uncompressed_crc:
+                    return
+                for record in breakup_chunk(chunk, validate_crc=True):
+                    if isinstance(record, Channel):
+                        names[record.id] = record.topic
+                    elif isinstance(record, Message):
+                        yield names[record.channel_id], record.log_time, record.data
+        except Exception:  # what breaks off or is damaged can fail anywhere inside the library
+            return
 
 
-def _check_file(data: bytes, sealed: bool) -> None:
-    kinds = set()
-    for kind, start, _ in _records(data):
-        if kind == CHUNK:
-            continue  # the data's end covers them, and rosbags checks each as it reads it
-        for place, value in _checksum(data, kind, start):
-            (found,) = _U32.unpack_from(data, place)
-            if found != value and (sealed or found):
-                raise ChecksumError(f"damaged: its checksum is {found:08x}, that of what is there {value:08x}")
-            kinds.add(kind)
-    if sealed and kinds != {DATA_END, FOOTER}:
-        raise ChecksumError("damaged: its checksums are missing")
-
-
-def _records(data: bytes | bytearray) -> Iterator[tuple[int, int, int]]:
-    """Kind, start and end of the content of each record.
+def _checksums(data: bytes) -> Iterator[tuple[int, int]]:
+    """Where the checksums of data end and footer stand, and what they are to be.
 
     Raises:
-        ValueError: The file is no MCAP, or breaks off.
-        struct.error: It breaks off.
+        ValueError: The file is no MCAP, or was cut off.
+        struct.error: It was cut off.
     """
-    end = len(data) - len(MAGIC)
-    if not (data.startswith(MAGIC) and data.endswith(MAGIC)):
+    view, footer = memoryview(data), len(data) - len(MAGIC) - HEAD - 20
+    if not (data.startswith(MAGIC) and data.endswith(MAGIC) and data[footer : footer + HEAD] == _FOOTER):
         raise ValueError("no MCAP")
-    yield from _contents(data, len(MAGIC), end)
+    end = _U64.unpack_from(data, footer + HEAD)[0] or footer  # of the data section: the summary follows, or the footer
+    start = end - HEAD - 4
+    if start < 0 or data[start : start + HEAD] != _DATA_END:
+        raise ValueError("no data end")
+    yield start + HEAD, crc32(view[:start])
+    yield footer + HEAD + 16, crc32(view[end : footer + HEAD + 16])
 
 
-def _contents(data: bytes | bytearray, at: int, end: int) -> Iterator[tuple[int, int, int]]:
-    """The same of the records between two places."""
-    while at < end:
-        kind, (size,) = data[at], _U64.unpack_from(data, at + 1)
-        at += HEAD
-        yield kind, at, at + size
-        at += size
-    if at != end:
-        raise ValueError("breaks off")
-
-
-def _checksum(data: bytes | bytearray, kind: int, start: int) -> Iterator[tuple[int, int]]:
-    """Where the checksum of a record stands, and what it is to be; nothing for a record that has none."""
-    view = memoryview(data)
-    if kind == CHUNK:
-        yield start + CHUNK_CHECKSUM, crc32(_unpacked(data, start))
-    elif kind == DATA_END:
-        yield start, crc32(view[: start - 9])
-    elif kind == FOOTER:
-        summary = _U64.unpack_from(data, start)[0]
-        yield start + 16, crc32(view[summary : start + 16])
-
-
-def _unpacked(data: bytes | bytearray, start: int) -> bytes:
-    """The records in a chunk."""
-    view = memoryview(data)
-    (size,) = _U64.unpack_from(data, start + 16)
-    name, packed = _text(view, start + 28)
-    (length,) = _U64.unpack_from(data, packed)
-    return decompress(bytes(view[packed + 8 : packed + 8 + length]), name.decode(), size, 0)
-
-
-def _metadata(data: bytes | bytearray) -> bytes:
-    """``metadata.yaml`` by what the MCAP file says: what ``rosbags`` writes, but for its line breaks.
-
-    Raises:
-        ValueError: It says nothing.
-    """
-    for kind, start, _ in _records(data):
-        if kind == METADATA_RECORD:
-            name, at = _text(memoryview(data), start)
-            if name == b"rosbag2":
-                text, _ = _text(memoryview(data), _text(memoryview(data), at + 4)[1])
-                return f"rosbag2_bagfile_information:\n{indent(text.decode(), '  ')}\n".encode()
-    raise ValueError("no metadata")
-
-
-def _text(view: memoryview, at: int) -> tuple[bytes, int]:
-    """A text that stands behind its length, and where it ends."""
-    end = at + 4 + _U32.unpack_from(view, at)[0]
-    return bytes(view[at + 4 : end]), end
+def _holds(data: bytes, metadata: bytes) -> bool:
+    """Whether a ``metadata.yaml`` has the text that lies, behind its length, in the MCAP file."""
+    text = metadata.decode(errors="replace")
+    lines = text.removeprefix(HEADING).removesuffix("\n").split("\n")
+    inner = "\n".join(line.removeprefix("  ") for line in lines)
+    stored = inner.encode()
+    return metadata_text(inner) == text and _U32.pack(len(stored)) + stored in data

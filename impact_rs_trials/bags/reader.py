@@ -24,6 +24,7 @@ from impact_rs_trials.bags.cdr import decode
 from impact_rs_trials.bags.recovery import recover
 from impact_rs_trials.bags.trial_info import OUTCOMES, TrialInfo
 from impact_rs_trials.bags.types import typestore, typestore_of
+from impact_rs_trials.runs import ArmSignals, Run, Signals, run_of_trial
 
 
 class BagError(Exception):
@@ -245,6 +246,60 @@ class TrialBag:
         """A PoseStamped topic."""
         return self._columns(topic, PoseColumns.of)
 
+    def run(self) -> Run:
+        """The trial as a run; ``/truth`` is not read.
+
+        Raises:
+            BagError: A topic is missing, damaged, has NaN, gaps or stamps that run backwards.
+            InputError: The scenario in it cannot be read.
+        """
+        return run_of_trial(self.info.spec, self._signals(), self.path)
+
+    def _signals(self) -> Signals:
+        """Measured signals, checked."""
+        arms, time = {}, None
+        for arm in self.info.robots:
+            time, arms[arm] = self._arm(arm)
+        if time is None:
+            raise BagError(self.path, "names no robots")
+        pose = self.poses(topics.OBJECT_POSE)
+        return Signals(time, arms, pose.time, pose.position, pose.quaternion)
+
+    def _arm(self, arm: str) -> tuple[Array, ArmSignals]:
+        """Times and signals of one arm, checked."""
+        measured, motor = self.joints(topics.joint_states(arm)), self.joints(topics.motor_states(arm))
+        controller, time = self.controller(arm), measured.time
+        _check_times(self.path, topics.joint_states(arm), time)
+        if topics.motor_states(arm) in self.missing:
+            raise BagError(
+                self.path,
+                f"no {topics.motor_states(arm)}, which the replay of a model starts from: describe such bags with an "
+                "experiment file (docs/your_data.md)",
+            )
+        for topic, size in (
+            (topics.motor_states(arm), motor.time.size),
+            (topics.controller_state(arm), controller.time.size),
+        ):
+            if size != time.size:
+                raise BagError(self.path, f"{topic} has {size} messages, {topics.joint_states(arm)} has {time.size}")
+        for name, values in (
+            ("position", measured.position),
+            ("velocity", measured.velocity),
+            ("effort", measured.effort),
+        ):
+            if not np.isfinite(values).all():
+                first = float(time[np.argmax(~np.isfinite(values).all(axis=1))])
+                raise BagError(self.path, f"{topics.joint_states(arm)}: {name} is not finite at t = {first:.3f} s")
+        return time, ArmSignals(
+            position=measured.position,
+            velocity=measured.velocity,
+            torque=measured.effort,
+            motor_position=motor.position,
+            motor_velocity=motor.velocity,
+            command_time=time,
+            command=controller.commanded_torque,
+        )
+
     def impact_time(self, arm: str) -> float:
         """Detected impact time of an arm [s]; NaN where nothing was detected."""
         found = self.messages(topics.impact_event(arm))
@@ -303,6 +358,17 @@ def _identity(path: Path, reader: Reader) -> TrialInfo:
         return TrialInfo.from_message(found[0])
     except AttributeError as error:
         raise BagError(path, f"{topics.TRIAL_INFO} is of another kind: {error}") from None
+
+
+def _check_times(path: Path, topic: str, time: Array) -> None:
+    """Times that increase in even steps."""
+    if time.size < 2:
+        raise BagError(path, f"{topic} has {time.size} messages")
+    steps = np.diff(time)
+    if np.any(steps <= 0.0):
+        raise BagError(path, f"{topic}: time stamps run backwards at t = {time[np.argmax(steps <= 0.0)]:.3f} s")
+    if steps.max() > 1.5 * np.median(steps):
+        raise BagError(path, f"{topic}: gap of {steps.max():.4f} s at t = {time[np.argmax(steps)]:.3f} s")
 
 
 def _column(columns: dict[str, Array], name: str) -> Array:

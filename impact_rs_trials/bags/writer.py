@@ -95,8 +95,15 @@ class _Storage(McapWriter):
         self.bio.seek(end)
         self.bio.flush()
 
+    def close(self, version: int, metadata: str) -> None:
+        super().close(version, metadata)
+        checksums.seal(self.path)
+        self.metadata = metadata
 
-class _Writer(Writer):
+
+class SealedWriter(Writer):
+    """Writes a bag that :func:`~impact_rs_trials.bags.checksums.check` finds sealed; many messages go in at once."""
+
     STORAGE_PLUGINS = Writer.STORAGE_PLUGINS | {StoragePlugin.MCAP: _Storage}  # type: ignore[operator]
 
     def write_many(self, messages: Sequence[tuple[int, Connection, bytes | memoryview]]) -> None:
@@ -107,6 +114,14 @@ class _Writer(Writer):
             self.counts[connection.id] += 1
         self.min_timestamp = min(self.min_timestamp, messages[0][0])
         self.max_timestamp = max(self.max_timestamp, messages[-1][0])
+
+    def close(self) -> None:
+        """Close the bag; its ``metadata.yaml`` has the text that lies in the MCAP file."""
+        self.set_custom_data(checksums.NAME, checksums.KIND)
+        storage = self.storage
+        assert isinstance(storage, _Storage)
+        super().close()
+        self.metapath.write_text(checksums.metadata_text(storage.metadata), encoding="utf-8")
 
 
 def partial_path(path: Path) -> Path:
@@ -129,7 +144,7 @@ class BagWriter:
     """
 
     def __init__(
-        self, path: Path, writer: _Writer, arms: list[str], connections: dict[str, Connection], store: Typestore
+        self, path: Path, writer: SealedWriter, arms: list[str], connections: dict[str, Connection], store: Typestore
     ) -> None:
         self.path = path
         self._arms = arms
@@ -160,7 +175,7 @@ class BagWriter:
         shutil.rmtree(hidden, ignore_errors=True)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            writer = _Writer(hidden, version=9, storage_plugin=StoragePlugin.MCAP)
+            writer = SealedWriter(hidden, version=9, storage_plugin=StoragePlugin.MCAP)
             writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             writer.open()
             writer.set_custom_data(RECORDED, datetime.now(UTC).isoformat(timespec="seconds"))
@@ -248,9 +263,7 @@ class BagWriter:
             self._writer.set_custom_data("outcome", outcome)
             if reason:
                 self._writer.set_custom_data("outcome_reason", reason)
-            self._writer.set_custom_data(checksums.NAME, checksums.KIND)
             self._writer.close()
-            checksums.seal(partial_path(self.path))
         except OSError as error:
             self._discard(error)
             raise

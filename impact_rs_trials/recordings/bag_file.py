@@ -31,7 +31,7 @@ LATE = (-0.005, 0.05)  # s, range of the log delay behind the joint states outsi
 
 FIELDLESS: tuple[SignalName, ...] = ("object_pose", "wrench")  # what its message type says where it is
 
-_POSE_PARTS = (("position", "orientation"), ("translation", "rotation"))
+POSE_PARTS = (("position", "orientation"), ("translation", "rotation"))
 
 
 def typestore_for(mapping: Mapping) -> Typestore:
@@ -332,7 +332,7 @@ class BagFile:
         """Position and quaternion, x y z w, of a pose or transform, however deep it lies."""
         scale = float(self._mapping.factor("object_pose"))
         for _ in range(3):  # PoseWithCovarianceStamped and Odometry hold a pose in a pose
-            for position, orientation in _POSE_PARTS:
+            for position, orientation in POSE_PARTS:
                 if hasattr(holder, position) and hasattr(holder, orientation):
                     quaternion = getattr(holder, orientation)
                     numbers = [scale * number for number in _xyz(getattr(holder, position))]

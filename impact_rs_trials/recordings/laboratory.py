@@ -31,6 +31,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scene import BodyState, resting_pose
 from impact_rs_trials.recordings.clock import (
     ON_THE_GRID,
     Gap,
@@ -54,9 +55,10 @@ from impact_rs_trials.recordings.plausibility import (
     gravity_torques,
     height_on_support,
 )
-from impact_rs_trials.recordings.recording import Recording, check_recording
+from impact_rs_trials.recordings.recording import check_arm
 from impact_rs_trials.recordings.series import Names, Series
 from impact_rs_trials.recordings.sources import read_series
+from impact_rs_trials.runs import NONE, ArmSignals, Run, Signals
 from impact_rs_trials.workers import Map
 
 logger = logging.getLogger(__name__)
@@ -78,69 +80,10 @@ SLOW_JOINTS = 200.0  # Hz
 SLOW_POSE = 60.0  # Hz
 IMPACT_SHARE = 0.02  # of the samples, in which an impact may take a velocity or torque beyond the data sheet
 ROUNDED = 1e-6  # s, stamps that are nearer to each other are the same
+OUT_OF_REACH = 5.0  # m, distance of the object in free motion
 BEYOND = 0.1  # s, command and pose are kept this long before and after the joint signals
 
 ArmSeries = dict[SignalName, Series]
-
-
-@dataclass(frozen=True)
-class LaboratoryArm:
-    """What was recorded of one arm, in the SI units of its joints.
-
-    Attributes:
-        position: q, ``(k, n)`` [rad].
-        velocity: dq, ``(k, n)`` [rad/s].
-        torque: Link-side joint torque tau_J, ``(k, n)`` [N m].
-        motor_position: theta, ``(k, n)`` [rad], or ``(0, n)`` where it was not recorded.
-        motor_velocity: dtheta, ``(k, n)`` [rad/s], or ``(0, n)``.
-        command_time: Stamps of the command, ``(m,)`` [s].
-        command: Desired torque with gravity, ``(m, n)`` [N m], valid until the next; ``(0, n)`` where it is not known.
-        wrench_time: Stamps of the wrench, ``(w,)`` [s]; empty where there is none.
-        wrench: Force and torque as recorded, ``(w, 6)`` [N, N m].
-    """
-
-    position: Array
-    velocity: Array
-    torque: Array
-    motor_position: Array
-    motor_velocity: Array
-    command_time: Array
-    command: Array
-    wrench_time: Array
-    wrench: Array
-
-
-@dataclass(frozen=True)
-class LaboratoryRun:
-    """One run of a laboratory, in SI units on one clock that starts with the joint signals.
-
-    Attributes:
-        path: File or folder it was read from.
-        name: Its name in tables.
-        object: Name of the object that is hit; None in free motion.
-        hit: Whether something is hit.
-        condition: What it has in common with its repeats.
-        time: Even grid from 0, ``(k,)`` [s].
-        arms: Signals by arm.
-        object_time: Stamps of the object's pose, ``(p,)`` [s]; empty where it was not tracked.
-        object_position: Its geometric centre in A, ``(p, 3)`` [m].
-        object_quaternion: Its axes in A, x y z w, ``(p, 4)``, without changes of sign between samples.
-        gaps: Where nothing was recorded between its pieces; joint signals there are interpolated and mean nothing.
-        remarks: What the user should know of how it was read.
-    """
-
-    path: Path
-    name: str
-    object: str | None
-    hit: bool
-    condition: str
-    time: Array
-    arms: Mapping[str, LaboratoryArm]
-    object_time: Array
-    object_position: Array
-    object_quaternion: Array
-    gaps: tuple[Gap, ...]
-    remarks: tuple[str, ...]
 
 
 class TooShort(InputError):
@@ -293,9 +236,7 @@ def _where(mapping: SignalMapping, arm: str, name: SignalName) -> tuple[str | No
     return tuple(None if part is None else names.fill(part) for part in (*parts, *joints))
 
 
-def read_laboratory(
-    directory: Path, experiment: Experiment, map_tasks: Map
-) -> tuple[list[LaboratoryRun], list[tuple[str, str]]]:
+def read_laboratory(directory: Path, experiment: Experiment, map_tasks: Map) -> tuple[list[Run], list[tuple[str, str]]]:
     """Every run of an experiment.
 
     Args:
@@ -311,12 +252,12 @@ def read_laboratory(
     """
     laboratory = Laboratory.of(experiment)
     table = read_runs(directory, experiment, laboratory.scenario)
-    read: list[LaboratoryRun] = []
+    read: list[Run] = []
     skipped: list[tuple[str, str]] = []
     laboratory = placed(laboratory, table, map_tasks)
     tasks = [(laboratory, run) for run in table]
     for run, result in zip(table, map_tasks(_try_to_read, tasks), strict=True):
-        if isinstance(result, LaboratoryRun):
+        if isinstance(result, Run):
             read.append(result)
         elif isinstance(result, TooShort):
             skipped.append((str(run.path), result.message))
@@ -327,7 +268,7 @@ def read_laboratory(
     return read, skipped
 
 
-def read_one(directory: Path, experiment: Experiment, name: str, map_tasks: Map) -> LaboratoryRun:
+def read_one(directory: Path, experiment: Experiment, name: str, map_tasks: Map) -> Run:
     """One run of an experiment; of the others nothing is read but what places the motion capture.
 
     Args:
@@ -357,7 +298,7 @@ def placed(laboratory: Laboratory, table: Sequence[RunRow], map_tasks: Map) -> L
     return laboratory.placed_by([touch for touches in map_tasks(touches_of, hits) for touch in touches])
 
 
-def _try_to_read(task: tuple[Laboratory, RunRow]) -> LaboratoryRun | InputError:
+def _try_to_read(task: tuple[Laboratory, RunRow]) -> Run | InputError:
     """Errors come back as results: a worker would try what it raised again."""
     try:
         return read_run(*task)
@@ -365,7 +306,7 @@ def _try_to_read(task: tuple[Laboratory, RunRow]) -> LaboratoryRun | InputError:
         return error
 
 
-def read_run(laboratory: Laboratory, run: RunRow) -> LaboratoryRun:
+def read_run(laboratory: Laboratory, run: RunRow) -> Run:
     """One run, checked.
 
     Raises:
@@ -417,19 +358,40 @@ def read_run(laboratory: Laboratory, run: RunRow) -> LaboratoryRun:
                 remarks += _check_object(laboratory, run, arm, time, joints.position, object_time, pose)
     elif run.hit:
         remarks.append("the object was not tracked: it starts where the scenario places it")
-    return LaboratoryRun(
-        path=path,
-        name=run.name,
-        object=run.object,
-        hit=run.hit,
-        condition=run.condition,
-        time=time,
-        arms=read,
-        object_time=object_time,
-        object_position=pose[:, :3],
-        object_quaternion=pose[:, 3:],
-        gaps=tuple(Gap(end - grid[0], start - end) for (_, end), (start, _) in itertools.pairwise(pieces)),
-        remarks=tuple(dict.fromkeys(remarks)),
+    signals = Signals(time, _alike(read), object_time, pose[:, :3], pose[:, 3:])
+    gaps_between = tuple((end - grid[0], start - grid[0]) for (_, end), (start, _) in itertools.pairwise(pieces))
+    return _in_scene(laboratory.scenario, run, signals, gaps_between, tuple(dict.fromkeys(remarks)))
+
+
+def _alike(arms: Mapping[str, ArmSignals]) -> dict[str, ArmSignals]:
+    """The arms with the signals that all of them have, because all arms of a replay have the same drive."""
+    common = set.intersection(*(set(own.measured) for own in arms.values()))
+    left_out = {name: NONE for own in arms.values() for name in own.measured if name not in {*common, "wrench"}}
+    left_out |= {"command_time": NONE} if "command" in left_out else {}
+    return {name: replace(own, **left_out) for name, own in arms.items()}
+
+
+def _in_scene(
+    scenario: Scenario, row: RunRow, signals: Signals, gaps: tuple[tuple[float, float], ...], remarks: tuple[str, ...]
+) -> Run:
+    """The run of a row of the table in the scene of its scenario."""
+    object_name = row.object or next(iter(scenario.objects))
+    rest = resting_pose(scenario, object_name)
+    if not row.hit:
+        rest = BodyState(rest.position + [OUT_OF_REACH, OUT_OF_REACH, 0.0], rest.rotation, rest.twist)
+    return Run(
+        path=row.path,
+        name=row.name,
+        condition="/".join(part for part in (row.object or "free motion", row.condition) if part),
+        place=(scenario.name, row.object or "none", row.condition),
+        hit=row.hit,
+        physics=Physics.nominal(scenario, object_name),
+        signals=signals,
+        object=rest,
+        drive_period=scenario.timing.drive_period,
+        axis=scenario.axis_index,
+        gaps=gaps,
+        remarks=remarks,
     )
 
 
@@ -452,14 +414,14 @@ def _fastest(arms: Mapping[str, ArmSeries]) -> str:
 
 def _arm_of(
     laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, grid: Array, remarks: list[str]
-) -> LaboratoryArm:
+) -> ArmSignals:
     """One arm on the grid of the run; what the user should know of it is added to the remarks."""
     mapping, path = laboratory.mappings[arm], run.path
     own = {name: _on_grid(series[name], grid) for name in ARM_SIGNALS if name in series}
     time, none = grid - grid[0], np.zeros((0, len(mapping.joints)))
     with laboratory.told_of(arm):
-        recording = Recording(path, time, own["position"], own["velocity"], own["torque"], {})
-        check_recording(recording, mapping, IMPACT_SHARE if run.hit else 0.0)
+        joints = ArmSignals(own["position"], own["velocity"], own["torque"])
+        check_arm(path, time, joints, mapping, IMPACT_SHARE if run.hit else 0.0)
         remedy = "wrong sign or unit, or without the arm's own weight?"
         check_weight(path, "torque", laboratory.models[arm], own["position"], own["torque"], remedy)
         command_time, command = _part(series.get("command"), grid, none)
@@ -471,7 +433,7 @@ def _arm_of(
                 "hides gears and motors"
             )
     wrench_time, wrench = _part(series.get("wrench"), grid, np.zeros((0, 6)))
-    return LaboratoryArm(
+    return ArmSignals(
         position=own["position"],
         velocity=own["velocity"],
         torque=own["torque"],

@@ -7,7 +7,6 @@ What cannot be used is refused with one line that names file, topic, field and w
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ import pinocchio as pin
 from rosbags.rosbag2 import Reader
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import ArmPhysics, JointFriction, ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, joined_units
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.clock import check_stamps, gaps, tell_gaps
@@ -22,40 +22,17 @@ from impact_rs_trials.recordings.faults import EXCESS, FEW, MARGIN, without_faul
 from impact_rs_trials.recordings.mapping import JOINT_SIGNALS, REQUIRED, Mapping, SignalName
 from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.sources import BAG_SUFFIXES, FILE_SUFFIXES, read_series
+from impact_rs_trials.runs import ArmSignals, Run, Signals
 
 logger = logging.getLogger(__name__)
 
+ARM = "arm"  # name of the arm of a recording
 LARGEST_GAP = 5.0  # sampling periods, or
 GAP_IN_LOW_PASS = 0.1  # periods of the low-pass, which is what a gap falls into
 LEAST_SAMPLES = 100
 LEAST_TAIL = 4.2  # periods of the low-pass that a piece loses at its ends,
 LEAST_KEPT = 60  # and samples that must be left,
 LEAST_RATE = 10.0  # at most so many per period of the low-pass
-
-
-@dataclass(frozen=True)
-class Recording:
-    """Signals of one recording in SI units; arrays are ``(k, n)``, empty where a signal is not measured.
-
-    Attributes:
-        path: File or folder it was read from.
-        time: Stamps, strictly increasing, ``(k,)`` [s].
-        position: q [rad].
-        velocity: dq [rad/s].
-        torque: tau [N m], measured where the mapping says.
-        others: What else was found: motor_position [rad], motor_velocity [rad/s], command [N m], torque_rate [N m/s].
-        begin: When it begins in its file [s]; a file is cut where a sensor was frozen.
-        remarks: What the user should know of how it was read.
-    """
-
-    path: Path
-    time: Array
-    position: Array
-    velocity: Array
-    torque: Array
-    others: dict[str, Array]
-    begin: float = 0.0
-    remarks: tuple[str, ...] = ()
 
 
 def find_recordings(path: Path) -> list[Path]:
@@ -103,7 +80,7 @@ def _is_trial(path: Path) -> bool:
         return path.is_dir()
 
 
-def read_recordings(path: Path, mapping: Mapping) -> list[Recording]:
+def read_recordings(path: Path, mapping: Mapping) -> list[Run]:
     """Every recording at ``path``, checked.
 
     Raises:
@@ -112,7 +89,7 @@ def read_recordings(path: Path, mapping: Mapping) -> list[Recording]:
     return [piece for item in find_recordings(path) for piece in _pieces(item, mapping)]
 
 
-def _pieces(path: Path, mapping: Mapping) -> list[Recording]:
+def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     """One recording, checked, in the pieces that faults of sensors leave of it."""
     recorded = read_series(path, mapping, JOINT_SIGNALS, REQUIRED)
     for name, one in recorded.items():
@@ -120,8 +97,7 @@ def _pieces(path: Path, mapping: Mapping) -> list[Recording]:
         _check_time(path, one.time, what, mapping.low_pass)
         if name in REQUIRED:
             _check_numbers(path, name, one.time, one.values)
-    base = pin.SE3(pin.rpy.rpyToMatrix(*mapping.base_rpy), np.zeros(3))
-    model = RobotModel(mapping.facts, mapping.end_effector.build(), base)
+    model = _model(mapping)
     series, remarks = without_faults(recorded, mapping, model)
     time = series["position"].time
     remarks = list(dict.fromkeys([*(remark for one in series.values() for remark in one.remarks), *remarks]))
@@ -129,21 +105,70 @@ def _pieces(path: Path, mapping: Mapping) -> list[Recording]:
     for first, last in _between_faults(series, mapping.low_pass):
         rows = (time >= first) & (time <= last)
         signals = {name: one.at(time[rows]) for name, one in series.items()}
-        piece = Recording(
-            path,
-            time[rows],
-            signals["position"],
-            signals["velocity"],
-            signals["torque"],
-            {name: values for name, values in signals.items() if name not in REQUIRED},
-            begin=float(first - time[0]),
-            remarks=tuple(remarks),
+        command_time = {"command_time": time[rows]} if "command" in signals else {}
+        arm = ArmSignals(**signals, **command_time)
+        check_arm(path, time[rows], arm, mapping)
+        found.append(
+            Run(
+                path=path,
+                name=path.name,
+                condition="free motion",
+                place=(path.name, "", ""),
+                hit=False,
+                physics=nominal_physics(mapping, arm.position, model),
+                signals=Signals(time[rows], {ARM: arm}),
+                begin=float(first - time[0]),
+                remarks=tuple(remarks),
+            )
         )
-        check_recording(piece, mapping)
-        found.append(piece)
     if not found:
         raise InputError(f"no piece is long enough: {'; '.join(remarks)}", file=path)
     return found
+
+
+def _model(mapping: Mapping) -> RobotModel:
+    """Rigid-body model of the recorded arm."""
+    base = pin.SE3(pin.rpy.rpyToMatrix(*mapping.base_rpy), np.zeros(3))
+    return RobotModel(mapping.facts, mapping.end_effector.build(), base)
+
+
+def nominal_physics(mapping: Mapping, position: Array, model: RobotModel) -> Physics:
+    """Nominal physics of a recorded arm: rigid, frictionless, with the mounted mass of the mapping.
+
+    Args:
+        mapping: Robot, base and mounted mass.
+        position: Recorded q, ``(k, n)`` [rad].
+        model: Its rigid-body model.
+
+    Raises:
+        InputError: The torque was measured at the motors, and their inertia is not known.
+    """
+    facts = mapping.facts
+    count = facts.joint_count
+    inertia = np.zeros(count)
+    if mapping.torque_measured_at == "motor":
+        if mapping.motor_inertia is None:
+            raise InputError("torque_measured_at: motor needs motor_inertia [kg m^2], prismatic [kg]")
+        inertia = np.array(mapping.motor_inertia)
+    places = [model.placement(q).translation for q in position[:: max(1, len(position) // 50)]]
+    arm = ArmPhysics(
+        facts=facts,
+        base=pin.SE3(pin.rpy.rpyToMatrix(*mapping.base_rpy), np.zeros(3)),
+        end_effector=mapping.end_effector.build(),
+        motor_inertia_rotor=inertia,
+        motor_inertia_reduced=inertia,
+        stiffness=np.full(count, np.inf),
+        damping=np.zeros(count),
+        friction=JointFriction.none(count),
+        torque_offset=np.zeros(count),
+        torque_gain=np.ones(count),
+        actuation_delay=0.0,
+        pad_stiffness=None,
+        pad_damping=0.0,
+        impact_position=np.mean(places, axis=0),
+    )
+    nothing = ObjectPhysics(1.0, np.ones(3), np.ones(3), np.zeros(3))
+    return Physics({ARM: arm}, nothing, None, (1.0, 1.0), 0.0, 0.0, 0.0)
 
 
 def _between_faults(series: dict[SignalName, Series], low_pass: float) -> list[tuple[float, float]]:
@@ -182,11 +207,13 @@ def _check_time(path: Path, time: Array, what: str, low_pass: float) -> None:
         )
 
 
-def check_recording(recording: Recording, mapping: Mapping, briefly: float = 0.0) -> None:
+def check_arm(path: Path, time: Array, arm: ArmSignals, mapping: Mapping, briefly: float = 0.0) -> None:
     """Finite, within the robot's limits, and in the unit that the mapping says.
 
     Args:
-        recording: What was recorded.
+        path: Recording, for messages.
+        time: Stamps, ``(k,)`` [s].
+        arm: Recorded signals.
         mapping: Knows robot and units.
         briefly: Share of the samples in which a velocity or torque may be beyond its limit, as in an impact [-].
 
@@ -194,10 +221,10 @@ def check_recording(recording: Recording, mapping: Mapping, briefly: float = 0.0
         InputError: It is not; the message names signal, joint, time, value and what was expected.
     """
     for name in REQUIRED:
-        _check_numbers(recording.path, name, recording.time, getattr(recording, name))
+        _check_numbers(path, name, time, getattr(arm, name))
     for name in REQUIRED:
-        check_limits(recording.path, name, recording.time, getattr(recording, name), mapping, briefly)
-    check_velocity(recording.path, recording.time, recording.position, recording.velocity, mapping)
+        check_limits(path, name, time, getattr(arm, name), mapping, briefly)
+    check_velocity(path, time, arm.position, arm.velocity, mapping)
 
 
 def _check_numbers(path: Path, name: SignalName, time: Array, values: Array) -> None:

@@ -141,27 +141,28 @@ const ABOUT = {
     page: 'bags.md'},
   laboratory: {title: 'Runs of another controller', text: 'A robot that pushes a box with its own controller: joint states, torque, ' +
     'and motion capture of the box are enough. Each run has a twin: an open-loop simulation driven by the recorded torque.',
-    units: 'the mapping names the unit of each signal', page: 'laboratory.md'},
+    units: 'the mapping names the unit of each signal', page: 'your_data.md'},
   compare: {title: 'Score', text: 'One number for all signals and conditions, as a multiple of repeatability (the scatter of repeats). The cells of ' +
     'the map show where the model fails: measured minus model.',
     equation: 'score² = Σ r² / Σ (s²/n + d²)', units: 'multiples of repeatability; differences in their own unit',
-    page: 'missing_effects.md'},
+    page: 'diagnosis.md'},
   diagnose: {title: 'Diagnosis', text: 'Every effect of the library is fitted and judged by its held-out error: the error on conditions ' +
     'that the search has not seen.', equation: 'held-out error: before → after', units: 'multiples of repeatability',
-    page: 'missing_effects.md'},
+    page: 'diagnosis.md'},
   add: {title: 'A better model', text: 'The parent model with one more effect and its estimate. Model files are never overwritten and name their ' +
     'parent. An effect of your own is an arithmetic formula.',
-    units: 'beside each parameter', page: 'missing_effects.md'},
+    units: 'beside each parameter', page: 'diagnosis.md'},
   history: {title: 'History', text: 'How the error fell from model to model: with the parameters of the file, and held out, where ' +
-    'fitting noise does not help.', units: 'multiples of repeatability', page: 'missing_effects.md'},
+    'fitting noise does not help.', units: 'multiples of repeatability', page: 'diagnosis.md'},
 };
 
-function showAbout({title, text, equation, units, page, facts = [], actions = []}) {
+function showAbout({title, text, equation, units, page, command, facts = [], actions = []}) {
   $('right').replaceChildren(
     h('h2', {}, title), text ? h('p', {}, text) : '',
     equation ? h('p', {}, ...equation.split('\n').flatMap((line) => [h('code', {}, line), h('br')])) : '',
     units ? h('p', {class: 'note'}, `Units: ${units}`) : '',
     ...facts.map((fact) => h('p', {}, fact)),
+    command ? h('p', {class: 'note'}, 'In a terminal: ', h('code', {}, command)) : '',
     actions.length ? h('div', {class: 'actions'}, ...actions) : '',
     page ? h('p', {}, h('a', {href: `#manual/${page}`, onclick: (event) => { event.preventDefault(); openManual(page); }},
       'In the manual')) : '',
@@ -187,36 +188,137 @@ async function openManual(name) {
   } catch (error) { showAbout({title: 'Manual', text: error.message}); }
 }
 
-// ---- forms that become commands ---------------------------------------------------------------------------------------
+// ---- forms of commands -----------------------------------------------------------------------------------------------
 
-// A form that makes a command: shown while the form is filled in, run as a job on submit.
-function orderForm(fields, body, label, extra = []) {
-  const message = messageArea();
-  const button = h('button', {class: 'primary', type: 'submit'}, label);
-  let asked = 0; // number of the newest question: late answers to earlier ones are dropped
-  const ask_ = later(150, async () => {
+const FORMS = await ask('/api/forms'); // fields of every form, from the declarations of the commands
+
+// RUNS: campaigns, folders of several, and described recordings of laboratories.
+function runsChoices() {
+  const labs = state.workspace.laboratories.filter((lab) => lab.experiment && !lab.error);
+  return [...plain(state.workspace.runs), ...labs.map((lab) => ({value: lab.path, text: `${lab.path} (laboratory)`}))];
+}
+
+const experimentOf = (runs) => state.workspace.laboratories.find((lab) => lab.path === runs)?.experiment ?? '';
+
+// What a field can be, by its kind: what lies in the folder.
+const CHOICES = {
+  scenario: () => plain(state.workspace.scenarios),
+  runs: runsChoices,
+  model: () => state.workspace.models.filter((model) => !model.error).map((model) => ({value: model.path, text: model.name})),
+  experiment: () => plain(state.workspace.laboratories.map((lab) => lab.experiment).filter(Boolean)),
+  diagnosis: () => state.workspace.diagnoses.map(({path, verdict, model}) => ({value: path, text: `${path}: ${model}, ${verdict}`})),
+  formulas: () => plain(state.workspace.formulas),
+};
+
+// The control of one field: its node, its value (undefined: left out), and how to set value and choices.
+function fieldOf(one, id, offered) {
+  const text = `${one.label}${unit(one.unit) ? ` [${one.unit}]` : ''}`, title = one.help;
+  const blank = one.otherwise || (one.default ?? 'none');
+  if (one.kind === 'switch') {
+    const input = h('input', {type: 'checkbox', id});
+    return {node: h('label', {class: 'tick long', title}, input, one.label), value: () => input.checked || undefined,
+      set: (value) => { input.checked = value; }, offer() {}};
+  }
+  if (offered && one.many) {
+    const node = h('fieldset', {class: 'checks wide', id, title}, h('legend', {}, text));
+    return {node, set() {}, value: () => [...node.querySelectorAll('input:checked')].map(({value}) => one.kind === 'number' ? Number(value) : value),
+      offer: (choices) => node.replaceChildren(node.firstChild, ...choices.map((choice) => h('label', {},
+        h('input', {type: 'checkbox', value: choice.value, checked: choice.on}), choice.text)))};
+  }
+  if (offered || one.choices.length || CHOICES[one.kind] && !one.many) {
+    const select = h('select', {id});
+    const none = one.required || one.default ? [] : [{value: '', text: blank}];
+    const offer = (choices, wanted) => fill(select, one.kind === 'runs' ? [...choices, ...none] : [...none, ...choices], wanted);
+    if (one.choices.length) offer(plain(one.choices), one.default);
+    return {node: labelled(text, select, {title}), control: select, offer, value: () => select.value || undefined,
+      set: (value) => { select.value = value; }};
+  }
+  const numeric = !one.many && ['whole', 'number'].includes(one.kind);
+  const input = h('input', {id, placeholder: one.many && one.default ? one.default.join(' ') : blank, ...(numeric ?
+    {type: 'number', min: one.least, max: one.most, step: one.kind === 'whole' ? 1 : 0.05} : {})});
+  if (numeric && one.default !== null) input.value = one.default;
+  const parts = () => input.value.split(one.kind === 'setting' ? /\s+/ : /[\s,]+/).filter(Boolean);
+  return {node: labelled(text, input, {title, class: one.kind.startsWith('new_') ? 'long' : null}), control: input, offer() {},
+    value: () => input.value === '' ? undefined : one.many ? parts() : numeric ? Number(input.value) : input.value,
+    set: (value) => { input.value = value; }};
+}
+
+// The form of a command: the command is shown while the form is filled in, and run as a job on submit. `offers` names the
+// fields whose choices a step gives, which follow from field `first`; `suggest` makes values of fields that the user has
+// not filled in.
+function commandForm(command, label, {offers = [], first = 'scenario', suggest = {}, ready = () => true} = {}) {
+  const fields = Object.fromEntries(FORMS[command].fields.map((one) => [one.name,
+    {one, ...fieldOf(one, `${command.split(' ')[0]}-${one.name}`, offers.includes(one.name))}]));
+  const message = messageArea(), button = h('button', {class: 'primary', type: 'submit'}, label);
+  const typed = new Set(), all = Object.values(fields);
+  let asked = 0, before = null; // number of the newest question: late answers to earlier ones are dropped
+  const value = (name) => fields[name].value();
+  const body = () => ready() ? {command, ...Object.fromEntries(all.map((field) => [field.one.name, field.value()]))} : null;
+  const check = later(150, async () => {
     const content = body(), number = ++asked;
     if (!content) { message.show(); button.disabled = true; return; }
     try {
-      const {command} = await ask('/api/command', content);
+      const {command: line} = await ask('/api/command', content);
       if (number !== asked) return;
-      message.command(command);
+      message.command(line);
       button.disabled = false;
     } catch (error) { if (number === asked) { message.error(error.message); button.disabled = true; } }
   });
-  let before = null;
   const refresh = () => {
+    for (const [name, make] of Object.entries(suggest)) {
+      if (!typed.has(name) && !fields[name].node.contains(document.activeElement)) fields[name].set(make());
+    }
     const content = JSON.stringify(body() ?? null);
     if (content !== before) message.wait();
     before = content;
-    ask_();
+    check();
   };
-  const node = h('form', {novalidate: true, onsubmit: async (event) => {
+  for (const [name, field] of Object.entries(fields)) {
+    const changed = () => { // a name of results that is taken away is suggested again
+      if (field.one.kind.startsWith('new_') && value(name) === undefined) typed.delete(name); else typed.add(name);
+    };
+    for (const event of ['input', 'change']) field.node.addEventListener(event, changed);
+    field.node.addEventListener('focusin', () => showAbout({title: field.one.label, text: sentence(field.one.help),
+      units: unit(field.one.unit), facts: [field.one.otherwise ? `Left out: ${field.one.otherwise}.` : ''].filter(Boolean),
+      command: field.one.spelled}));
+  }
+  const place = ({one, node}) => one.name === first && !one.advanced ? 0 : node.classList.contains('wide') ? 2 : 1; // boxes last
+  const offerAll = () => {
+    for (const {one, offer} of all) if (CHOICES[one.kind] && !one.many && !offers.includes(one.name)) offer(CHOICES[one.kind]());
+  };
+  const nodes = (advanced) => all.filter(({one}) => one.advanced === advanced).sort((a, b) => place(a) - place(b)).map(({node}) => node);
+  const further = nodes(true);
+  const node = h('form', {novalidate: true, oninput: refresh, onchange: refresh, onsubmit: async (event) => {
     event.preventDefault();
     try { keepJob(await ask('/api/jobs', body())); } catch (error) { message.error(error.message); }
-  }, oninput: refresh, onchange: refresh}, h('div', {class: 'fields'}, ...fields),
-  h('div', {class: 'actions'}, button, ...extra), message.node); // below the button, which must not move while it is clicked
-  return {node, refresh, message};
+  }}, h('div', {class: 'fields'}, ...nodes(false)),
+  further.length ? h('details', {class: 'more'}, h('summary', {}, 'More options'), h('div', {class: 'fields'}, ...further)) : '',
+  h('div', {class: 'actions'}, button), message.node); // below the button, which must not move while it is clicked
+  return {node, refresh, message, value, control: (name) => fields[name].control,
+    offer: (name, choices, wanted) => fields[name].offer(choices, wanted),
+    choose(name, wanted) { offerAll(); typed.add(name); fields[name].set(wanted); refresh(); },
+    update() { offerAll(); refresh(); }};
+}
+
+const sentence = (text) => `${text.charAt(0).toUpperCase()}${text.slice(1)}.`;
+
+// Offers what the chosen scenario has: `offer` is given it. The latest choice wins.
+function followScenario(form, offer) {
+  let asked = 0;
+  const choose = async (only = {}) => {
+    const mine = ++asked;
+    form.found = null;
+    form.refresh();
+    try {
+      const found = await ask(`/api/scenario?${query({name: form.value('scenario')})}`);
+      if (mine !== asked) return;
+      form.found = found;
+      offer(found, only);
+      form.refresh();
+    } catch (error) { if (mine === asked) form.message.error(error.message); }
+  };
+  form.control('scenario').addEventListener('change', () => choose());
+  return choose;
 }
 
 function keepJob(job) {
@@ -467,127 +569,61 @@ const measure = {
   },
 
   campaign() {
-    const scenario = h('select', {id: 'campaign-scenario', onchange: () => this.choose()});
-    const checks = (legend) => h('fieldset', {class: 'checks wide'}, h('legend', {}, legend));
-    const objects = checks('objects'), cases = checks('cases'), scales = checks('post-impact reference over prediction');
-    const trials = h('input', {type: 'number', min: 1, max: 100, value: 2});
-    const seed = h('input', {type: 'number', min: 0, value: 0});
-    const output = h('input', {id: 'campaign-output', value: 'campaigns/push', oninput: () => { this.typed = output.value !== ''; }});
-    const via = h('select', {}, new Option('in parallel', 'inprocess'), new Option('ROS 2 nodes', 'nodes'),
-      new Option('dask cluster', 'scheduler'));
-    const address = h('input', {placeholder: 'tcp://10.0.0.1:8786'});
-    const addressField = labelled('address of the scheduler', address, {hidden: true});
-    via.addEventListener('change', () => { addressField.hidden = via.value !== 'scheduler'; });
-    const ticked = (box) => [...box.querySelectorAll('input:checked')].map((input) => input.value);
-    const made = orderForm([labelled('scenario', scenario), labelled('repeats of each', trials), labelled('seed', seed),
-      labelled('folder of the campaign', output, {class: 'long'}), labelled('how', via), addressField, objects, cases, scales],
-    () => this.scenarioFound && {step: 'campaign', scenario: scenario.value, output: output.value, objects: ticked(objects),
-      cases: ticked(cases), scales: ticked(scales).map(Number), trials: Number(trials.value), seed: Number(seed.value),
-      via: via.value === 'nodes' ? 'nodes' : 'inprocess', scheduler: via.value === 'scheduler' ? address.value : null},
-    'Start the campaign');
+    const form = this.form = commandForm('campaign', 'Start the campaign', {offers: ['objects', 'cases', 'scales'], ready: () => form.found,
+      suggest: {trials: () => 2, output: () => `campaigns/${stem(form.value('scenario') ?? 'push')}${this.only ? `_${this.only}` : ''}`}});
     // Number of trials, and whether an analysis needs more.
     const count = h('p', {class: 'note', id: 'campaign-count', 'aria-live': 'polite'});
-    this.counted = () => {
-      const [some, ways, levels] = [objects, cases, scales].map((box) => ticked(box).length), all = some * ways * levels * trials.value;
-      const few = this.scenarioFound?.hits && all && (levels < 2 || levels * trials.value < 3);
-      count.textContent = all ? `${all} trial${all === 1 ? '' : 's'}.${few ? ' Analyze needs at least two references over the prediction, ' +
-        'and three trials of each object and case; Compare and Diagnose do not.' : ''}` : '';
+    const counted = () => {
+      const [some, ways, levels] = ['objects', 'cases', 'scales'].map((name) => form.value(name).length);
+      const trials = form.value('trials') ?? form.found?.trials, total = some * ways * levels * trials;
+      const few = form.found?.hits && total && (levels < 2 || levels * trials < 3);
+      count.textContent = total ? `${total} trial${total === 1 ? '' : 's'}.${few ? ' Analyze needs at least two references over the ' +
+        'prediction, and three trials of each object and case; Compare and Diagnose do not.' : ''}` : '';
     };
-    for (const event of ['input', 'change']) made.node.addEventListener(event, this.counted);
-    Object.assign(this, {scenario, objects, cases, scales, output, refreshCampaign: made.refresh, campaignMessage: made.message});
-    return h('div', {}, made.node, count);
+    for (const event of ['input', 'change']) form.node.addEventListener(event, counted);
+    this.choose = followScenario(form, (found, only) => {
+      const chosen = (all, one) => all.map(([value, text], index) => ({value, text, on: one ? value === one : index < 1}));
+      this.only = only.object;
+      form.offer('objects', chosen(Object.entries(found.objects).map(([key, one]) => [key, one.label]), only.object));
+      form.offer('cases', chosen(Object.entries(found.cases), only.case));
+      form.offer('scales', found.scales.map((scale) => ({value: scale, text: `${scale}`, on: true}))); // an estimate needs several
+      counted();
+    });
+    return h('div', {}, form.node, count);
   },
 
   trial() {
-    this.trialScenario = h('select', {onchange: () => this.chooseTrial()});
-    this.trialObject = h('select');
-    this.trialCase = h('select');
-    const scale = this.trialScale = h('input', {type: 'number', step: 0.05, min: 0.1, value: 1, id: 'trial-scale'});
-    const seed = h('input', {type: 'number', min: 0, value: 0});
-    const output = h('input', {value: 'trials'});
-    const made = orderForm([labelled('scenario', this.trialScenario), labelled('object', this.trialObject),
-      labelled('case', this.trialCase), labelled('reference over prediction', scale), labelled('seed', seed), labelled('folder', output)],
-    () => this.trialObject.value && {step: 'trial', scenario: this.trialScenario.value, object: this.trialObject.value,
-      case: this.trialCase.value, scale: Number(scale.value), seed: Number(seed.value), output: output.value}, 'Run the trial');
-    Object.assign(this, {refreshTrial: made.refresh, trialMessage: made.message});
-    return made.node;
+    const form = this.trialForm = commandForm('trial', 'Run the trial', {offers: ['object', 'case'], ready: () => form.found,
+      suggest: {output: () => 'trials'}});
+    this.chooseTrial = followScenario(form, (found) => {
+      form.control('scale').max = found.largest_scale;
+      form.offer('object', Object.entries(found.objects).map(([value, one]) => ({value, text: one.label})));
+      form.offer('case', Object.entries(found.cases).map(([value, text]) => ({value, text})));
+    });
+    return form.node;
   },
 
   blind() {
-    const seed = h('input', {type: 'number', min: 0, value: 7, id: 'blind-seed'});
-    const output = h('input', {value: 'blind_7', id: 'blind-output'});
-    seed.addEventListener('input', () => { output.value = `blind_${seed.value}`; });
-    const made = orderForm([labelled('seed: draws effect and size', seed), labelled('folder', output)],
-      () => ({step: 'blind', seed: Number(seed.value), output: output.value}), 'Make the campaign');
-    this.refreshBlind = made.refresh;
+    const form = this.blindForm = commandForm('blind make', 'Make the campaign',
+      {suggest: {seed: () => 7, output: () => `blind_${form.value('seed')}`}});
     return h('div', {}, h('p', {class: 'note'}, 'The plant has one hidden effect; find it with Compare and Diagnose. ' +
-      'truth.json beside the trials names it.'), made.node);
+      'truth.json beside the trials names it.'), form.node);
   },
 
-  async update() {
-    const options = plain(state.workspace.scenarios);
-    fill(this.scenario, options, this.scenario.value || 'push');
-    fill(this.trialScenario, options, this.trialScenario.value || 'push');
-    laboratory.update();
-    const wanted = this.wanted, first = !this.asked;
+  update() {
+    const first = !this.asked, wanted = this.wanted;
     this.wanted = null;
     this.asked = true;
-    if (wanted) this.scenario.value = wanted.scenario;
+    if (first) for (const form of [this.form, this.trialForm]) form.offer('scenario', plain(state.workspace.scenarios), 'push');
+    for (const form of [this.form, this.trialForm, this.blindForm]) form.update();
+    laboratory.update();
+    if (wanted) this.form.choose('scenario', wanted.scenario);
     if (first || wanted) this.choose(wanted ?? {});
-    if (first) { this.chooseTrial(); this.refreshBlind(); }
+    if (first) this.chooseTrial();
   },
-
-  async choose(only = {}) {
-    const mine = this.choices = (this.choices ?? 0) + 1;
-    let found = null;
-    this.scenarioFound = null;
-    this.refreshCampaign();
-    try { found = await ask(`/api/scenario?${query({name: this.scenario.value})}`); } catch (error) {
-      if (mine === this.choices) this.campaignMessage.error(error.message);
-      return;
-    }
-    if (mine !== this.choices) return; // another one was chosen meanwhile
-    this.scenarioFound = found;
-    const boxes = (box, options) => {
-      const legend = box.querySelector('legend');
-      box.replaceChildren(legend, ...options.map(({value, text, on}) => h('label', {}, h('input', {type: 'checkbox', value, checked: on}),
-        text)));
-    };
-    const chosen = (all, one) => all.map(([value, text], index) => ({value, text, on: one ? value === one : index < 1}));
-    boxes(this.objects, chosen(Object.entries(found.objects).map(([key, one]) => [key, one.label]), only.object));
-    boxes(this.cases, chosen(Object.entries(found.cases), only.case));
-    boxes(this.scales, found.scales.map((scale) => ({value: scale, text: `${scale}`, on: true}))); // an estimate needs several
-    if (!this.typed) this.output.value = `campaigns/${stem(this.scenario.value)}${only.object ? `_${only.object}` : ''}`;
-    this.counted();
-    this.refreshCampaign();
-  },
-
-  async chooseTrial() {
-    const name = this.trialScenario.value;
-    this.trialObject.replaceChildren();
-    let found = null;
-    try { found = await ask(`/api/scenario?${query({name})}`); } catch (error) { this.trialMessage.error(error.message); return; }
-    if (name !== this.trialScenario.value) return;
-    this.trialScale.max = found.largest_scale;
-    fill(this.trialObject, Object.entries(found.objects).map(([value, one]) => ({value, text: one.label})));
-    fill(this.trialCase, Object.entries(found.cases).map(([value, text]) => ({value, text})));
-    this.refreshTrial();
-  },
-
 };
 
 // ---- compare ------------------------------------------------------------------------------------------------------------
-
-// RUNS of a form: campaigns, folders of several, and described recordings of laboratories.
-function runsChoices() {
-  const labs = state.workspace.laboratories.filter((lab) => lab.experiment && !lab.error);
-  return [...state.workspace.runs.map((value) => ({value, text: value})),
-    ...labs.map((lab) => ({value: lab.path, text: `${lab.path} (laboratory)`}))];
-}
-
-const experimentOf = (runs) => state.workspace.laboratories.find((lab) => lab.path === runs)?.experiment ?? '';
-const modelChoices = () => state.workspace.models.filter((model) => !model.error)
-  .map((model) => ({value: model.path, text: model.name}));
 
 // The model that was written last; the nominal one has no file.
 const newestModel = () => [...state.workspace.models].filter((model) => !model.error)
@@ -598,25 +634,17 @@ function floats(text) {
   return new Float32Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
 }
 
-// RUNS, model and folder of a step; the name of the folder follows both until the user types another one.
-function runsForm(step, label, {extraFields = [], extra = () => ({}), only = () => true, newest = false} = {}) {
-  const runs = h('select', {id: `${step}-runs`}), model = h('select', {id: `${step}-model`}), output = h('input', {id: `${step}-output`});
-  let typed = false, chosen = false;
-  output.addEventListener('input', () => { typed = output.value !== ''; });
-  const named = () => { if (!typed) output.value = `reports/${step}_${slug(runs.value)}_${slug(stem(model.value || 'nominal'))}`; };
-  runs.addEventListener('change', named);
-  model.addEventListener('change', () => { chosen = true; named(); });
-  const made = orderForm([labelled('measurements', runs), labelled('model', model), labelled('folder of the report', output, {class: 'long'}), ...extraFields],
-    () => runs.value && model.value ? {step, runs: runs.value, model: model.value, experiment: experimentOf(runs.value), output: output.value,
-      ...extra()} : null, label);
-  return {...made, runs, model, output, wanted: null, update() { // wanted: runs that show up soon
-    const choices = runsChoices(), there = choices.some((one) => one.value === this.wanted);
-    fill(runs, choices, there ? this.wanted : undefined);
-    if (there) this.wanted = null;
-    fill(model, modelChoices().filter((one) => only(one.value)), newest && !chosen ? newestModel() : undefined);
-    named();
-    made.refresh();
-  }};
+// The form of a command on measurements; names of its results follow measurements and model.
+function runsForm(command, label, suggest = {}) {
+  const measured = () => form.value('runs') ?? stem(form.value('impacts') ?? '');
+  const folder = () => `reports/${slug(`${command}_${measured()}_${stem(form.value('model') ?? 'nominal')}`)}`;
+  const form = commandForm(command, label, {ready: () => form.value('runs') || form.value('impacts'), // each from those before it
+    suggest: {runs: () => form.value('runs') ?? runsChoices()[0]?.value ?? '', ...suggest,
+      experiment: () => experimentOf(form.value('runs')), output: suggest.output ?? folder}});
+  return Object.assign(form, {folder, chooseSoon(runs) { form.wanted = runs; }, update: ((update) => () => { // runs that show up soon
+    update();
+    if (form.wanted && runsChoices().some((one) => one.value === form.wanted)) { form.choose('runs', form.wanted); form.wanted = null; }
+  })(form.update)});
 }
 
 const reading = (path) => h('p', {class: 'note', role: 'status'}, `Reading ${path} …`);
@@ -728,11 +756,8 @@ function wholeReport(path, open) {
 
 const diagnose = {
   build() {
-    const formulas = h('select', {id: 'diagnose-formulas'});
-    const effects = h('input', {id: 'diagnose-effects', placeholder: 'all'});
-    this.formulas = formulas;
-    this.form = runsForm('diagnose', 'Diagnose', {extraFields: [labelled('your own effects', formulas), labelled('only these effects', effects)],
-      extra: () => ({formulas: formulas.value, effects: effects.value.split(/[\s,]+/).filter(Boolean)})});
+    this.form = runsForm('diagnose', 'Diagnose', {report: () => this.form.folder(),
+      output: () => `${this.form.value('report') ?? this.form.folder()}/diagnosis.json`});
     this.file = h('select', {id: 'diagnose-file', onchange: () => this.open()});
     this.progress = h('div', {});
     this.result = h('div', {id: 'diagnose-result'});
@@ -741,7 +766,6 @@ const diagnose = {
   },
 
   update() {
-    fill(this.formulas, [{value: '', text: 'none'}, ...plain(state.workspace.formulas)]);
     this.form.update();
     const files = state.workspace.diagnoses.map(({path, verdict, model}) => ({value: path, text: `${path}: ${model}, ${verdict}`}));
     fill(this.file, files, this.wanted && files.some((one) => one.value === this.wanted) ? this.wanted : undefined);
@@ -752,7 +776,7 @@ const diagnose = {
   },
 
   jobs() {
-    const job = state.jobs.find((one) => one.step === 'diagnose' && one.ended === null);
+    const job = state.jobs.find((one) => one.arguments[0] === 'diagnose' && one.ended === null);
     const ranking = job?.progress?.ranking ?? [];
     this.progress.replaceChildren(...(job ? [h('p', {role: 'status'}, progressText(job)),
       h('progress', {max: job.progress?.total || 1, ...(job.progress?.total ? {value: job.progress.done} : {})}),
@@ -799,8 +823,8 @@ const diagnose = {
   next(experiment) {
     const run = experiment.scenario ? [h('button', {type: 'button', class: 'primary', onclick: async () => {
       try {
-        keepJob(await ask('/api/jobs', {step: 'campaign', scenario: experiment.scenario,
-          output: `${nextFolder(this.form.runs.value)}/next_${slug(experiment.scenario)}_${slug(experiment.object ?? '')}`,
+        keepJob(await ask('/api/jobs', {command: 'campaign', scenario: experiment.scenario,
+          output: `${nextFolder(this.form.value('runs'))}/next_${slug(experiment.scenario)}_${slug(experiment.object ?? '')}`,
           objects: experiment.object ? [experiment.object] : null, cases: experiment.case ? [experiment.case] : null, scales: [1], trials: 3}));
       } catch (error) { showAbout({title: 'Next experiment', text: error.message}); }
     }}, 'Run it')] : [];
@@ -824,14 +848,9 @@ const EXAMPLE = `effects:
 
 const add = {
   build() {
-    this.file = h('select', {id: 'add-file', onchange: () => this.choose()});
-    this.effect = h('select', {id: 'add-effect', onchange: () => this.named()});
-    this.output = h('input', {id: 'add-output'});
-    this.force = h('input', {type: 'checkbox'});
-    this.form = orderForm([labelled('diagnosis', this.file, {class: 'long'}), labelled('effect', this.effect, {class: 'long'}), labelled('new model', this.output),
-      h('label', {class: 'tick wide'}, this.force, ' add it although it does not reduce the error')],
-    () => this.file.value && this.effect.value && this.parent ? {step: 'add', effect: this.effect.value, source: this.file.value,
-      model: this.parent, output: this.output.value, force: this.force.checked} : null, 'Add the effect');
+    const form = this.form = commandForm('add', 'Add the effect', {offers: ['effect'], first: 'source', ready: () => this.parent && form.value('effect'),
+      suggest: {model: () => this.parent ?? 'nominal', output: () => this.next()}});
+    form.control('source').addEventListener('change', () => this.choose());
     this.note = h('p', {class: 'note'});
     this.text = h('textarea', {id: 'formula', spellcheck: 'false', 'aria-label': 'effect as a formula, in YAML', oninput: later(150, () => this.check())});
     this.text.value = EXAMPLE;
@@ -844,19 +863,20 @@ const add = {
   },
 
   update() {
-    const files = state.workspace.diagnoses;
-    fill(this.file, files.map(({path, verdict, model}) => ({value: path, text: `${path}: ${model}, ${verdict}`})), this.wanted?.file);
-    this.note.textContent = files.length ? '' : 'No diagnosis yet.';
-    if (this.file.value !== this.opened || this.wanted || state.workspace.stamps[this.file.value] !== this.stamp) this.choose(); else this.named();
+    this.form.update();
+    if (this.wanted) this.form.choose('source', this.wanted.file);
+    const file = this.form.value('source');
+    if (!file) this.note.textContent = 'No diagnosis yet.';
+    if (file !== this.opened || this.wanted || state.workspace.stamps[file] !== this.stamp) this.choose();
     if (!this.wasChecked) { this.wasChecked = true; this.check(); }
   },
 
   async choose() {
-    const path = this.opened = this.file.value;
-    if (!path) { this.named(); return; }
+    const path = this.opened = this.form.value('source');
+    if (!path) return;
     this.stamp = state.workspace.stamps[path];
     this.parent = null; // of the earlier diagnosis
-    this.effect.replaceChildren();
+    this.form.offer('effect', []);
     this.note.textContent = `Reading ${path} …`;
     this.form.refresh();
     try {
@@ -865,20 +885,18 @@ const add = {
       this.parent = state.workspace.models.find((model) => model.digest === found.digest)?.path ?? null;
       this.note.textContent = this.parent ? `Diagnosis of ${found.model}: ${found.summary}` : `The diagnosed model ${found.model} is not in this folder.`;
       const order = [...found.effects].sort((a, b) => found.named.includes(b.name) - found.named.includes(a.name));
-      fill(this.effect, order.map((one) => ({value: one.name, text: `${one.name}: ${one.verdict}`})), this.wanted?.effect ?? order[0]?.name);
+      this.form.offer('effect', order.map((one) => ({value: one.name, text: `${one.name}: ${one.verdict}`})), this.wanted?.effect ?? order[0]?.name);
       this.wanted = null;
-      this.named();
+      this.form.refresh();
     } catch (error) { this.note.textContent = error.message; }
   },
 
-  named() {
-    const used = new Set(state.workspace.models.map((model) => model.path));
-    if (!this.output.value || used.has(this.output.value)) {
-      let count = 2;
-      while (used.has(`models/model_${count}.yaml`)) count += 1;
-      this.output.value = `models/model_${count}.yaml`;
-    }
-    this.form.refresh();
+  // A file that is none yet.
+  next() {
+    const used = new Set(state.workspace?.models.map((model) => model.path));
+    let count = 2;
+    while (used.has(`models/model_${count}.yaml`)) count += 1;
+    return `models/model_${count}.yaml`;
   },
 
   start(file, effect) { this.wanted = {file, effect}; go('add'); },
@@ -907,7 +925,7 @@ const add = {
 
 const history_ = {
   build() {
-    this.form = runsForm('history', 'Show the history', {newest: true});
+    this.form = runsForm('history', 'Show the history', {model: newestModel});
     this.result = h('div', {id: 'history-result'});
     return h('section', {}, h('h2', {}, 'How the error fell'), this.form.node, this.result);
   },
@@ -926,9 +944,6 @@ const history_ = {
 
 // ---- laboratory -----------------------------------------------------------------------------------------------------------
 
-// Units of joints that turn, and of those that slide where a robot has some.
-const JOINT_UNITS = {position: [['rad', 'mrad', 'deg'], ['m', 'mm']], velocity: [['rad/s', 'mrad/s', 'deg/s'], ['m/s', 'mm/s']],
-  torque: [['N m', 'mN m'], ['N', 'mN']], command: [['N m', 'mN m'], ['N', 'mN']]};
 const ARM_SIGNALS = [{name: 'position', text: 'joint position'}, {name: 'velocity', text: 'joint velocity'},
   {name: 'torque', text: 'joint torque'}, {name: 'command', text: 'commanded torque', optional: true}];
 const OBJECT_POSE = {name: 'object_pose', text: 'pose of the object', optional: true};
@@ -1014,7 +1029,7 @@ const laboratory = {
     const source = h('select', {'data-signal': signal.name}, ...(signal.optional ? [new Option('not recorded', '')] : []),
       ...streams.flatMap((stream, number_) => stream.pose === pose ? [new Option(stream.label, number_)] : []));
     source.value = proposed ?? (signal.optional ? '' : source.options[0]?.value ?? '');
-    const slides = pose ? [] : arm.given.slides, [turning, sliding] = JOINT_UNITS[signal.name] ?? [['m', 'mm'], []];
+    const slides = pose ? [] : arm.given.slides, [turning, sliding] = this.found.units[signal.name];
     const kinds = [[turning, slides.every((one) => one) && !pose ? '' : 'turn'], [sliding, slides.some((one) => one) ? 'slide' : '']].filter(([, how]) => how);
     const units = kinds.map(([all, how]) => ({how, select: h('select', {}, ...all.map((one) => new Option(one, one)))}));
     const plot = h('div', {class: 'plot', role: 'img', 'aria-label': `preview of ${what}`});
@@ -1076,7 +1091,7 @@ const laboratory = {
           {joints: arm.joints(), command_includes_gravity: arm.gravity.checked, signals: chosen(arm)}]))});
       this.message.show(h('p', {class: 'good', id: 'lab-written'}, `Written: ${done.written.join(', ')}.`),
         ...done.remarks.map((remark) => h('p', {class: 'note'}, `Note: ${remark}`)), h('p', {}, 'Next:'), commandLine(done.command),
-        h('div', {class: 'actions'}, h('button', {type: 'button', onclick: () => { compare.form.wanted = folder; go('compare'); }}, 'Compare')));
+        h('div', {class: 'actions'}, h('button', {type: 'button', onclick: () => { compare.form.chooseSoon(folder); go('compare'); }}, 'Compare')));
     } catch (error) { this.message.error(error.message); }
     this.message.node.scrollIntoView({block: 'nearest'});
   },
@@ -1122,13 +1137,12 @@ function showFolder() {
 }
 
 function chooseCampaign(one) {
-  const use = (step, form) => h('button', {type: 'button', onclick: () => { go(step); form.runs.value = one.path; form.runs.dispatchEvent(
-    new Event('change', {bubbles: true})); }}, step === 'compare' ? 'Compare' : 'Diagnose');
+  const use = (step, form) => h('button', {type: 'button', onclick: () => { go(step); form.choose('runs', one.path); }}, step === 'compare' ? 'Compare' : 'Diagnose');
   showAbout({...ABOUT.measure, title: one.path, facts: [one.error || `${one.present} of ${one.trials} trials are recorded.`,
     one.present < one.trials ? 'Run the same command again to continue.' : ''].filter(Boolean),
   actions: [use('compare', compare.form), use('diagnose', diagnose.form),
     h('button', {type: 'button', onclick: async () => {
-      try { keepJob(await ask('/api/jobs', {step: 'analyze', runs: one.path})); } catch (error) { showAbout({title: one.path, text: error.message}); }
+      try { keepJob(await ask('/api/jobs', {command: 'analyze', directory: one.path})); } catch (error) { showAbout({title: one.path, text: error.message}); }
     }}, 'Analyze')]});
 }
 
@@ -1140,11 +1154,8 @@ function chooseLaboratory(path) {
 }
 
 function chooseModel(one) {
-  for (const part of [compare, diagnose, history_]) if ([...part.form.model.options].some((option) => option.value === one.path)) {
-    part.form.model.value = one.path;
-    part.form.model.dispatchEvent(new Event('change', {bubbles: true}));
-  }
-  showAbout({title: one.name, text: one.note || 'Scenario and the effects added to it.', page: 'missing_effects.md',
+  if (!one.error) for (const part of [compare, diagnose, history_]) part.form.choose('model', one.path);
+  showAbout({title: one.name, text: one.note || 'Scenario and the effects added to it.', page: 'diagnosis.md',
     facts: [one.error, one.effects.length ? `Effects: ${one.effects.join(', ')}.` : 'No effects: nominal values only.',
       ...one.scores.map((score) => `${score.report}: ${scoreText(score)}`)].filter(Boolean)});
 }
@@ -1152,7 +1163,7 @@ function chooseModel(one) {
 // ---- jobs -----------------------------------------------------------------------------------------------------------------
 
 function progressText(job) {
-  const {what = job.step, done = 0, total = null, left = null} = job.progress ?? {};
+  const {what = job.arguments[0], done = 0, total = null, left = null} = job.progress ?? {};
   return [job.stopping ? 'stopping' : what, total ? `${done} of ${total}` : '', seconds(left)].filter(Boolean).join(', ');
 }
 
@@ -1225,9 +1236,9 @@ function showJobs(jobs) {
 function finished(job) {
   const made = job.writes.map((path) => path.replace(`${state.workspace.root}/`, ''));
   if (job.exit_code !== 0) return;
-  if (job.step === 'compare' && job.arguments[0] === 'compare') compare.wanted = `${made[0]}/compare.html`;
-  if (job.step === 'compare' && job.arguments[0] === 'analyze') compare.wanted = `${made[0]}/report.html`;
-  if (job.step === 'diagnose') diagnose.wanted = `${made[0]}/diagnosis.json`;
+  if (job.arguments[0] === 'compare') compare.wanted = `${made[0]}/compare.html`;
+  if (job.arguments[0] === 'analyze') compare.wanted = `${made[0]}/report.html`;
+  if (job.arguments[0] === 'diagnose') diagnose.wanted = made.find((path) => path.endsWith('.json'));
   if (state.workspace) STEPS[state.step][1].update(); // the list of files may have arrived before the end of the job
 }
 

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 cell_module = pytest.importorskip("benchmarks.foreign.cell", reason="run from the root of the repository")
 campaign = pytest.importorskip("benchmarks.foreign.campaign", reason="run from the root of the repository")
 
-from impact_rs_analysis.evidence.twin import quiet  # noqa: E402
+from impact_rs_analysis.evidence.simulated_trials import quiet  # noqa: E402
 from impact_rs_control.closed_loop import make_plant, run_closed_loop  # noqa: E402
 from impact_rs_control.plan import plan_trial  # noqa: E402
 from impact_rs_sim.effects import library  # noqa: E402
@@ -27,9 +27,9 @@ from impact_rs_sim.scene import Scene  # noqa: E402
 STEP = cell_module.STEP
 
 
-def planned(scenario: str, thing: str, case: str):
+def planned(scenario: str, object_name: str, case: str):
     """A trial with ideal sensors and no scatter."""
-    plan = plan_trial(Scene.resolve(load_scenario(scenario), thing, case))
+    plan = plan_trial(Scene.resolve(load_scenario(scenario), object_name, case))
     return replace(plan, scene=replace(plan.scene, scenario=quiet(plan.scene.scenario)))
 
 
@@ -124,7 +124,7 @@ class PressedPad:
     def __init__(self, plan, spread: float = cell_module.CORNERS) -> None:
         physics = replace(plan.scene.physics, support_height=None, gravity=np.zeros(3))
         self.pad = physics.arms["arm"]
-        self.thing = physics.object
+        self.box = physics.object
         self.model = cell_module.compile_scene(physics, STEP, cell_module.ContactSettings(pad_spread=spread))
         self.data = mujoco.MjData(self.model)
         impact = plan.scene.arms["arm"].position
@@ -170,7 +170,7 @@ def test_a_pressed_pad_gives_way_by_force_over_stiffness_and_tilts_as_it_says(pl
 
 def test_an_object_thrown_at_the_pad_moves_as_spring_and_damper_say_until_they_would_pull(pressed) -> None:
     """m ddy = -K y - B dy with f >= 0, mass of the object (and the little that MuJoCo adds)."""
-    stiffness, damping, mass = pressed.pad.pad_stiffness, pressed.pad.pad_damping, pressed.thing.mass
+    stiffness, damping, mass = pressed.pad.pad_stiffness, pressed.pad.pad_damping, pressed.box.mass
     speed, steps = 0.5, 120
     pressed.data.qvel[pressed.dofs][:] = [0.0, speed, 0.0, 0.0, 0.0, 0.0]
     depths = []
@@ -189,7 +189,7 @@ def test_an_object_thrown_at_the_pad_moves_as_spring_and_damper_say_until_they_w
 
 
 def test_sliding_friction_of_the_pad_is_mu_times_the_normal_force(pressed, plan) -> None:
-    normal, mu, arm = 50.0, plan.scene.physics.pad_friction, pressed.thing.size[1] / 2.0
+    normal, mu, arm = 50.0, plan.scene.physics.pad_friction, pressed.box.size[1] / 2.0
     for pull in (0.8 * mu * normal, 1.2 * mu * normal):
         for _ in range(800):
             pressed.step((pull, normal, 0.0, 0.0, 0.0, -arm * pull))  # as if it pulled in the face
@@ -197,7 +197,7 @@ def test_sliding_friction_of_the_pad_is_mu_times_the_normal_force(pressed, plan)
         if pull < mu * normal:
             assert abs(velocity) < 1e-4  # it sticks
             assert abs(pressed.data.qpos[pressed.object.qposadr[0]] - pressed.front[0]) < 1e-4
-    pushed = (1.2 - 1.0) * mu * normal / pressed.thing.mass * 800 * STEP
+    pushed = (1.2 - 1.0) * mu * normal / pressed.box.mass * 800 * STEP
     assert velocity == pytest.approx(pushed, rel=0.05)
 
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line: exit codes, one-line errors, and a standard output that is JSON and nothing else."""
+"""The command line: help, exit codes, one document of JSON, and what each command prints and writes."""
+
+from __future__ import annotations
 
 import json
 import logging
@@ -8,167 +10,68 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 
 import impact_rs_cli.commands
-from impact_rs_cli.main import COMMANDS, PACKAGES, main, parser
+from impact_rs_cli.main import PACKAGES, main, parser
+from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import output_folder
+from impact_rs_commands import COMMANDS
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import CONTACTS, DEFAULT_ENGINE, ENGINES
 from impact_rs_sim.paths import config_directory
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, RESTITUTION_LAWS
+from impact_rs_trials import blind, scenario_draft
 from impact_rs_trials.campaign import FAILURES
 
-
-def test_map_prints_the_prediction(capfd: pytest.CaptureFixture) -> None:
-    assert main(["map", "push", "cat_food", "2"]) == 0
-    out, err = capfd.readouterr()
-    assert "m/s" in out
-    assert not err
+BAG = "cat_food__case_2__s1.000__r0"
+SCOPE = ["--objects", "cat_food", "--cases", "case_2", "--trials", "1"]
+Document = Callable[..., dict[str, Any]]
 
 
-@pytest.mark.parametrize("engine", ["bullet", "exact"])
-@pytest.mark.parametrize("inertia", ["reduced", "rotor", "zero"])
-def test_map_json_is_one_document(capfd: pytest.CaptureFixture, engine: str, inertia: str) -> None:
-    assert main(["map", "push", "cat_food", "2", "--engine", engine, "--motor-inertia", inertia, "--json"]) == 0
-    document = json.loads(capfd.readouterr().out)
-    assert len(document["post"]["end_effector_twist"]["arm"]) == 6
-    assert len(document["post"]["joint_velocity"]["arm"]) == 7
-    assert len(document["post"]["object_twist"]) == 6
-    assert document["contacts"]
-    assert document["residual"]
-    assert document["engine"] == engine
-    assert document["elapsed_ms"] > 0.0
-
-
-def test_map_tells_the_settled_contact(capfd: pytest.CaptureFixture) -> None:
-    speeds = {}
-    for contact in ("first", "settled"):
-        assert main(["map", "grab", "cat_food", "2", "--contact", contact, "--json"]) == 0
-        document = json.loads(capfd.readouterr().out)
-        assert document["contact"] == contact
-        speeds[contact] = {name: twist[2] for name, twist in document["post"]["end_effector_twist"].items()}
-    assert all(speeds["settled"][name] > speeds["first"][name] for name in ("left", "right"))
-
-
-def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Path) -> None:
-    """Libraries that print to the C-level standard output must not spoil it."""
-    for arguments in (
-        ["map", "push", "cat_food", "case_2", "--engine", "bullet", "--json"],
-        ["analyze", str(push_campaign), "-o", str(tmp_path / "report"), "--json"],
-    ):
-        done = subprocess.run(
-            [sys.executable, "-m", "impact_rs_cli.main", *arguments], capture_output=True, text=True, timeout=120
-        )
-        assert done.returncode == 0, done.stderr
-        assert isinstance(json.loads(done.stdout), dict)
-        assert not done.stderr
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["map", "pus", "cat_food", "2"], "did you mean 'push'"),
-        (["map", "push", "catfood", "2"], "parcel, cat_food, juice; did you mean 'cat_food'"),
-        (["map", "push", "cat_food", "case_9"], "case_1, case_2, case_3"),
-        (["map", "push", "cat_food", "2", "--json", "--motor-inertia", "rotro"], "did you mean 'rotor'"),
-        (["map", "push", "cat_food", "2", "--engin"], "expected one argument"),
-        (["map", "push", "cat_food", "2", "--enginee", "bullet"], "did you mean '--engine'"),
-        (["map", "push"], "expected SCENARIO OBJECT CASE, or --table FILE -o FILE"),
-        (
-            ["map", "push", "juice", "1", "--contact", "settled", "--engine", "bullet"],
-            "are for the first contact only",
-        ),
-        (["anlyze", "x"], "did you mean 'analyze'"),
-        (["--debug"], "required: COMMAND"),
-        (["up", "pus"], "did you mean 'push'"),
-        (["analyze", "/nowhere/at/all"], "no such folder"),
-        (["trial", "push", "cat_food", "2", "--scale", "0", "-o", "{}/new/out"], "velocity scale = 0.0"),
-        (["trial", "push", "cat_food", "2", "--scale", "fast", "-o", "{}/new/out"], "invalid float value"),
-        (["campaign", "push", "-o", "{}/new/out", "--trials", "0"], "trials = 0"),
-        (["campaign", "push", "-o", "{}/new/out", "--seed", "-1"], "seed = -1"),
-        (["campaign", "push", "-o", "{}/new/out", "--jobs", "0"], "jobs = 0"),
-        (["campaign", "push", "-o", "{}/new/out", "--jobs", "2", "--via", "nodes"], "--via inprocess"),
-        (["campaign", "push", "-o", "{}/new/out", "--sensitivity", "--via", "nodes"], "--via inprocess"),
-        (["campaign", "push", "-o", "{}/new/out", "--without", "plant"], "--via nodes"),
-        (["campaign", "push", "-o", "{}/new/out", "--via", "nodes", "--without", "plnat"], "did you mean 'plant'"),
-        (["up", "push", "--without", "plant", "wall"], "no node 'wall'; expected one or more of plant, impact_map"),
-        (["campaign", "push", "-o", "{}/new/out", "--namespace", "cell_a"], "--via nodes"),
-        (["campaign", "push", "-o", "{}/new/out", "--namespace", "1st", "--via", "nodes"], "begin with no digit"),
-        (["up", "push", "--namespace", "cell a"], "namespace = 'cell a'"),
-        (["campaign", "push", "-o", "memory://out", "--sensitivity"], "expected a path"),
-        (["campaign", "push", "-o", "{}/new/out", "--set", "control.clamp_forse=3"], "did you mean 'clamp_force'"),
-        (["campaign", "push", "-o", "{}/new/out", "--set", "control.clamp_force=-3"], "control.clamp_force"),
-        (["campaign", "push", "-o", "{}/new/out", "--set", "trials.many=3"], "is a value and has no keys"),
-        (["campaign", "push", "-o", "{}/new/out", "--set", "trials"], "expected KEY=VALUE"),
-        (["campaign", "push", "-o", "{}/new/out", "--set", "trials=[1"], "not valid YAML"),
-        (
-            ["campaign", "push", "-o", "{}/new/out", "--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"],
-            "--jobs counts processes of this machine",
-        ),
-        (["campaign", "push", "-o", "{}/new/out", "--scheduler", "nonsense"], "expected tcp://host:port"),
-        (["campaign", "push", "-o", "nowhere://out"], "this URL cannot be used"),
-        (["campaign", "push", "-o", "memory://out", "--via", "nodes"], "in a folder of this machine"),
-        (
-            ["diagnose", "s3://bucket/push", "--scheduler", "tcp://127.0.0.1:1"],
-            "must be a folder that all workers can read",
-        ),
-        (["analyze", "memory://push"], "expected a folder for the report"),
-        (["export", "{}", "-o", "{}/new/push.txt"], "ends with .parquet"),
-        (["campaign", "push", "-o", "{}/new/out", "--objects", "juce"], "did you mean 'juice'"),
-        (["campaign", "push", "-o", "{}/file/out"], "cannot be written"),
-        (["analyze", "{}"], "holds no trials"),
-        (["show", "{}", "--no-browser"], "neither metadata.yaml nor an .mcap file, and there are none below it"),
-        (["show", "{}/file", "--no-browser"], "a file; expected the folder of a trial"),
-        (["show"], "expected BAG, the folder of a trial, or --live"),
-        (["show", "{}", "--live"], "leave BAG out"),
-        (["show", "--live", "-o", "{}/new/page.html"], "leave -o out"),
-        (["show", "--live", "--json"], "leave --json out"),
-        (["show", "--live", "--namespace", "cell a"], "namespace = 'cell a'"),
-        (["show", "--live", "--port", "70000"], "port 70000: expected 0 (a free one) to 65535"),
-        (["show", "{}", "--namespace", "cell_a"], "leave --namespace out"),
-        (["show", "{}", "--run", "run_1"], "leave --run out"),
-        (["show", "{}", "--experiment", "{}/file"], "select one with --run NAME"),
-        (
-            ["show", "{}/nothing", "-o", "{}/new/page.html", "--no-browser"],
-            "no such folder; expected the folder of a trial",
-        ),
-    ],
-)
-def test_a_mistake_is_one_line_and_exit_code_2(
-    capfd: pytest.CaptureFixture, tmp_path: Path, arguments: list[str], message: str
-) -> None:
-    (tmp_path / "file").write_text("in the way")
-    assert main([argument.format(tmp_path) for argument in arguments]) == 2
-    out, err = capfd.readouterr()
-    assert message in err
-    assert err.count("\n") == 1
-    assert not out
-    assert [path.name for path in tmp_path.iterdir()] == ["file"], "something half-written stays behind"
+def process(*arguments: str, **environment: str) -> subprocess.CompletedProcess:
+    """A command in a process of its own."""
+    words = [sys.executable, "-m", "impact_rs_cli.main", *arguments]
+    return subprocess.run(words, env=os.environ | environment, capture_output=True, text=True, timeout=120)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_teaches(capsys: pytest.CaptureFixture, command: str) -> None:
     assert main([command, "--help"]) == 0
     text = capsys.readouterr().out
-    assert f"example:\n  impact-rs {command}" in text
+    assert f"\n\nexample:\n  {PROGRAM} {command}" in text
+    assert re.search(r"\n\noutput: \S", text)
 
 
 def test_every_command_is_a_module_and_stands_in_the_help() -> None:
     text = parser().format_help()
-    for name, (module, summary) in COMMANDS.items():
-        assert (Path(impact_rs_cli.commands.__file__).parent / f"{module}.py").is_file()
+    for name, command in COMMANDS.items():
+        assert (Path(impact_rs_cli.commands.__file__).parent / f"{command.file}.py").is_file()
         assert name in text
-        assert summary in " ".join(text.split())
+        assert command.summary in " ".join(text.split())
 
 
-def _modules_after(*arguments: str) -> set[str]:
-    """What a process has imported when a command line has ended in it."""
-    code = f"import sys; from impact_rs_cli.main import main; main({list(arguments)!r}); print('MODULES', *sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
-    return set(done.stdout.rpartition("MODULES")[2].split())
+def test_choices_are_those_of_the_physics() -> None:
+    """Declarations import nothing, so that they repeat a few words."""
+    offered = {
+        (name, option.name): (option.choices, option.default)
+        for name, command in COMMANDS.items()
+        for below in command.actions or (command,)
+        for option in below.options
+    }
+    for name in ("map", "analyze", "study"):
+        assert offered[name, "contact"] == (CONTACTS, CONTACTS[0])
+    assert offered["map", "engine"] == (tuple(ENGINES), DEFAULT_ENGINE)
+    assert offered["map", "motor_inertia"] == (MOTOR_INERTIA_MODELS, MOTOR_INERTIA_MODELS[0])
+    assert offered["map", "restitution_law"] == (RESTITUTION_LAWS, None)
+    assert offered["scenario", "kind"] == (scenario_draft.KINDS, "push")
+    assert offered["blind", "kind"] == (blind.KINDS, blind.KINDS[0])
+    assert offered["blind", "scenarios"] == ((), blind.SCENARIOS)
 
 
 def test_without_a_command_the_help_is_shown_as_for_a_mistake(
@@ -176,32 +79,26 @@ def test_without_a_command_the_help_is_shown_as_for_a_mistake(
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["impact-rs"])
     assert main() == main([]) == 2
-    out, err = capsys.readouterr()
-    assert out == "" and err == 2 * parser().format_help()
+    assert capsys.readouterr() == ("", 2 * parser().format_help())
 
 
-def test_show_names_a_trial_where_a_folder_of_trials_or_a_file_of_one_is_given(
-    capsys: pytest.CaptureFixture, push_campaign: Path
-) -> None:
-    trial = push_campaign / "cat_food__case_2__s0.800__r0"
-    assert main(["show", str(push_campaign), "--no-browser"]) == 2
-    assert f"there are trials below it, for example {trial}" in capsys.readouterr().err
-    assert main(["show", str(next(trial.glob("*.mcap"))), "--no-browser"]) == 2
-    assert f"a file; expected the folder of a trial, which holds metadata.yaml; the folder of its trial is {trial}" in (
-        capsys.readouterr().err
-    )
-    assert not list(push_campaign.parent.glob("*.html"))
+def modules_after(words: str) -> set[str]:
+    """Modules that a process has imported when a command line has ended in it."""
+    code = f"import sys; from impact_rs_cli.main import main; main({words.split()!r}); print('MODULES', *sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.rpartition("MODULES")[2].split())
 
 
-@pytest.mark.parametrize("option", ["--help", "--version"])
-def test_no_command_is_imported_where_none_is_used(option: str) -> None:
-    found = _modules_after(option)
+@pytest.mark.parametrize("words", ["--help", "--version", "map --help"])
+def test_no_command_is_imported_where_none_is_run(words: str) -> None:
+    found = modules_after(words)
     assert not any(name.startswith("impact_rs_cli.commands.") for name in found)
-    assert not found & {"numpy", "pydantic", "rich", "rclpy", "pybullet", "pinocchio", "distributed"}
+    assert not found & {"dataclasses", "numpy", "pydantic", "rich", "rclpy", "pybullet", "pinocchio", "distributed"}
 
 
-def test_a_command_is_imported_alone_and_waits_for_nothing_that_it_may_not_need() -> None:
-    found = _modules_after("map", "--help")
+def test_a_command_is_imported_alone_and_without_slow_libraries() -> None:
+    found = modules_after("map push cat_food 2")
     assert [name for name in found if name.startswith("impact_rs_cli.commands.")] == ["impact_rs_cli.commands.map"]
     assert not found & {
         "scipy.linalg",
@@ -223,7 +120,7 @@ def test_debug_shows_the_traceback_before_the_line(capfd: pytest.CaptureFixture,
     assert any("commands/effects.py" in entry for entry in trace)
 
 
-def test_debug_shows_what_lay_behind_an_error_and_what_was_logged(
+def test_debug_shows_the_cause_of_an_error_and_the_log(
     capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def breaks(*_: object) -> None:
@@ -246,7 +143,42 @@ def test_debug_shows_what_lay_behind_an_error_and_what_was_logged(
     assert "impact_rs_trials.something: went round the hole" in err
 
 
-def test_an_interrupt_ends_with_130(
+def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Path) -> None:
+    """Libraries that print to the C-level standard output must not spoil it."""
+    for words in (
+        ["map", "push", "cat_food", "case_2", "--engine", "bullet", "--json"],
+        ["analyze", str(push_campaign), "-o", str(tmp_path / "report"), "--json"],
+    ):
+        done = process(*words)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert isinstance(json.loads(done.stdout), dict)
+
+
+def test_map_prints_the_prediction(capfd: pytest.CaptureFixture) -> None:
+    assert main(["map", "push", "cat_food", "2"]) == 0
+    out, err = capfd.readouterr()
+    assert "m/s" in out and not err
+
+
+@pytest.mark.parametrize("engine", ["bullet", "exact", "pinocchio"])
+@pytest.mark.parametrize("inertia", ["reduced", "rotor", "zero"])
+def test_map_json_has_every_velocity(document: Document, engine: str, inertia: str) -> None:
+    found = document("map", "push", "cat_food", "2", "--engine", engine, "--motor-inertia", inertia)
+    post = found["post"]
+    assert [len(post[name]["arm"]) for name in ("end_effector_twist", "joint_velocity")] == [6, 7]
+    assert len(post["object_twist"]) == 6
+    assert found["contacts"] and found["residual"] and found["elapsed_ms"] > 0.0
+    assert found["engine"] == engine.replace("pinocchio", "exact")
+
+
+def test_settled_arms_lift_faster_than_after_the_first_contact(document: Document) -> None:
+    first, settled = (document("map", "grab", "cat_food", "2", "--contact", name) for name in ("first", "settled"))
+    assert (first["contact"], settled["contact"]) == ("first", "settled")
+    speed = [{name: twist[2] for name, twist in one["post"]["end_effector_twist"].items()} for one in (first, settled)]
+    assert all(speed[1][name] > speed[0][name] for name in ("left", "right"))
+
+
+def test_an_interrupt_ends_with_130_and_leaves_no_folder(
     capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def interrupt(*arguments: object) -> None:
@@ -258,122 +190,30 @@ def test_an_interrupt_ends_with_130(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_trial_goes_into_the_folder_and_stands(capfd: pytest.CaptureFixture, tmp_path: Path) -> None:
-    arguments = ["trial", "push", "cat_food", "2", "--seed", "3", "-o", str(tmp_path / "a" / "b"), "--json"]
-    assert main(arguments) == 0
-    document = json.loads(capfd.readouterr().out)
-    assert document["outcome"] == "OK"
-    assert Path(document["bag"]).is_dir()
-    assert main(arguments) == 2
-    out, err = capfd.readouterr()
-    assert "exists already" in err
-    assert not out
+def test_a_trial_is_recorded_once(document: Document, refused: Callable[..., str], tmp_path: Path) -> None:
+    words = ["trial", "push", "cat_food", "2", "--seed", "3", "-o", tmp_path / "a" / "b"]
+    found = document(*words)
+    assert found["outcome"] == "OK" and Path(found["bag"]).is_dir()
+    assert "exists already" in refused(*words, "--json")
 
 
 def test_a_finished_campaign_has_nothing_to_run(
-    push_campaign: Path, tmp_path: Path, capfd: pytest.CaptureFixture
+    push_campaign: Path, tmp_path: Path, document: Document, refused: Callable[..., str]
 ) -> None:
+    """Hints spell the program as the user called it."""
     directory = shutil.copytree(push_campaign, tmp_path / "push")
-    scope = ["--objects", "cat_food", "--cases", "case_2", "--scales", "0.8", "1", "1.2", "--trials", "1"]
-    assert main(["campaign", "push", "-o", str(directory), *scope, "--json"]) == 0
-    assert json.loads(capfd.readouterr().out)["ran"] == 0
-    assert main(["campaign", "push", "-o", str(directory), *scope, "--seed", "5"]) == 2
-    assert "another campaign" in capfd.readouterr().err
+    words = ["campaign", "push", "-o", str(directory), *SCOPE, "--scales", "0.8", "1", "1.2"]
+    assert document(*words)["ran"] == 0
+    assert "another campaign" in refused(*words, "--seed", "5")
+    assert f"next: ./run impact-rs analyze {directory}" in process(*words, IMPACT_RS_PROGRAM="./run impact-rs").stdout
 
 
-def test_analyze_shows_table_and_report(push_campaign: Path, tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
-    assert main(["analyze", str(push_campaign), "-o", str(tmp_path / "report")]) == 0
-    out, err = capfd.readouterr()
-    assert "Cat food" in out
-    assert "report.html" in out
-    assert not err
-
-
-def test_show_opens_the_page_that_it_wrote_beside_the_bag(
-    push_campaign: Path, tmp_path: Path, capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen: list[str] = []
-    monkeypatch.setattr("webbrowser.open", lambda address: seen.append(address) or True)
-    bag = tmp_path / "cat_food__case_2__s1.000__r0"
-    shutil.copytree(push_campaign / bag.name, bag)
-    assert main(["show", str(bag)]) == 0
-    page = tmp_path / f"{bag.name}.html"
-    assert seen == [page.as_uri()]
-    assert f"page: {page}" in capfd.readouterr().out
-    assert main(["show", str(bag), "-o", str(tmp_path / "other.html"), "--no-browser", "--json"]) == 0
-    assert json.loads(capfd.readouterr().out) == {"page": str(tmp_path / "other.html")}
-    assert len(seen) == 1
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([bag.name, page.name, "other.html"])
-
-
-@pytest.fixture
-def laboratory(push_campaign: Path, tmp_path: Path) -> Path:
-    """Two runs of a laboratory, as our own bags."""
-    folder = tmp_path / "lab"
-    folder.mkdir()
-    for number, scale in enumerate(("0.800", "1.000"), start=1):
-        shutil.copytree(push_campaign / f"cat_food__case_2__s{scale}__r0", folder / f"run_{number}")
-    (folder / "runs.csv").write_text("bag,object,kind\nrun_1,cat_food,hit\nrun_2,cat_food,hit\n")
-    (folder / "experiment.yaml").write_text("scenario: push\nmapping: impact_rs\n")
-    return folder
-
-
-def show_run(laboratory: Path, *further: str) -> int:
-    command = ["show", str(laboratory), "--experiment", str(laboratory / "experiment.yaml"), "--no-browser", *further]
-    return main([*command, "--jobs", "1"])
-
-
-def test_show_writes_a_run_of_a_laboratory_beside_its_folder(laboratory: Path, capfd: pytest.CaptureFixture) -> None:
-    assert show_run(laboratory, "--run", "run_1") == 0
-    out, err = capfd.readouterr()
-    page = laboratory.parent / "lab_run_1.html"
-    assert (out, err) == (f"page: {page}\n", "")
-    text = page.read_text()
-    assert "cat_food is hit; scenario push" in text
-    assert "object tracked at " in text
-    assert "found at 0.90" in text
-    assert '"model":null' in text.replace(" ", "")
-
-
-def test_show_writes_a_run_of_a_laboratory_beside_what_a_model_does(laboratory: Path) -> None:
-    assert show_run(laboratory, "--run", "run_2", "--model", "nominal") == 0
-    text = (laboratory.parent / "lab_run_2.html").read_text()
-    assert "nominal, from the measured state at the begin of every window" in text
-    assert '"model":null' not in text.replace(" ", "")
-
-
-def test_show_tells_that_nobody_tracked_the_object(laboratory: Path, capfd: pytest.CaptureFixture) -> None:
-    mapping = yaml.safe_load((config_directory() / "mappings" / "impact_rs.yaml").read_text())
-    del mapping["signals"]["object_pose"]
-    (laboratory / "mapping.yaml").write_text(yaml.safe_dump(mapping))
-    (laboratory / "experiment.yaml").write_text("scenario: push\nmapping: mapping.yaml\n")
-    assert show_run(laboratory, "--run", "run_1") == 0
-    assert capfd.readouterr().err == "run_1: the pose of cat_food was not recorded, so it is not shown\n"
-    assert "the object was not tracked" in (laboratory.parent / "lab_run_1.html").read_text()
-
-
-def test_show_of_a_run_that_there_is_not_says_what_was_meant(laboratory: Path, capfd: pytest.CaptureFixture) -> None:
-    assert show_run(laboratory, "--run", "rnu_1") == 2
-    err = capfd.readouterr().err
-    assert err == "impact-rs: run = 'rnu_1': the table of runs names no such run; did you mean 'run_1'?\n"
-    assert sorted(path.name for path in laboratory.parent.iterdir()) == ["lab"]
-
-
-def test_show_says_where_the_page_is_where_there_is_no_browser(
-    push_campaign: Path, tmp_path: Path, capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("webbrowser.open", lambda address: False)
-    assert main(["show", str(push_campaign / "cat_food__case_2__s1.000__r0"), "-o", str(tmp_path / "page.html")]) == 0
-    assert "open the page yourself" in capfd.readouterr().err
-
-
-def test_a_job_that_was_not_done_is_no_success(
-    push_campaign: Path, tmp_path: Path, capfd: pytest.CaptureFixture
-) -> None:
-    name = "cat_food__case_2__s1.000__r0"
-    shutil.copytree(push_campaign / name, tmp_path / "one" / name)
-    assert main(["analyze", str(tmp_path / "one")]) == 1
-    assert "1 trial with impact" in capfd.readouterr().out
+def test_scales_that_differ_little_have_a_bag_each(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+    scales = ["--scales", "1.0001", "1.0002", "1", "--jobs", "1"]
+    assert main(["campaign", "push", "-o", str(tmp_path / "out"), *SCOPE, *scales]) == 0
+    assert "3 of 3 trials are there" in capfd.readouterr().out
+    bags = {path.name for path in (tmp_path / "out").iterdir() if path.is_dir()}
+    assert bags == {f"cat_food__case_2__s{scale}__r0" for scale in ("1.000", "1.0001", "1.0002")}
 
 
 def test_a_campaign_with_failures_is_no_success(
@@ -383,39 +223,99 @@ def test_a_campaign_with_failures_is_no_success(
         raise ZeroDivisionError("by nothing")
 
     monkeypatch.setattr("impact_rs_trials.campaign.run_campaigns.__defaults__", (None, broken))
-    scope = ["--objects", "cat_food", "--cases", "2", "--trials", "1", "--scales", "1.0"]
-    assert main(["campaign", "push", "-o", str(tmp_path / "out"), *scope]) == 1
+    words = ["campaign", "push", "-o", str(tmp_path / "out"), *SCOPE, "--scales", "1.0"]
+    assert main(words) == 1
     err = capfd.readouterr().err
-    assert "by nothing" in err
-    assert "Traceback" not in err
+    assert "by nothing" in err and "Traceback" not in err
     assert f"full error: {tmp_path / 'out' / FAILURES}" in err
-    assert main(["campaign", "push", "-o", str(tmp_path / "out"), *scope, "--debug"]) == 1
+    assert main([*words, "--debug"]) == 1
     assert "in broken" in capfd.readouterr().err
 
 
-def test_a_single_trial_is_no_campaign(push_campaign: Path, capfd: pytest.CaptureFixture) -> None:
-    assert main(["analyze", str(push_campaign / "cat_food__case_2__s1.000__r0")]) == 2
-    assert "give the folder it lies in" in capfd.readouterr().err
+def test_a_diverged_trial_is_counted_and_used_by_no_analysis(
+    capfd: pytest.CaptureFixture, document: Document, tmp_path: Path
+) -> None:
+    """The wrist of an FR3 is too light for the dampers of push: joint 7 runs away within milliseconds."""
+    out, light = str(tmp_path / "light"), ["--set", "robots.arm.facts=franka_fr3"]
+    assert main(["campaign", "push", "-o", out, *SCOPE, "--scales", "0.8", "1.2", "--jobs", "1", *light]) == 1
+    printed = capfd.readouterr()
+    assert "robot check failed, trials may diverge: drive of arm, joint 7" in printed.err
+    assert "2 of 2 trials are there (2 DIVERGED)" in printed.out
+    pattern = r"DIVERGED 2: arm joint7 at [\d.]+ rad/s against 5.26 rad/s at 0.0\d\d s \(cat_food__"
+    assert re.search(pattern, printed.err)
+    for command in ("analyze", "compare", "diagnose"):
+        assert main([command, out, "--jobs", "1"]) == 2
+        err = capfd.readouterr().err
+        assert "DIVERGED: arm joint7 at" in err and "Traceback" not in err
+    scenario = tmp_path / "light.yaml"
+    shipped = (config_directory() / "scenarios" / "push.yaml").read_text(encoding="utf-8")
+    scenario.write_text(shipped.replace("facts: franka_fer", "facts: franka_fr3"), encoding="utf-8")
+    found = document("trial", scenario, "cat_food", "2", "-o", tmp_path / "one", code=1)
+    assert (found["outcome"], found["net_feedback_m_s"]) == ("DIVERGED", None)
+    assert found["message"].startswith("arm joint7 at")
 
 
-def test_a_misspelt_key_is_told_by_the_name_that_was_meant(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
-    text = (config_directory() / "scenarios" / "push.yaml").read_text()
-    (tmp_path / "mine.yaml").write_text(text.replace("mass: 1.30", "mas: 1.30"))
-    assert main(["map", str(tmp_path / "mine.yaml"), "cat_food", "1"]) == 2
-    assert "objects.cat_food.mas: unknown key; did you mean 'mass'?" in capfd.readouterr().err
+def test_analyze_needs_more_than_one_trial(push_campaign: Path, tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+    shutil.copytree(push_campaign / BAG, tmp_path / "one" / BAG)
+    assert main(["analyze", str(tmp_path / "one")]) == 1
+    assert "1 trial with impact" in capfd.readouterr().out
+    assert main(["analyze", str(push_campaign), "-o", str(tmp_path / "report")]) == 0
+    out, err = capfd.readouterr()
+    assert "Cat food" in out and "report.html" in out and not err
 
 
-def test_hints_are_spelled_as_the_user_called_the_command(push_campaign: Path, tmp_path: Path) -> None:
-    directory = shutil.copytree(push_campaign, tmp_path / "push")
-    scope = ["--objects", "cat_food", "--cases", "case_2", "--scales", "0.8", "1", "1.2", "--trials", "1"]
-    done = subprocess.run(
-        [sys.executable, "-m", "impact_rs_cli.main", "campaign", "push", "-o", str(directory), *scope],
-        env={**os.environ, "IMPACT_RS_PROGRAM": "./run impact-rs"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert f"next: ./run impact-rs analyze {directory}" in done.stdout
+def test_show_writes_the_page_beside_the_bag_and_opens_it(
+    push_campaign: Path,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture,
+    document: Document,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address))
+    bag = shutil.copytree(push_campaign / BAG, tmp_path / BAG)
+    page, other = tmp_path / f"{bag.name}.html", tmp_path / "other.html"
+    assert main(["show", str(bag)]) == 0
+    assert opened == [page.as_uri()]
+    out, err = capfd.readouterr()
+    assert f"page: {page}" in out and "open the page yourself" in err  # there is no browser
+    assert document("show", bag, "-o", other, "--no-browser") == {"page": str(other)}
+    assert len(opened) == 1
+    assert {path.name for path in tmp_path.iterdir()} == {bag.name, page.name, other.name}
+
+
+def show(laboratory: Path, *further: str) -> list[str]:
+    words = ["show", str(laboratory), "--experiment", str(laboratory / "experiment.yaml"), "--no-browser"]
+    return [*words, *further, "--jobs", "1"]
+
+
+def test_show_writes_a_run_of_a_laboratory_and_its_twin(laboratory: Path, capfd: pytest.CaptureFixture) -> None:
+    assert main(show(laboratory, "--run", "run_1")) == 0
+    page = laboratory.parent / "lab_run_1.html"
+    assert capfd.readouterr() == (f"page: {page}\n", "")
+    text = page.read_text()
+    assert all(part in text for part in ("cat_food is hit; scenario push", "object tracked at ", "found at 0.90"))
+    assert '"model":null' in text.replace(" ", "")
+    assert main(show(laboratory, "--run", "run_2", "--model", "nominal")) == 0
+    text = (laboratory.parent / "lab_run_2.html").read_text()
+    assert "nominal, from the measured state at the begin of every window" in text
+    assert '"model":null' not in text.replace(" ", "")
+
+
+def test_show_says_that_the_object_was_not_tracked(laboratory: Path, capfd: pytest.CaptureFixture) -> None:
+    mapping = yaml.safe_load((config_directory() / "mappings" / "impact_rs.yaml").read_text())
+    del mapping["signals"]["object_pose"]
+    (laboratory / "mapping.yaml").write_text(yaml.safe_dump(mapping))
+    (laboratory / "experiment.yaml").write_text("scenario: push\nmapping: mapping.yaml\n")
+    assert main(show(laboratory, "--run", "run_1")) == 0
+    assert capfd.readouterr().err == "run_1: the pose of cat_food was not recorded, so it is not shown\n"
+    assert "the object was not tracked" in (laboratory.parent / "lab_run_1.html").read_text()
+
+
+def test_show_of_an_unknown_run_names_the_nearest(laboratory: Path, refused: Callable[..., str]) -> None:
+    line = refused(*show(laboratory, "--run", "rnu_1"))
+    assert line == "impact-rs: run = 'rnu_1': the table of runs names no such run; did you mean 'run_1'?"
+    assert [path.name for path in laboratory.parent.iterdir()] == ["lab"]
 
 
 def test_an_output_folder_left_empty_goes_away_with_its_parents(tmp_path: Path) -> None:
@@ -427,31 +327,3 @@ def test_an_output_folder_left_empty_goes_away_with_its_parents(tmp_path: Path) 
         folder.mkdir(parents=True)
         (folder / "result").write_text("")
     assert (tmp_path / "a" / "b" / "result").exists()
-
-
-def test_a_trial_that_went_wrong_is_counted_told_and_used_by_nothing(
-    capfd: pytest.CaptureFixture, tmp_path: Path
-) -> None:
-    """The wrist of an FR3 is too light for the dampers of push: joint 7 runs away within milliseconds."""
-    out = str(tmp_path / "light")
-    scope = ["--objects", "cat_food", "--cases", "2", "--trials", "1", "--scales", "0.8", "1.2", "--jobs", "1"]
-    assert main(["campaign", "push", "-o", out, *scope, "--set", "robots.arm.facts=franka_fr3"]) == 1
-    told = capfd.readouterr()
-    assert "robot check failed, trials may diverge: drive of arm, joint 7" in told.err
-    assert "2 of 2 trials are there (2 DIVERGED)" in told.out
-    assert re.search(r"DIVERGED 2: arm joint7 at [\d.]+ rad/s against 5.26 rad/s at 0.0\d\d s \(cat_food__", told.err)
-    for command in ("analyze", "compare", "diagnose"):
-        assert main([command, out, "--jobs", "1"]) == 2
-        told = capfd.readouterr()
-        assert "DIVERGED: arm joint7 at" in told.err
-        assert "Traceback" not in told.err
-
-
-def test_a_single_trial_that_went_wrong_has_no_net_feedback(capfd: pytest.CaptureFixture, tmp_path: Path) -> None:
-    shipped = (config_directory() / "scenarios" / "push.yaml").read_text(encoding="utf-8")
-    scenario = tmp_path / "light.yaml"
-    scenario.write_text(shipped.replace("facts: franka_fer", "facts: franka_fr3"), encoding="utf-8")
-    assert main(["trial", str(scenario), "cat_food", "2", "-o", str(tmp_path / "one"), "--json"]) == 1
-    document = json.loads(capfd.readouterr().out)
-    assert (document["outcome"], document["net_feedback_m_s"]) == ("DIVERGED", None)
-    assert document["message"].startswith("arm joint7 at")

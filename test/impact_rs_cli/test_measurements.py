@@ -21,56 +21,44 @@ NAME = Path("experiment.yaml")
 def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
     """A working directory, and a folder of runs elsewhere."""
     here, runs = tmp_path / "here", tmp_path / "elsewhere" / "lab"
-    here.mkdir()
-    runs.mkdir(parents=True)
+    for folder in (here, runs):
+        folder.mkdir(parents=True)
     monkeypatch.chdir(here)
     return here, runs
 
 
-def test_an_experiment_file_is_found_in_the_folder_of_the_runs(
-    places: tuple[Path, Path], capsys: pytest.CaptureFixture
-) -> None:
-    _, runs = places
-    (runs / NAME).write_text("scenario: push\n")
-    assert experiment_file(NAME, runs, Terminal(as_json=False)) == runs / NAME
-    out, err = capsys.readouterr()
-    assert (out.strip(), err) == (f"experiment: {runs / NAME}", "")
-
-
-def test_an_experiment_file_of_the_working_directory_comes_first_and_the_other_is_named(
+def test_an_experiment_file_here_comes_before_one_beside_the_runs(
     places: tuple[Path, Path], capsys: pytest.CaptureFixture
 ) -> None:
     here, runs = places
-    for folder in places:
-        (folder / NAME).write_text("scenario: push\n")
-    assert experiment_file(NAME, runs, Terminal(as_json=False)).absolute() == here / NAME
+    terminal = Terminal(as_json=False)
+    with pytest.raises(InputError, match="no such file in .*here or in the folder of the runs, .*lab"):
+        experiment_file(NAME, runs, terminal)
+    (runs / NAME).write_text("scenario: push\n")
+    assert experiment_file(NAME, runs, terminal) == runs / NAME
+    assert capsys.readouterr() == (f"experiment: {runs / NAME}\n", "")
+    shutil.copy(runs / NAME, here / NAME)
+    assert experiment_file(NAME, runs, terminal).absolute() == here / NAME
     out, err = capsys.readouterr()
-    assert out.strip() == f"experiment: {here / NAME}"
+    assert out == f"experiment: {here / NAME}\n"
     assert "was not read" in err and str(runs / NAME) in err
     shutil.copy(runs / NAME, runs / "other.yaml")
-    assert experiment_file(runs / "other.yaml", runs, Terminal(as_json=False)) == runs / "other.yaml"
+    assert experiment_file(runs / "other.yaml", runs, terminal) == runs / "other.yaml"
     assert capsys.readouterr() == ("", "")  # a whole path leaves nothing open
 
 
-def test_a_missing_experiment_file_is_told_with_both_folders(places: tuple[Path, Path]) -> None:
-    here, runs = places
-    with pytest.raises(InputError, match="no such file in .*here or in the folder of the runs, .*lab"):
-        experiment_file(NAME, runs, Terminal(as_json=False))
-    assert list(here.iterdir()) == list(runs.iterdir()) == []
-
-
-@pytest.mark.parametrize("command", [["compare"], ["diagnose"], ["analyze"], ["show", "--run", "run_1"]])
-def test_every_command_reads_the_experiment_file_in_the_folder_of_the_runs(
-    places: tuple[Path, Path], capsys: pytest.CaptureFixture, command: list[str]
+@pytest.mark.parametrize("command", ["compare", "diagnose", "analyze", "show --run run_1"])
+def test_every_command_finds_the_experiment_file_beside_the_runs(
+    places: tuple[Path, Path], capsys: pytest.CaptureFixture, command: str
 ) -> None:
     _, runs = places
     (runs / NAME).write_text("scenari: push\n")
-    assert main([*command, str(runs), "--experiment", str(NAME), "--jobs", "1"]) == 2
+    assert main([*command.split(), str(runs), "--experiment", str(NAME), "--jobs", "1"]) == 2
     assert f"{runs / NAME}: scenari" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("tolerance", "fits"), [(50.0, True), (1e-6, False)])
-def test_analyze_says_where_no_prediction_fits_and_shows_equal_contacts_once(
+def test_analyze_says_that_no_prediction_fits_and_merges_equal_contacts(
     push_campaign: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

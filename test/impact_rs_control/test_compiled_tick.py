@@ -10,18 +10,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from trials import plan_of
 
 from impact_rs_control.closed_loop import make_plant, run_closed_loop
 from impact_rs_control.controller import IDLE_WEIGHT, Mode
 from impact_rs_control.detection import BASELINE_TIME
-from impact_rs_control.plan import TrialPlan, plan_trial
+from impact_rs_control.plan import TrialPlan
 from impact_rs_sim import _kernel
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import Scene
-
-
-def planned(name: str, object_name: str, case: str) -> TrialPlan:
-    return plan_trial(Scene.resolve(load_scenario(name), object_name, case))
+from impact_rs_sim.robot_model import RigidTerms
 
 
 class Reference:
@@ -80,7 +76,7 @@ class Reference:
 
 @pytest.mark.parametrize(("name", "object_name", "case"), [("push", "cat_food", "case_2"), ("grab", "juice", "case_1")])
 def test_torque_and_wrench_are_those_of_numpy_through_all_modes(name: str, object_name: str, case: str) -> None:
-    plan = planned(name, object_name, case)
+    plan = plan_of(name, object_name, case)
     references = {arm: Reference(plan, arm) for arm in plan.arms}
     plant, modes = make_plant(plan, 4), set()
     for tick in run_closed_loop(plan, plant):
@@ -107,8 +103,8 @@ def test_an_orientation_error_is_the_shortest_turn_whatever_its_size(angle: floa
         wanted = axes @ pin.exp3(angle * axis / np.linalg.norm(axis))
         phase = (np.zeros((1, 3)), np.zeros((1, 6)), np.zeros((1, 6)), np.ones(6))
         law = _kernel.TaskLaw(np.ones(6), (), phase, phase, wanted[None], np.zeros((1, 6)), idle_rate=0.0, idle=False)
-        state = (nothing, nothing, np.eye(6), np.eye(6), nothing, np.zeros(3), axes, nothing)
-        tilt = law.decide(0, False, 0.0, *state)[0][3:]
+        terms = RigidTerms(np.eye(6), nothing, np.eye(6), nothing, np.zeros(3), axes, nothing)
+        tilt = law.decide(0, False, 0.0, nothing, nothing, terms)[0][3:]
         np.testing.assert_allclose(tilt, axes @ pin.log3(axes.T @ wanted), atol=1e-9)
 
 
@@ -124,7 +120,7 @@ def arrays(told: Any) -> list[np.ndarray]:
 
 
 def test_what_a_tick_told_stays_as_it_was_when_the_trial_goes_on() -> None:
-    plan = planned("push", "cat_food", "case_2")
+    plan = plan_of("push", "cat_food", "case_2")
     plant, kept, as_it_was = make_plant(plan, 0), [], []
     for tick in run_closed_loop(plan, plant):
         told = (tick.measurement, tick.commands, plant.truth())

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from trials import plan_of
 
 from impact_rs_control.controller import ArmCommand, Controller, Mode
 from impact_rs_control.plan import TrialPlan, plan_trial
@@ -147,7 +148,7 @@ def test_every_task_error_of_its_mode_is_zero(plan: TrialPlan, stage: str) -> No
         np.testing.assert_allclose(command.feedback, feedback[:3], atol=1e-9)
 
 
-def test_where_a_joint_is_left_over_its_motion_is_braked_and_the_pad_knows_nothing_of_it() -> None:
+def test_a_redundant_joint_is_braked_without_moving_the_pad() -> None:
     """Seven joints without a posture task: along the null vector of J, ddq = -2 sqrt(k_q) dq; across it, the tasks."""
     case = PUSH.cases["case_1"]
     robot = case.robots[ARM].model_copy(update={"joint_1": None})
@@ -169,9 +170,7 @@ def test_where_a_joint_is_left_over_its_motion_is_braked_and_the_pad_knows_nothi
 
 @pytest.mark.parametrize("stage", STAGES)
 @pytest.mark.parametrize("task", ["position", "orientation", "posture"])
-def test_a_velocity_error_is_answered_gamma_times_as_hard_as_by_critical_damping(
-    plan: TrialPlan, stage: str, task: str
-) -> None:
+def test_a_velocity_error_is_damped_critically_times_gamma(plan: TrialPlan, stage: str, task: str) -> None:
     """d(acceleration) / d(velocity error) = gamma 2 sqrt(k): 0 at the impact, half way after half of the interim."""
     gains = plan.scene.scenario.control.gains
     rows, gain = {
@@ -200,7 +199,7 @@ def test_a_tilted_pad_is_turned_back(plan: TrialPlan) -> None:
     assert np.linalg.norm(pin.log3(turned.T @ desired)) == pytest.approx(angle - 1e-3, abs=1e-9)
 
 
-def test_gamma_grows_in_proportion_to_the_time_since_the_impact_and_the_interim_mode_ends(plan: TrialPlan) -> None:
+def test_gamma_grows_with_time_until_the_interim_mode_ends(plan: TrialPlan) -> None:
     """gamma = (t - T_imp) / Delta t_int."""
     controller, state, start = Controller(plan), measured(plan), NOMINAL
     controller.arms[ARM].begin_interim(start)
@@ -313,7 +312,7 @@ def pressed(plan: TrialPlan, arm: str, force: np.ndarray) -> ArmMeasurement:
     return measurement(q, np.zeros_like(q), model.gravity_torque(q) - model.jacobian(q)[:3].T @ force)
 
 
-def test_an_impact_is_detected_once_from_the_arming_on_and_carries_what_was_measured(plan: TrialPlan) -> None:
+def test_an_impact_is_detected_once_armed_with_its_measurement(plan: TrialPlan) -> None:
     settings = plan.scene.scenario.control.detection
     force = np.array([0.0, 2.0 * settings.threshold, 0.0])
     armed = round((TIMING.nominal_impact - settings.arm_before) / PERIOD)
@@ -333,7 +332,7 @@ def test_an_impact_is_detected_once_from_the_arming_on_and_carries_what_was_meas
 
 
 def test_the_first_arm_that_hits_takes_both_out_of_the_ante_mode() -> None:
-    planned = plan_trial(Scene.resolve(load_scenario("grab"), "cat_food", "case_1"))
+    planned = plan_of("grab", "cat_food", "case_1")
     controller, start = Controller(planned), round(planned.scene.scenario.timing.nominal_impact / PERIOD)
     against = -100.0 * planned.arms["left"].approach_direction
     for tick in range(start, start + 10):

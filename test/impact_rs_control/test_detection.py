@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
+from trials import scene_of
 
 from impact_rs_control.detection import BASELINE_TIME, ImpactDetector
-from impact_rs_sim.scenario import Detection, load_scenario
-from impact_rs_sim.scene import Scene
+from impact_rs_sim.scenario import Detection
 
-SCENE = Scene.resolve(load_scenario("push"), "cat_food", "case_2")
+SCENE = scene_of("push", "cat_food", "case_2")
 MODEL = SCENE.models["arm"]
 START = SCENE.arms["arm"].position
 COUNT = START.size
@@ -80,7 +80,7 @@ def test_a_known_force_on_a_moving_arm_is_recovered_with_its_sign_and_size(force
     np.testing.assert_allclose(observer.wrench[3:], 0.0, atol=0.1)
 
 
-def test_the_estimate_approaches_the_force_with_the_time_constant_of_the_gain() -> None:
+def test_the_estimate_approaches_the_force_at_the_observer_gain() -> None:
     """r_k = (1 - (1 - K_o Delta t)^k) tau_ext."""
     gain = 50.0
     observer = detector(SETTINGS.model_copy(update={"observer_gain": gain}))
@@ -91,7 +91,7 @@ def test_the_estimate_approaches_the_force_with_the_time_constant_of_the_gain() 
 
 
 @pytest.mark.parametrize(("size", "hit"), [(1.2, True), (0.95, False), (-1.2, False)])
-def test_a_sudden_force_against_the_motion_is_an_impact_and_one_along_it_is_not(size: float, hit: bool) -> None:
+def test_a_sudden_force_against_the_motion_alone_is_an_impact(size: float, hit: bool) -> None:
     """The arm moves along -y, so an obstacle pushes along +y."""
     observer = detector()
     for _ in range(20):
@@ -105,7 +105,7 @@ def test_a_force_across_the_motion_is_no_impact() -> None:
     assert not any(push_at_rest(observer, np.array([40.0, 0.0, -40.0])) for _ in range(50))
 
 
-def test_a_slow_force_becomes_the_baseline_and_a_sudden_one_on_top_is_still_found() -> None:
+def test_a_sudden_force_on_top_of_a_slow_one_is_found() -> None:
     """As a payload that the model does not know: a ramp r leaves r times the time constant, and then nothing."""
     observer, rate = detector(), 60.0  # N/s
     for tick in range(1, 1001):

@@ -110,7 +110,7 @@ def _run(plan: TrialPlan, physics=None):  # noqa: ANN001, ANN202
     return np.array(heights), modes, detections, judge(plan, witness.record())
 
 
-def test_both_arms_leave_the_ante_mode_together_and_the_box_is_held_at_the_end(plan: TrialPlan) -> None:
+def test_both_arms_leave_the_ante_mode_together_and_hold_the_box(plan: TrialPlan) -> None:
     heights, modes, detections, verdict = _run(plan)
     assert all(len(mode) == 1 for mode in modes)
     assert set(detections) == {"left", "right"}

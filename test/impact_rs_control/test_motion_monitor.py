@@ -54,7 +54,7 @@ def test_a_fast_motion_with_noise_and_a_coarse_encoder_is_no_complaint() -> None
     assert first_complaint(signals) == (np.inf, "")
 
 
-def test_the_velocity_jump_of_an_impact_through_a_slow_filter_is_no_complaint() -> None:
+def test_the_filtered_velocity_jump_of_an_impact_is_no_complaint() -> None:
     """A filter with time constant T is behind by T times the jump: 0.6 LAG of a jump by the whole velocity limit."""
 
     def signals(time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -73,7 +73,7 @@ def test_a_position_that_jumps_is_noticed_at_once() -> None:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_sensor_of_velocity_that_is_stuck_is_noticed_before_the_window_ends(sign: float) -> None:
+def test_a_stuck_velocity_sensor_is_noticed_within_the_window(sign: float) -> None:
     """A still arm that reports half of its velocity limit: after LAG / 0.5."""
     speed = 0.5 * sign * MODEL.velocity_max[2]
     when, complaint = first_complaint(lambda time: (np.zeros(7), one(speed if time >= 0.3 else 0.0), None))
@@ -104,7 +104,7 @@ def test_a_joint_that_reports_the_same_while_it_is_driven_is_frozen(joints: list
     assert complaint.startswith(f"arm_joint{joints[0] + 1} reports the same position and velocity for 0.1")
 
 
-def test_a_resting_joint_under_a_steady_torque_or_held_by_the_brake_is_not_frozen() -> None:
+def test_a_resting_or_braked_joint_is_not_taken_as_frozen() -> None:
     steady = 0.9 * MODEL.torque_max
     assert first_complaint(lambda time: (np.zeros(7), np.zeros(7), steady)) == (np.inf, "")
     assert first_complaint(lambda time: (np.zeros(7), np.zeros(7), None)) == (np.inf, "")
@@ -132,7 +132,7 @@ def test_torques_of_before_the_last_change_do_not_make_a_joint_frozen() -> None:
     assert first_complaint(signals) == (np.inf, "")
 
 
-def test_states_are_usable_again_a_window_after_the_jump_and_at_once_after_the_clock_went_back() -> None:
+def test_states_are_usable_again_a_window_after_a_jump() -> None:
     monitor = MotionMonitor(MODEL, JOINTS)
     complaints = [
         bool(monitor.complaint(time, one(0.5 if time > 0.3 else 0.0), np.zeros(7), None))

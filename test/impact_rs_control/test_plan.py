@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from trials import scene_of
 
 from impact_rs_control.plan import TrialPlan, plan_trial, tick_times
 from impact_rs_sim.friction_compensation import TASKS, AccelerationSamples, ArmFriction, FrictionCompensation
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, settle
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 
-PUSH = Scene.resolve(load_scenario("push"), "juice", "case_1")
-GRAB = Scene.resolve(load_scenario("grab"), "juice", "case_1")
-EXCITE = Scene.resolve(load_scenario("excite"), "none", "fast")
+PUSH = scene_of("push", "juice", "case_1")
+GRAB = scene_of("grab", "juice", "case_1")
+EXCITE = scene_of("excite", "none", "fast")
 GRAVITY = 9.81  # m/s^2
 SCALE = 0.8
 
@@ -57,7 +57,7 @@ def test_references_follow_the_settled_contact_where_the_scenario_says_so(grab: 
 
 @pytest.mark.parametrize("scene", [PUSH, GRAB], ids=["push", "grab"])
 @pytest.mark.parametrize("motor", ["reduced", "zero"])
-def test_references_jump_at_the_impact_as_the_impact_map_says_times_the_scale(scene: Scene, motor: str) -> None:
+def test_references_jump_by_the_impact_map_times_the_scale(scene: Scene, motor: str) -> None:
     plan = plan_trial(scene, SCALE, motor)
     answer = compute_impact_map(ImpactProblem.at_nominal_impact(scene, motor), "exact")
     tick = at_impact(plan)
@@ -79,7 +79,7 @@ def test_references_jump_at_the_impact_as_the_impact_map_says_times_the_scale(sc
     assert plan.ante_velocity == pytest.approx(np.mean(before))
 
 
-def test_a_pushed_box_gets_the_friction_of_its_support_and_its_own_inertial_force(push: TrialPlan) -> None:
+def test_a_pushed_box_gets_support_friction_and_inertial_force(push: TrialPlan) -> None:
     """f_d = m a_d + mu m g v_d / |v_d| in the plane: what the box needs to follow the reference across the table."""
     arm, thing = push.arms["arm"], PUSH.physics.object
     plane = np.array([1.0, 1.0, 0.0])
@@ -109,7 +109,7 @@ def test_a_pad_passes_on_no_more_than_its_friction() -> None:
     assert np.any(np.abs(wrench[:, 0]) > 0.99 * 0.02 * -wrench[:, 1])
 
 
-def test_nothing_rubs_a_box_that_hangs_free_and_a_box_that_slows_down_is_not_pulled() -> None:
+def test_a_hanging_box_has_no_friction_and_a_slowing_box_no_pull() -> None:
     physics: Physics = replace(PUSH.physics, support_height=None)
     plan = plan_trial(replace(PUSH, physics=physics), SCALE)
     along = plan.arms["arm"].post_position.acceleration @ np.array([0.0, -1.0, 0.0])
@@ -118,7 +118,7 @@ def test_nothing_rubs_a_box_that_hangs_free_and_a_box_that_slows_down_is_not_pul
     np.testing.assert_allclose(-plan.arms["arm"].wrench[:, 1], expected, atol=1e-9)
 
 
-def test_two_arms_share_the_weight_of_the_box_and_clamp_it_with_opposite_forces(grab: TrialPlan) -> None:
+def test_two_arms_share_the_weight_and_clamp_with_opposite_forces(grab: TrialPlan) -> None:
     """Sum of both: m (a_d - g); each along its pad's normal: the clamping force and its share of that."""
     clamp, mass = GRAB.scenario.control.clamp_force, GRAB.physics.object.mass
     left, right = grab.arms["left"], grab.arms["right"]
@@ -173,7 +173,7 @@ def test_pads_end_where_the_scaled_common_motion_takes_them(scene: Scene) -> Non
         assert way[axis] == pytest.approx(SCALE * common * timing.push / 2.0, rel=1e-9)
 
 
-def test_an_excursion_turns_about_the_normal_and_peaks_at_the_speed_of_its_case(excite: TrialPlan) -> None:
+def test_an_excursion_turns_and_peaks_at_the_speed_of_its_case(excite: TrialPlan) -> None:
     arm = excite.arms["arm"]
     settings = EXCITE.scenario.excursion
     assert settings is not None

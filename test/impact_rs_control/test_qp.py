@@ -101,7 +101,7 @@ def test_contradicting_limits_are_relaxed_and_reported_never_nan(overshoot):
     assert healthy.status is QpStatus.SOLVED
 
 
-def test_a_problem_that_is_not_a_number_has_an_answer_that_is_one_and_says_so():
+def test_a_problem_with_nan_gets_a_finite_answer_marked_failed():
     solution = make_qp().solve(problem(targets=np.full(COUNT, np.nan)))
     assert solution.status is QpStatus.FAILED
     np.testing.assert_array_equal(solution.acceleration, np.zeros(COUNT))

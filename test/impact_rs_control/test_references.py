@@ -107,7 +107,7 @@ def test_pads_that_hold_an_object_end_at_its_faces_and_rise_together(timing):
     assert np.all(paths["left"].position[-1, 2] > POSITION[2] + 0.1)
 
 
-def test_outside_of_its_via_points_a_path_goes_straight_on_whatever_its_acceleration_was():
+def test_outside_its_via_points_a_path_goes_straight_on():
     start, end = (ViaPoint(time, POSITION, VELOCITY, np.ones(3)) for time in (0.5, 1.0))
     path = sample_path([start, end], np.array([0.2, 0.5, 1.0, 1.4]))
     np.testing.assert_allclose(path.velocity, np.broadcast_to(VELOCITY, (4, 3)), atol=1e-9)
@@ -147,7 +147,7 @@ def test_the_push_ends_at_rest_after_half_of_velocity_times_duration(timing):
     np.testing.assert_allclose(path.position[-1], POSITION + VELOCITY * timing.push / 2.0, atol=1e-12)
 
 
-def test_a_pad_follows_the_common_motion_and_what_is_its_own_leaves_no_displacement(timing):
+def test_a_pad_follows_the_common_motion_without_displacement(timing):
     """Along the axis: the mean of the pads, for the whole push; across it: the mean's slide; the rest: gone again."""
     up, normal = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
     velocity, common = np.array([0.10, 0.02, 0.36]), np.array([0.06, 0.05, 0.34])
@@ -170,7 +170,7 @@ def test_there_and_back_rests_at_both_ends_and_peaks_half_way(timing):
     np.testing.assert_allclose(turning.position, [end, start], atol=1e-12)
 
 
-def test_a_run_up_has_settled_before_the_measure_begins_and_then_is_the_post_impact_path(timing):
+def test_a_run_up_joins_the_post_path_before_the_measure_begins(timing):
     times = np.arange(round(timing.duration / 1e-3) + 1) * 1e-3
     post = post_impact_path(timing, POSITION, VELOCITY, times)
     path = run_up_path(timing, post, times)

@@ -54,7 +54,6 @@ class Bench:
             self.robot.arms,
             mocap,
             self.wire,
-            self.robot.clock,
             LIMITS,
             None,
             self.robot.clock,  # type: ignore[arg-type]
@@ -89,7 +88,7 @@ def test_a_robot_that_is_silent_or_stops_is_not_armed() -> None:
 
 
 @pytest.mark.parametrize("factor", [0.97, 1.03, 1.5])
-def test_states_that_come_faster_or_slower_than_the_scenario_says_are_refused(factor: float) -> None:
+def test_states_at_another_rate_than_the_scenarios_are_refused(factor: float) -> None:
     assert f"a state every {factor:.3f} ms; timing.control_period of the scenario is 1 ms" in refusal(
         Bench(period=factor * PERIOD)
     )
@@ -100,7 +99,7 @@ def test_a_period_that_is_one_percent_off_is_the_scenarios() -> None:
 
 
 @pytest.mark.parametrize(("pause", "armed"), [(3.5, False), (1.5, True)])
-def test_one_state_that_comes_late_and_keeps_others_waiting_is_jitter_enough(pause: float, armed: bool) -> None:
+def test_one_late_state_that_delays_others_is_jitter_enough(pause: float, armed: bool) -> None:
     bench = Bench(late=lambda step: 1e-3 * max(0.0, pause - (step - 100)) if step >= 100 else 0.0)
     if armed:
         assert bench.run().startswith("jitter 1.500 ms")
@@ -150,13 +149,13 @@ def falling(time: float) -> dict[str, np.ndarray]:
     return {"position": START - 0.5 * since**2, "velocity": np.full(7, -since)}
 
 
-def test_an_arm_that_does_not_stay_where_it_is_held_is_not_armed_and_goes_on_being_braked() -> None:
+def test_an_arm_that_falls_when_held_is_not_armed_and_stays_braked() -> None:
     bench = Bench(falling)
     found = refusal(bench)
     assert "arm moves at 0.02" in found
     assert "while it was held; this node assumes that the robot adds gravity (robot_adds_gravity)" in found
     since = bench.robot.clock
-    rest_until(bench.robot.arms, bench.wire, PERIOD, since.time + 0.05, since)  # type: ignore[arg-type]
+    rest_until(bench.robot.arms, bench.wire, since.time + 0.05, since)  # type: ignore[arg-type]
     assert bench.robot.sent[-1] @ falling(since.time - 100.0)["velocity"] < 0.0  # against the motion
     assert not bench.robot.arms.held
 
@@ -165,9 +164,9 @@ def test_an_arm_that_is_held_must_go_on_reporting() -> None:
     assert "less than 0.2 s of states in 3 s while the robot was held" in refusal(Bench(until=LOOKING + 0.1))
 
 
-def test_the_arms_of_the_trial_before_are_held_while_the_robot_is_looked_at() -> None:
+def test_arms_of_the_trial_before_are_held_during_the_look() -> None:
     bench, before = Bench(), Robot()
-    before.clock, before.states._clock, before.arms._clock = (bench.robot.clock,) * 3
+    before.clock = before.states.clock = bench.robot.clock
     bench.arming._holder = before.arms
     bench.arming.look()
     assert len(before.sent) == pytest.approx(LOOKING / PERIOD, abs=2)

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 
 import pytest
 import rclpy
+from node_trials import PATIENCE, until
 from robot_bench import PUSH
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
@@ -18,7 +18,6 @@ from impact_rs_ros.qos import COMMAND, LATCHED
 from impact_rs_sim.errors import InputError
 
 COMMANDS = "/arm/effort_controller/commands"
-PATIENCE = 30.0  # s, for discovery; never reached on a machine that works
 
 
 class Arms:
@@ -56,16 +55,17 @@ def other(cell: CellNode) -> Iterator[rclpy.node.Node]:
 
 
 def eventually(cell: CellNode, condition: Callable[[], bool]) -> bool:
-    until = time.monotonic() + PATIENCE
-    while not condition() and time.monotonic() < until:
-        cell.serve(0.01)
-    return condition()
+    return bool(until(condition, lambda: cell.serve(0.01)))
+
+
+@pytest.fixture(autouse=True)
+def looks_take_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cell_node, "rest_until", lambda arms, *others: arms.rest())
 
 
 def test_leaving_a_trial_and_closing_the_node_go_on_until_the_arms_rest(
     cell: CellNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cell_node, "rest_until", lambda arms, *others: arms.rest())
     for leave in (cell._leave, cell.brake):
         cell._held = Arms(5)  # type: ignore[assignment]
         leave()
@@ -79,10 +79,7 @@ def test_leaving_a_trial_and_closing_the_node_go_on_until_the_arms_rest(
     cell._held = None
 
 
-def test_arms_that_do_not_come_to_rest_are_left_with_a_call_for_the_emergency_stop(
-    cell: CellNode, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(cell_node, "rest_until", lambda arms, *others: arms.rest())
+def test_arms_that_do_not_rest_call_for_the_emergency_stop(cell: CellNode, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cell_node, "BRAKING", 0.0)
     said: list[str] = []
     monkeypatch.setattr(cell, "log", type("Log", (), {"error": staticmethod(said.append)}))
@@ -92,10 +89,7 @@ def test_arms_that_do_not_come_to_rest_are_left_with_a_call_for_the_emergency_st
     assert said == ["the arms did not come to rest within 0 s: press the emergency stop"]
 
 
-def test_between_trials_the_arms_are_held_and_in_a_trial_that_has_not_begun_as_well(
-    cell: CellNode, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(cell_node, "rest_until", lambda arms, *others: arms.rest())
+def test_arms_are_held_between_trials_and_before_one_begins(cell: CellNode) -> None:
     cell._held = held = Arms(10**9)  # type: ignore[assignment]
     for let_pass in (cell.turn, cell.wait):
         before = held.looks

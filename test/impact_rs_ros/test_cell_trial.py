@@ -6,7 +6,7 @@ The clock is the test's: nothing here depends on how fast the machine is.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -14,8 +14,19 @@ from geometry_msgs.msg import PoseStamped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
-from robot_bench import LIMIT, MODEL, MOTORS, PERIOD, PUSH, START, SWITCHED_ON, WEIGHT, Robot
-from sensor_msgs.msg import JointState
+from robot_bench import (
+    LIMIT,
+    MODEL,
+    MOTORS,
+    PERIOD,
+    PUSH,
+    START,
+    SWITCHED_ON,
+    WEIGHT,
+    Robot,
+    Wires,
+    torque_message,
+)
 
 from impact_rs_control.fallback import holding_torque
 from impact_rs_ros.cell_trial import CellTrial, TrialLimits
@@ -28,17 +39,13 @@ COMMAND = topics.joint_command("arm")
 LAST = PUSH.scene.scenario.timing.ticks
 
 
-class Bench:
+class Bench(Wires):
     """A trial of one arm, a robot that reports what the test says, and a controller that answers what it says."""
 
-    due = False
-
     def __init__(self, adds_gravity: bool = True, mocap: bool = False) -> None:
+        super().__init__()
         self.robot = Robot(adds_gravity)
         self.arms, self.sent = self.robot.arms, self.robot.sent
-        self.waiting: list[tuple[str, bytes]] = []
-        self.asked: list[int] = []
-        self.poses: list[PoseStamped] = []
         self.step = 0
         self.trial = CellTrial(
             PUSH,
@@ -60,30 +67,16 @@ class Bench:
         if not self.waiting:
             self.robot.clock.time += timeout
 
-    def take(self) -> Iterator[tuple[str, bytes]]:
-        while self.waiting:
-            yield self.waiting.pop(0)
-
-    def now(self, topic: str, tick: int, sample: object) -> bytes:
-        self.asked.append(tick)
-        return b""
-
-    def repeat(self, topic: str, data: bytes) -> None:
-        """Asked again."""
-
-    def later(self, topic: str, message: PoseStamped) -> None:
-        assert topic == topics.OBJECT_POSE
-        self.poses.append(message)
-
-    def work(self) -> None:
+    def bring(self, topic: str, data: bytes) -> None:
+        """A message comes."""
+        self.waiting.append((topic, data))
         self.trial.work(self.time + 1e-9)
 
     def state(self, **changes: object) -> None:
         """The robot's next state, a period after the last one."""
         self.robot.clock.time = 100.0 + self.step * PERIOD
         self.step += 1
-        self.waiting.append((STATES, self.robot.message(**changes)))  # type: ignore[arg-type]
-        self.work()
+        self.bring(STATES, self.robot.message(**changes))  # type: ignore[arg-type]
 
     def pose(self, taken: int, x: float = 0.5, frame: str = "tracker") -> None:
         """A pose of the object, ``taken`` [ns] after the robot was switched on."""
@@ -91,17 +84,12 @@ class Bench:
         message.header.frame_id = frame
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(SWITCHED_ON + taken, 10**9)
         message.pose.position.x = x
-        self.waiting.append((MOCAP, bytes(serialize_message(message))))
-        self.work()
+        self.bring(MOCAP, bytes(serialize_message(message)))
 
     def answer(self, torque: np.ndarray, tick: int | None = None, after: float = 0.0) -> None:
         """The controller's answer to the last state, or to another."""
         self.robot.clock.time += after
-        message = JointState(name=[f"arm_joint{n}" for n in range(1, 8)], effort=list(torque))
-        stamp = (self.asked[-1] if tick is None else tick) * 1_000_000
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
-        self.waiting.append((COMMAND, bytes(serialize_message(message))))
-        self.work()
+        self.bring(COMMAND, torque_message(self.asked[-1] if tick is None else tick, torque))
 
     def under_way(self) -> Bench:
         """Tick 0 has its answer, and tick 1 as well."""
@@ -115,7 +103,7 @@ class Bench:
         return self
 
 
-def test_ticks_are_those_of_the_robots_stamps_and_every_one_is_sent_one_torque() -> None:
+def test_ticks_follow_the_robots_stamps_with_one_torque_each() -> None:
     bench = Bench().under_way()
     for _ in range(5):
         bench.state()
@@ -169,7 +157,7 @@ def test_an_answer_that_is_late_ends_the_trial_whether_it_comes_or_not() -> None
         assert "answer_timeout is 0.01 s" in bench.trial.failure
 
 
-def test_until_the_controller_answers_the_first_state_the_arm_is_held_and_time_stands_still() -> None:
+def test_until_the_first_answer_the_arm_is_held_and_time_stands_still() -> None:
     bench = Bench()
     for _ in range(50):
         bench.state()
@@ -204,7 +192,7 @@ def test_a_controller_that_never_answers_ends_the_trial() -> None:
         ({"age": -0.02}, "the robot's state is stamped 0.0200 s in the future"),
     ],
 )
-def test_a_state_that_is_not_usable_ends_the_trial_and_the_arm_is_braked_on_the_last_usable_one(
+def test_an_unusable_state_ends_the_trial_and_the_brake_uses_the_last_one(
     changes: dict[str, object], complaint: str
 ) -> None:
     bench = Bench().under_way()
@@ -225,23 +213,19 @@ def test_a_state_that_is_older_than_the_limit_ends_the_trial() -> None:
 def test_only_usable_states_are_a_sign_of_life() -> None:
     bench = Bench().under_way()
     for _ in range(3):
-        bench.waiting.append((STATES, b"no message"))
-        bench.work()
-        bench.waiting.append((STATES, bench.robot.message()))  # of the same time
-        bench.work()
+        bench.bring(STATES, b"no message")
+        bench.bring(STATES, bench.robot.message())  # of the same time
     bench.robot.clock.time += LIMIT + 1e-4
-    bench.waiting.append((STATES, b"no message"))
-    bench.work()
+    bench.bring(STATES, b"no message")
     assert "no state of the robot for 0.01" in bench.trial.failure
     assert bench.trial.unreadable == 4
 
 
 @pytest.mark.parametrize("data", [b"", b"\0\1\0\0abc", b"\0\1\0\0" + b"\xff" * 60, b"x" * 200_000])
-def test_bytes_that_are_no_message_neither_end_the_trial_nor_reach_the_robot(data: bytes) -> None:
+def test_bytes_that_are_no_message_end_no_trial_and_reach_no_robot(data: bytes) -> None:
     bench = Bench().under_way()
     for topic in (STATES, COMMAND):
-        bench.waiting.append((topic, data))
-        bench.work()
+        bench.bring(topic, data)
     assert not bench.trial.over
     assert bench.sent == []
     bench.state()
@@ -263,7 +247,7 @@ def test_no_trial_begins_with_an_arm_elsewhere_or_in_motion(changes: dict[str, n
     assert bench.asked == []
 
 
-def test_an_arm_that_drifts_off_while_the_controller_is_awaited_begins_no_trial() -> None:
+def test_an_arm_that_drifts_before_the_first_answer_begins_no_trial() -> None:
     """At 0.05 rad/s, for three seconds; below the speed that is rest, 0.02 rad/s, it takes longer."""
     bench = Bench()
     for step in range(3000):
@@ -292,7 +276,7 @@ def test_a_last_state_that_is_missing_ends_the_trial() -> None:
     assert bench.trial.failure.endswith("the last state of the trial is missing")
 
 
-def test_a_robot_that_falls_silent_ends_the_trial_and_its_brake_is_released() -> None:
+def test_a_silent_robot_ends_the_trial_and_its_brake_is_released() -> None:
     """A torque that no state corrects does not brake: what is left is the arm's own weight."""
     bench = Bench().under_way()
     for count in range(5):
@@ -372,16 +356,16 @@ def test_two_torques_for_one_state_are_of_two_controllers() -> None:
     assert bench.trial.failure.endswith("two torques for one state; are there two controllers?")
 
 
-def test_poses_are_passed_on_in_trial_time_by_when_they_were_taken_and_in_world() -> None:
+def test_poses_are_passed_on_in_trial_time_and_in_world() -> None:
     bench = Bench(mocap=True)
     bench.pose(0)  # before the trial
     bench.under_way()  # with its origin at the stamp of its first state
     for taken, x in ((-1, 0.1), (700_000, 0.2), (900_000, np.nan), (1_600_000_000, 0.4), (1_800_000_001, 0.5)):
         bench.pose(taken, x)
-    times = [pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec for pose in bench.poses]
+    times = [pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec for pose in bench.kept]
     assert times == [700_000, 1_600_000_000]
-    assert [pose.pose.position.x for pose in bench.poses] == [0.2, 0.4]
-    assert {(pose.header.frame_id, pose.pose.position.z) for pose in bench.poses} == {("world", 1.0)}
+    assert [pose.pose.position.x for pose in bench.kept] == [0.2, 0.4]
+    assert {(pose.header.frame_id, pose.pose.position.z) for pose in bench.kept} == {("world", 1.0)}
     assert not bench.trial.over
     bench.pose(1_700_000_000, frame="world")
     assert "frame_id of /mocap/object_pose = 'world': expected tracker" in bench.trial.failure
@@ -401,7 +385,7 @@ def test_a_trial_whose_object_was_never_seen_is_no_success(seen: bool) -> None:
 
 @settings(max_examples=300)
 @given(data=st.data())
-def test_whatever_bytes_come_nothing_is_raised_and_no_torque_beyond_a_limit_is_sent(data: st.DataObject) -> None:
+def test_no_bytes_raise_or_make_a_torque_beyond_a_limit(data: st.DataObject) -> None:
     """On every topic of the cell: random bytes, and well-formed messages that are cut off or have flipped bits."""
     bench = Bench(mocap=True).under_way()
     state = bench.robot.message()
@@ -411,7 +395,6 @@ def test_whatever_bytes_come_nothing_is_raised_and_no_torque_beyond_a_limit_is_s
         payload = bytearray(data.draw(st.sampled_from([state, pose, b""])) or data.draw(st.binary(max_size=300)))
         for bit in data.draw(st.lists(st.integers(0, 8 * len(payload) - 1), max_size=5)) if payload else ():
             payload[bit // 8] ^= 1 << bit % 8
-        bench.waiting.append((topic, bytes(payload[: data.draw(st.integers(0, len(payload)))])))
-        bench.work()
+        bench.bring(topic, bytes(payload[: data.draw(st.integers(0, len(payload)))]))
     bench.arms.rest()
     assert all(np.all(np.abs(torque) <= 2.0 * MODEL.torque_max) for torque in bench.sent)

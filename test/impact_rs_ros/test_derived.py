@@ -7,29 +7,26 @@ import numpy as np
 import pytest
 
 from impact_rs_control.closed_loop import make_plant
-from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_ros.derived import DerivedMessages
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
 from impact_rs_trials.bags.record import FrameSource
 from impact_rs_trials.bags.types import typestore
+from impact_rs_trials.spec import TrialSpec
 
 STORE = typestore()
+PLAN = TrialSpec.of(load_scenario("push"), "juice", "case_1").plan
+Messages = list[tuple[str, int, bytes]]  # topics, stamps [ns], bytes
+Recorded = tuple[Messages, dict[tuple[int, str], bytes]]  # and transforms and clock by stamp and topic
 TICKS = 50
 
 
 @pytest.fixture(scope="module")
-def plan() -> TrialPlan:
-    return plan_trial(Scene.resolve(load_scenario("push"), "juice", "case_1"))
-
-
-@pytest.fixture(scope="module")
-def recorded(plan: TrialPlan) -> tuple[list[tuple[str, int, bytes]], dict[tuple[int, str], bytes]]:
-    """Messages of the plant with their stamps [ns], and transforms and clock by stamp and topic."""
-    maker, frames, plant = MessageMaker(RosbagsTypes(), plan), FrameSource(plan.scene), make_plant(plan, 0)
-    hold = plan.scene.models["arm"].gravity_torque(plan.arms["arm"].initial)
+def recorded() -> Recorded:
+    """What the plant publishes."""
+    maker, frames, plant = MessageMaker(RosbagsTypes(), PLAN), FrameSource(PLAN.scene), make_plant(PLAN, 0)
+    hold = PLAN.scene.models["arm"].gravity_torque(PLAN.arms["arm"].initial)
     messages, expected = [], {}
     for tick in range(TICKS):
         measured, now = plant.measure(), maker.nanoseconds(tick)
@@ -47,30 +44,28 @@ def recorded(plan: TrialPlan) -> tuple[list[tuple[str, int, bytes]], dict[tuple[
     return messages, expected
 
 
-def made_by(derived: DerivedMessages, messages: list[tuple[str, int, bytes]]) -> dict[tuple[int, str], bytes]:
+def made_by(derived: DerivedMessages, messages: Messages) -> dict[tuple[int, str], bytes]:
     """What is worked out while these messages come, by time [ns] and topic."""
     return {(at, name): made for topic, now, data in messages for name, at, made in derived.receive(topic, now, data)}
 
 
 @pytest.mark.parametrize("order", ["as sent", "object first", "shuffled"])
-def test_transforms_and_clock_follow_from_the_messages_in_whatever_order_they_come(
-    plan: TrialPlan, recorded: tuple[list, dict], order: str
-) -> None:
+def test_transforms_and_clock_follow_from_messages_in_any_order(recorded: Recorded, order: str) -> None:
     messages, expected = recorded
     if order == "object first":
         messages = sorted(messages, key=lambda message: (message[1], message[0] != topics.OBJECT_POSE))
     if order == "shuffled":
         messages = [messages[index] for index in np.random.default_rng(0).permutation(len(messages))]
         messages.sort(key=lambda message: message[1])
-    derived = DerivedMessages(plan)
+    derived = DerivedMessages(PLAN)
     found = made_by(derived, messages)
     assert found == expected
     assert len(found) == 2 * 3
 
 
-def test_the_frame_of_an_object_that_nobody_tracks_is_left_out(plan: TrialPlan, recorded: tuple[list, dict]) -> None:
+def test_the_frame_of_an_object_that_nobody_tracks_is_left_out(recorded: Recorded) -> None:
     messages, expected = recorded
-    derived = DerivedMessages(plan, tracked=False)
+    derived = DerivedMessages(PLAN, tracked=False)
     found = made_by(derived, messages)
     assert list(found) == list(expected)
     for key in (key for key in found if key[1] == topics.TF):
@@ -82,7 +77,7 @@ def test_the_frame_of_an_object_that_nobody_tracks_is_left_out(plan: TrialPlan, 
         assert len(frames) == len(whole) - 1
 
 
-def with_tracker_of_its_own(messages: list, poses: dict[float, float], late: float) -> list[tuple[str, int, bytes]]:
+def with_tracker_of_its_own(messages: list, poses: dict[float, float], late: float) -> Messages:
     """Joint states as they were, and poses with an x [m] by when they were taken [s], each so late [s]."""
     told = [(now, (topic, now, data)) for topic, now, data in messages if topic != topics.OBJECT_POSE]
     _, _, like = next(message for message in messages if message[0] == topics.OBJECT_POSE)
@@ -98,11 +93,9 @@ def with_tracker_of_its_own(messages: list, poses: dict[float, float], late: flo
     return [message for _, message in sorted(told, key=lambda one: one[0])]
 
 
-def test_an_object_whose_tracker_keeps_its_own_times_is_where_it_was_last_seen(
-    plan: TrialPlan, recorded: tuple[list, dict]
-) -> None:
+def test_an_object_with_its_own_tracker_times_is_where_it_was_last_seen(recorded: Recorded) -> None:
     poses = {0.0035 + 0.0083 * number: 0.1 * number for number in range(5)}  # the last at 0.0367 s, before tick 40
-    derived = DerivedMessages(plan)
+    derived = DerivedMessages(PLAN)
     found = made_by(derived, with_tracker_of_its_own(recorded[0], poses, late=0.006))
     assert list(found) == [(now, topic) for now in (0, 20_000_000) for topic in (topics.TF, topics.CLOCK)]
     found |= {(at, name): made for name, at, made in derived.rest()}
@@ -114,24 +107,22 @@ def test_an_object_whose_tracker_keeps_its_own_times_is_where_it_was_last_seen(
         for one in STORE.deserialize_cdr(made, topics.TF_MESSAGE).transforms
         if one.child_frame_id == "object"
     }
-    assert seen == {0: plan.scene.object.position[0], 20_000_000: pytest.approx(0.1), 40_000_000: pytest.approx(0.4)}
+    assert seen == {0: PLAN.scene.object.position[0], 20_000_000: pytest.approx(0.1), 40_000_000: pytest.approx(0.4)}
 
 
-def test_an_object_that_was_never_seen_has_no_frame(plan: TrialPlan, recorded: tuple[list, dict]) -> None:
-    derived = DerivedMessages(plan)
+def test_an_object_that_was_never_seen_has_no_frame(recorded: Recorded) -> None:
+    derived = DerivedMessages(PLAN)
     assert made_by(derived, with_tracker_of_its_own(recorded[0], {}, late=0.0)) == {}
-    untracked = DerivedMessages(plan, tracked=False)
+    untracked = DerivedMessages(PLAN, tracked=False)
     expected = made_by(untracked, recorded[0])
     assert {(at, name): made for name, at, made in derived.rest()} == expected
 
 
-def test_other_topics_change_nothing(plan: TrialPlan) -> None:
-    assert list(DerivedMessages(plan).receive(topics.CLOCK, 0, b"")) == []
+def test_other_topics_change_nothing() -> None:
+    assert list(DerivedMessages(PLAN).receive(topics.CLOCK, 0, b"")) == []
 
 
-def test_joints_in_another_order_are_at_the_same_place_and_wrong_ones_nowhere(
-    plan: TrialPlan, recorded: tuple[list, dict]
-) -> None:
+def test_joints_in_another_order_give_the_same_frames_and_wrong_ones_none(recorded: Recorded) -> None:
     def turned(data: bytes) -> bytes:
         state = STORE.deserialize_cdr(data, topics.JOINT_STATE)
         for field in ("name", "position", "velocity", "effort"):
@@ -139,6 +130,6 @@ def test_joints_in_another_order_are_at_the_same_place_and_wrong_ones_nowhere(
         return bytes(STORE.serialize_cdr(state, topics.JOINT_STATE))
 
     messages = [(topic, now, data if topic == topics.OBJECT_POSE else turned(data)) for topic, now, data in recorded[0]]
-    assert made_by(DerivedMessages(plan), messages) == recorded[1]
+    assert made_by(DerivedMessages(PLAN), messages) == recorded[1]
     broken = [(topic, now, data if topic == topics.OBJECT_POSE else data[:-8]) for topic, now, data in messages]
-    assert made_by(DerivedMessages(plan), broken) == {}
+    assert made_by(DerivedMessages(PLAN), broken) == {}

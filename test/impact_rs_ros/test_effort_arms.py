@@ -39,7 +39,7 @@ def moving_robot(speed: float = 0.5) -> Robot:
     return robot
 
 
-def test_a_controllers_torque_goes_to_the_robot_without_the_weight_that_the_robot_carries() -> None:
+def test_the_robot_is_sent_a_torque_without_the_weight_that_it_carries() -> None:
     for adds, expected in ((True, np.full(7, 0.5)), (False, WEIGHT + 0.5)):
         robot = Robot(adds_gravity=adds)
         robot.state()
@@ -194,21 +194,12 @@ def test_an_arm_whose_weight_is_assumed_wrongly_creeps_instead_of_falling() -> N
     assert not robot.arms.held
 
 
-def test_arms_are_held_when_all_of_them_rest_and_the_torque_that_led_them_has_left() -> None:
+def test_arms_are_held_when_all_rest_and_no_leading_torque_is_left() -> None:
     clock, sent = TestClock(), []
     names = joint_names("{arm}_{number}", dict.fromkeys(GRAB.arms, 7))
     models = {arm: GRAB.scene.models[arm] for arm in GRAB.arms}
     states = RobotStates(models, names, PERIOD, 0.01, clock)
-    arms = EffortArms(
-        models,
-        dict.fromkeys(models, MOTORS),
-        states,
-        True,
-        RATE,
-        PERIOD,
-        clock,
-        lambda arm, torque: sent.append(torque),
-    )
+    arms = EffortArms(states, dict.fromkeys(models, MOTORS), True, RATE, lambda arm, torque: sent.append(torque))
     first, second = GRAB.arms
 
     def state(speed: dict[str, float]) -> None:
@@ -244,7 +235,7 @@ def test_the_brake_acts_on_the_newest_of_states_that_have_waited() -> None:
         stamp = robot.clock.now() + round(count * 1e9 * PERIOD)
         wire.put(robot.clock.time + 0.0191, STATES, state_message(stamp, START, np.full(7, 0.001 * count)))
     robot.states._timeout = 0.1
-    rest_until(robot.arms, wire, PERIOD, robot.clock.time + 0.0195, robot.clock)  # type: ignore[arg-type]
+    rest_until(robot.arms, wire, robot.clock.time + 0.0195, robot.clock)  # type: ignore[arg-type]
     assert len(robot.sent) == 1
     assert robot.states.latest is not None
     assert robot.states.latest.arms["arm"].velocity[0] == pytest.approx(0.019)

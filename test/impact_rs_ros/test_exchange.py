@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import rclpy
+from node_trials import until
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
@@ -55,10 +56,7 @@ def test_an_inbox_holds_everything_in_order_until_it_is_taken(domain_ids: Callab
     with node_with("inbox", domain_ids(), "signal:=renamed") as (node, inbox):
         inbox.connect({"signal": topics.JOINT_STATE})
         publisher = node.create_publisher(JointState, "/renamed", STREAM)
-        deadline = time.monotonic() + 30.0
-        while inbox.publishers() != {"signal": 1}:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        until(lambda: inbox.publishers() == {"signal": 1}, lambda: time.sleep(0.01))
 
         def send(numbers: range) -> None:
             for number in numbers:
@@ -71,9 +69,7 @@ def test_an_inbox_holds_everything_in_order_until_it_is_taken(domain_ids: Callab
 
         send(range(500))
         found: list[int] = []
-        while len(found) < 500 and time.monotonic() < deadline:
-            inbox.wait(0.1)
-            found += receive()
+        until(lambda: found.extend(receive()) or len(found) == 500, lambda: inbox.wait(0.1))
         assert found == list(range(500))
 
         send(range(5))
@@ -86,23 +82,16 @@ def test_an_inbox_holds_everything_in_order_until_it_is_taken(domain_ids: Callab
         assert receive() == []
 
 
-def test_an_inbox_hands_out_messages_that_can_be_read_and_counts_the_others(domain_ids: Callable[[], int]) -> None:
+def test_an_inbox_returns_readable_messages_and_counts_the_others(domain_ids: Callable[[], int]) -> None:
     with node_with("inbox", domain_ids(), "signal:=renamed") as (node, _):
         inbox = Inbox(node, "messages", RECORD)
         inbox.connect({"signal": topics.JOINT_STATE})
         publisher = node.create_publisher(JointState, "/renamed", STREAM)
-        deadline = time.monotonic() + 30.0
-        while inbox.publishers() != {"signal": 1}:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        until(lambda: inbox.publishers() == {"signal": 1}, lambda: time.sleep(0.01))
         for data in (b"", b"\0\1\0\0abc", b"\0\1\0\0" + b"\xff" * 100):
             publisher.publish(data)
         publisher.publish(JointState(name=["a"]))
-        found: list[list[str]] = []
-        while not found:
-            assert time.monotonic() < deadline
-            inbox.wait(0.1)
-            found += [message.name for _, message in inbox.take()]
+        found = until(lambda: [message.name for _, message in inbox.take()], lambda: inbox.wait(0.1))
         assert found == [["a"]]
         assert inbox.unreadable == {"signal": 3}
         inbox.close()

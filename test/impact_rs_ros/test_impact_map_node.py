@@ -72,6 +72,10 @@ def described(scene: Scene, **changes: object) -> ObjectDescription:
     return ObjectDescription(**values | changes)
 
 
+def described_by(scene: Scene, **changes: object) -> dict[str, object]:
+    return {"use_object_description": True, "object_description": described(scene, **changes)}
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("model", ["reduced", "rotor", "zero"])
 def test_the_answer_is_that_of_the_library(ask: Ask, scene: Scene, engine: str, model: str) -> None:
@@ -97,7 +101,7 @@ def test_the_settled_contact_is_asked_for_by_name(ask: Ask) -> None:
     assert answer.elapsed > 0.0
 
 
-def test_intervals_and_derivatives_come_with_the_answer_where_they_are_asked_for(ask: Ask, scene: Scene) -> None:
+def test_intervals_and_derivatives_come_where_they_are_requested(ask: Ask, scene: Scene) -> None:
     problem = ImpactProblem.at_nominal_impact(scene)
     plain, answer = ask(), ask(uncertainty=True, derivatives=True)
     assert not (plain.velocity_names or plain.velocity or plain.velocity_low or plain.parameter_names)
@@ -128,8 +132,7 @@ def test_explicit_values_give_the_same_answer_as_the_scenario(ask: Ask, scene: S
     diagonal = scene.physics.arms["arm"].motor_inertia_reduced.tolist()
     answer = ask(
         robots=[state(scene)],
-        use_object_description=True,
-        object_description=described(scene),
+        **described_by(scene),
         motor_inertia="diagonal",
         motor_inertia_diagonal=diagonal,
         restitution=scene.physics.restitution,
@@ -162,28 +165,16 @@ BAD: dict[str, tuple[Callable[[Scene], dict[str, object]], str]] = {
     ),
     "restitution above one": (lambda s: {"restitution": 1.5}, "restitution between 0 and 1"),
     "restitution not a number": (lambda s: {"restitution": math.nan}, "restitution between 0 and 1"),
-    "negative mass": (
-        lambda s: {"use_object_description": True, "object_description": described(s, mass=-1.0)},
-        "mass > 0",
-    ),
-    "flat object": (
-        lambda s: {"use_object_description": True, "object_description": described(s, size=Vector3())},
-        "values > 0",
-    ),
+    "negative mass": (lambda s: described_by(s, mass=-1.0), "mass > 0"),
+    "flat object": (lambda s: described_by(s, size=Vector3()), "values > 0"),
     "no orientation": (
-        lambda s: {
-            "use_object_description": True,
-            "object_description": described(s, pose=pose_to_message(np.append(s.object.position, [0.0] * 4))),
-        },
+        lambda s: described_by(s, pose=pose_to_message(np.append(s.object.position, [0.0] * 4))),
         "unit quaternion",
     ),
     "penetration": (
-        lambda s: {
-            "use_object_description": True,
-            "object_description": described(
-                s, pose=pose_to_message(np.append(s.object.position + [0.0, 0.03, 0.0], [0.0, 0.0, 0.0, 1.0]))
-            ),
-        },
+        lambda s: described_by(
+            s, pose=pose_to_message(np.append(s.object.position + [0.0, 0.03, 0.0], [0.0, 0.0, 0.0, 1.0]))
+        ),
         "penetrates",
     ),
 }

@@ -67,7 +67,7 @@ def test_a_number_that_is_none_is_told_by_the_name_it_came_with(order: list[int]
     assert JointReader(NAMES).read(sent(names, **{field: values})).complaint == f"{field} of {names[bad]} is nan"
 
 
-def test_names_with_control_characters_do_not_break_the_line_of_the_complaint() -> None:
+def test_control_characters_in_names_do_not_break_the_complaint() -> None:
     complaint = JointReader(NAMES).read(sent(["arm\njoint\x1b[2J", *NAMES[1:]])).complaint
     assert complaint.startswith("joints arm?joint?[2J, ")
     assert complaint.isprintable()

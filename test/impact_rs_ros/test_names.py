@@ -10,7 +10,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags import topics
 
 
-def test_every_recorded_topic_is_in_the_namespace_of_its_graph_but_tf_and_diagnostics() -> None:
+def test_recorded_topics_are_in_the_namespace_but_tf_and_diagnostics() -> None:
     absolute = {topic for topic in topics.recorded(["left", "right"]) if on_network(topic).startswith("/")}
     assert absolute == SHARED == {"/tf", "/tf_static", "/diagnostics"}
     assert on_network("/left/joint_states") == "left/joint_states"

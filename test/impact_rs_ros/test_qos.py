@@ -30,7 +30,7 @@ def test_the_recorder_loses_nothing_and_nobody_waits_for_it() -> None:
     assert STREAM.history == QoSHistoryPolicy.KEEP_LAST, "a publisher that keeps all blocks when a subscriber dies"
 
 
-def test_only_signals_that_the_recorder_may_be_late_for_have_a_deep_history() -> None:
+def test_only_signals_of_every_tick_have_a_deep_history() -> None:
     depths = {topic: offered(topic).depth for topic in topics.recorded(["arm"])}
     deep = {topic for topic, depth in depths.items() if depth == STREAM.depth}
     arms = (topics.joint_states, topics.motor_states, topics.joint_command, topics.controller_state)

@@ -23,11 +23,12 @@ from impact_rs_trials.bags.writer import BagWriter
 
 END = 1.8  # s
 STATES, COMMANDS, CONTROLLER = topics.joint_states("arm"), topics.joint_command("arm"), topics.controller_state("arm")
-Message = tuple[str, bytes]
+Messages = list[tuple[float, tuple[str, bytes]]]  # trial times [s], topics and bytes
+Begin = Callable[..., OpenTrial]
 
 
 @pytest.fixture(scope="module")
-def messages(push_campaign: Path) -> list[tuple[float, Message]]:
+def messages(push_campaign: Path) -> Messages:
     """What a recorder receives in a whole trial, with trial times [s]."""
     bag = push_campaign / "cat_food__case_2__s1.000__r0"
     left_out = {*topics.latched(["arm"]), *DERIVED}
@@ -36,7 +37,7 @@ def messages(push_campaign: Path) -> list[tuple[float, Message]]:
 
 
 @pytest.fixture
-def opened(push_campaign: Path, tmp_path: Path) -> Iterator[Callable[[bool], OpenTrial]]:
+def opened(push_campaign: Path, tmp_path: Path) -> Iterator[Begin]:
     """Begins to record that trial; one of somebody else has no plan."""
     info = TrialBag.open(push_campaign / "cat_food__case_2__s1.000__r0").info
     bags = []
@@ -59,7 +60,7 @@ def joints(seconds: int, count: int = 7) -> bytes:
     return bytes(serialize_message(message))
 
 
-def stored(trial: OpenTrial, messages: list[tuple[float, Message]], until: float = END, but: str = "") -> OpenTrial:
+def stored(trial: OpenTrial, messages: Messages, until: float = END, but: str = "") -> OpenTrial:
     for at, message in messages:
         if at <= until + 1e-6 or (but and message[0] != but):
             trial.store(*message)
@@ -67,9 +68,7 @@ def stored(trial: OpenTrial, messages: list[tuple[float, Message]], until: float
 
 
 @pytest.mark.parametrize("ours", [True, False])
-def test_a_trial_that_was_recorded_to_its_end_is_ok(
-    opened: Callable[[bool], OpenTrial], messages: list[tuple[float, Message]], ours: bool
-) -> None:
+def test_a_trial_that_was_recorded_to_its_end_is_ok(opened: Begin, messages: Messages, ours: bool) -> None:
     trial = stored(opened(ours), messages)
     assert trial.verdict().outcome == "OK"
     assert trial.note() == ""
@@ -77,9 +76,7 @@ def test_a_trial_that_was_recorded_to_its_end_is_ok(
 
 @pytest.mark.parametrize("ours", [True, False])
 @pytest.mark.parametrize("until", [0.0, 0.001, 0.5, 1.2, END - 0.002])
-def test_a_trial_that_is_cut_off_is_never_ok(
-    opened: Callable[[bool], OpenTrial], messages: list[tuple[float, Message]], ours: bool, until: float
-) -> None:
+def test_a_trial_that_is_cut_off_is_never_ok(opened: Begin, messages: Messages, ours: bool, until: float) -> None:
     verdict = stored(opened(ours), messages, until).verdict()
     assert verdict.outcome == "ABORTED"
     assert verdict.reason == (
@@ -88,21 +85,17 @@ def test_a_trial_that_is_cut_off_is_never_ok(
 
 
 @pytest.mark.parametrize("topic", [STATES, CONTROLLER])
-def test_every_signal_that_is_judged_reaches_the_end(
-    opened: Callable[[], OpenTrial], messages: list[tuple[float, Message]], topic: str
-) -> None:
+def test_every_signal_that_is_judged_reaches_the_end(opened: Begin, messages: Messages, topic: str) -> None:
     verdict = stored(opened(), messages, END - 0.001, but=topic).verdict()
     assert verdict.outcome == "ABORTED"
     assert verdict.reason == f"{topic} ends at 1.799 s; the trial ends at 1.800 s"
 
 
-def test_a_trial_without_any_message_is_aborted(opened: Callable[[bool], OpenTrial]) -> None:
+def test_a_trial_without_any_message_is_aborted(opened: Begin) -> None:
     assert opened(False).verdict().outcome == "ABORTED"
 
 
-def test_what_is_no_message_of_the_trial_is_not_in_the_bag_and_counted(
-    opened: Callable[[], OpenTrial], messages: list[tuple[float, Message]]
-) -> None:
+def test_what_is_no_message_of_the_trial_is_not_in_the_bag_and_counted(opened: Begin, messages: Messages) -> None:
     trial = opened()
     before = trial.bag.messages  # frames that do not move are there from the beginning
     trial.store(STATES, b"\0\1\0\0abc")
@@ -122,9 +115,7 @@ def test_what_is_no_message_of_the_trial_is_not_in_the_bag_and_counted(
     assert trial.note().startswith(f"{trial.refused.total()} messages are not in the bag, unreadable or not of this")
 
 
-def test_what_an_abandoned_trial_still_publishes_is_not_in_the_bag_of_the_next(
-    opened: Callable[[], OpenTrial], messages: list[tuple[float, Message]]
-) -> None:
+def test_messages_of_an_abandoned_trial_are_not_in_the_next_bag(opened: Begin, messages: Messages) -> None:
     trial = opened()
     before = trial.bag.messages
     for at, (topic, data) in messages:
@@ -136,9 +127,7 @@ def test_what_an_abandoned_trial_still_publishes_is_not_in_the_bag_of_the_next(
     assert trial.counts[STATES] == 1801
 
 
-def test_a_large_message_with_too_many_joints_is_recorded_and_the_trial_is_not_judged(
-    opened: Callable[[], OpenTrial], messages: list[tuple[float, Message]]
-) -> None:
+def test_a_message_with_too_many_joints_is_recorded_and_nothing_judged(opened: Begin, messages: Messages) -> None:
     trial = opened()
     trial.store(STATES, joints(0, 8_000))  # 200 kB
     assert trial.counts[STATES] == 1
@@ -151,7 +140,7 @@ def test_a_large_message_with_too_many_joints_is_recorded_and_the_trial_is_not_j
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=50)
 @given(data=st.data())
 def test_whatever_comes_on_whatever_topic_is_stored_or_counted(
-    opened: Callable[[], OpenTrial], messages: list[tuple[float, Message]], data: st.DataObject
+    opened: Begin, messages: Messages, data: st.DataObject
 ) -> None:
     trial = opened()
     topic, whole = messages[data.draw(st.integers(0, len(messages) - 1))][1]

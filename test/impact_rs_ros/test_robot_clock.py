@@ -46,7 +46,7 @@ def simulator(monkeypatch: pytest.MonkeyPatch) -> Simulator:
     return Simulator(monkeypatch)
 
 
-def test_the_time_of_a_simulator_is_not_known_until_it_is_published_nor_after_it_was_another(
+def test_simulated_time_is_unknown_until_published_and_after_a_restart(
     simulator: Simulator,
 ) -> None:
     clock = simulator.clock
@@ -59,7 +59,7 @@ def test_the_time_of_a_simulator_is_not_known_until_it_is_published_nor_after_it
     assert not clock.known
 
 
-def test_a_simulator_is_as_late_as_its_newest_state_once_its_clock_is_known(simulator: Simulator) -> None:
+def test_simulated_time_is_not_before_the_newest_state(simulator: Simulator) -> None:
     """Else states would come from the future wherever ``/clock`` takes longer; a robot's stamps alone are no clock."""
     clock = simulator.clock
     clock.saw(7 * 10**9)
@@ -70,7 +70,7 @@ def test_a_simulator_is_as_late_as_its_newest_state_once_its_clock_is_known(simu
     assert clock.now() == 8 * 10**9
 
 
-def test_differences_of_time_follow_a_slow_simulator_and_this_machine_when_it_has_stopped(simulator: Simulator) -> None:
+def test_time_follows_a_slow_simulator_and_the_machine_once_it_stops(simulator: Simulator) -> None:
     clock = simulator.clock
     simulator.tick(50.0)
     begin = clock.steady()
@@ -88,7 +88,7 @@ def test_differences_of_time_follow_a_slow_simulator_and_this_machine_when_it_ha
     assert clock.steady() - begin == pytest.approx(0.01 + 2.0 - STOPPED + 0.5)
 
 
-def test_without_a_simulator_setting_the_machines_clock_changes_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_setting_the_machines_clock_changes_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(robot_clock, "value", lambda node, name: False)
     monkeypatch.setattr(robot_clock.time, "monotonic", lambda: 12.5)
     assert RobotClock(None).steady() == 12.5  # type: ignore[arg-type]

@@ -55,6 +55,7 @@ def test_a_state_that_is_not_usable_says_why_and_leaves_the_latest_one(
     robot.clock.time += 0.02
     found = robot.state(**changes)
     assert found.complaint.startswith(complaint)
+    assert found.stamp == robot.clock.now() - round(1e9 * changes.get("age", 0.0))
     assert robot.states.latest is before
     assert robot.states.age == pytest.approx(PERIOD + 0.02)
 
@@ -65,7 +66,7 @@ def test_stamps_at_the_limits_are_usable() -> None:
     assert robot.state(age=-PERIOD).complaint == ""
 
 
-def test_a_frozen_encoder_is_noticed_while_a_controller_leads_and_not_while_the_arm_is_held() -> None:
+def test_a_frozen_encoder_is_noticed_under_control_and_not_at_rest() -> None:
     for led in (True, False):
         robot, complaints = Robot(), set()
         for step in range(200):
@@ -79,12 +80,12 @@ def test_a_frozen_encoder_is_noticed_while_a_controller_leads_and_not_while_the_
 def test_bytes_that_are_no_message_are_silence_and_counted(data: bytes) -> None:
     robot = Robot()
     before = robot.state()
-    assert robot.states.read(data) is None
+    assert robot.states.read(data) is robot.states.read(data) is None
     assert robot.states.latest is before
-    assert robot.states.unreadable == 1
+    assert robot.states.unreadable == 2
 
 
-def test_a_state_that_is_repeated_is_no_sign_of_life_and_many_are_a_complaint() -> None:
+def test_a_repeated_state_is_no_sign_of_life_and_many_are_a_complaint() -> None:
     robot = Robot()
     robot.state()
     message = robot.message()
@@ -112,13 +113,13 @@ def test_stamps_that_jitter_by_a_third_of_the_period_are_one_robots() -> None:
     assert all(states is not None and states.complaint == "" for states in found)
 
 
-def test_a_robot_that_is_started_again_with_an_earlier_clock_is_old_and_not_repeated() -> None:
+def test_a_robot_restarted_with_an_earlier_clock_is_old_not_repeated() -> None:
     robot = Robot()
     robot.state()
     assert "old, state_timeout" in robot.state(age=1000.0).complaint
 
 
-def test_joints_are_found_among_others_in_any_order_and_messages_of_others_are_left_alone() -> None:
+def test_joints_are_found_among_others_and_messages_of_others_ignored() -> None:
     reader = StateReader(joint_names("{arm}_fr3_joint{number}", {"left": 2, "right": 2}))
 
     def read(names: list[str]):  # noqa: ANN202
@@ -139,3 +140,24 @@ def test_joints_of_two_arms_need_names_of_their_own(pattern: str, missing: str) 
         joint_names(pattern, {arm: GRAB.scene.models[arm].joint_count for arm in GRAB.arms})
     assert error.value.key == "joints"
     assert len(set(sum(joint_names("{arm}_{number}", {"a": 7, "b": 7}).values(), []))) == 14
+
+
+def test_a_state_that_was_overtaken_is_no_new_one() -> None:
+    robot = Robot()
+    newest = robot.state()
+    assert robot.states.read(robot.message(age=0.3 * LIMIT)) is None
+    assert robot.states.latest is newest
+
+
+def test_the_largest_age_of_a_state_is_kept() -> None:
+    robot = Robot()
+    for age in (0.2 * LIMIT, 0.7 * LIMIT, 0.1 * LIMIT):
+        robot.clock.time += LIMIT
+        assert robot.state(age=age).complaint == ""
+    assert robot.states.oldest == pytest.approx(0.7 * LIMIT)
+
+
+def test_the_motors_of_a_robot_are_where_its_links_are() -> None:
+    measured = Robot().state(velocity=np.full(7, 1e-3)).arms["arm"]
+    np.testing.assert_array_equal(measured.motor_position, measured.position)
+    np.testing.assert_array_equal(measured.motor_velocity, measured.velocity)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from fake_graph import FakeGraph, fake_graph
+from node_trials import until as until_true
 from std_msgs.msg import String
 
 from impact_rs_ros.spectator import Spectator
@@ -42,17 +43,15 @@ def until(
     spectator: Spectator, shown: Callable[[Snapshot], object], tell: Callable[[], None] = lambda: None
 ) -> Snapshot:
     """What is seen as soon as something is; told again and again, for nobody waits for a spectator."""
-    deadline = time.monotonic() + 60.0
-    while not shown(found := spectator.look()):
-        assert time.monotonic() < deadline, found
+
+    def step() -> None:
         tell()
         time.sleep(0.01)
-    return found
+
+    return until_true(lambda: found if shown(found := spectator.look()) else None, step)
 
 
-def test_the_newest_of_a_trial_is_known_by_joint_names_and_forces_act_on_the_object(
-    graph: FakeGraph, spectator: Spectator
-) -> None:
+def test_the_newest_state_is_by_joint_name_and_forces_act_on_the_object(graph: FakeGraph, spectator: Spectator) -> None:
     assert spectator.look().situation == "absent"
     spec = graph.trial("push")
     found = until(spectator, lambda seen: seen.physics)
@@ -83,9 +82,7 @@ def test_the_newest_of_a_trial_is_known_by_joint_names_and_forces_act_on_the_obj
     assert last.positions == newest.positions
 
 
-def test_another_scenario_is_another_scene_and_the_same_once_more_keeps_its_state(
-    graph: FakeGraph, spectator: Spectator
-) -> None:
+def test_another_scenario_is_another_scene_and_a_repeat_keeps_its_state(graph: FakeGraph, spectator: Spectator) -> None:
     graph.trial("push")
     first = until(spectator, lambda seen: seen.physics)
     until(spectator, lambda seen: seen.positions, lambda: graph.joints("arm", np.zeros(7), 0.1))
@@ -119,9 +116,7 @@ def test_where_the_nodes_have_ended_the_last_state_stays(domain: int, spectator:
     assert len(until(spectator, lambda seen: seen.situation == "gone").positions) == 7
 
 
-def test_positions_that_are_no_numbers_and_objects_that_nobody_sees_are_left_out(
-    graph: FakeGraph, spectator: Spectator
-) -> None:
+def test_positions_without_a_number_and_unseen_objects_are_left_out(graph: FakeGraph, spectator: Spectator) -> None:
     graph.trial("push")
     until(spectator, lambda seen: seen.physics)
     until(spectator, lambda seen: seen.object is not None, lambda: graph.object(POSE))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A trial that fails names what lies behind it, also where that shows later than the failure."""
+"""A failed trial names its cause, even one that shows only after the failure; viewers get descriptions at any time."""
 
 from __future__ import annotations
 
@@ -11,19 +11,25 @@ from typing import Any
 import pytest
 import rclpy
 from impact_rs.srv import ConfigureTrial, FinishTrial
+from node_trials import until
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
 from rclpy.executors import MultiThreadedExecutor
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from impact_rs_ros import parameters
+from impact_rs_ros import node_parameters
+from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.presence import announce
+from impact_rs_ros.qos import LATCHED
 from impact_rs_ros.trial_session import MEMBERS, TrialSession
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.trial_info import TrialKey
 from impact_rs_trials.spec import TrialSpec
 
-LATE = 0.7  # s, after which the second controller says that it is there
+LATE = 0.7  # s, after which the second controller announces itself
+PLAN = TrialSpec.of(load_scenario("push"), "juice", "case_1").plan
 
 
 class Spinning:
@@ -45,7 +51,7 @@ class Spinning:
 
 
 class Actors(Spinning):
-    """All that a session talks to, played by one node: a trial in which nothing happens and every node is content."""
+    """All that a session talks to, in one node: a trial in which nothing happens and every node agrees."""
 
     def __init__(self, domain: int) -> None:
         super().__init__("actors", domain)
@@ -54,38 +60,38 @@ class Actors(Spinning):
         self._second = False
         for name, member in self._members.items():
             announce(member)
-            self._serve(ConfigureTrial, f"{name}/configure_trial", self._content)
-            finish = self._nothing_to_finish if name == "controller" else self._content
+            self._serve(ConfigureTrial, f"{name}/configure_trial", self._agree)
+            finish = self._nothing_to_finish if name == "controller" else self._agree
             self._serve(FinishTrial, f"{name}/finish_trial", finish)
-        self._serve(Trigger, "plant/run_trial", self._content)
+        self._serve(Trigger, "plant/run_trial", self._agree)
 
     def _serve(self, kind: Any, name: str, answer: Callable[[Any, Any], Any]) -> None:
         self.node.create_service(kind, name, answer, callback_group=self._group)
 
-    def _content(self, request: Any, response: Any) -> Any:
+    def _agree(self, request: Any, response: Any) -> Any:
         response.success = True
         return response
 
     def _nothing_to_finish(self, request: Any, response: Any) -> Any:
-        """As a second controller answers, of which the trial knows nothing."""
+        """As a second controller answers, which is in no trial."""
         response.message = "controller: there is no trial to finish"
         if self._second:
             self._second = False
             threading.Timer(LATE, announce, [self._members["controller"]]).start()
         return response
 
-    def double(self) -> None:
-        """Another controller: its service is met, and only when it is asked it begins to say that it is there."""
+    def add_second_controller(self) -> None:
+        """Its service is discovered, and it announces itself only after a request."""
         self._second = True
         self._serve(FinishTrial, "controller/finish_trial", self._nothing_to_finish)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def stage(domain_ids: Callable[[], int]) -> Iterator[tuple[TrialSession, Actors]]:
     """A session, and those that it talks to."""
     domain = domain_ids()
     experiment, actors = Spinning("experiment", domain), Actors(domain)
-    parameters.declare(experiment.node, "experiment")
+    node_parameters.declare(experiment.node, "experiment")
     session = TrialSession(experiment.node)
     yield session, actors
     experiment.close()
@@ -93,17 +99,27 @@ def stage(domain_ids: Callable[[], int]) -> Iterator[tuple[TrialSession, Actors]
     session.close()
 
 
-@pytest.mark.parametrize(
-    ("twice", "reason"),
+def test_descriptions_reach_a_viewer_that_comes_later(stage: tuple[TrialSession, Actors]) -> None:
+    session, actors = stage
+    session.describe(PLAN)
+    viewer = Inbox(actors.node, "viewer", LATCHED)
+    viewer.connect({topics.ROBOT_DESCRIPTION: topics.STRING})
+    ((_, message),) = until(lambda: list(viewer.take()), lambda: viewer.wait(0.05), "no description")
+    assert isinstance(message, String)
+    assert "<robot" in message.data
+    viewer.close()
+
+
+@pytest.mark.parametrize(  # in this order: the second controller stays
+    ("second", "reason"),
     [(False, "controller: there is no trial to finish"), (True, "two nodes are called /controller")],
 )
-def test_a_second_controller_that_is_met_at_the_end_of_a_trial_is_what_the_failure_names(
-    stage: tuple[TrialSession, Actors], tmp_path: Path, twice: bool, reason: str
+def test_a_failure_names_a_second_controller_met_at_the_end(
+    stage: tuple[TrialSession, Actors], tmp_path: Path, second: bool, reason: str
 ) -> None:
     session, actors = stage
-    if twice:
-        actors.double()
-    plan = TrialSpec.of(load_scenario("push"), "juice", "case_1").plan
-    result = session.run(plan, TrialKey("juice", "case_1", 1.0, 0), 0, tmp_path)
+    if second:
+        actors.add_second_controller()
+    result = session.run(PLAN, TrialKey("juice", "case_1", 1.0, 0), 0, tmp_path)
     assert result.outcome == "ABORTED"
     assert reason in result.message

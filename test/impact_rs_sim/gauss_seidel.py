@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from impact_rs_sim.impact_map.residual import ContactTerms
+from impact_rs_sim.impact_map.laws import ContactTerms
 
 
 def gauss_seidel(

@@ -7,19 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from trials import plan_of
 
 from impact_rs_control.closed_loop import make_plant, run_closed_loop
-from impact_rs_control.plan import TrialPlan, plan_trial
+from impact_rs_control.plan import TrialPlan
 from impact_rs_sim import approach
 from impact_rs_sim.approach import NEAR, Approach
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import ArmState, BodyState, Scene
+from impact_rs_sim.scene import ArmState, BodyState
 
 AFTER = 10  # ticks after the nominal impact
-
-
-def planned(name: str, object_name: str, case: str) -> TrialPlan:
-    return plan_trial(Scene.resolve(load_scenario(name), object_name, case))
 
 
 def until_after_the_impact(plan: TrialPlan) -> tuple[np.ndarray, np.ndarray, int]:
@@ -41,10 +37,10 @@ def until_after_the_impact(plan: TrialPlan) -> tuple[np.ndarray, np.ndarray, int
 
 
 @pytest.mark.parametrize(("name", "object_name", "case"), [("push", "cat_food", "case_2"), ("grab", "juice", "case_1")])
-def test_a_trial_is_the_same_whether_bullet_or_nobody_is_asked_before_the_impact(
+def test_a_trial_is_the_same_with_and_without_bullet_before_the_impact(
     monkeypatch: pytest.MonkeyPatch, name: str, object_name: str, case: str
 ) -> None:
-    plan = planned(name, object_name, case)
+    plan = plan_of(name, object_name, case)
     without = until_after_the_impact(plan)
     monkeypatch.setattr(approach, "NEAR", np.inf)
     always = until_after_the_impact(plan)
@@ -59,8 +55,8 @@ def arms_at(plan: TrialPlan, positions: dict[str, np.ndarray], thing: BodyState)
     return Approach(physics, physics.robot_models(), 0.00025, arms, thing)
 
 
-def test_a_pad_is_near_an_object_that_it_is_about_to_touch_and_not_one_far_away() -> None:
-    plan = planned("push", "cat_food", "case_2")
+def test_a_pad_about_to_touch_is_near_and_one_far_away_is_not() -> None:
+    plan = plan_of("push", "cat_food", "case_2")
     thing, start = plan.scene.object, {name: arm.initial for name, arm in plan.arms.items()}
     touching = {name: arm.position for name, arm in plan.scene.arms.items()}
     assert arms_at(plan, touching, thing).is_near
@@ -70,7 +66,7 @@ def test_a_pad_is_near_an_object_that_it_is_about_to_touch_and_not_one_far_away(
 
 
 def test_an_object_on_its_edge_is_as_large_as_its_diagonal() -> None:
-    plan = planned("push", "cat_food", "case_2")
+    plan = plan_of("push", "cat_food", "case_2")
     physics, start = plan.scene.physics, {name: arm.initial for name, arm in plan.arms.items()}
     pad = physics.robot_model("arm").placement(start["arm"]) * physics.arms["arm"].end_effector.pad_placement
     half = np.abs(pad.rotation) @ (np.array(physics.arms["arm"].end_effector.pad_size) / 2.0)
@@ -82,8 +78,8 @@ def test_an_object_on_its_edge_is_as_large_as_its_diagonal() -> None:
         assert arms_at(plan, start, replace(box, position=place, rotation=turned)).is_near is near
 
 
-def test_two_pads_that_come_near_each_other_are_for_bullet_whatever_the_object_does() -> None:
-    plan = planned("grab", "juice", "case_1")
+def test_two_pads_near_each_other_are_left_to_bullet() -> None:
+    plan = plan_of("grab", "juice", "case_1")
     far = replace(plan.scene.object, position=plan.scene.object.position + np.array([0.0, 0.0, 5.0]))
     models = plan.scene.models
     left, right = plan.scene.arms.values()
@@ -100,5 +96,5 @@ def test_two_pads_that_come_near_each_other_are_for_bullet_whatever_the_object_d
 
 
 def test_a_state_that_is_nowhere_is_for_bullet() -> None:
-    plan = planned("push", "cat_food", "case_2")
+    plan = plan_of("push", "cat_food", "case_2")
     assert arms_at(plan, {"arm": np.full(7, np.nan)}, plan.scene.object).is_near

@@ -31,7 +31,7 @@ def test_assumed_drives_are_stable_and_as_published_where_that_is_known(facts: R
 
 
 @pytest.mark.parametrize("facts", [FR3, UR5E, load_facts("kuka_iiwa14")])
-def test_velocity_feedback_on_the_link_does_not_swing_the_heavy_joints_of_an_assumed_drive(facts: RobotFacts) -> None:
+def test_link_velocity_feedback_leaves_an_assumed_drive_stable(facts: RobotFacts) -> None:
     """Eigenvalues of motor, spring and link with the feedback 40 / s of the controller through both inertias.
 
     B ddtheta = -(M + B) d dq - s,  M ddq = s,  s = K (theta - q) + D (dtheta - dq): the joint by itself, with the

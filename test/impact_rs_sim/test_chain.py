@@ -10,16 +10,16 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from trials import nominal_physics
 
 from impact_rs_sim.drive import Drive, DriveStart
-from impact_rs_sim.physics import JointFriction, Physics
+from impact_rs_sim.physics import JointFriction
 from impact_rs_sim.robot import EndEffector, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import ArmState
 
 PERIOD = 2.5e-4  # s
-PHYSICS = Physics.nominal(load_scenario("push"), "parcel")
+PHYSICS = nominal_physics("parcel")
 ARM = PHYSICS.arms["arm"]
 TILTED = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 1.0), np.array([0.4, -1.0, 0.7]))
 
@@ -59,7 +59,7 @@ def energy(model: RobotModel, q: np.ndarray, dq: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
-def test_an_arm_that_falls_keeps_its_energy_the_better_the_smaller_the_step(model: RobotModel) -> None:
+def test_a_falling_arm_keeps_its_energy_better_with_smaller_steps(model: RobotModel) -> None:
     rng = np.random.default_rng(3)
     q, dq = rng.uniform(-1.0, 1.0, 7), rng.normal(0.0, 1.0, 7)
     before, lost = energy(model, q, dq), []
@@ -90,7 +90,7 @@ FRICTION = JointFriction(
 
 
 @pytest.mark.parametrize("friction", [FRICTION, replace(FRICTION, sigmoid=None)], ids=["with sigmoid", "without"])
-def test_motors_feel_the_friction_that_is_said_times_what_shapes_their_inertia(friction: JointFriction) -> None:
+def test_motor_friction_is_scaled_like_the_shaped_inertia(friction: JointFriction) -> None:
     drive = Drive(replace(ARM, friction=friction), PERIOD)
     for speed in (-1.5, -0.03, 0.0, 0.004, 0.3):
         drive.velocity = np.full(7, speed)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from trials import scene_of
 
 from impact_rs_control.plan import plan_trial
 from impact_rs_sim.clearance import RADIUS, capsules, check_clearance
@@ -14,7 +15,7 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 
-SCENE = Scene.resolve(load_scenario("grab"), "juice", "case_1")
+SCENE = scene_of("grab", "juice", "case_1")
 POSITIONS = {name: state.position for name, state in SCENE.arms.items()}
 
 

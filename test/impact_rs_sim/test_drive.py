@@ -5,19 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from trials import nominal_physics
 
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.drive import Drive, DriveStart
 from impact_rs_sim.physics import JointFriction, Physics
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import ArmState, Scene
+from impact_rs_sim.scene import ArmState
 
 PERIOD = 0.00025  # s
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return Scene.resolve(load_scenario("push"), "cat_food", "2")
 
 
 @pytest.fixture
@@ -25,7 +20,7 @@ def arm(scene):
     return scene.physics.arms["arm"]
 
 
-def test_locked_link_leaves_the_motor_with_the_reduced_inertia_and_the_spring(arm):
+def test_locked_link_leaves_motor_with_reduced_inertia_and_spring(arm):
     """B_theta ddtheta + K theta = 0: the eigenfrequency is sqrt(K / B_theta), not sqrt(K / B_rho)."""
     arm = replace(arm, damping=np.zeros(7))
     period = PERIOD / 20.0
@@ -147,7 +142,7 @@ def test_energy_balance_of_plant_and_drive_closes_as_the_step_shrinks(scene):
     assert fine < 0.6 * coarse
 
 
-def test_motor_of_a_locked_link_rings_down_with_the_joints_damping_over_the_reduced_inertia(arm):
+def test_motor_of_a_locked_link_rings_down_by_damping_over_inertia(arm):
     """B_theta ddtheta + D dtheta + K theta = 0: amplitude falls as exp(-D t / 2 B_theta)."""
     period = PERIOD / 20.0
     drive = Drive(arm, period)
@@ -167,7 +162,7 @@ def test_motor_of_a_locked_link_rings_down_with_the_joints_damping_over_the_redu
     np.testing.assert_allclose(rates, arm.damping / (2.0 * arm.motor_inertia_reduced), rtol=0.02)
 
 
-def test_the_spring_carries_its_stretch_and_the_transmission_its_damping_as_well(arm):
+def test_link_torque_is_spring_stretch_plus_damping(arm):
     """tau_J = K (theta - q), and D K^-1 dtau_J = D (dtheta - dq) on top for the link."""
     drive = Drive(arm, PERIOD)
     theta, dtheta = np.linspace(0.1, 0.2, 7), np.linspace(-1.0, 1.0, 7)
@@ -209,7 +204,7 @@ def test_gain_offset_and_load_act_on_the_desired_torque(arm):
     np.testing.assert_allclose(drive.velocity, expected, rtol=1e-9)
 
 
-def test_a_new_command_is_followed_at_once_and_the_position_is_the_integral_of_the_velocity(arm):
+def test_a_command_acts_at_once_and_position_integrates_velocity(arm):
     drive = Drive(arm, PERIOD)
     way = np.zeros(7)
     for step in range(100):
@@ -252,9 +247,9 @@ def test_friction_acts_on_the_motor_that_is_scaled_by_the_loop(arm):
     assert np.all(drive.velocity < 0.8)
 
 
-def test_a_drive_that_starts_in_motion_stretches_its_spring_at_the_rate_it_was_told() -> None:
+def test_a_drive_started_in_motion_stretches_its_spring_at_that_rate() -> None:
     """K (dtheta - dq) = dtau_J, and the link receives tau_J + D K^-1 dtau_J (paper eq. EOM_link)."""
-    arm = Physics.nominal(load_scenario("push"), "juice").arms["arm"]
+    arm = nominal_physics().arms["arm"]
     drive, period = Drive(arm, 0.00025), 0.00025
     torque, rate = np.linspace(-5.0, 8.0, 7), np.linspace(300.0, -200.0, 7)
     link = ArmState(np.zeros(7), np.linspace(-1.0, 1.0, 7))
@@ -264,3 +259,15 @@ def test_a_drive_that_starts_in_motion_stretches_its_spring_at_the_rate_it_was_t
     np.testing.assert_allclose(drive.link_torque(torque), torque + arm.damping / arm.stiffness * rate)
     drive.sense(link.position + period * link.velocity - period * drive.velocity, link.velocity)
     np.testing.assert_allclose(drive.elastic_torque, torque + period * rate)
+
+
+def test_until_a_delayed_command_arrives_the_drive_carries_its_load(arm):
+    load, periods = np.linspace(1.0, 5.0, 7), 4
+    drive = Drive(replace(arm, actuation_delay=periods * PERIOD), PERIOD)
+    drive.reset(np.zeros(7), load)
+    for step in range(periods + 1):
+        drive.sense(np.zeros(7), np.zeros(7))
+        drive.step(load + 1.0)
+        if step < periods:
+            np.testing.assert_allclose(drive.velocity, 0.0, atol=1e-12)
+    assert np.all(drive.velocity > 0.0)

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from trials import nominal_physics
 
 from impact_rs_sim.drive import Drive
 from impact_rs_sim.drive_stability import joint_stability, spectral_radius
-from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenario import load_scenario
 
 PERIOD = 0.00025  # s
-NOMINAL = Physics.nominal(load_scenario("push"), "cat_food")
+NOMINAL = nominal_physics("cat_food")
 
 
 def stretch_after(link: float, motor: float, stiffness: float, damping: float, steps: int) -> float:
@@ -81,7 +80,7 @@ def test_without_damping_a_joint_swings_for_ever() -> None:
     assert joint_stability(0.1, 0.1, 1e4, 0.0, PERIOD).spectral_radius == pytest.approx(1.0, abs=1e-9)
 
 
-def test_joints_that_know_nothing_of_each_other_are_as_stable_as_the_worst_of_them() -> None:
+def test_uncoupled_joints_are_as_stable_as_the_worst_of_them() -> None:
     link, motor = np.array([0.5, 0.001]), np.array([0.2, 0.07])
     stiffness, damping = np.array([14000.0, 8000.0]), np.array([12.0, 6.0])
     inverse = np.linalg.inv(np.diag(link)) + np.diag(1.0 / motor)

@@ -118,9 +118,7 @@ def effective_mass(scene: Scene) -> float:
     ("position", "upright"),
     [((0.4, -1.1, 0.9), False), ((0.6, 1.0), False), ((0.5, -1.2, 0.7), True), ((0.9, -0.9), True)],
 )
-def test_two_and_three_joints_push_a_smooth_box_as_their_effective_mass_does(
-    position: tuple[float, ...], upright: bool
-) -> None:
+def test_few_joints_push_a_smooth_box_by_their_effective_mass(position: tuple[float, ...], upright: bool) -> None:
     """In the middle of its face: v_n^+ of the box is m_eff v_n^- / (m_eff + m_box), whatever the arm does across."""
     heading = np.array([0.0, 0.0, sum(position)]) if not upright else np.array([0.0, -sum(position), 0.0])
     normal = pin.exp3(heading)[:, 0]

@@ -13,16 +13,10 @@ from impact_rs_sim.free_motion import FreeStretch, run_free
 from impact_rs_sim.mechanics import Mechanics
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import ArmState, BodyState
 
 PERIOD, SUBSTEPS, TICKS = 0.00025, 4, 50
 FAR = BodyState(np.array([5.0, 5.0, 0.485]), np.eye(3), np.zeros(6))
-
-
-@pytest.fixture(scope="module")
-def physics() -> Physics:
-    return Physics.nominal(load_scenario("push"), "juice")
 
 
 def stretches(physics: Physics) -> list[FreeStretch]:

@@ -94,7 +94,7 @@ def test_a_changed_compensation_is_read_again(tmp_path, content):
     assert load_scenario(str(tmp_path / "push.yaml")).friction_compensation.runs == 6
 
 
-def test_a_recorded_scenario_holds_its_compensation_and_is_checked_like_the_file(tmp_path, content):
+def test_a_recorded_scenario_holds_and_checks_its_compensation(tmp_path, content):
     scenario = loaded(tmp_path, content)
     text = scenario.model_dump_json()
     assert Scenario.model_validate_json(text) == scenario

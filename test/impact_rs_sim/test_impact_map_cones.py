@@ -14,8 +14,7 @@ from impact_map_cases import MODEL, nominal, one_point, with_velocity
 from impact_rs_sim.impact_map import ImpactProblem, cones
 from impact_rs_sim.impact_map.cones import solve_cones, solve_contacts
 from impact_rs_sim.impact_map.contacts import find_contacts, meetings
-from impact_rs_sim.impact_map.residual import ContactTerms
-from impact_rs_sim.impact_map.system import build_system
+from impact_rs_sim.impact_map.laws import ContactTerms, build_system
 from impact_rs_sim.impact_map.uniqueness import lawful_answers
 
 
@@ -45,7 +44,7 @@ def test_impulses_of_admm_obey_every_law(case, restitution: float) -> None:
     assert residual.largest < 1e-5  # m/s
 
 
-def test_the_map_works_with_the_pinocchio_of_ros_2_jazzy_which_has_no_such_solver(
+def test_the_map_works_with_a_pinocchio_without_admm(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     terms = terms_of(sliding())

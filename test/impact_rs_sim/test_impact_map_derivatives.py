@@ -10,17 +10,16 @@ import pytest
 from hypothesis import HealthCheck, given, reject, settings
 from hypothesis import strategies as st
 from impact_map_cases import PUSH, nominal, one_point
+from trials import scene_of
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.derivatives import Derivatives, chain_derivative, differentiate, velocity_names
-from impact_rs_sim.impact_map.newton import settle, states
-from impact_rs_sim.impact_map.parameters import change, parameters_of
+from impact_rs_sim.impact_map.laws import newton, states
+from impact_rs_sim.impact_map.perturbation import change, parameters_of
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
 from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import Scene
 
 COMPLIANCE = 1e-5  # so that rounding leaves room for a small step; the derivatives are the same code
 
@@ -30,7 +29,7 @@ def answer(
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """u^+ and contact states with some parameters changed."""
     system, terms = change(problem, amounts).terms(models)
-    impulses, _ = settle(terms, solve_contacts(terms)[0], compliance=COMPLIANCE)
+    impulses, _ = newton(terms, solve_contacts(terms)[0], compliance=COMPLIANCE)
     return system.velocity + terms.response @ impulses.ravel(), states(terms, impulses, COMPLIANCE)
 
 
@@ -171,7 +170,7 @@ def test_velocities_and_their_derivatives_are_told_in_one_order() -> None:
 @pytest.mark.parametrize("name", ["object.mass", "left.position.4", "right.position.6", "object.rotation.z"])
 def test_two_pads_on_aligned_faces_have_the_derivatives_of_either_side(name: str) -> None:
     """A planned impact: whose face gives the normal must not be decided by rounding."""
-    problem = ImpactProblem.at_nominal_impact(Scene.resolve(load_scenario("grab"), "juice", "case_1"))
+    problem = ImpactProblem.at_nominal_impact(scene_of("grab", "juice", "case_1"))
     models = problem.physics.robot_models()
     column, step = differentiate(problem, models, COMPLIANCE).of(name), 1e-5
     high, here, low = (answer(problem, models, {name: x})[0] for x in (step, 0.0, -step))

@@ -58,7 +58,7 @@ def test_a_measured_impact_that_gains_energy_is_refused_unless_a_fit_asks() -> N
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.4])
-def test_sliding_friction_takes_mu_times_the_normal_impulse_and_turns_the_body(restitution: float) -> None:
+def test_sliding_friction_is_mu_times_the_normal_impulse(restitution: float) -> None:
     """L_n = m (1 + e) |v_n|, L_t = mu L_n against sliding; dv = L / m, domega = r x L / I."""
     friction, fall = 0.1, 1.2
     after, _ = solve_measured(cube(friction, restitution), on_its_middle([2.0, 0.0, -fall, 0.0, 0.0, 0.0]))

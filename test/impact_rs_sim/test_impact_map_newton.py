@@ -12,8 +12,15 @@ from impact_map_cases import nominal, one_point
 from test_impact_map_cones import sliding, terms_of
 
 from impact_rs_sim.impact_map import cones
-from impact_rs_sim.impact_map.newton import COMPLIANCE, delassus, harden, linearise, settle, yielding_velocity
-from impact_rs_sim.impact_map.residual import ContactTerms
+from impact_rs_sim.impact_map.laws import (
+    COMPLIANCE,
+    ContactTerms,
+    delassus,
+    harden,
+    linearise,
+    newton,
+    yielding_velocity,
+)
 
 STEP = 1e-7
 
@@ -100,7 +107,7 @@ def test_random_points_are_solved_to_the_last_digits(count: int, restitution: fl
         answered += 1
         velocity = terms.before + terms.response @ impulses.ravel()
         assert terms.residual(impulses, velocity).largest < 1e-10
-        settled, converged = settle(terms, impulses)
+        settled, converged = newton(terms, impulses)
         if not converged:  # where the compliance decides about a state that it does not have without
             continue
         yielding = yielding_velocity(terms, delassus(terms), settled)
@@ -111,7 +118,7 @@ def test_random_points_are_solved_to_the_last_digits(count: int, restitution: fl
 @pytest.mark.parametrize("case", [nominal, one_point, sliding])
 def test_hardening_takes_out_what_the_compliance_let_points_yield(case) -> None:
     terms = terms_of(case())
-    soft, converged = settle(terms, cones.solve_cones(terms)[0], compliance=1e-5)
+    soft, converged = newton(terms, cones.solve_cones(terms)[0], compliance=1e-5)
     assert converged
     hard = harden(terms, soft, compliance=1e-5)
 
@@ -130,7 +137,7 @@ def test_where_newtons_method_fails_admm_answers(monkeypatch: pytest.MonkeyPatch
     kernel = terms.kernel
     without = replace(terms)
     without.__dict__["kernel"] = SimpleNamespace(
-        solve=given_up.solve, settle=kernel.settle, harden=kernel.harden, judge=kernel.judge
+        solve=given_up.solve, newton=kernel.newton, harden=kernel.harden, judge=kernel.judge
     )
     impulses, steps = cones.solve_contacts(without)
     assert steps > 7

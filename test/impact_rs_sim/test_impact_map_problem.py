@@ -77,7 +77,7 @@ def test_bad_question_is_refused(case: str) -> None:
     assert isinstance(caught.value, Infeasible) == (case in STATES)
 
 
-def test_sampling_passes_over_states_that_cannot_be_and_over_no_other_mistake(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sampling_passes_over_impossible_states_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
 
     def check(problem: ImpactProblem) -> None:
@@ -113,7 +113,7 @@ def test_touching_within_the_tolerance_passes() -> None:
 
 
 @pytest.mark.parametrize("motor", ["reduced", "rotor", "zero"])
-def test_the_nominal_question_takes_restitution_motor_inertia_and_states_from_the_scene(motor: str) -> None:
+def test_the_nominal_problem_is_taken_from_the_scene(motor: str) -> None:
     scene = replace(SCENE, physics=replace(SCENE.physics, restitution=0.35))
     problem = ImpactProblem.at_nominal_impact(scene, motor)
     assert problem.restitution == 0.35

@@ -13,7 +13,7 @@ from impact_rs_sim.impact_map import ImpactProblem, Residual
 from impact_rs_sim.impact_map.contacts import meetings
 from impact_rs_sim.impact_map.engine import Answer
 from impact_rs_sim.impact_map.exact import ExactEngine
-from impact_rs_sim.impact_map.system import build_system
+from impact_rs_sim.impact_map.laws import build_system
 
 SMALL = 1e-6  # m/s, what is left of a right answer
 
@@ -109,7 +109,7 @@ def test_a_point_that_sticks_needs_any_friction_inside_its_cone() -> None:
     assert with_impulses(rough, slipping).friction_cone > 1e-3
 
 
-def test_a_velocity_that_the_impulses_do_not_give_breaks_the_momentum_balance(face: Answer) -> None:
+def test_a_velocity_without_its_impulses_breaks_the_momentum_balance(face: Answer) -> None:
     for index in (0, face.velocity.size - 4):
         velocity = face.velocity.copy()
         velocity[index] += 0.03
@@ -134,7 +134,7 @@ def test_restitution_asks_for_its_share_of_the_approach_back(restitution: float)
     assert found.penetration_velocity == pytest.approx(max(-wrong, 0.0), abs=SMALL)
 
 
-def test_the_worst_law_is_named_and_a_number_that_is_none_is_the_worst_of_all() -> None:
+def test_the_worst_law_is_named_and_nan_is_the_worst_of_all() -> None:
     laws = {
         "penetration_velocity": "Newton",
         "complementarity": "complem",

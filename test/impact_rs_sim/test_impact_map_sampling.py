@@ -42,7 +42,7 @@ def test_the_pad_moves_towards_the_object(problems: list[ImpactProblem]) -> None
         assert (MODEL.jacobian(state.position)[:3] @ state.velocity) @ place.rotation[:, 2] > 0.1
 
 
-def test_half_of_all_problems_are_inelastic_and_every_kind_of_motor_inertia_comes_up(
+def test_random_problems_cover_restitution_and_motor_inertia(
     problems: list[ImpactProblem],
 ) -> None:
     inelastic = np.mean([problem.restitution == 0.0 for problem in problems])
@@ -56,7 +56,7 @@ def test_half_of_all_problems_are_inelastic_and_every_kind_of_motor_inertia_come
     assert set(kinds) == {0, 1, 2, 3}
 
 
-def test_a_restitution_that_is_asked_for_is_given_and_the_seed_decides_the_rest() -> None:
+def test_a_given_restitution_is_kept_and_the_seed_decides_the_rest() -> None:
     one, again = (random_problem(PUSH, np.random.default_rng(3), 0.4) for _ in range(2))
     assert one.restitution == again.restitution == 0.4
     np.testing.assert_array_equal(one.arms["arm"].velocity, again.arms["arm"].velocity)

@@ -22,9 +22,9 @@ from impact_rs_sim.impact_map import (
     settle,
 )
 from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint
+from impact_rs_sim.impact_map.laws import System, build_system
 from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.impact_map.settled import close_contacts
-from impact_rs_sim.impact_map.system import System, build_system
 from impact_rs_sim.scene import BodyState
 
 X, Y, Z = np.eye(3)
@@ -97,7 +97,7 @@ def test_a_rod_that_an_edge_stops_turns_about_it() -> None:
     np.testing.assert_allclose(np.sum(found.impulses, axis=0), mass * speed / 4.0 * Y, atol=TOLERANCE)
 
 
-def test_a_rod_gripped_at_its_end_stops_with_its_whole_momentum_in_the_grip() -> None:
+def test_a_rod_gripped_at_its_end_gives_all_momentum_to_the_grip() -> None:
     length, mass, speed = 0.4, 1.3, 0.7
     inertia = mass * length**2 / 12.0
     system = bodies(FIXED, mass, (1e-3, inertia, inertia), [0] * 6, [0, -speed, 0, 0, 0, 0])
@@ -111,7 +111,7 @@ def test_a_rod_gripped_at_its_end_stops_with_its_whole_momentum_in_the_grip() ->
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.2, 0.4])
-def test_a_face_that_slides_hands_on_friction_in_proportion_to_its_pressure(friction: float) -> None:
+def test_a_sliding_face_hands_on_friction_by_its_pressure(friction: float) -> None:
     system = bodies(FIXED, 1.3, (0.01, 0.01, 0.01), [0.6, 0.5, -0.8, 0, 0, 0], [0] * 6)
     found = close_contacts(system, {"arm": face(friction)}, [])
     # It would take twice the pressure to hold it.
@@ -127,7 +127,7 @@ def test_a_face_sticks_from_the_friction_on_that_holds_it(friction: float) -> No
     np.testing.assert_allclose(found.velocity[6:], [0.5 * min(friction, 1.0), 0.5, 0, 0, 0, 0], atol=TOLERANCE)
 
 
-def test_a_face_resists_turning_about_its_normal_with_friction_at_its_corners() -> None:
+def test_a_face_resists_turning_by_friction_at_its_corners() -> None:
     spin, moment, friction = 3.0, 0.02, 0.1
     system = bodies(FIXED, 1.3, (1.0, moment, 1.0), [0, 0.5, 0, 0, spin, 0], [0] * 6)
     found = close_contacts(system, {"arm": face(friction)}, [])
@@ -308,7 +308,7 @@ def test_restitution_ends_before_the_contact_closes() -> None:
         np.testing.assert_array_equal(slack.object_twist, springy.object_twist)
 
 
-def test_two_like_arms_from_both_sides_leave_the_object_without_sideways_motion() -> None:
+def test_two_like_arms_from_both_sides_leave_no_sideways_motion() -> None:
     problem = nominal()
     arm, body = problem.physics.arms["arm"], problem.object
     centre = pin.SE3(np.eye(3), body.position * np.array([1.0, 1.0, 0.0]))

@@ -9,13 +9,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from impact_map_cases import ENGINES, MODEL, SCENE, nominal, one_point, with_velocity
+from trials import scene_of
 
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, kinetic_energy
 from impact_rs_sim.impact_map.contacts import ContactPoint
-from impact_rs_sim.impact_map.system import System, build_system, point_maps
+from impact_rs_sim.impact_map.laws import System, build_system, point_maps
 from impact_rs_sim.physics import ObjectPhysics
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import BodyState, Scene
+from impact_rs_sim.scene import BodyState
 
 COM = np.array([0.03, -0.02, 0.04])
 TWIST = np.array([0.2, -0.3, 0.1, 1.0, -2.0, 0.5])
@@ -38,7 +38,7 @@ def masses(thing: ObjectPhysics) -> tuple[np.ndarray, np.ndarray]:
     return places, np.full(6, thing.mass / 6.0)
 
 
-def test_the_object_in_motion_has_the_energy_and_momentum_of_its_point_masses() -> None:
+def test_the_object_has_energy_and_momentum_of_its_point_masses() -> None:
     problem = turned()
     thing = problem.physics.object
     places, weights = masses(thing)
@@ -78,7 +78,7 @@ def test_motor_inertia_stands_on_the_diagonal_of_its_arm_alone() -> None:
 
 
 def test_every_arm_and_the_object_have_columns_of_their_own() -> None:
-    scene = Scene.resolve(load_scenario("grab"), "juice", "case_1")
+    scene = scene_of("grab", "juice", "case_1")
     problem = ImpactProblem.at_nominal_impact(scene)
     system = build_system(problem, scene.models)
     joints, twists, object_twist = system.split(system.velocity)
@@ -112,7 +112,7 @@ def relative(system: System, problem: ImpactProblem, point: ContactPoint) -> np.
 
 @pytest.mark.parametrize("partner", ["arm", "support"])
 @pytest.mark.parametrize("gap", [0.0, 5e-4])
-def test_the_contact_jacobian_is_the_velocity_of_the_object_relative_to_its_partner(partner: str, gap: float) -> None:
+def test_the_contact_jacobian_gives_the_relative_velocity(partner: str, gap: float) -> None:
     rng = np.random.default_rng(4)
     problem = with_velocity(turned(), rng.uniform(-0.5, 0.5, 7))
     system = build_system(problem, SCENE.models)

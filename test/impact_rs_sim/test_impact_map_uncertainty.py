@@ -8,7 +8,7 @@ import pytest
 from impact_map_cases import nominal
 
 from impact_rs_sim.impact_map.derivatives import differentiate
-from impact_rs_sim.impact_map.parameters import change
+from impact_rs_sim.impact_map.perturbation import change
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.impact_map.uncertainty import (
     _switches,
@@ -86,7 +86,7 @@ def test_every_velocity_has_a_name() -> None:
     np.testing.assert_array_equal(told.low, told.high)
 
 
-def test_the_interval_of_a_combination_is_that_of_its_parts_and_of_their_common_ups_and_downs() -> None:
+def test_the_interval_of_a_combination_includes_covariance() -> None:
     found = predict(PROBLEM, Uncertainties(**NONE | {"object_mass": 0.02}), MODELS, draws=8)
     assert found.method == "linear"
     for index, name in enumerate(found.names):
@@ -110,7 +110,7 @@ def test_the_interval_of_a_combination_of_draws_is_theirs() -> None:
     assert found.interval_of({"arm.velocity.y": 1.0, "object.velocity.y": 1.0}) == pytest.approx(expected)
 
 
-def test_few_draws_give_nearly_the_interval_of_many_and_the_same_every_time() -> None:
+def test_few_draws_give_nearly_the_interval_of_many_repeatably() -> None:
     told = predict(PROBLEM, Uncertainties(), MODELS)
     names, low, high = interval_of_draws(PROBLEM, Uncertainties(), MODELS, 16)
     place = names.index("arm.velocity.y")

@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 from impact_map_cases import PUSH, nominal, one_point
 
 from impact_rs_sim.impact_map.cones import solve_cones, solve_contacts
-from impact_rs_sim.impact_map.newton import settle
-from impact_rs_sim.impact_map.parameters import change
+from impact_rs_sim.impact_map.laws import ContactTerms, newton
+from impact_rs_sim.impact_map.perturbation import change
 from impact_rs_sim.impact_map.problem import ImpactProblem
-from impact_rs_sim.impact_map.residual import ContactTerms
 from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.impact_map.uniqueness import lawful_answers, spread_of, uniqueness_of
 
@@ -83,9 +82,9 @@ def test_the_nominal_push_is_unique() -> None:
 @given(seed=st.integers(0, 10**6), share=st.floats(0.2, 3.0))
 def test_the_told_answer_does_not_depend_on_where_the_solver_starts(seed: int, share: float) -> None:
     terms = terms_of(random_problem(PUSH, np.random.default_rng(seed)))
-    first, converged = settle(terms, solve_cones(terms)[0])
+    first, converged = newton(terms, solve_cones(terms)[0])
     weights = np.linspace(1.0, share, len(first))[:, None]
-    second, again = settle(terms, weights * first)
+    second, again = newton(terms, weights * first)
     if converged and again:
         np.testing.assert_allclose(velocity(terms, second), velocity(terms, first), atol=1e-7)
 

@@ -11,7 +11,6 @@ from mixed_grab import MIXED
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, check_model, load_model, parse_model, save_model
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenario import load_scenario
 
 
 def item(name, **values):
@@ -28,11 +27,6 @@ def offsets(*joints):
 
 def checked(*effects):
     return check_model(Model.model_validate({"name": "m", "effects": effects}), "m.yaml")
-
-
-@pytest.fixture(scope="module")
-def physics():
-    return Physics.nominal(load_scenario("push"), "juice")
 
 
 def test_a_model_file_may_be_for_any_number_of_joints(physics):
@@ -101,7 +95,7 @@ def test_every_effect_of_a_model_is_applied_on_top_of_those_before(physics):
     assert both.arms["arm"].stiffness == pytest.approx(0.5 * physics.arms["arm"].stiffness)
 
 
-def test_a_child_has_another_estimate_of_what_its_parent_had_and_knows_its_parent(physics):
+def test_a_child_replaces_an_estimate_and_names_its_parent(physics):
     parent = checked(mass(1.2), offsets(*range(1, 8)))
     child = parent.with_effect(ModelEffect.model_validate(mass(1.1)), "child", "parent.yaml")
     assert [effect.name for effect in child.effects] == ["torque_offset", "object_mass"]
@@ -151,7 +145,7 @@ def own_offsets(left=7, right=6):
     )
 
 
-def test_arms_of_different_kinds_have_parameters_of_their_own_beside_those_that_they_share(tmp_path):
+def test_different_arms_have_own_parameters_beside_shared_ones(tmp_path):
     physics = Physics.nominal(MIXED, "parcel")
     inertia = item("motor_inertia_scale", scale_left=2.0, scale_right=1.0)
     model = mixed_model(item("joint_stiffness", scale=0.5), own_offsets(), inertia)

@@ -53,7 +53,7 @@ def test_half_an_interval_of_a_speed_is_never_rounded_to_nothing(speed, half, to
     assert list(speed_text(speed, half)) == told
 
 
-def test_decimals_that_are_asked_for_are_written_where_there_is_no_exponent():
+def test_decimals_are_written_where_there_is_no_exponent():
     assert estimate_text(0.5, (0.4, 0.6), least=4) == ("0.5000", "0.4000", "0.6000")
     assert estimate_text(0.5, (0.49999, 0.50001), least=4) == ("0.500000", "0.499990", "0.500010")
     assert estimate_text(0.0, (0.0, 0.0), least=4) == ("0.0000",) * 3

@@ -95,7 +95,7 @@ def test_a_box_that_slid_keeps_no_more_shear_than_its_friction_holds():
 
 
 @pytest.mark.parametrize("twist", [0.1, -0.2])
-def test_a_torque_twists_the_face_by_its_compliance_over_the_square_of_the_radius(twist):
+def test_a_torque_twists_the_face_by_compliance_over_radius_squared(twist):
     motion = dragged(PadShear(COMPLIANCE, 0.0, FRICTION, STEP), 0.0, 0.3, twist=twist)
     assert motion[-1, 1] == pytest.approx(twist * COMPLIANCE / (2.0 * HALF**2), rel=1e-3)
 

@@ -27,13 +27,13 @@ def test_far_from_rest_coulomb_and_viscous_friction_oppose_the_motion() -> None:
         np.testing.assert_allclose(FRICTION.torque(np.full(2, velocity)), expected, atol=1e-9)
 
 
-def test_the_breakaway_excess_has_fallen_to_one_part_in_e_at_the_stribeck_velocity() -> None:
+def test_breakaway_excess_falls_to_1_over_e_at_the_stribeck_velocity() -> None:
     velocity = FRICTION.stribeck_velocity
     expected = FRICTION.coulomb + FRICTION.stribeck / np.e + FRICTION.viscous * velocity
     np.testing.assert_allclose(-FRICTION.torque(velocity), expected, rtol=1e-6)
 
 
-def test_friction_vanishes_at_rest_and_is_full_within_a_few_smoothing_velocities() -> None:
+def test_friction_vanishes_at_rest_and_is_full_soon_after() -> None:
     np.testing.assert_array_equal(FRICTION.torque(np.zeros(2)), 0.0)
     slow = FRICTION.torque(np.full(2, 4.0 * FRICTION.smoothing))
     full = FRICTION.coulomb + FRICTION.stribeck * np.exp(
@@ -74,7 +74,7 @@ def test_the_three_motor_inertias_are_those_of_the_scenario() -> None:
         np.testing.assert_array_equal(arm.motor_inertia(name), values)
 
 
-def test_nominal_physics_takes_every_number_from_its_own_place_in_the_scenario() -> None:
+def test_nominal_physics_takes_each_number_from_its_own_key() -> None:
     robot = PUSH.robots["arm"]
     pad = robot.end_effector.pad.model_copy(update={"stiffness": 1.2e5, "damping": 77.0})
     drive = robot.drive.model_copy(

@@ -6,18 +6,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from trials import plan_of
 
 from impact_rs_control.closed_loop import make_plant
-from impact_rs_control.plan import plan_trial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Load, LoadState
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import Scene
 
 
 @pytest.fixture(scope="module")
 def plan():
-    return plan_trial(Scene.resolve(load_scenario("push"), "cat_food", "2"))
+    return plan_of("push", "cat_food", "2")
 
 
 def without_noise(plan):
@@ -31,7 +29,7 @@ def without_noise(plan):
     return replace(plan, scene=scene)
 
 
-def test_apparent_motor_inertia_identified_from_a_motion_is_the_reduced_one(plan):
+def test_motor_inertia_identified_from_motion_is_the_reduced_one(plan):
     """tau_d - M ddq - h = B ddq in free motion; the fit finds B_theta although the motor is integrated with B_rho."""
     plan = without_noise(plan)
     plant, model = make_plant(plan, seed=0), plan.scene.models["arm"]
@@ -81,7 +79,7 @@ def run(plan, seed, ticks=30):
     return measured, truth
 
 
-def test_same_seed_gives_the_same_trial_bit_by_bit_and_another_seed_another_one(plan):
+def test_the_seed_decides_a_trial_bit_by_bit(plan):
     first, _ = run(plan, 7)
     again, _ = run(plan, 7)
     other, _ = run(plan, 8)
@@ -90,7 +88,7 @@ def test_same_seed_gives_the_same_trial_bit_by_bit_and_another_seed_another_one(
     assert np.any(first.arms["arm"].position != other.arms["arm"].position)
 
 
-def test_arm_held_by_gravity_torque_and_object_on_its_support_stay_where_they_are(plan):
+def test_arm_and_object_at_rest_stay_where_they_are(plan):
     _, truth = run(without_noise(plan), 0, ticks=400)
     np.testing.assert_allclose(truth.arms["arm"].position, plan.arms["arm"].initial, atol=2e-5)
     np.testing.assert_allclose(truth.object.position, plan.scene.object.position, atol=2e-5)

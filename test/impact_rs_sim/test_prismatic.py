@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from trials import nominal_physics
 
 from impact_rs_sim.assumed_drive import SPEED, assumed_drive
 from impact_rs_sim.bullet_world import mass_matrices
@@ -15,7 +16,7 @@ from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.derivatives import chain_derivative
-from impact_rs_sim.impact_map.parameters import parameters_of
+from impact_rs_sim.impact_map.perturbation import parameters_of
 from impact_rs_sim.impact_map.problem import check_problem
 from impact_rs_sim.mechanics import Mechanics
 from impact_rs_sim.physics import JointFriction, Physics
@@ -61,7 +62,7 @@ RAIL = chain(("prismatic", "x", CART, (0.02, 0.0, 0.0), 0.01))
 
 def physics_of(facts: RobotFacts, rotor: float, reduced: float, stiffness: float, damping: float) -> Physics:
     """A box without weight or friction, and the chain with one drive in every joint."""
-    push = Physics.nominal(load_scenario("push"), "cat_food")
+    push = nominal_physics("cat_food")
     one = np.ones(facts.joint_count)
     arm = replace(
         push.arms["arm"],
@@ -139,7 +140,7 @@ def test_a_rail_hits_with_its_mass_and_that_of_its_motor(engine: str, motor: flo
     assert mass == pytest.approx(CART + motor)
 
 
-def test_the_jacobian_changes_with_joints_that_turn_and_slide_as_it_is_told_to() -> None:
+def test_drift_is_the_change_of_the_jacobian_with_sliding_joints() -> None:
     kinds = ("revolute", "prismatic", "revolute", "prismatic", "revolute")
     axes = ("z", "x", "y", "z", "x")
     facts = chain(*((kind, axis, 1.0, (0.1, 0.2, 0.3), 0.1) for kind, axis in zip(kinds, axes, strict=True)))
@@ -182,7 +183,7 @@ def test_a_check_tells_what_slides_in_metres_and_newtons() -> None:
     assert "kg on the link" in told and "N/m" in told and "kg m" not in told and "/rad" not in told
 
 
-def test_the_drive_that_is_assumed_of_a_rail_is_that_of_a_joint_behind_a_pinion() -> None:
+def test_the_drive_assumed_of_a_rail_is_that_behind_a_pinion() -> None:
     """r = 3 / 2.175 m: the torque limit r F, and B, K and D of that joint over r^2."""
     radius = 3.0 / SPEED
     turns = chain(("revolute", "x", CART * radius**2, (0.0, 0.0, 0.0), CART * radius**2))

@@ -32,9 +32,7 @@ def test_a_stage_is_told_from_its_first_step_to_its_last(tmp_path: Path, monkeyp
     assert json.loads(path.read_text())["since"] >= last["at"]
 
 
-def test_nothing_is_written_where_nobody_asked_and_a_full_disk_stops_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_progress_is_optional_and_a_full_disk_stops_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(VARIABLE, raising=False)
     ProgressFile().update("trials", 0, 3)
     (tmp_path / "file").write_text("")

@@ -105,7 +105,7 @@ def test_the_damping_that_is_told_does() -> None:
         assert unstable & {"drive of arm, joint 7"} == name
 
 
-def test_a_joint_is_checked_with_the_lightest_inertia_that_its_link_can_have() -> None:
+def test_a_joint_is_checked_with_its_lightest_link_inertia() -> None:
     """Not with that of one pose: the first joint of a stretched arm carries many times that of a folded one."""
     scenario = load_scenario("push").with_settings({"robots.arm.drive.damping": [1e4] * 7})
     (told, *_) = check_drives(load_facts("franka_fer"), scenario)
@@ -126,7 +126,7 @@ def test_a_scenario_without_this_robot_is_told() -> None:
         check_drives(load_facts("franka_fr3"), load_scenario("push"))
 
 
-def test_a_scenario_whose_drives_are_unstable_is_told_before_it_is_simulated() -> None:
+def test_unstable_drives_are_refused_before_the_simulation() -> None:
     push = load_scenario("push")
     assert failures_of(push) == []
     other = push.with_settings({"robots.arm.facts": "franka_fr3"})

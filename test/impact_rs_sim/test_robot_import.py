@@ -12,17 +12,17 @@ import pinocchio as pin
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from trials import nominal_physics
 
 from impact_rs_sim.assumed_drive import assumed_drive
 from impact_rs_sim.bullet_world import mass_matrices
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.mechanics import Mechanics
-from impact_rs_sim.physics import JointFriction, Physics
+from impact_rs_sim.physics import JointFriction
 from impact_rs_sim.robot import EndEffector, load_facts
 from impact_rs_sim.robot_import import FULL_TURN, facts_text, frame_of_axis, import_urdf, save_facts
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.urdf import write_description
 
@@ -132,7 +132,7 @@ def test_any_chain_hits_a_box_without_diverging(
     folder = tmp_path_factory.mktemp("chain")
     (folder / "arm.urdf").write_text(random_chain(rng, count), encoding="utf-8")
     facts = import_urdf(folder / "arm.urdf", tip="tool").facts
-    push = Physics.nominal(load_scenario("push"), "cat_food")
+    push = nominal_physics("cat_food")
     effector = push.arms["arm"].end_effector
     drive = {name: np.array(row) for name, row in assumed_drive(facts, effector, PERIOD).items()}
     still, one = np.zeros(count), np.ones(count)
@@ -193,7 +193,7 @@ def test_an_arm_that_turns_about_z_keeps_its_numbers(tmp_path: Path) -> None:
     assert facts.flange.rpy == (0.0, 0.0, 0.0)
 
 
-def test_a_continuous_joint_turns_a_full_turn_to_either_side_and_the_file_says_so(tmp_path: Path) -> None:
+def test_a_continuous_joint_gets_a_full_turn_to_either_side(tmp_path: Path) -> None:
     endless = joint("elbow", "upper", "fore", "continuous", '<limit velocity="3" effort="40"/>')
     robot = import_urdf(write(tmp_path, *ARM[:4], endless))
     assert robot.facts.limits.position_min_rad == (-2.0, -FULL_TURN)
@@ -202,7 +202,7 @@ def test_a_continuous_joint_turns_a_full_turn_to_either_side_and_the_file_says_s
     assert "elbow" in facts_text(robot, "An arm.").split("source:")[0]
 
 
-def test_what_is_fixed_to_the_chain_is_part_of_it_and_what_is_beyond_the_flange_is_not(tmp_path: Path) -> None:
+def test_fixed_links_join_the_chain_up_to_the_flange(tmp_path: Path) -> None:
     camera, hand = joint("screws", "upper", "camera", "fixed", ""), joint("mount", "fore", "hand", "fixed", "")
     fingers = joint("grip", "hand", "finger", "prismatic")
     robot = import_urdf(

@@ -7,13 +7,6 @@ import pytest
 
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.errors import UnreachablePose
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import Scene
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return Scene.resolve(load_scenario("push"), "cat_food", "2")
 
 
 def random_configurations(model, count, seed=0):
@@ -78,7 +71,7 @@ def test_more_motor_inertia_is_never_felt_as_less_mass(scene):
         assert model.effective_mass(q, direction, inertia + rng.uniform(0.0, 1.0, 7)) >= lighter
 
 
-def test_inverse_kinematics_reaches_the_pose_with_joint_1_where_it_shall_be(scene):
+def test_inverse_kinematics_reaches_the_pose_with_joint_1_given(scene):
     model = scene.models["arm"]
     target = scene.scenario.robots["arm"].impact.placement
     for joint_1 in (-0.4, 0.0, 0.5):
@@ -99,7 +92,7 @@ def test_inverse_kinematics_by_newton_finds_the_joints_that_made_the_pose(scene)
             np.testing.assert_allclose(found, q, atol=1e-9)
 
 
-def test_inverse_kinematics_stays_inside_the_limits_where_newton_would_leave_them(scene, monkeypatch):
+def test_inverse_kinematics_stays_inside_the_joint_limits(scene, monkeypatch):
     model = scene.models["arm"]
     q = scene.arms["arm"].position
     target = model.placement(q)

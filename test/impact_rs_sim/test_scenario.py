@@ -146,7 +146,7 @@ def test_a_scenario_that_follows_the_first_impact_reads_as_it_always_did() -> No
     assert Scenario.model_validate_json(other.model_dump_json()).control.reference_contact == "settled"
 
 
-def test_a_setting_takes_the_place_of_the_scenarios_own_value_and_of_nothing_else():
+def test_a_setting_replaces_one_value_of_the_scenario_alone():
     own = load_scenario("grab")
     assert own.with_settings({}) is own
     changed = own.with_settings({"control.clamp_force": 90.0, "objects.juice.size": [0.2, 0.1, 0.1]})
@@ -174,7 +174,7 @@ def scenario_with_a_robot_beside_it(folder: Path, facts: str = "robots/mine.yaml
     return path
 
 
-def test_robot_facts_given_as_a_path_are_found_from_the_scenario_and_travel_with_it(
+def test_robot_facts_by_path_are_found_and_travel_with_the_scenario(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = scenario_with_a_robot_beside_it(tmp_path / "laboratory")

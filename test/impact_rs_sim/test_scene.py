@@ -16,7 +16,7 @@ PUSH, GRAB, EXCITE = (load_scenario(name) for name in ("push", "grab", "excite")
 
 
 @pytest.mark.parametrize(("scenario", "case"), [(PUSH, "case_1"), (PUSH, "case_3"), (GRAB, "case_1"), (GRAB, "case_2")])
-def test_arms_hit_with_the_velocity_and_pose_of_their_case_and_without_turning(scenario: Scenario, case: str) -> None:
+def test_arms_hit_with_velocity_and_pose_of_their_case_without_turning(scenario: Scenario, case: str) -> None:
     scene = Scene.resolve(scenario, "juice", case)
     for name, state in scene.arms.items():
         model, wanted = scene.models[name], scenario.cases[case].robots[name]
@@ -75,7 +75,7 @@ def test_a_pose_that_is_out_of_reach_is_told_with_its_keys_and_by_how_far() -> N
         Scene.resolve(far, "juice", "case_1")
 
 
-def test_a_velocity_that_the_joints_cannot_make_is_told_by_how_much_it_is_missed() -> None:
+def test_an_unreachable_velocity_is_refused_with_the_amount_missed() -> None:
     """Two joints that slide along x and y, asked to move along z as well."""
     slides = SimpleNamespace(jacobian=lambda q: np.eye(6)[:, :2], joint_count=2)
     np.testing.assert_allclose(_impact_velocity(slides, np.zeros(2), np.array([0.3, -0.4, 0.0]), None), [0.3, -0.4])
@@ -84,7 +84,7 @@ def test_a_velocity_that_the_joints_cannot_make_is_told_by_how_much_it_is_missed
 
 
 @pytest.mark.parametrize("thing", PUSH.objects)
-def test_a_pushed_object_stands_on_its_support_with_a_face_in_the_plane_of_the_pad(thing: str) -> None:
+def test_a_pushed_object_stands_with_a_face_in_the_plane_of_the_pad(thing: str) -> None:
     scene = Scene.resolve(PUSH, thing, "case_1")
     size = np.array(PUSH.objects[thing].size)
     face = scene.object.position[1] + size[1] / 2.0

@@ -57,7 +57,7 @@ def complaint(data: dict) -> str:
         ({"parts": {}, "xyz": 1}, ["xyz", "unknown key", "known keys: parts, gains, spare"]),
     ],
 )
-def test_a_mistake_names_file_key_value_and_what_was_expected_with_its_unit(data: dict, parts: list[str]) -> None:
+def test_a_mistake_names_file_key_value_expectation_and_unit(data: dict, parts: list[str]) -> None:
     message = complaint(data)
     assert message.startswith("mine.yaml: ")
     for part in parts:

@@ -57,7 +57,7 @@ def test_an_encoder_gives_the_nearest_of_its_steps() -> None:
         np.testing.assert_allclose(measured.motor_position, np.round(-angle, 3), atol=1e-12)
 
 
-def test_ideal_sensors_give_the_truth_and_not_the_arrays_that_the_plant_goes_on_with() -> None:
+def test_ideal_sensors_give_copies_of_the_truth() -> None:
     q = Q.copy()
     measured = ArmSensors(IDEAL, JOINTS, 1, np.random.default_rng(0)).measure(0, q, DQ, TORQUE, THETA, DTHETA)
     q += 1.0

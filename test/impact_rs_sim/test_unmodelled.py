@@ -7,19 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from trials import plan_of
 
 from impact_rs_control.closed_loop import make_plant
-from impact_rs_control.plan import TrialPlan, plan_trial
+from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.drive import Drive
 from impact_rs_sim.plant import Plant, PlantExtension
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import ArmState, Scene
+from impact_rs_sim.scene import ArmState
 from impact_rs_sim.unmodelled import OUTSIDE, Backlash, DriftingFriction, TorqueRipple
 
 
 @pytest.fixture(scope="module")
 def plan() -> TrialPlan:
-    return plan_trial(Scene.resolve(load_scenario("push"), "juice", "case_1"))
+    return plan_of("push", "juice", "case_1")
 
 
 class Posed:
@@ -34,7 +34,7 @@ class Posed:
         return self._state
 
 
-def test_within_the_play_the_transmission_carries_nothing_and_beyond_it_the_rest(plan: TrialPlan) -> None:
+def test_a_transmission_with_play_carries_what_is_beyond_it(plan: TrialPlan) -> None:
     arm = plan.scene.physics.arms["arm"]
     play = 3e-4
     for stretch, passed in ((0.5 * play, 0.0), (-0.9 * play, 0.0), (4.0 * play, 3.0 * play), (-2.0 * play, -play)):
@@ -46,7 +46,7 @@ def test_within_the_play_the_transmission_carries_nothing_and_beyond_it_the_rest
         np.testing.assert_allclose(drive.transmission_torque, arm.stiffness * passed, atol=1e-9)
 
 
-def test_drifting_friction_opposes_the_motion_and_grows_with_time_and_repeat(plan: TrialPlan) -> None:
+def test_drifting_friction_opposes_motion_and_grows_with_time_and_repeat(plan: TrialPlan) -> None:
     def torque(velocity: float, time: float, repeat: int, magnitude: float = 1.0) -> float:
         found = DriftingFriction(magnitude, repeat).joint_torque(Posed(plan, velocity, time), "arm")
         assert np.ptp(found) == 0.0
@@ -60,7 +60,7 @@ def test_drifting_friction_opposes_the_motion_and_grows_with_time_and_repeat(pla
     assert torque(0.0, 1.0, 1) == 0.0
 
 
-def test_torque_ripple_comes_back_sixty_times_a_turn_and_does_no_work_over_one(plan: TrialPlan) -> None:
+def test_torque_ripple_repeats_sixty_times_a_turn_and_does_no_work(plan: TrialPlan) -> None:
     def torque(ahead: float) -> float:
         posed = Posed(plan, 0.3)
         posed._state = ArmState(np.full(7, ahead), np.zeros(7))
@@ -125,7 +125,7 @@ def test_a_flexible_base_is_still_where_nothing_pushes_it(plan: TrialPlan) -> No
 
 
 @pytest.mark.parametrize("name", OUTSIDE)
-def test_every_outside_effect_changes_a_trial_and_a_larger_one_changes_it_more(plan: TrialPlan, name: str) -> None:
+def test_a_larger_outside_effect_changes_a_trial_more(plan: TrialPlan, name: str) -> None:
     """Seen where the arm is after it was driven into the object by the same torques."""
     short = plan.scene.scenario.timing.model_copy(update={"duration": 0.5, "nominal_impact": 0.3, "approach": 0.3,
                                                           "window_after": 0.1})  # fmt: skip

@@ -29,9 +29,7 @@ def test_a_revision_is_that_of_the_sources_or_what_the_build_noted() -> None:
     assert revision or git_revision() == recorded_revision(here)
 
 
-def test_an_installation_inside_a_strange_repository_has_the_revision_of_its_build(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_installation_has_the_revision_of_its_build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A colcon workspace or a virtual environment may lie in a repository of its own."""
     git(tmp_path, "init", "-q")
     git(tmp_path, "commit", "-q", "--allow-empty", "-m", "strange")
@@ -48,7 +46,7 @@ def test_an_installation_inside_a_strange_repository_has_the_revision_of_its_bui
     git_revision.cache_clear()
 
 
-def test_the_build_notes_the_revision_with_a_sign_for_what_is_not_committed(tmp_path: Path) -> None:
+def test_the_build_revision_marks_uncommitted_changes(tmp_path: Path) -> None:
     sources, file = tmp_path / "sources", tmp_path / "git_revision.txt"
     script = Path(__file__).resolve().parents[2] / "cmake" / "git_revision.cmake"
     cmake = shutil.which("cmake")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from trials import plan_of
 
 import impact_msgs_py
 from impact_rs_sim.scenario import Scenario
@@ -28,8 +29,8 @@ def joint_state(count: int, names: list[str], stamp: int = 0):
     return types[topics.JOINT_STATE](header=header, name=names, position=values, velocity=np.zeros(0), effort=-values)
 
 
-def test_every_topic_of_a_trial_is_encoded_as_rosbags_does(push_campaign: Path) -> None:
-    with Reader(push_campaign / "cat_food__case_2__s1.000__r0") as reader:
+def test_every_topic_of_a_trial_is_encoded_as_rosbags_does(push_bag: Path) -> None:
+    with Reader(push_bag) as reader:
         for connection in reader.connections:
             rows = [bytes(data) for _, _, data in reader.messages(connections=[connection])]
             messages = [STORE.deserialize_cdr(row, connection.msgtype) for row in rows]
@@ -37,9 +38,8 @@ def test_every_topic_of_a_trial_is_encoded_as_rosbags_does(push_campaign: Path) 
                 assert [bytes(row) for row in cdr.encode(STORE, connection.msgtype, messages)] == rows
 
 
-def test_every_column_of_a_trial_is_decoded_as_rosbags_does(push_campaign: Path) -> None:
-    path = push_campaign / "cat_food__case_2__s1.000__r0"
-    bag = TrialBag.open(path)
+def test_every_column_of_a_trial_is_decoded_as_rosbags_does(push_bag: Path) -> None:
+    bag = TrialBag.open(push_bag)
     messages = bag.messages(topics.controller_state("arm"))
     columns = bag.controller("arm")
     for name in ("mode", "gamma", "twist", "commanded_torque", "qp_iterations", "feedback_acceleration"):
@@ -76,10 +76,10 @@ def test_columns_survive_strings_that_change() -> None:
     np.testing.assert_array_equal(cdr.decode(STORE, topics.JOINT_STATE, rows)["effort"], [m.effort for m in messages])
 
 
-def test_somebody_elses_reader_reads_our_bag(push_campaign: Path) -> None:
+def test_somebody_elses_reader_reads_our_bag(push_bag: Path) -> None:
     from mcap_ros2.reader import read_ros2_messages
 
-    path = next((push_campaign / "cat_food__case_2__s1.000__r0").glob("*.mcap"))
+    path = next(push_bag.glob("*.mcap"))
     states = [m.ros_msg for m in read_ros2_messages(str(path), topics=["/arm/controller_state"])]
     ours = TrialBag.open(path.parent).controller("arm")
     assert len(states) == ours.time.size
@@ -102,14 +102,13 @@ def test_what_is_no_trial_says_why(tmp_path: Path, make, reason: str) -> None:
         TrialBag.open(tmp_path / "bag")
 
 
-def test_a_foreign_bag_says_why(push_campaign: Path, tmp_path: Path, rewrite_bag) -> None:
-    source = push_campaign / "cat_food__case_2__s1.000__r0"
-    rewrite_bag(source, tmp_path / "bag", lambda topic: topic != topics.TRIAL_INFO)
+def test_a_foreign_bag_says_why(push_bag: Path, tmp_path: Path, rewrite_bag) -> None:
+    rewrite_bag(push_bag, tmp_path / "bag", lambda topic: topic != topics.TRIAL_INFO)
     with pytest.raises(BagError, match="not a trial of impact_rs"):
         TrialBag.open(tmp_path / "bag")
 
 
-def test_a_bag_of_version_0_1_0_is_read_although_a_field_has_another_name_since() -> None:
+def test_a_bag_of_version_0_1_0_is_read_by_its_former_names() -> None:
     with Reader(OLD_BAG) as reader:
         definition = next(c.msgdef.data for c in reader.connections if c.topic == topics.TRIAL_INFO)
     assert "string scenario_yaml" in definition
@@ -122,7 +121,7 @@ def test_a_bag_of_version_0_1_0_is_read_although_a_field_has_another_name_since(
     assert 0.89 < bag.impact_time("arm") < 0.92
 
 
-def test_a_trial_read_by_the_definition_that_an_old_bag_carries_is_the_same() -> None:
+def test_a_trial_read_by_an_old_definition_is_the_same() -> None:
     from mcap_ros2.reader import read_ros2_messages
 
     (path,) = OLD_BAG.glob("*.mcap")
@@ -131,9 +130,7 @@ def test_a_trial_read_by_the_definition_that_an_old_bag_carries_is_the_same() ->
     assert TrialInfo.from_message(message) == TrialBag.open(OLD_BAG).info
 
 
-def test_a_bag_whose_messages_have_fewer_fields_than_today_is_read_by_its_own_definitions(
-    push_campaign: Path, tmp_path: Path
-) -> None:
+def test_a_bag_with_fewer_fields_is_read_by_its_own_definitions(push_campaign: Path, tmp_path: Path) -> None:
     """As written before ``end_effector_twist`` and ``end_effector_wrench``."""
     bag = TrialBag.open(sorted(push_campaign.glob("cat_food*"))[0])
     topic, kind = topics.controller_state("arm"), topics.CONTROLLER_STATE
@@ -163,15 +160,12 @@ def test_a_trial_without_its_scenario_says_which_field_is_missing() -> None:
         TrialInfo.from_message(type("Foreign", (), others))
 
 
-def test_a_cell_that_tells_no_truth_gives_the_same_bag_without_it(push_campaign: Path, tmp_path: Path) -> None:
+def test_a_cell_that_tells_no_truth_gives_the_same_bag_without_it(push_bag: Path, tmp_path: Path) -> None:
     from impact_rs_control.closed_loop import make_plant
-    from impact_rs_control.plan import plan_trial
-    from impact_rs_sim.scenario import load_scenario
-    from impact_rs_sim.scene import Scene
     from impact_rs_trials.bags.record import record_cell
 
-    told = TrialBag.open(push_campaign / "cat_food__case_2__s1.000__r0")
-    plan = plan_trial(Scene.resolve(load_scenario("push"), "cat_food", "case_2"))
+    told = TrialBag.open(push_bag)
+    plan = plan_of("push", "cat_food", "case_2")
     verdict, _ = record_cell(plan, told.info, tmp_path / "bag", make_plant(plan, told.info.seed))
     silent = TrialBag.open(tmp_path / "bag")
     assert verdict.outcome == told.outcome

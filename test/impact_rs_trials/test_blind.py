@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from trials import nominal_physics
 
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import load_facts
-from impact_rs_sim.scenario import load_scenario, scenario_path
+from impact_rs_sim.scenario import scenario_path
 from impact_rs_sim.unmodelled import OUTSIDE
 from impact_rs_trials.blind import RUNS, SIZES, TRUTH, draw, draw_outside, draw_truth, hide, make, specs, tasks
 
 
 @pytest.mark.parametrize("name", sorted(library()))
 @pytest.mark.parametrize("joint_count", [6, 7])
-def test_hidden_values_are_some_scales_from_nominal_within_nine_tenths_of_the_bounds(name, joint_count):
+def test_hidden_values_lie_some_scales_from_nominal_within_bounds(name, joint_count):
     for seed in range(40):
         for magnitude in (1.0, 4.0, 50.0):
             hidden = draw(name, magnitude, np.random.default_rng(seed), joint_count)
@@ -36,7 +36,7 @@ def test_hidden_values_are_some_scales_from_nominal_within_nine_tenths_of_the_bo
                 assert away == pytest.approx(side) or 0.7 <= away / (magnitude * scalar.scale) <= 1.3
 
 
-def test_a_hidden_payload_adds_mass_and_goes_up_to_nine_tenths_of_the_bound():
+def test_a_hidden_payload_adds_mass_up_to_nine_tenths_of_the_bound():
     masses = [draw("end_effector_payload", size, np.random.default_rng(7), 7).values[0] for size in (1.0, 100.0)]
     assert 0.07 <= masses[0] <= 0.13
     assert masses[1] == pytest.approx(2.7)
@@ -56,7 +56,7 @@ def test_the_same_seed_hides_the_same_as_ever():
     (sticky,) = draw_truth(3, "single", "joint_stribeck_friction", None)
     assert (sticky.values[0], sticky.values[-1]) == pytest.approx((0.20513311108996682, 0.07694738285947944), rel=1e-14)
     assert {item.name for item in draw_truth(11, "pair", None, None)} <= set(library())  # depends on what is there
-    physics = hide(Physics.nominal(load_scenario("push"), "juice"), [payload])
+    physics = hide(nominal_physics(), [payload])
     assert physics.arms["arm"].end_effector.mass == pytest.approx(0.6 + payload.values[0])
 
 
@@ -81,7 +81,7 @@ def test_every_kind_hides_its_number_of_effects_and_the_seed_decides_which(kind:
         assert 1.0 <= min(sizes) < 2.0 < 5.0 < max(sizes) <= 10.0
 
 
-def test_outside_effects_have_a_size_between_noticeable_and_four_times_that() -> None:
+def test_outside_effects_have_one_to_four_times_a_noticeable_size() -> None:
     drawn = [draw_outside(seed, None, None) for seed in range(60)]
     assert {name for name, _ in drawn} == set(OUTSIDE)
     assert all(1.0 <= size <= 4.0 for _, size in drawn)
@@ -106,7 +106,7 @@ def test_what_there_is_none_of_is_answered_with_what_there_is(call, complaint: s
         call()
 
 
-def test_a_campaign_has_every_condition_with_its_repeats_and_the_truth_lies_beside_the_runs(tmp_path: Path) -> None:
+def test_a_blind_campaign_has_all_conditions_and_the_truth_beside(tmp_path: Path) -> None:
     seen = []
 
     def record(function, todo):

@@ -101,9 +101,7 @@ def fails(directory: Path, trial: Trial) -> TrialReport:
         raise InputError("cannot be written", file=directory) from None
 
 
-def test_why_a_trial_failed_stands_in_full_in_its_campaign_until_the_trial_is_there(
-    tmp_path: Path, manifest: Manifest
-) -> None:
+def test_a_campaign_keeps_why_a_trial_failed_until_it_succeeds(tmp_path: Path, manifest: Manifest) -> None:
     (report, *_) = run_campaign(tmp_path, manifest, run=fails)
     assert report.message == f"{tmp_path}: cannot be written"
     text = (tmp_path / FAILURES / f"{report.key.name}.txt").read_text()

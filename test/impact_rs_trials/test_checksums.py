@@ -16,15 +16,16 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from impact_rs_trials.bags import checksums, topics
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.types import typestore
+from impact_rs_trials.bags.writer import SealedWriter
 
 STORE = typestore()
 OLD_BAG = Path(__file__).parent / "data" / "bag_of_0_1_0" / "cat_food__case_2__s1.000__r0"
 
 
 @pytest.fixture
-def bag(push_campaign: Path, tmp_path: Path) -> Path:
+def bag(push_bag: Path, tmp_path: Path) -> Path:
     """A copy of a bag, to be damaged."""
-    return shutil.copytree(push_campaign / "cat_food__case_2__s1.000__r0", tmp_path / "bag")
+    return shutil.copytree(push_bag, tmp_path / "bag")
 
 
 def mcap(bag: Path) -> Path:
@@ -99,24 +100,22 @@ def test_somebody_elses_reader_finds_every_checksum_right(bag: Path) -> None:
         assert sum(1 for _ in StreamReader(file, validate_crcs=True).records) > 10_000
 
 
-def test_metadata_read_as_rosbags_wrote_them_although_their_lines_break_elsewhere(tmp_path: Path) -> None:
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connection = writer.add_connection("/text", topics.STRING, typestore=STORE)
-        message = STORE.types[topics.STRING](data="")
-        writer.write(connection, 7, STORE.serialize_cdr(message, topics.STRING))
-        for name, text in {"long": "word 'and' " * 40, "odd": 'ä: "\n\t\\\x01', "empty": "", "number": "1e3"}.items():
-            writer.set_custom_data(name, text)
-    with Reader(tmp_path / "bag") as reader:
-        before = reader.storage.metadata
-    checksums.seal(tmp_path / "bag")
-    with Reader(tmp_path / "bag") as reader:
-        assert reader.storage.metadata == before
-        assert [stamp for _, stamp, _ in reader.messages()] == [7]
+def test_sealed_metadata_read_as_rosbags_wrote_them(tmp_path: Path) -> None:
+    custom = {"long": "word 'and' " * 40, "odd": 'ä: "\n\t\\\x01', "empty": "", "number": "1e3"}
+    for kind in (Writer, SealedWriter):
+        with kind(tmp_path / kind.__name__, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            connection = writer.add_connection("/text", topics.STRING, typestore=STORE)
+            message = STORE.types[topics.STRING](data="")
+            writer.write(connection, 7, STORE.serialize_cdr(message, topics.STRING))
+            for name, text in custom.items():
+                writer.set_custom_data(name, text)
+        with Reader(tmp_path / kind.__name__) as reader:
+            assert custom.items() <= reader.storage.metadata.custom.items()
+            assert [stamp for _, stamp, _ in reader.messages()] == [7]
+        assert checksums.check(tmp_path / kind.__name__) == (kind is SealedWriter)
 
 
-def test_bags_of_earlier_versions_and_of_other_programs_are_read_and_say_that_they_are_not_protected(
-    bag: Path, tmp_path: Path, rewrite_bag
-) -> None:
+def test_bags_of_earlier_versions_and_others_are_read_as_unsealed(bag: Path, tmp_path: Path, rewrite_bag) -> None:
     assert TrialBag.open(bag).sealed
     assert not TrialBag.open(OLD_BAG).sealed
     rewrite_bag(bag, tmp_path / "other", lambda topic: True)

@@ -101,7 +101,7 @@ def test_forward_kinematics_of_the_joint_states_are_the_transforms(bag: TrialBag
         assert np.ptp(moved, axis=0).max() > 0.01 or links[-1] == "support"
 
 
-def test_transforms_are_the_chain_of_its_links_as_robot_state_publisher_has_them(bag: TrialBag) -> None:
+def test_transforms_are_those_of_robot_state_publisher(bag: TrialBag) -> None:
     """Parent and child of every joint; what is beside them is the object."""
     joints = Xml.fromstring(urdf(bag, topics.ROBOT_DESCRIPTION)).findall("joint")
     expected = {joint.find("child").get("link"): joint.find("parent").get("link") for joint in joints}
@@ -109,7 +109,7 @@ def test_transforms_are_the_chain_of_its_links_as_robot_state_publisher_has_them
         assert {frame: parent for frame, (parent, _) in frames.items()} == expected | {"object": "world"}
 
 
-def test_what_moves_has_limits_and_an_inertial_and_every_frame_something_to_see(bag: TrialBag) -> None:
+def test_moving_links_have_limits_inertials_and_visuals(bag: TrialBag) -> None:
     seen = set()
     for topic in (*described(bag), topics.OBJECT_DESCRIPTION):
         robot = Xml.fromstring(urdf(bag, topic))

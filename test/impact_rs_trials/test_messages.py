@@ -6,13 +6,13 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from trials import plan_of
 
 from impact_rs_control.controller import ArmCommand, ImpactDetection, Mode
-from impact_rs_control.plan import TrialPlan, plan_trial
+from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
 from impact_rs_sim.plant import ArmTruth
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import BodyState, Scene
+from impact_rs_sim.scene import BodyState
 from impact_rs_sim.sensors import ArmMeasurement, ObjectMeasurement
 from impact_rs_trials.bags.messages import Frame, MessageMaker, RosbagsTypes, reference_columns
 
@@ -22,7 +22,7 @@ SEVEN = np.arange(7, dtype=float)
 
 @pytest.fixture(scope="module")
 def plan() -> TrialPlan:
-    return plan_trial(Scene.resolve(load_scenario("push"), "juice", "case_1"), 0.9)
+    return plan_of("push", "juice", "case_1", 0.9)
 
 
 @pytest.fixture(scope="module")

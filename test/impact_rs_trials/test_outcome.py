@@ -8,22 +8,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from trials import plan_of
 
 from impact_rs_control.closed_loop import RUNAWAY, make_plant, run_closed_loop
 from impact_rs_control.controller import Mode
-from impact_rs_control.plan import TrialPlan, plan_trial
+from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import Scene
-from impact_rs_trials.bags.outcome import LEAST_LIFT, ArmRecord, TrialRecord, Verdict, judge
+from impact_rs_trials.bags.outcome import LEAST_LIFT, ArmRecord, TrialRecord, Verdict, Witness, judge
 from impact_rs_trials.bags.reader import JointColumns, PoseColumns, TrialBag
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 from impact_rs_trials.spec import TrialSpec
 
-PUSH = plan_trial(Scene.resolve(load_scenario("push"), "cat_food", "case_2"))
-GRAB = plan_trial(Scene.resolve(load_scenario("grab"), "cat_food", "case_2"))
-EXCITE = plan_trial(Scene.resolve(load_scenario("excite"), "none", "slow"))
+PUSH = plan_of("push", "cat_food", "case_2")
+GRAB = plan_of("grab", "cat_food", "case_2")
+EXCITE = plan_of("excite", "none", "slow")
 LIMITS = load_scenario("push").robots["arm"].robot_facts.limits
 TICKS = 200
 TIME = np.arange(TICKS) * 1e-3
@@ -99,7 +100,7 @@ def test_what_is_held_at_its_limit_is_not_beyond_it(name: str) -> None:
     assert judge(PUSH, with_signal(name, limit, TICKS)) == Verdict("OK")
 
 
-def test_a_joint_held_at_its_torque_limit_rings_about_it_but_its_command_does_not() -> None:
+def test_a_joint_at_its_torque_limit_rings_but_its_command_does_not() -> None:
     value = 1.04 * LIMITS.torque_Nm[JOINT]
     assert judge(PUSH, with_signal("effort", value, TICKS)).outcome == "OK"
     assert judge(PUSH, with_signal("command", value, TICKS)).outcome == "LIMIT"
@@ -184,7 +185,7 @@ def test_what_nobody_hits_may_lie_as_it_likes() -> None:
 
 
 @pytest.mark.parametrize("lift", [-1e-3, -1e-12, 0.0, 1e-12, 1e-3])
-def test_what_is_pushed_cannot_be_dropped_whichever_way_its_height_is_rounded(lift: float) -> None:
+def test_a_pushed_object_cannot_be_dropped(lift: float) -> None:
     assert judge(PUSH, record(PUSH, lift=lift)) == Verdict("OK")
 
 
@@ -216,7 +217,7 @@ def test_the_gravest_is_told_and_of_equally_grave_ones_the_earliest() -> None:
     assert judge(PUSH, record(PUSH, arm)).reason.startswith("arm joint2 at")
 
 
-def test_a_damper_too_strong_for_a_light_wrist_ends_the_trial_and_names_the_wrist(tmp_path: Path) -> None:
+def test_a_damper_too_strong_for_a_wrist_ends_the_trial_and_names_it(tmp_path: Path) -> None:
     """h^2 K + 2 h D < 4 m (impact_rs_sim.drive_stability): the wrist of an FR3 is too light for the drive of push."""
     scenario = load_scenario("push").with_settings({"robots.arm.facts": "franka_fr3"})
     plan = TrialSpec.of(scenario, "cat_food", "case_2").plan
@@ -239,7 +240,7 @@ def test_a_tall_box_on_a_rough_table_tips_over_when_it_is_hit(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e8])
-def test_a_number_that_is_none_ends_a_trial_at_once_and_without_a_traceback(value: float) -> None:
+def test_nan_ends_a_trial_at_once_without_a_traceback(value: float) -> None:
     class Broken:
         """A plant whose encoder of joint 4 fails at the third tick."""
 
@@ -259,3 +260,58 @@ def test_a_number_that_is_none_ends_a_trial_at_once_and_without_a_traceback(valu
         ticks = list(run_closed_loop(PUSH, cell))
     cell.close()
     assert [tick.number for tick in ticks] == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("axis", "angle", "outcome"), [("z", 90.0, "OK"), ("x", 25.0, "TIPPED"), ("y", 25.0, "TIPPED")]
+)
+def test_an_object_that_starts_askew_may_turn_about_the_vertical(axis: str, angle: float, outcome: str) -> None:
+    askew = Rotation.from_euler("xy", (40.0, 30.0), degrees=True)
+    moved = Rotation.from_euler(axis, angle, degrees=True) * askew
+    found = record(PUSH)
+    quaternion = np.tile(askew.as_quat(), (TICKS, 1))
+    quaternion[SINCE:] = moved.as_quat()
+    verdict = judge(PUSH, replace(found, object=replace(found.object, quaternion=quaternion)))
+    assert verdict.outcome == outcome
+    assert outcome == "OK" or "leaned by 25 degrees" in verdict.reason
+
+
+@pytest.mark.parametrize("kind", ["speed", "position", "status", "mode"])
+def test_of_two_arms_the_one_that_failed_first_is_named(kind: str) -> None:
+    both = record(GRAB, lift=GRAB.expected_lift)
+    for name, since in (("left", 60), ("right", 50)):
+        arm = both.arms[name] = arm_record()
+        if kind == "speed":
+            arm.joints.velocity[since, JOINT] = 9.0 * LIMITS.velocity_rad_s[JOINT]
+        elif kind == "position":
+            arm.joints.position[since, JOINT] = np.nan
+        elif kind == "status":
+            arm.qp_status[since:] = QpStatus.FAILED
+        else:
+            arm.mode[since:] = Mode.INTERIM
+    verdict = judge(GRAB, both)
+    assert verdict.outcome == {"status": "INFEASIBLE", "mode": "EARLY"}.get(kind, "DIVERGED")
+    assert verdict.reason.startswith("right")
+
+
+@pytest.mark.parametrize(("low", "high", "worst"), [(-1.5, 1.2, -1.5), (-1.2, 1.5, 1.5)])
+def test_the_value_farthest_beyond_either_limit_is_reported(low: float, high: float, worst: float) -> None:
+    limit, arm = LIMITS.velocity_rad_s[JOINT], arm_record()
+    arm.joints.velocity[SINCE : SINCE + 6, JOINT] = high * limit
+    arm.joints.velocity[SINCE + 6 : SINCE + 12, JOINT] = low * limit
+    expected = f"speed {worst * limit:.4g} rad/s against {np.sign(worst) * limit:.4g} rad/s"
+    assert expected in judge(PUSH, record(PUSH, arm)).reason
+
+
+def test_a_witness_keeps_status_and_impact_of_a_trial() -> None:
+    whole, early = Witness(PUSH), Witness(PUSH)
+    plant = make_plant(PUSH, 1)
+    for tick in run_closed_loop(PUSH, plant):
+        whole.see(tick)
+        if tick.number < 10:
+            early.see(tick)
+    plant.close()
+    arm = whole.record().arms["arm"]
+    assert arm.hit and not early.record().arms["arm"].hit
+    assert arm.qp_status.shape == arm.command_time.shape and set(arm.qp_status) == {QpStatus.SOLVED}
+    assert judge(PUSH, whole.record()) == Verdict("OK")

@@ -101,7 +101,7 @@ def test_poses_of_the_object_are_those_of_the_tracker_and_of_the_truth(bag: Tria
     np.testing.assert_array_equal(bag.poses(topics.TRUTH_OBJECT_POSE).position, true)
 
 
-def test_frames_follow_the_measured_joints_and_the_last_sight_of_the_object(plan: TrialPlan) -> None:
+def test_frames_follow_measured_joints_and_the_last_object_pose(plan: TrialPlan) -> None:
     frames = FrameSource(plan.scene)
     q = plan.scene.arms["arm"].position
     place, turn = np.array([0.4, -0.3, 0.5]), pin.rpy.rpyToMatrix(0.0, 0.0, 0.4)
@@ -118,7 +118,7 @@ def test_frames_follow_the_measured_joints_and_the_last_sight_of_the_object(plan
     assert [tick for tick in range(45) if frames.due(tick)] == [0, 20, 40]
 
 
-def test_frames_of_a_graph_in_a_namespace_have_its_prefix_and_are_where_they_are_without(plan: TrialPlan) -> None:
+def test_frames_in_a_namespace_have_its_prefix_and_the_same_poses(plan: TrialPlan) -> None:
     q = {"arm": plan.scene.arms["arm"].position}
     sources = FrameSource(plan.scene), FrameSource(plan.scene, "cell_a/")
     alone, beside = ([*source.static, *source.at(q, None)] for source in sources)

@@ -41,21 +41,16 @@ def mcap(path: Path) -> Path:
     return file
 
 
-@pytest.fixture(scope="module")
-def whole(push_campaign: Path) -> Path:
-    return push_campaign / "cat_food__case_2__s1.000__r0"
-
-
 @pytest.fixture
-def cut(whole: Path, tmp_path: Path) -> tuple[Path, list[int]]:
+def cut(push_bag: Path, tmp_path: Path) -> tuple[Path, list[int]]:
     """The folder of a bag that was not closed, and its size after each time it was saved."""
     path = tmp_path / "runs" / "trial"
-    _, sizes = write_in_parts(whole, path)
+    _, sizes = write_in_parts(push_bag, path)
     return partial_path(path), sizes
 
 
-def test_what_was_saved_of_a_bag_that_was_never_closed_is_read(whole: Path, cut: tuple[Path, list[int]]) -> None:
-    bag, full = TrialBag.open(cut[0]), TrialBag.open(whole)
+def test_what_was_saved_of_a_bag_that_was_never_closed_is_read(push_bag: Path, cut: tuple[Path, list[int]]) -> None:
+    bag, full = TrialBag.open(cut[0]), TrialBag.open(push_bag)
     assert bag.info == full.info
     assert bag.path == cut[0]
     found, expected = bag.joints(STATES), full.joints(STATES)
@@ -118,21 +113,21 @@ def test_reading_leaves_a_bag_that_was_cut_off_as_it_is(cut: tuple[Path, list[in
     assert file.read_bytes() == before
 
 
-def test_a_bag_that_was_saved_in_parts_and_closed_is_sealed_and_holds_the_same(whole: Path, tmp_path: Path) -> None:
-    writer, _ = write_in_parts(whole, tmp_path / "trial")
+def test_a_bag_saved_in_parts_is_sealed_and_holds_the_same(push_bag: Path, tmp_path: Path) -> None:
+    writer, _ = write_in_parts(push_bag, tmp_path / "trial")
     writer.finish("OK")
-    bag, full = TrialBag.open(tmp_path / "trial"), TrialBag.open(whole)
+    bag, full = TrialBag.open(tmp_path / "trial"), TrialBag.open(push_bag)
     assert bag.sealed
     assert bag.counts == full.counts
     np.testing.assert_array_equal(bag.controller("arm").twist, full.controller("arm").twist)
 
 
-def test_a_bag_survives_that_its_writer_is_killed(whole: Path, tmp_path: Path) -> None:
+def test_a_bag_survives_that_its_writer_is_killed(push_bag: Path, tmp_path: Path) -> None:
     program = (
         "import sys, time; from pathlib import Path; sys.path.insert(0, sys.argv[3]); import test_recovery as t\n"
         "writer, _ = t.write_in_parts(Path(sys.argv[1]), Path(sys.argv[2])); print('saved', flush=True); time.sleep(99)"
     )
-    arguments = [sys.executable, "-c", program, str(whole), str(tmp_path / "trial"), str(Path(__file__).parent)]
+    arguments = [sys.executable, "-c", program, str(push_bag), str(tmp_path / "trial"), str(Path(__file__).parent)]
     with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "saved\n"
@@ -142,9 +137,9 @@ def test_a_bag_survives_that_its_writer_is_killed(whole: Path, tmp_path: Path) -
     assert bag.joints(STATES).time.size > 1000
 
 
-def test_a_finished_bag_that_lost_its_metadata_is_no_success(whole: Path, tmp_path: Path) -> None:
-    shutil.copytree(whole, tmp_path / "bag")
+def test_a_finished_bag_that_lost_its_metadata_is_no_success(push_bag: Path, tmp_path: Path) -> None:
+    shutil.copytree(push_bag, tmp_path / "bag")
     (tmp_path / "bag" / checksums.METADATA).unlink()
     bag = TrialBag.open(tmp_path / "bag")
     assert bag.outcome == "ABORTED"
-    assert bag.counts[STATES] == TrialBag.open(whole).counts[STATES]
+    assert bag.counts[STATES] == TrialBag.open(push_bag).counts[STATES]

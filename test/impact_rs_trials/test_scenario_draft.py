@@ -26,7 +26,7 @@ def six_joints() -> Draft:
         return draft("ur5e", UR5E, "push")
 
 
-def test_a_scenario_for_six_joints_is_one_that_a_file_can_hold_and_whose_trials_were_run(six_joints: Draft, tmp_path):
+def test_a_draft_for_six_joints_is_a_valid_file_whose_trials_ran(six_joints: Draft, tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(six_joints.text)
     scenario = load_scenario(str(path))

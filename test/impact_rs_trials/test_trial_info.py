@@ -7,10 +7,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from trials import plan_of
 
-from impact_rs_control.plan import TrialPlan, plan_trial
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import Scene
+from impact_rs_control.plan import TrialPlan
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 from impact_rs_trials.bags.types import typestore
@@ -20,7 +19,7 @@ KEY = TrialKey("juice", "case_1", 0.9, 3)
 
 @pytest.fixture(scope="module")
 def plan() -> TrialPlan:
-    return plan_trial(Scene.resolve(load_scenario("push"), "juice", "case_1"), 0.9)
+    return plan_of("push", "juice", "case_1", 0.9)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +61,7 @@ def test_a_message_that_lacks_a_field_is_of_another_kind(info: TrialInfo) -> Non
         TrialInfo.from_message(SimpleNamespace(**values))
 
 
-def test_names_of_bags_tell_trials_apart_and_seeds_follow_from_campaign_and_name_alone() -> None:
+def test_bag_names_are_unique_and_seeds_follow_from_them() -> None:
     assert KEY.name == "juice__case_1__s0.900__r3"
     keys = [TrialKey("juice", "case_1", scale, repeat) for scale in (0.8, 1.0) for repeat in range(3)]
     assert len({key.name for key in keys}) == len(keys)

@@ -68,9 +68,7 @@ def manifest() -> Manifest:
     return make_manifest("push", ["cat_food"], ["2"], [0.8, 1.0, 1.2], trials=2)
 
 
-def test_a_worker_of_a_scheduler_that_is_killed_loses_no_trial_and_doubles_none(
-    tmp_path: Path, manifest: Manifest
-) -> None:
+def test_a_killed_worker_of_a_scheduler_loses_and_doubles_no_trial(tmp_path: Path, manifest: Manifest) -> None:
     def killed_once(directory: Path, trial: Trial) -> TrialReport:
         if trial.key.scale == 1.0:
             with suppress(FileExistsError):
@@ -91,7 +89,7 @@ def test_a_worker_of_a_scheduler_that_is_killed_loses_no_trial_and_doubles_none(
     assert sorted((tmp_path / "finished").read_text().split()) == names
 
 
-def test_a_scheduler_that_goes_away_is_told_and_the_campaign_can_be_resumed(tmp_path: Path, manifest: Manifest) -> None:
+def test_a_campaign_can_be_resumed_after_its_scheduler_went_away(tmp_path: Path, manifest: Manifest) -> None:
     def waits_for_the_end(directory: Path, trial: Trial) -> TrialReport:
         if trial.key != manifest.keys[0]:
             while not (directory / "gone").exists():
@@ -168,7 +166,7 @@ def test_a_task_that_a_worker_cannot_read_is_an_error_and_breaks_nothing() -> No
         assert list(map_tasks(abs, [-3, -1, -2])) == [3, 1, 2]
 
 
-def test_an_error_comes_back_with_the_frames_of_its_worker_and_what_lay_behind_it() -> None:
+def test_an_error_comes_back_with_the_frames_of_its_worker() -> None:
     def breaks_in_the_worker(value: int) -> int:
         try:
             return 1 // (value - value)

@@ -46,7 +46,7 @@ def outcome(path: Path) -> str | None:
         return (reader.storage.metadata.custom or {}).get("outcome")
 
 
-def test_a_finished_bag_has_its_name_and_outcome_and_nothing_is_left_beside_it(tmp_path: Path) -> None:
+def test_a_finished_bag_has_name_and_outcome_and_leaves_nothing(tmp_path: Path) -> None:
     path = tmp_path / "runs" / "trial"
     with BagWriter.create(path, ["arm"]) as bag:
         assert partial_path(path).is_dir()
@@ -152,7 +152,7 @@ def test_what_is_said_once_is_latched_when_it_is_played_back(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("truth", [True, False])
-def test_a_bag_has_every_topic_of_its_arms_and_the_truth_only_where_it_is_known(tmp_path: Path, truth: bool) -> None:
+def test_a_bag_has_every_topic_and_the_truth_only_where_known(tmp_path: Path, truth: bool) -> None:
     path = tmp_path / "trial"
     with BagWriter.create(path, ["left", "right"], truth) as bag:
         bag.finish("OK")
@@ -162,7 +162,7 @@ def test_a_bag_has_every_topic_of_its_arms_and_the_truth_only_where_it_is_known(
     assert any(name.startswith(topics.TRUTH) for name in found) == truth
 
 
-def test_a_bag_offers_every_topic_as_its_publisher_does_and_says_when_it_was_recorded(tmp_path: Path) -> None:
+def test_a_bag_says_its_offers_and_when_it_was_recorded(tmp_path: Path) -> None:
     before = datetime.now(UTC).replace(microsecond=0)
     with BagWriter.create(tmp_path / "trial", ["arm"]) as bag:
         bag.write(TOPIC, 0, message(0))

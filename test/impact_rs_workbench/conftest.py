@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
-from impact_rs_workbench.guard import Guard
+from impact_rs_workbench.request_guard import Guard
 from impact_rs_workbench.server import Workbench, application
 
 PORT, TOKEN = 8123, "the-key-of-the-tests"

@@ -59,7 +59,7 @@ def test_signals_are_given_to_arms_by_name_or_in_order(labels: tuple[str, ...], 
     assert {arm: own.signals["position"] for arm, own in found.items()} == expected
 
 
-def test_signals_of_as_many_numbers_as_an_arm_has_joints_are_taken_for_its_own() -> None:
+def test_a_signal_as_wide_as_an_arm_is_taken_for_its_own() -> None:
     candidates = [named("a_q", "position", 7), named("b_q", "position", 6)]
     found = propose(candidates, {"left": 7, "right": 6})
     assert {arm: own.signals["position"] for arm, own in found.items()} == {"left": 0, "right": 1}

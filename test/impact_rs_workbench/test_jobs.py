@@ -19,7 +19,7 @@ from impact_rs_workbench.jobs import LOST, Job, Jobs, Order
 from impact_rs_workbench.server import Workbench
 
 LONG = 120.0  # s, after which a condition that was waited for counts as missed
-CAMPAIGN = {"step": "campaign", "scenario": "push", "objects": ["cat_food"], "cases": ["case_2"], "scales": [1.0]}
+CAMPAIGN = {"command": "campaign", "scenario": "push", "objects": ["cat_food"], "cases": ["case_2"], "scales": [1.0]}
 
 
 def until(condition: Callable[[], Any]) -> Any:
@@ -95,7 +95,7 @@ def test_two_tabs_see_the_same_jobs_and_one_folder_has_one_job_at_a_time(
     for output in ("campaigns/push", "campaigns", "campaigns/push/inner"):
         second = client.post("/api/jobs", json=CAMPAIGN | {"output": output})
         assert second.status_code == 400
-        assert "job 1 (measure) is writing to" in second.json()["error"]
+        assert "job 1 (campaign) is writing to" in second.json()["error"]
     assert [job["number"] for job in client.get("/api/jobs").json()] == [1]
     client.post(f"/api/jobs/{first['number']}/stop")
     client.post(f"/api/jobs/{first['number']}/stop")  # the other tab
@@ -132,7 +132,7 @@ def test_a_number_that_was_given_is_not_given_again(jobs: Jobs) -> None:
     assert jobs.wait(jobs.start(order("effects", "object_mass")).number).number == 6
 
 
-def test_records_outlive_the_workbench_and_what_ran_when_it_died_is_told_as_ended(jobs: Jobs) -> None:
+def test_records_outlive_the_workbench_and_lost_jobs_have_ended(jobs: Jobs) -> None:
     done = jobs.wait(jobs.start(order("effects", "object_mass")).number)
     record = jobs.folder / "0001" / "job.json"
     lost = json.loads(record.read_text()) | {"number": 2, "ended": None, "exit_code": None}

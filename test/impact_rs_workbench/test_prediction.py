@@ -109,7 +109,7 @@ def test_who_contributes_most_to_the_interval_stands_first() -> None:
     assert shares == sorted(shares, reverse=True)
 
 
-def test_a_figure_over_one_slider_is_that_of_the_other_sliders_as_they_stand() -> None:
+def test_a_figure_over_one_slider_keeps_the_other_sliders() -> None:
     asked = question(values={"contact.restitution": 0.4})
     point = next(sweep(PUSH, asked, slider_of(PUSH, "cat_food", "speed")))
     same = answer(PUSH, question(values={"contact.restitution": 0.4, "speed": point.value}))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from impact_rs_analysis.diagnosis.compare import Cell
+from impact_rs_analysis.evidence.levels import Cell
 from impact_rs_workbench.results import nearest_signal
 
 

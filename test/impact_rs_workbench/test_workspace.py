@@ -21,7 +21,7 @@ def workspace(tmp_path: Path) -> Workspace:
     return Workspace(tmp_path)
 
 
-def test_an_empty_folder_has_the_nominal_model_and_the_scenarios_that_come_along(workspace: Workspace) -> None:
+def test_an_empty_folder_has_the_nominal_model_and_shipped_scenarios(workspace: Workspace) -> None:
     found = workspace.contents()
     assert [model.path for model in found.models] == ["nominal"]
     assert {"push", "grab", "excite"} <= set(found.scenarios)
@@ -38,9 +38,7 @@ def test_a_campaign_counts_its_trials(workspace: Workspace, push_campaign: Path)
     assert workspace.contents().campaigns[0].present < 3
 
 
-def test_folders_of_trials_without_manifest_are_seen_with_the_folder_they_share(
-    workspace: Workspace, hidden_campaign: Path
-) -> None:
+def test_trials_without_manifest_are_seen_with_their_common_folder(workspace: Workspace, hidden_campaign: Path) -> None:
     shutil.copytree(hidden_campaign, workspace.root / "blind" / "runs")
     found = workspace.contents()
     assert [(one.path, one.present) for one in found.campaigns] == [("blind/runs/excite", 2), ("blind/runs/push", 4)]

@@ -65,7 +65,7 @@ def world_of(spec: TrialSpec, offset: float) -> MujocoCell:
 
 
 def main() -> None:
-    """Run until told to end."""
+    """Run until it is terminated."""
     parser = argparse.ArgumentParser()
     parser.add_argument("trial", nargs=3)
     parser.add_argument("--no-gravity", action="store_true")
@@ -76,8 +76,8 @@ def main() -> None:
     parser.add_argument("--kill", type=int, default=0)
     parser.add_argument("--kill-after", type=int, default=sys.maxsize)
     options = parser.parse_args()
-    name, thing, case = options.trial
-    spec = TrialSpec.of(load_scenario(name), thing, case)
+    name, item, case = options.trial
+    spec = TrialSpec.of(load_scenario(name), item, case)
     (arm,) = spec.plan.arms
     world = world_of(spec, options.offset)
     model, period = spec.scene.models[arm], spec.scene.scenario.timing.control_period
@@ -100,7 +100,7 @@ def main() -> None:
     names = [FINGERS[0], *joints, FINGERS[1]]
     start = world.measure().arms[arm].position
     sent: np.ndarray | None = None  # its brakes are on until then, and its time stands still
-    taken: deque[tuple[int, PoseStamped]] = deque()  # and when they are told
+    taken: deque[tuple[int, PoseStamped]] = deque()  # with the state in which they are published
     moved, led = 0, False
     killed, resting, since = False, 0, 0
     began, step = time.time_ns(), 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Somebody who publishes what a graph tells, without any node of ours: a trial, where its arms are, and its object."""
+"""Publishes what a graph does, without any node of ours: a trial, where its arms are, and its object."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class FakeGraph:
         self._publishers[topic].publish(message)
 
     def trial(self, scenario: str, thing: str = "cat_food") -> TrialSpec:
-        """Tell that a trial begins."""
+        """Announce that a trial begins."""
         spec = TrialSpec.of(load_scenario(scenario), thing, "2")
         info = TrialInfo.of(spec.plan, TrialKey(thing, spec.case, 1.0, 0), 7, "nodes")
         message = MessageMaker(RosidlTypes(), spec.plan).trial_info(info)
@@ -47,21 +47,21 @@ class FakeGraph:
         return spec
 
     def joints(self, arm: str, position: np.ndarray, time: float) -> None:
-        """Tell where the joints of an arm are, in another order than they have."""
+        """Publish where the joints of an arm are, in another order than they have."""
         names = [f"{arm}_joint{number + 1}" for number in range(position.size)]
         message = JointState(name=names[::-1], position=position[::-1].tolist())
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(round(time * 1e9), 10**9)
         self.say(topics.joint_states(arm), topics.JOINT_STATE, message)
 
     def object(self, pose: np.ndarray) -> None:
-        """Tell where the object is."""
+        """Publish where the object is."""
         message = PoseStamped()
         at, turned = message.pose.position, message.pose.orientation
         at.x, at.y, at.z, turned.x, turned.y, turned.z, turned.w = (float(value) for value in pose)
         self.say(topics.OBJECT_POSE, topics.POSE, message)
 
     def force_on_pad(self, arm: str, force: tuple[float, float, float]) -> None:
-        """Tell the true force of the object on a pad."""
+        """Publish the true force of the object on a pad."""
         message = WrenchStamped()
         message.wrench.force.x, message.wrench.force.y, message.wrench.force.z = force
         self.say(topics.truth_contact_wrench(arm), topics.WRENCH, message)

@@ -32,8 +32,8 @@ def cube(
     friction: float = ASSUMED_FRICTION, restitution: float = 0.0, com: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> Physics:
     """A free cube over a plane."""
-    thing = ObjectPhysics(MASS, SIZE, np.full(3, MASS * 0.01 / 6.0), np.array(com, dtype=float))
-    return Physics({}, thing, None, (np.inf, np.inf), friction, 0.0, restitution)
+    item = ObjectPhysics(MASS, SIZE, np.full(3, MASS * 0.01 / 6.0), np.array(com, dtype=float))
+    return Physics({}, item, None, (np.inf, np.inf), friction, 0.0, restitution)
 
 
 def tossed(rng: np.random.Generator) -> MeasuredImpact:
@@ -76,7 +76,7 @@ def cube_rows(truth: Physics, count: int, seed: int = 0, noise: bool = True) -> 
 def arm_table(
     hidden: Mapping[str, Sequence[float]], repeats: int, seed: int = 0
 ) -> tuple[list[str], list[list[object]]]:
-    """Header and rows of impacts of the arm, two objects in every case, with effects that nobody assumes."""
+    """Header and rows of impacts of the arm, two objects in every case, with hidden effects."""
     rng = np.random.default_rng(seed)
     setting = load_scenario("push")
     name = next(iter(setting.robots))
@@ -85,9 +85,9 @@ def arm_table(
     header += [f"dq{joint + 1}_{tail} [rad/s]" for tail in ("before", "after") for joint in range(count)]
     header += [*POSE, *_twist("before"), *_twist("after")]
     rows: list[list[object]] = []
-    for thing in list(setting.objects)[:2]:
+    for item in list(setting.objects)[:2]:
         for case in setting.cases:
-            scene = Scene.resolve(setting, thing, case)
+            scene = Scene.resolve(setting, item, case)
             truth = scene.physics
             for effect, values in hidden.items():
                 truth = library()[effect].apply_vector(truth, np.array(values))
@@ -102,7 +102,7 @@ def arm_table(
                 after, _ = solve_measured(truth, MeasuredImpact(arms, body, points))
                 after = after + rng.standard_normal(count + 6) * np.repeat((NOISE[2], 0.005, 0.02), (count, 3, 3))
                 joints = [*arms[name].position, *speed, *after[:count]]
-                rows.append([thing, case, *joints, *place, *pin.Quaternion(turn).coeffs(), *body.twist, *after[count:]])
+                rows.append([item, case, *joints, *place, *pin.Quaternion(turn).coeffs(), *body.twist, *after[count:]])
     return header, rows
 
 

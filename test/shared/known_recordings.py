@@ -3,17 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from ros_messages import message
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.types import typestore
 
+TF = "tf2_msgs/msg/TFMessage"
 IMPACT = 0.4  # s
 START = 1_763_500_000  # s, of the wall clock
 LOG_LATE, COMMAND_LATE, POSE_LATE = 200_000, 350_000, 4_200_000  # ns after the stamp of the state
@@ -82,103 +85,73 @@ class BagFormat:
     pose_logged_late: int = POSE_LATE
     topics: dict[str, str] = field(default_factory=dict)  # others than usual, by the usual one
 
-    def write(self, path: Path, signals: Signals) -> Path:
-        store = typestore()
-        make, dump = store.types, store.serialize_cdr
-        std, geometry = "std_msgs/msg/", "geometry_msgs/msg/"
+    def _stamped(self, kind: str, nanoseconds: int, content: Mapping[str, Any]) -> Any:
+        stamp = divmod(START * 10**9 + int(nanoseconds), 10**9) if self.stamps else (0, 0)
+        return message(kind, {"header.stamp": stamp, "header.frame_id": "world", **content})
 
-        def header(nanoseconds: int, frame: str = "world") -> object:
-            total = START * 10**9 + int(nanoseconds) if self.stamps else 0
-            stamp = make["builtin_interfaces/msg/Time"](sec=total // 10**9, nanosec=total % 10**9)
-            return make[std + "Header"](stamp=stamp, frame_id=frame)
+    def _state(self, nanoseconds: int, **numbers: np.ndarray) -> Any:
+        """A JointState with numbers in the arm's order."""
+        ordered = {name: values[list(self.order)] for name, values in numbers.items()}
+        return self._stamped("sensor_msgs/msg/JointState", nanoseconds, {"name": list(self.joints), **ordered})
 
-        def pose(nanoseconds: int, row: np.ndarray) -> object:
-            x, y, z, qx, qy, qz, qw = row.tolist()
-            quaternion = make[geometry + "Quaternion"](x=qx, y=qy, z=qz, w=qw)
-            placed = make[geometry + "Pose"](position=make[geometry + "Point"](x=x, y=y, z=z), orientation=quaternion)
-            if self.pose == "PoseStamped":
-                return make[geometry + "PoseStamped"](header=header(nanoseconds), pose=placed)
-            if self.pose == "Odometry":
-                zero = make[geometry + "Vector3"](x=0.0, y=0.0, z=0.0)
-                twist = make[geometry + "Twist"](linear=zero, angular=zero)
-                return make["nav_msgs/msg/Odometry"](
-                    header=header(nanoseconds),
-                    child_frame_id=self.child,
-                    pose=make[geometry + "PoseWithCovariance"](pose=placed, covariance=np.zeros(36)),
-                    twist=make[geometry + "TwistWithCovariance"](twist=twist, covariance=np.zeros(36)),
-                )
-            transform = make[geometry + "TransformStamped"](
-                header=header(nanoseconds),
-                child_frame_id=self.child,
-                transform=make[geometry + "Transform"](
-                    translation=make[geometry + "Vector3"](x=x, y=y, z=z), rotation=quaternion
-                ),
-            )
-            if self.pose == "TransformStamped":
-                return transform
-            other = replace(transform, child_frame_id="table")
-            return make["tf2_msgs/msg/TFMessage"](transforms=[other, transform])
+    def _pose(self, nanoseconds: int, row: np.ndarray) -> Any:
+        place, turn = row[:3].tolist(), row[3:].tolist()
+        if self.pose in ("PoseStamped", "Odometry"):
+            inside = "pose.pose" if self.pose == "Odometry" else "pose"
+            content = {f"{inside}.position": place, f"{inside}.orientation": turn}
+            child = {"child_frame_id": self.child} if self.pose == "Odometry" else {}
+            return self._stamped(self._kinds["/mocap/box/pose"], nanoseconds, content | child)
+        content = {"transform.translation": place, "transform.rotation": turn}
+        both = [
+            self._stamped("geometry_msgs/msg/TransformStamped", nanoseconds, {**content, "child_frame_id": child})
+            for child in ("table", self.child)
+        ]
+        return message(TF, {"transforms": both}) if self.pose == "TFMessage" else both[1]
 
-        def command(nanoseconds: int, row: int) -> object:
-            torque = signals.command[row]
-            if self.command == "Float64MultiArray":
-                return make[std + "Float64MultiArray"](
-                    layout=make[std + "MultiArrayLayout"](dim=[], data_offset=0), data=torque
-                )
-            none, names = np.zeros(0), list(self.joints)
-            torque = torque[list(self.order)]
-            if self.command == "JointState":
-                return make["sensor_msgs/msg/JointState"](
-                    header=header(nanoseconds), name=names, position=none, velocity=none, effort=torque
-                )
-            point = make["trajectory_msgs/msg/JointTrajectoryPoint"](
-                positions=none,
-                velocities=none,
-                accelerations=none,
-                effort=torque,
-                time_from_start=make["builtin_interfaces/msg/Duration"](sec=0, nanosec=0),
-            )
-            return make["trajectory_msgs/msg/JointTrajectory"](
-                header=header(nanoseconds), joint_names=names, points=[point]
-            )
+    def _command(self, nanoseconds: int, torque: np.ndarray) -> Any:
+        kind, ordered = self._kinds["/effort_controller/commands"], torque[list(self.order)]
+        if self.command == "Float64MultiArray":
+            return message(kind, {"data": torque})
+        if self.command == "JointState":
+            return self._state(nanoseconds, effort=torque)
+        point = message("trajectory_msgs/msg/JointTrajectoryPoint", {"effort": ordered})
+        return self._stamped(kind, nanoseconds, {"joint_names": list(self.joints), "points": [point]})
 
-        kinds = {
+    @property
+    def _kinds(self) -> dict[str, str]:
+        """Types of the messages by topic."""
+        packages = {"JointState": "sensor_msgs", "JointTrajectory": "trajectory_msgs", "Float64MultiArray": "std_msgs"}
+        of_pose = {"Odometry": "nav_msgs", "TFMessage": "tf2_msgs"}
+        return {
             "/joint_states": "sensor_msgs/msg/JointState",
-            "/effort_controller/commands": {
-                "JointState": "sensor_msgs/msg/JointState",
-                "JointTrajectory": "trajectory_msgs/msg/JointTrajectory",
-            }.get(self.command, std + self.command),
-            "/mocap/box/pose": {
-                "Odometry": "nav_msgs/msg/Odometry",
-                "TFMessage": "tf2_msgs/msg/TFMessage",
-            }.get(self.pose, geometry + self.pose),
-        }
-        if self.wrench:
-            kinds["/wrench"] = geometry + "WrenchStamped"
-        messages: list[tuple[int, str, object]] = []
+            "/effort_controller/commands": f"{packages[self.command]}/msg/{self.command}",
+            "/mocap/box/pose": f"{of_pose.get(self.pose, 'geometry_msgs')}/msg/{self.pose}",
+        } | ({"/wrench": "geometry_msgs/msg/WrenchStamped"} if self.wrench else {})
+
+    def write(self, path: Path, signals: Signals) -> Path:
+        kinds, store = self._kinds, typestore()
+        messages: list[tuple[int, str, Any]] = []
         logs = self.log_rate * np.maximum.accumulate(signals.time)  # the log's clock never runs backwards
         for row, (time, log) in enumerate(zip(signals.time, logs, strict=True)):
-            numbers = {
-                name: getattr(signals, source)[row, list(self.order)].astype(float)
-                for name, source in (("position", "position"), ("velocity", "velocity"), ("effort", "torque"))
-            }
-            state = make[kinds["/joint_states"]](header=header(time), name=list(self.joints), **numbers)
+            measured = {"position": signals.position, "velocity": signals.velocity, "effort": signals.torque}
+            state = self._state(time, **{name: values[row].astype(float) for name, values in measured.items()})
             messages.append((int(log) + self.logged_late, "/joint_states", state))
-            messages.append((int(log) + COMMAND_LATE, "/effort_controller/commands", command(time, row)))
+            command = self._command(time, signals.command[row])
+            messages.append((int(log) + COMMAND_LATE, "/effort_controller/commands", command))
         for time in signals.time[::2] if self.wrench else ():
-            force = make[geometry + "Vector3"](x=1.0, y=float(time), z=3.0)
-            wrench = make[geometry + "Wrench"](force=force, torque=make[geometry + "Vector3"](x=4.0, y=5.0, z=6.0))
-            stamped = make[geometry + "WrenchStamped"](header=header(time), wrench=wrench)
-            messages.append((int(time) + LOG_LATE, "/wrench", stamped))
+            content = {"wrench.force": (1.0, float(time), 3.0), "wrench.torque": (4.0, 5.0, 6.0)}
+            messages.append((int(time) + LOG_LATE, "/wrench", self._stamped(kinds["/wrench"], time, content)))
         for row, time in enumerate(signals.object_time):
-            messages.append((int(time) + self.pose_logged_late, "/mocap/box/pose", pose(time, signals.pose[row])))
+            seen = self._pose(time, signals.pose[row])
+            messages.append((int(time) + self.pose_logged_late, "/mocap/box/pose", seen))
         with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             connections = {
                 topic: writer.add_connection(self.topics.get(topic, topic), kind, typestore=store)
                 for topic, kind in kinds.items()
                 if self.topics.get(topic, topic)
             }
-            for log, topic, message in sorted(messages, key=lambda item: item[0]):
+            for log, topic, content in sorted(messages, key=lambda item: item[0]):
                 if topic in connections:
-                    writer.write(connections[topic], START * 10**9 + log, dump(message, kinds[topic]))
+                    data = store.serialize_cdr(content, kinds[topic])
+                    writer.write(connections[topic], START * 10**9 + log, data)
         return path

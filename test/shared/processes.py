@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def running(command: list[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """A process, which is told to end with the context."""
+    """A process, which is terminated with the context."""
     with subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:

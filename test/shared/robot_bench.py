@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from rclpy.serialization import serialize_message
@@ -23,6 +24,7 @@ START = PUSH.arms["arm"].initial
 STILL = np.zeros(7)
 WEIGHT = MODEL.gravity_torque(START)
 JOINTS = joint_names("fr3_joint{number}", {"arm": 7})["arm"]
+ARM_JOINTS = [f"arm_joint{number}" for number in range(1, 8)]
 PERIOD = 0.001  # s
 RATE = 1000.0  # N m/s
 LIMIT = 0.01  # s, state_timeout
@@ -76,14 +78,7 @@ class Robot:
     def __post_init__(self) -> None:
         self.states = RobotStates({"arm": MODEL}, {"arm": JOINTS}, PERIOD, LIMIT, self.clock)
         self.arms = EffortArms(
-            {"arm": MODEL},
-            {"arm": MOTORS},
-            self.states,
-            self.adds_gravity,
-            RATE,
-            PERIOD,
-            self.clock,
-            lambda arm, tau: self.sent.append(tau),
+            self.states, {"arm": MOTORS}, self.adds_gravity, RATE, lambda arm, tau: self.sent.append(tau)
         )
 
     def message(self, age: float = 0.0, **changes: object) -> bytes:
@@ -94,6 +89,49 @@ class Robot:
         """A period passes, and a state comes."""
         self.clock.time += PERIOD
         return self.states.read(self.message(age, **changes))
+
+
+def torque_message(tick: int, torque: np.ndarray) -> bytes:
+    """The controller's answer to a tick of 1 ms, ``torque`` in N m by joint."""
+    message = JointState(name=ARM_JOINTS, effort=list(torque))
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(tick * 1_000_000, 10**9)
+    return bytes(serialize_message(message))
+
+
+class Wires:
+    """Inbox and outbox of a trial, without a middleware: what waits, and what was published."""
+
+    due = False
+
+    def __init__(self) -> None:
+        self.waiting: list[tuple[str, bytes]] = []
+        self.asked: list[int] = []  # ticks of samples that were published at once
+        self.samples: list[Any] = []  # these samples
+        self.kept: list[Any] = []  # samples and messages of the next burst
+
+    def wait(self, timeout: float) -> None:
+        """Nothing is on its way."""
+
+    def take(self) -> Iterator[tuple[str, bytes]]:
+        while self.waiting:
+            yield self.waiting.pop(0)
+
+    def now(self, topic: str, tick: int, sample: Any) -> bytes:
+        self.asked.append(tick)
+        self.samples.append(sample)
+        return b""
+
+    def keep(self, topic: str, tick: int, sample: Any) -> None:
+        self.kept.append(sample)
+
+    def later(self, topic: str, message: Any) -> None:
+        self.kept.append(message)
+
+    def repeat(self, topic: str, data: bytes) -> None:
+        """Published again."""
+
+    def flush(self) -> None:
+        """Nothing waits."""
 
 
 class Wire:

@@ -111,7 +111,7 @@ def cell(domain_ids: Callable[[], int], tmp_path_factory: pytest.TempPathFactory
 
 
 # First: no trial before it holds the arm.
-def test_a_robot_that_was_taken_for_one_that_compensates_gravity_falls_as_soon_as_it_is_held(cell: Cell) -> None:
+def test_a_robot_wrongly_taken_to_carry_its_weight_is_not_armed(cell: Cell) -> None:
     with cell.robot("--no-gravity"):
         falling = cell.run()
     assert falling.outcome == "ABORTED"
@@ -177,7 +177,7 @@ def test_the_impact_is_detected_when_the_pad_gets_there(pushes: Pushes) -> None:
         assert -early < result.detected_time - bag.info.nominal_impact_time < early + 0.005  # s
 
 
-def test_poses_of_a_tracker_with_a_frame_of_its_own_are_recorded_in_world_when_they_were_taken(pushes: Pushes) -> None:
+def test_poses_of_a_tracker_frame_are_recorded_in_world_at_their_time(pushes: Pushes) -> None:
     for bag in pushes.bags:
         seen, scene = bag.poses(topics.OBJECT_POSE), bag.info.spec.scene
         steps = np.diff(seen.time) / scene.scenario.sensors.object_period
@@ -200,7 +200,7 @@ def found(pushes: Pushes) -> ExperimentSet:
     return found
 
 
-def test_the_velocity_after_the_impact_is_what_the_map_says_of_motors_with_some_inertia(found: ExperimentSet) -> None:
+def test_the_velocity_after_impact_lies_between_none_and_all_of_the_motors(found: ExperimentSet) -> None:
     """Between B = 0 and B_rho: not less than none of the motors takes part in the impact, and not more than all.
 
     How much does is up to torque loop and elasticity, and MuJoCo's robot has its own. No model is fitted, and where the
@@ -210,7 +210,7 @@ def test_the_velocity_after_the_impact_is_what_the_map_says_of_motors_with_some_
     assert none < found.estimate < whole
 
 
-def test_bags_of_the_cell_are_compared_with_a_model_as_those_of_a_laboratory(
+def test_bags_of_the_cell_are_compared_as_those_of_a_laboratory(
     pushes: Pushes, found: ExperimentSet, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A robot tells no motor states, so an experiment file says what the bags are.
@@ -246,7 +246,7 @@ def test_nothing_is_armed_without_a_robot_that_is_ready(cell: Cell) -> None:
     assert unsteady.message.endswith(" ms, arm_jitter_limit is 0.001 ms")
 
 
-def test_a_robot_that_tells_nonsense_or_nothing_ends_the_trial_with_the_reason(cell: Cell) -> None:
+def test_a_robot_with_nonsense_or_no_states_ends_the_trial(cell: Cell) -> None:
     with cell.robot("--nan-after", "600"):
         nonsense = cell.run()
     with cell.robot("--silent-after", "600"), cell.parameter("state_timeout", 1.0):
@@ -269,7 +269,7 @@ def watchdog(cell: Cell) -> Iterator[None]:
 
 
 # Last: the cell does not survive it.
-def test_a_cell_that_is_killed_in_a_trial_leaves_an_arm_that_the_watchdog_brakes(cell: Cell) -> None:
+def test_after_a_cell_is_killed_in_a_trial_the_watchdog_brakes_the_arm(cell: Cell) -> None:
     """The effort controller keeps the torque of that moment; nothing but another process can take it away."""
     with watchdog(cell), cell.robot("--kill", str(cell.pid), "--kill-after", "300") as reported:
         result = cell.run()

@@ -122,7 +122,7 @@ def test_a_campaign_runs_with_the_example_in_the_place_of_our_plant(
     assert "no /arm/motor_states, which the replay of a model starts from" in capfd.readouterr().err
 
 
-def test_a_graph_waits_for_a_node_that_others_provide_and_tells_what_is_wrong_with_it(
+def test_a_graph_waits_for_a_foreign_node_and_says_what_is_wrong_with_it(
     domain_ids: Callable[[], int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     domain_id = domain_ids()

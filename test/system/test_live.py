@@ -103,9 +103,7 @@ def told_until(page: Page, tell: Callable[[], None], name: str, expected: np.nda
 
 
 @needs_browser
-def test_arms_object_and_force_are_seen_where_they_are_told_and_a_new_scenario_is_a_new_scene(
-    page: Page, domain: int
-) -> None:
+def test_arms_object_and_force_are_shown_and_a_new_scenario_is_a_new_scene(page: Page, domain: int) -> None:
     expect(page.locator("#status")).to_contain_text("No graph runs")
     with fake_graph(domain, "/cell_a") as graph:
         _push(page, graph)

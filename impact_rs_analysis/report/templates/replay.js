@@ -7,7 +7,7 @@
 // One call moves everything: seek(time) places joints and object between the two nearest samples, and calls onSeek.
 //
 //   const live = new ImpactLive(element);
-//   live.show(scene);   live.update({time, joints, object, forces});   // scene: report/scene.py
+//   live.show(scene);   live.update({time, joints, object, forces});   // scene: report/scene_3d.py
 //
 // shows the newest state of running nodes.
 // Lengths are in m, times in s, z is up. Needs THREE, of three.min.js.

@@ -8,8 +8,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import binom
 
-from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature, Source
+from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
+from impact_rs_analysis.diagnosis.fit import Evidence
+from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature
+from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import ArmEffect, Effect, Parameter
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
@@ -17,7 +21,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import load_scenario
 
 FEATURES = 40
-FLOOR = 0.3  # share of a feature's scale that nobody cares about
+FLOOR = 0.3  # relevance limit, in multiples of the noise
 PHYSICS = Physics.nominal(load_scenario("push"), "juice")  # for the number of joints alone
 
 
@@ -58,37 +62,39 @@ def direction(cluster: int, number: int) -> Array:
 
 
 def features(cluster: int, added: Added) -> Array:
-    result = np.zeros(FEATURES)
+    def along(number: int) -> Array:
+        return direction(cluster, number)
+
+    result, along_track = np.zeros(FEATURES), np.linspace(0.0, 3.0, FEATURES)
     for name, values in added:
+        first, second = (*values, 0.0)[:2]
         if name == "straight":
-            result += values[0] * direction(cluster, 0)
+            result += first * along(0)
         elif name == "twin_of_straight":
-            result += 0.5 * values[0] * direction(cluster, 0) + values[1] * direction(cluster, 6)
+            result += 0.5 * first * along(0) + second * along(6)
         elif name == "bent":
-            result += 20.0 * np.tanh(values[0] / 6.0) * direction(cluster, 1)
-            result += 0.05 * values[0] ** 2 * direction(cluster, 2)
+            result += 20.0 * np.tanh(first / 6.0) * along(1) + 0.05 * first**2 * along(2)
         elif name == "payload":
-            result += values[0] * direction(cluster, 3) + values[0] * values[1] * direction(cluster, 4)
+            result += first * along(3) + first * second * along(4)
         elif name == "of_joints":
-            result += sum(value * direction(cluster, 10 + j) for j, value in enumerate(values))
+            result += sum(value * along(10 + joint) for joint, value in enumerate(values))
         elif name == "of_motors":
-            result += sum(value * direction(cluster, 20 + j) for j, value in enumerate(values))
+            result += sum(value * along(20 + joint) for joint, value in enumerate(values))
         elif name == "fading":
-            result += values[0] * np.exp(-values[1] * np.linspace(0.0, 3.0, FEATURES)) * (1.0 + 0.1 * cluster)
+            result += first * np.exp(-second * along_track) * (1.0 + 0.1 * cluster)
         elif name == "one_sided":
-            result += values[0] * direction(cluster, 7)
+            result += first * along(7)
         elif name == "inverse":  # as deflection goes with stiffness
-            result += 100.0 * (1.0 / values[0] - 1.0) * direction(cluster, 8)
+            result += 100.0 * (1.0 / first - 1.0) * along(8)
         elif name == "tipping":  # as a box that stands flat does, until its weight is too high or too low
-            result += values[0] * direction(cluster, 30) + max(values[1] - 4.0, 0.0) * direction(cluster, 31)
-            result += max(-values[1] - 4.0, 0.0) * direction(cluster, 32) + 0.01 * values[1] * direction(cluster, 33)
+            result += first * along(30) + 0.01 * second * along(33)
+            result += max(second - 4.0, 0.0) * along(31) + max(-second - 4.0, 0.0) * along(32)
         elif name == "local":
-            result += values[0] * direction(cluster, 40) + (values[1] * direction(cluster, 41) if cluster == 0 else 0.0)
+            result += first * along(40) + (second * along(41) if cluster == 0 else 0.0)
         elif name == "outside":
-            result += values[0] * direction(cluster, 5)
+            result += first * along(5)
     for _, values in (one for one in added if one[0] == "dry"):  # takes its part of whatever drives, and no more
-        driving = result + 3.0 * direction(cluster, 50)
-        held = values[0] * np.exp(-values[1] * np.linspace(0.0, 3.0, FEATURES))
+        driving, held = result + 3.0 * along(50), values[0] * np.exp(-values[1] * along_track)
         result += np.clip(-driving, -held, held)
     return result
 
@@ -137,7 +143,7 @@ class AnalyticSource(Source):
         self.clusters = tuple(
             Cluster(
                 name=str(number),
-                place=("world", "thing", str(number)),
+                place=("world", "object", str(number)),
                 layout="free" if number in free else "hit",
                 unit=str(number) if repeated else "recording",
                 contact=number not in free,
@@ -182,6 +188,38 @@ class BeforeTheHit(AnalyticSource):
 class _FirstHalf(AnalyticSource):
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         return [None if values is None else values[: FEATURES // 2] for values in super().predict(wanted, what)]
+
+
+def knowing(source: AnalyticSource, *effects: Effect) -> AnalyticSource:
+    """The source with a model that knows these effects alone."""
+
+    class Knowing(Model):
+        @property
+        def known_effects(self):  # noqa: ANN202
+            return {item.name: item for item in effects}
+
+    source.model = Knowing(name="nothing")
+    return source
+
+
+def linearised(source: AnalyticSource, item: Effect) -> tuple[Candidate, Evidence]:
+    """An effect linearised where it does nothing, and the evidence of all clusters."""
+    evidence = Evidence.of(source)
+    found = linearise(Candidate.of((item,), source), evidence.clusters, evidence.numbers, source)
+    assert found is not None
+    return found, evidence
+
+
+def means_of(clusters: Sequence[Cluster]) -> list[Array]:
+    """Mean residuals."""
+    return [item.mean for item in clusters]
+
+
+def assert_uniform(p_values: Sequence[float], levels: Sequence[float] = (0.05, 0.3)) -> None:
+    """As many lie below each level as chance allows in all but 1 of 10,000 runs."""
+    for level in levels:
+        low, high = binom.ppf([5e-5, 1 - 5e-5], len(p_values), level)
+        assert low <= np.count_nonzero(np.array(p_values) < level) <= high
 
 
 def correlated(rank: int = 5, seed: int = 0) -> Array:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from impact_rs_analysis.diagnosis import reference
+from impact_rs_analysis.diagnosis import null_distribution
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 @pytest.fixture
 def few_draws(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """999 draws in place of 4999: p values are as right, only coarser."""
-    monkeypatch.setattr(reference, "DRAWS", 999)
-    reference._frames.cache_clear()
+    monkeypatch.setattr(null_distribution, "DRAWS", 999)
+    null_distribution._frames.cache_clear()
     yield
-    reference._frames.cache_clear()
+    null_distribution._frames.cache_clear()

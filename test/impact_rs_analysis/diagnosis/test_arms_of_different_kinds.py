@@ -10,9 +10,9 @@ from mixed_grab import MIXED, with_own
 from impact_rs_analysis.diagnosis.add import add_effect
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import CONFIRMED, DiagnosisDocument, read_document, write_document
+from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
+from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
-from impact_rs_analysis.evidence.runs import Runs, read_runs
-from impact_rs_analysis.evidence.store import ReplayStore
 from impact_rs_sim.model import load_model
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo
@@ -32,7 +32,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
     directory = tmp_path_factory.mktemp("mixed")
     values = np.zeros(13)
     values[7 + 1] = FRICTION
-    for spec in (TrialSpec.of(SCENARIO, thing, case) for thing, case in CONDITIONS):
+    for spec in (TrialSpec.of(SCENARIO, *condition) for condition in CONDITIONS):
         for repeat in range(2):
             trial = Trial.of(spec, repeat, 3)
             info = TrialInfo.of(spec.plan, trial.key, trial.seed, "inprocess")
@@ -46,7 +46,7 @@ def document(runs: Runs, tmp_path_factory: pytest.TempPathFactory) -> DiagnosisD
     with pytest.MonkeyPatch.context() as patched:
         patched.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         model = load_model("nominal")
-        source = ReplaySource.of(runs, model, ReplayStore(map))
+        source = ReplaySource.of(runs, model, ReplayCache(map))
         return diagnose(source, model, ["joint_coulomb_friction", "object_mass"])
 
 
@@ -71,5 +71,5 @@ def test_the_added_effect_predicts_the_runs(document: DiagnosisDocument, runs: R
         nominal, Path("nominal"), read_document(file), file, "joint_coulomb_friction", output, force=False
     )
     assert child.arms == {"left": 7, "right": 6}
-    before, after = (ReplaySource.of(runs, model, ReplayStore(map)).size() for model in (nominal, child))
+    before, after = (ReplaySource.of(runs, model, ReplayCache(map)).size() for model in (nominal, child))
     assert after < 0.1 * before

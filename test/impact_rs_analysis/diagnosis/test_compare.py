@@ -3,19 +3,21 @@
 
 import json
 import shutil
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap_ros2.reader import read_ros2_messages
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
-from impact_rs_analysis.evidence.aligned import align, write_aligned
+from impact_rs_analysis.evidence.aligned_bags import write_aligned
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY
+from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
+from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
-from impact_rs_analysis.evidence.runs import Runs, read_runs
-from impact_rs_analysis.evidence.store import Replay, ReplayStore
-from impact_rs_analysis.evidence.tracks import tracks_of_runs
+from impact_rs_analysis.evidence.tracks import Track, track_of_run
 from impact_rs_analysis.report.comparison import write_comparison
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
@@ -30,7 +32,7 @@ def runs(hidden_campaign: Path) -> Runs:
 
 
 def against(runs: Runs, model: Model) -> ComparisonDocument:
-    return compare(ReplaySource.of(runs, model, ReplayStore(map)))
+    return compare(ReplaySource.of(runs, model, ReplayCache(map)))
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +42,13 @@ def nominal(runs: Runs) -> ComparisonDocument:
 
 def _bytes(comparison: ComparisonDocument) -> str:
     return json.dumps(comparison.model_dump(mode="json"), allow_nan=False)
+
+
+@pytest.fixture(scope="module")
+def track(runs: Runs) -> tuple[Track, str]:
+    """A push of the juice beside the nominal model, and its condition."""
+    run = next(run for run in runs.runs if run.place[1] == "juice")
+    return track_of_run(run, load_model("nominal")), run.condition
 
 
 def test_the_document_has_its_schema(nominal: ComparisonDocument) -> None:
@@ -61,7 +70,7 @@ def test_a_rougher_support_shows_in_the_push_and_not_in_free_motion(nominal: Com
     assert nominal.levels["free_motion"].times_noise < 2.5 < nominal.levels["trial"].times_noise
 
 
-def test_the_true_model_scores_what_repetition_gives(runs: Runs, nominal: ComparisonDocument) -> None:
+def test_the_true_model_scores_about_the_repeatability(runs: Runs, nominal: ComparisonDocument) -> None:
     value = ParameterValue(estimate=TRUE_SCALE, unit="-", ci95=None)
     true = Model(name="true", effects=(ModelEffect(name="support_friction", parameters={"scale": value}),))
     found = against(runs, true)
@@ -92,30 +101,26 @@ def test_without_repeats_the_score_stands_and_the_noise_floor_is_none(hidden_cam
     _bytes(found)
 
 
-def test_an_aligned_bag_is_read_by_others_and_its_residual_is_the_difference(runs: Runs, tmp_path: Path) -> None:
-    from mcap_ros2.reader import read_ros2_messages
-
-    run = next(run for run in runs.runs if run.place[1] == "juice")
-    path = write_aligned(align(run, load_model("nominal")), tmp_path)
-    values: dict[str, list[np.ndarray]] = {}
-    topics = set()
+def test_others_read_an_aligned_bag_whose_residual_is_the_difference(track: tuple[Track, str], tmp_path: Path) -> None:
+    path = write_aligned(*track, tmp_path)
+    messages: dict[str, list] = defaultdict(list)
     for message in read_ros2_messages(next(path.glob("*.mcap"))):
-        topics.add(message.channel.topic)
-        if message.channel.topic.endswith("joint_states"):
-            values.setdefault(message.channel.topic, []).append(np.array(message.ros_msg.velocity))
+        messages[message.channel.topic].append(message.ros_msg)
     sides = ("measured", "predicted", "residual")
-    for side in sides:
-        for name in ("arm/joint_states", "arm/end_effector/twist", "arm/end_effector/pose", "object/pose"):
-            assert f"/{side}/{name}" in topics
-    measured, predicted, residual = (np.array(values[f"/{side}/arm/joint_states"]) for side in sides)
+    names = ("arm/joint_states", "arm/end_effector/twist", "arm/end_effector/pose", "object/pose")
+    assert {f"/{side}/{name}" for side in sides for name in names} <= set(messages)
+    measured, predicted, residual = (
+        np.array([message.velocity for message in messages[f"/{side}/arm/joint_states"]]) for side in sides
+    )
     np.testing.assert_allclose(measured - predicted, residual, atol=1e-12)
     with pytest.raises(InputError, match="exists already"):
-        write_aligned(align(run, load_model("nominal")), tmp_path)
+        write_aligned(*track, tmp_path)
 
 
-def test_the_report_is_one_file_that_needs_no_network(runs: Runs, nominal: ComparisonDocument, tmp_path: Path) -> None:
-    run = next(run for run in runs.runs if run.place[1] == "juice")
-    path = write_comparison(nominal, tracks_of_runs([align(run, load_model("nominal"))]), None, tmp_path)
+def test_the_report_is_one_file_that_needs_no_network(
+    track: tuple[Track, str], nominal: ComparisonDocument, tmp_path: Path
+) -> None:
+    path = write_comparison(nominal, [track[0]], None, tmp_path)
     text = path.read_text(encoding="utf-8")
     body = text.split("<script>", 1)[0]
     assert "src=" not in body and "://" not in body
@@ -124,9 +129,9 @@ def test_the_report_is_one_file_that_needs_no_network(runs: Runs, nominal: Compa
     assert json.loads((tmp_path / "compare.json").read_text()) == json.loads(_bytes(nominal))
 
 
-def test_the_discrepancy_of_the_twin_is_told_and_can_be_left_out(runs: Runs, nominal: ComparisonDocument) -> None:
+def test_the_discrepancy_of_the_twin_is_stated_and_can_be_left_out(runs: Runs, nominal: ComparisonDocument) -> None:
     assert nominal.discrepancy.used and "mujoco" in nominal.discrepancy.provenance
-    without = compare(ReplaySource.of(runs, load_model("nominal"), ReplayStore(map), NO_DISCREPANCY))
+    without = compare(ReplaySource.of(runs, load_model("nominal"), ReplayCache(map), NO_DISCREPANCY))
     assert not without.discrepancy.used
     assert without.score > nominal.score
     force = {s.signal: s for s in nominal.levels["trial"].signals if s.phase == "impact"}["contact force"]
@@ -134,10 +139,10 @@ def test_the_discrepancy_of_the_twin_is_told_and_can_be_left_out(runs: Runs, nom
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_runs_in_which_the_replay_hits_nothing_are_left_out_as_long_as_they_are_few(runs: Runs, count: int) -> None:
+def test_runs_whose_replay_hits_nothing_are_left_out_if_they_are_few(runs: Runs, count: int) -> None:
     hits = [run for run in runs.runs if run.hit]
     missed = hits[:count]
-    store = ReplayStore(map)
+    store = ReplayCache(map)
 
     def blind(tasks: Sequence[Replay], what: str = "") -> list[np.ndarray | None]:
         lost = {run.setup.digest for run in missed}

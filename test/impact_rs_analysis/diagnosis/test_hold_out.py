@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,11 +14,12 @@ from analytic_world import EFFECTS, TIPPING, AnalyticSource
 
 from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.fit import Evidence
-from impact_rs_analysis.diagnosis.hold_out import folds_of, hold_out
+from impact_rs_analysis.diagnosis.hold_out import HoldOut, folds_of, hold_out
 from impact_rs_analysis.diagnosis.search import Search
+from impact_rs_analysis.evidence.measured_runs import read_runs
+from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
-from impact_rs_analysis.evidence.runs import read_runs
-from impact_rs_analysis.evidence.store import ReplayStore
+from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect, library
 from impact_rs_sim.model import load_model
 from impact_rs_trials.workers import _packed, _work
@@ -25,23 +27,19 @@ from impact_rs_trials.workers import _packed, _work
 pytestmark = pytest.mark.usefixtures("few_draws")
 
 
-def test_every_condition_is_held_out_once_with_all_its_repeats() -> None:
-    folds = folds_of(AnalyticSource(0, design=(2, 3, 2, 4)))
-    assert sorted(number for fold in folds for number in fold.held) == [0, 1, 2, 3]
-    assert all(set(fold.held) | set(fold.training) == {0, 1, 2, 3} for fold in folds)
-
-
-def test_with_many_conditions_there_are_no_more_than_six_folds() -> None:
-    folds = folds_of(AnalyticSource(0, design=(2,) * 11))
-    assert len(folds) == 6
-    assert sorted(number for fold in folds for number in fold.held) == list(range(11))
+@pytest.mark.parametrize(("design", "count"), [((2, 3, 2, 4), 4), ((2,) * 11, 6)])
+def test_every_condition_is_held_out_once_in_at_most_six_folds(design: tuple[int, ...], count: int) -> None:
+    folds, all_of_them = folds_of(AnalyticSource(0, design=design)), set(range(len(design)))
+    assert len(folds) == count
+    assert sorted(number for fold in folds for number in fold.held) == sorted(all_of_them)
+    assert all(set(fold.held) | set(fold.training) == all_of_them for fold in folds)
 
 
 def test_two_conditions_hold_nothing_out() -> None:
     assert folds_of(AnalyticSource(0, design=(3, 3))) == []
 
 
-def test_stretches_of_one_recording_are_predicted_without_those_that_touch_them() -> None:
+def test_stretches_of_a_recording_are_predicted_without_their_neighbours() -> None:
     folds = folds_of(AnalyticSource(0, design=(1,) * 24, repeated=False))
     assert len(folds) == 6
     for fold in folds:
@@ -56,27 +54,38 @@ def ended(source: AnalyticSource, effects: Sequence[Effect]) -> Mapping[tuple[st
     return search.ended
 
 
+def held_out(source: Source, effects: Sequence[Effect], start: Any = None) -> HoldOut:
+    found = hold_out(source, effects, start)
+    assert found is not None
+    return found
+
+
+def error_of(source: AnalyticSource) -> float:
+    return float(np.mean([item.error for item in source.clusters]))
+
+
+WORLD = (("straight", (4.0,)),)
+CONSIDERED = [EFFECTS[name] for name in ("straight", "bent", "payload")]
+
+
+@functools.cache
+def honest(begun: bool) -> tuple[AnalyticSource, HoldOut]:
+    source = AnalyticSource(1, WORLD)
+    return source, held_out(source, CONSIDERED, ended(source, CONSIDERED) if begun else None)
+
+
 @pytest.mark.parametrize("begun", [False, True], ids=["from_nothing", "where_the_search_ended"])
 @pytest.mark.parametrize("number", range(6))
-def test_what_happens_in_a_held_out_cluster_changes_nothing_of_what_it_is_predicted_from(
-    number: int, begun: bool
-) -> None:
+def test_what_a_held_out_cluster_holds_does_not_change_its_prediction(number: int, begun: bool) -> None:
     """Spoil one cluster: its prediction stays the same, and so does the choice of its fold."""
-    truth = (("straight", (4.0,)),)
-    effects = [EFFECTS[name] for name in ("straight", "bent", "payload")]
-    honest, spoiled = AnalyticSource(1, truth), AnalyticSource(1, truth)
+    spoiled = AnalyticSource(1, WORLD)
     rows = spoiled.clusters[number].residuals
     rows += 50.0 * np.random.default_rng(number).standard_normal(rows.shape[1])
-    first, second = (
-        hold_out(source, effects, ended(source, effects) if begun else None) for source in (honest, spoiled)
-    )
-    assert first is not None and second is not None
-    fold = next(index for index, fold in enumerate(first.folds) if number in fold.held)
-    assert first.chosen[fold] == second.chosen[fold] == ("straight",)
-    predicted = [
-        source.clusters[number].mean - found.rest[number] for source, found in ((honest, first), (spoiled, second))
-    ]
-    np.testing.assert_allclose(predicted[0], predicted[1], atol=1e-9)
+    found = honest(begun), (spoiled, held_out(spoiled, CONSIDERED, ended(spoiled, CONSIDERED) if begun else None))
+    fold = next(index for index, fold in enumerate(found[0][1].folds) if number in fold.held)
+    assert [held.chosen[fold] for _, held in found] == [("straight",)] * 2
+    predicted = [source.clusters[number].mean - held.rest[number] for source, held in found]
+    np.testing.assert_allclose(*predicted, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +93,7 @@ def test_what_happens_in_a_held_out_cluster_changes_nothing_of_what_it_is_predic
     [(EFFECTS["bent"], (9.0,)), (EFFECTS["inverse"], (2.5,)), (TIPPING, (2.0, 9.0)), (EFFECTS["payload"], (3.0, 2.0))],
     ids=lambda given: given.name if isinstance(given, Effect) else "",
 )
-def test_folds_that_begin_where_the_search_ended_predict_like_those_from_nothing_with_less_work(
+def test_folds_from_the_end_of_the_search_predict_the_same_with_less_work(
     effect: Effect, values: tuple[float, ...]
 ) -> None:
     source = AnalyticSource(3, ((effect.name, values),), design=(3,) * 8)
@@ -93,47 +102,39 @@ def test_folds_that_begin_where_the_search_ended_predict_like_those_from_nothing
     before = set(source.asked)  # what was predicted once is known
     for start in (None, known):
         source.asked.clear()
-        found.append(hold_out(source, effects, start))
+        found.append(held_out(source, effects, start))
         work.append(len(set(source.asked) - before))
     cold, warm = found
-    assert cold is not None and warm is not None
     assert cold.chosen == warm.chosen
     assert set(warm.chosen) == {(effect.name,)}
     np.testing.assert_allclose(np.mean(warm.errors), np.mean(cold.errors), rtol=0.05)
     assert work[1] < 0.8 * work[0]
 
 
-def test_what_only_a_held_out_cluster_tells_is_not_known_where_its_fold_begins() -> None:
+def test_what_only_a_held_out_cluster_shows_is_unknown_to_its_fold() -> None:
     """A parameter that nothing else sees is where it does nothing, although the search over all has found it."""
     source = AnalyticSource(4, (("local", (5.0, 8.0)),))
     effects = [EFFECTS["local"], EFFECTS["straight"]]
     known = ended(source, effects)
     assert known["local",].point[1] == pytest.approx(8.0, abs=0.5)
-    cold, warm = hold_out(source, effects), hold_out(source, effects, known)
-    assert cold is not None and warm is not None
+    cold, warm = held_out(source, effects), held_out(source, effects, known)
     np.testing.assert_allclose(warm.rest[0], cold.rest[0], atol=1e-6)
     assert warm.errors[0] > 10.0 * warm.errors[1:].max()
 
 
 def test_fitting_noise_does_not_lower_the_error_on_unseen_clusters() -> None:
-    worse = 0
-    for seed in range(10):
-        source = AnalyticSource(seed)
-        found = hold_out(source, [EFFECTS[name] for name in ("of_joints", "of_motors", "straight")])
-        assert found is not None
-        before = np.mean([item.error for item in source.clusters])
-        worse += found.errors.mean() >= before - 1e-12
-    assert worse == 10
+    effects = [EFFECTS[name] for name in ("of_joints", "of_motors", "straight")]
+    for source in map(AnalyticSource, range(10)):
+        assert held_out(source, effects).errors.mean() >= error_of(source) - 1e-12
 
 
-def test_a_true_effect_lowers_the_error_on_unseen_clusters_to_that_of_noise() -> None:
+def test_a_true_effect_lowers_the_held_out_error_to_that_of_noise() -> None:
     source = AnalyticSource(2, (("of_joints", tuple(2.0 * (-1.0) ** j for j in range(7))),))
-    found = hold_out(source, [EFFECTS[name] for name in ("of_joints", "of_motors", "straight")])
-    assert found is not None
+    found = held_out(source, [EFFECTS[name] for name in ("of_joints", "of_motors", "straight")])
     assert all(names == ("of_joints",) for names in found.chosen)
     expected = np.mean([item.expected for item in source.clusters])
     assert found.errors.mean() < 2.0 * expected
-    assert np.mean([item.error for item in source.clusters]) > 20.0 * expected
+    assert error_of(source) > 20.0 * expected
 
 
 def test_a_fold_in_another_process_finds_the_friction_that_it_finds_here(
@@ -146,9 +147,8 @@ def test_a_fold_in_another_process_finds_the_friction_that_it_finds_here(
 
     runs, effects = read_runs(hidden_campaign, map), [library()["support_friction"]]
     here, there = (
-        hold_out(ReplaySource.of(runs, load_model("nominal"), ReplayStore(way)), effects) for way in (map, elsewhere)
+        held_out(ReplaySource.of(runs, load_model("nominal"), ReplayCache(way)), effects) for way in (map, elsewhere)
     )
-    assert here is not None and there is not None
     np.testing.assert_array_equal(there.errors, here.errors)
     assert there.chosen == here.chosen
     assert ("support_friction",) in here.chosen

@@ -2,6 +2,7 @@
 """From a diagnosis to a better model, and back through its versions."""
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -9,9 +10,9 @@ import pytest
 from impact_rs_analysis.diagnosis.add import add_effect
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
 from impact_rs_analysis.diagnosis.history import versions
-from impact_rs_analysis.diagnosis.scoring import score
+from impact_rs_analysis.diagnosis.scoring import Score, score
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.model import load_model, save_model
+from impact_rs_sim.model import Model, load_model, save_model
 
 TRUE_SCALE = 1.6
 
@@ -21,18 +22,21 @@ def document(diagnosed: Path) -> DiagnosisDocument:
     return read_document(diagnosed)
 
 
-def _truth(directory: Path, hidden_campaign: Path, kind: str, effects: dict[str, float]) -> Path:
+def blind(directory: Path, runs: Path, kind: str, **scales: float) -> Path:
+    """A blind campaign of these runs, whose truth is said to be scales of effects."""
     directory.mkdir()
-    (directory / "runs").symlink_to(hidden_campaign)
-    content = {
-        "kind": kind,
-        "outside": None,
-        "effects": [
-            {"name": name, "parameters": {"scale": {"value": value, "unit": "-"}}} for name, value in effects.items()
-        ],
-    }
-    (directory / "truth.json").write_text(json.dumps(content))
+    (directory / "runs").symlink_to(runs)
+    hidden = [{"name": name, "parameters": {"scale": {"value": v, "unit": "-"}}} for name, v in scales.items()]
+    (directory / "truth.json").write_text(json.dumps({"kind": kind, "outside": None, "effects": hidden}))
     return directory
+
+
+def add(
+    document: DiagnosisDocument, diagnosed: Path, file: Path, model: Model | None = None, force: bool = False
+) -> Model:
+    """The first effect of the diagnosis added to the nominal model, or to another one."""
+    of = (model or load_model("nominal"), Path("nominal") if model is None else file)
+    return add_effect(*of, document, diagnosed, document.effects[0].name, file, force)
 
 
 def test_the_document_has_its_schema(diagnosed: Path) -> None:
@@ -58,12 +62,11 @@ def test_adding_an_effect_names_the_parent_and_keeps_the_interval(
     document: DiagnosisDocument, diagnosed: Path, tmp_path: Path
 ) -> None:
     child_file = tmp_path / "models" / "model_2.yaml"
-    nominal = load_model("nominal")
-    child = add_effect(nominal, Path("nominal"), document, diagnosed, "support_friction", child_file, False)
+    child = add(document, diagnosed, child_file)
     save_model(child, child_file)
     read = load_model(child_file)
     assert read == child
-    assert read.parent_digest == nominal.digest
+    assert read.parent_digest == load_model("nominal").digest
     value, said = read.effects[0].parameters["scale"], document.effects[0].parameters["scale"]
     assert (value.estimate, value.ci95) == (said.estimate, said.ci95)
     chain = versions(child_file)
@@ -73,12 +76,9 @@ def test_adding_an_effect_names_the_parent_and_keeps_the_interval(
 def test_a_diagnosis_of_another_model_version_is_refused(
     document: DiagnosisDocument, diagnosed: Path, tmp_path: Path
 ) -> None:
-    child_file = tmp_path / "model_2.yaml"
-    child = add_effect(
-        load_model("nominal"), Path("nominal"), document, diagnosed, "support_friction", child_file, False
-    )
+    child = add(document, diagnosed, tmp_path / "model_2.yaml")
     with pytest.raises(InputError, match=f"digest {document.model.digest}.*not of 'model_2'"):
-        add_effect(child, child_file, document, diagnosed, "support_friction", tmp_path / "model_3.yaml", False)
+        add(document, diagnosed, tmp_path / "model_3.yaml", child)
 
 
 @pytest.mark.parametrize(
@@ -94,12 +94,11 @@ def test_an_effect_the_diagnosis_advises_against(
 ) -> None:
     other = document.effects[0].model_copy(update={"verdict": verdict})
     changed = document.model_copy(update={"effects": (other,)})
-    arguments = (load_model("nominal"), Path("nominal"), changed, diagnosed, other.name, tmp_path / "m.yaml", force)
     if message is None:
-        assert add_effect(*arguments).effects[0].name == other.name
+        assert add(changed, diagnosed, tmp_path / "m.yaml", force=force).effects[0].name == other.name
     else:
         with pytest.raises(InputError, match=message):
-            add_effect(*arguments)
+            add(changed, diagnosed, tmp_path / "m.yaml", force=force)
 
 
 def test_a_parent_that_was_changed_since_is_refused(tmp_path: Path) -> None:
@@ -115,23 +114,22 @@ def test_a_parent_that_was_changed_since_is_refused(tmp_path: Path) -> None:
 def test_scores_of_blind_campaigns(
     document: DiagnosisDocument, diagnosed: Path, hidden_campaign: Path, tmp_path: Path
 ) -> None:
-    single = _truth(tmp_path / "single", hidden_campaign, "single", {"support_friction": TRUE_SCALE})
-    found = score(single, document, diagnosed)
-    assert found.correct and found.by_own_name and found.also_named == ()
-    wrong = _truth(tmp_path / "wrong", hidden_campaign, "single", {"motor_inertia_scale": 1.2})
-    found = score(wrong, document, diagnosed)
-    assert not found.correct and found.also_named == ("support_friction",) and found.intervals_cover is None
-    both = {"support_friction": TRUE_SCALE, "object_mass": 1.1}
-    assert not score(_truth(tmp_path / "pair", hidden_campaign, "pair", both), document, diagnosed).correct
-    null = _truth(tmp_path / "null", hidden_campaign, "null", {})
-    assert not score(null, document, diagnosed).correct
-    nothing = document.model_copy(update={"verdict": "NOTHING-MISSING", "named": ()})
-    assert score(null, nothing, diagnosed).correct
+    def scored(kind: str, found: DiagnosisDocument = document, **scales: float) -> Score:
+        folder = tmp_path / f"{kind}_{len(os.listdir(tmp_path))}"
+        return score(blind(folder, hidden_campaign, kind, **scales), found, diagnosed)
+
+    right = scored("single", support_friction=TRUE_SCALE)
+    assert right.correct and right.by_own_name and right.also_named == ()
+    wrong = scored("single", motor_inertia_scale=1.2)
+    assert not wrong.correct and wrong.also_named == ("support_friction",) and wrong.intervals_cover is None
+    assert not scored("pair", support_friction=TRUE_SCALE, object_mass=1.1).correct
+    assert not scored("null").correct
+    assert scored("null", document.model_copy(update={"verdict": "NOTHING-MISSING", "named": ()})).correct
 
 
 def test_a_diagnosis_of_another_campaign_is_refused(
     document: DiagnosisDocument, diagnosed: Path, push_campaign: Path, tmp_path: Path
 ) -> None:
-    other = _truth(tmp_path / "other", push_campaign, "single", {"support_friction": TRUE_SCALE})
+    other = blind(tmp_path / "other", push_campaign, "single", support_friction=TRUE_SCALE)
     with pytest.raises(InputError, match="other runs"):
         score(other, document, diagnosed)

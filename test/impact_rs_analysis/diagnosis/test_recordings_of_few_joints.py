@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from joint_recordings import swinging, write_npz
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
@@ -62,34 +63,30 @@ def diagnosed(folder: Path, name: str, payload: float = 0.0) -> DiagnosisDocumen
     facts, (kinds, _, coulomb) = facts_of(name), ARMS[name]
     count = len(kinds)
     (folder / "robot.yaml").write_text(json.dumps(facts.model_dump(mode="json")), encoding="utf-8")
-    units = {
-        "position": [joint.position for joint in facts.units],
-        "velocity": [joint.velocity for joint in facts.units],
-        "torque": [joint.effort for joint in facts.units],
-    }
+    names = {"position": "position", "velocity": "velocity", "torque": "effort"}
     content = {
         "description": "by hand",
         "robot": "robot.yaml",
         "joints": [f"joint{joint + 1}" for joint in range(count)],
-        "signals": {signal: {"array": signal, "unit": unit} for signal, unit in units.items()},
+        "signals": {
+            signal: {"array": name, "unit": [getattr(joint, name) for joint in facts.units]}
+            for signal, name in names.items()
+        },
     }
     (folder / "mapping.yaml").write_text(json.dumps(content), encoding="utf-8")
     mapping = load_mapping(folder / "mapping.yaml")
     end = mapping.end_effector.model_copy(update={"mass": payload}).build()
-    model, t, joints = RobotModel(facts, end), np.arange(0.0, DURATION, 1.0 / RATE)[:, None], np.arange(count)
-    low, high = 2 * np.pi * (0.13 + 0.03 * joints), 2 * np.pi * (0.37 - 0.02 * joints)
-    q = 0.6 * np.sin(low * t + joints) + 0.15 * np.sin(high * t)
-    dq = 0.6 * low * np.cos(low * t + joints) + 0.15 * high * np.cos(high * t)
-    ddq = -0.6 * low**2 * np.sin(low * t + joints) - 0.15 * high**2 * np.sin(high * t)
-    torque = np.array([model.inverse_dynamics(*state) for state in zip(q, dq, ddq, strict=True)])
-    torque += np.array(coulomb) * np.tanh(dq / 0.005) + np.random.default_rng(3).normal(0.0, NOISE, q.shape)
-    np.savez(folder / "run.npz", time=t[:, 0], position=q, velocity=dq, torque=torque)
+    time, joints = np.arange(0.0, DURATION, 1.0 / RATE), np.arange(count)
+    columns = swinging(RobotModel(facts, end), time, 0.0, (0.13 + 0.03 * joints, 0.37 - 0.02 * joints), (0.6, 0.15))
+    columns["effort"] += np.array(coulomb) * np.tanh(columns["velocity"] / 0.005)
+    columns["effort"] += np.random.default_rng(3).normal(0.0, NOISE, columns["effort"].shape)
+    write_npz(folder / "run.npz", columns)
     source = RecordingSource.of(read_recordings(folder / "run.npz", mapping), mapping, Model(name="nominal"))
     return diagnose(source, source.model)
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_friction_is_found_in_the_unit_of_its_joint_and_no_payload_is_invented(name: str, tmp_path: Path) -> None:
+def test_friction_is_found_in_its_joint_s_unit_and_no_payload_is_invented(name: str, tmp_path: Path) -> None:
     found = diagnosed(tmp_path, name)
     assert found.named == ("joint_coulomb_friction",)
     effects = {effect.name: effect for effect in found.effects}

@@ -9,20 +9,19 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import documents
 import numpy as np
 import pytest
 import scipy
-from analytic_world import EFFECTS, FEATURES, TIPPING, AnalyticSource
+from analytic_world import EFFECTS, FEATURES, TIPPING, AnalyticSource, knowing
 
 from impact_rs_analysis.diagnosis.diagnose import _identifiability, diagnose
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument, ModelIdentity, RunsIdentity
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut
 from impact_rs_analysis.diagnosis.scoring import held_against_truth
 from impact_rs_analysis.diagnosis.search import Search, consistent, noticeable
 from impact_rs_analysis.diagnosis.thresholds import UNSEEN
 from impact_rs_analysis.diagnosis.verdicts import Findings, _at_bound, certain, change_interval, sizes_of
-from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
 
 pytestmark = pytest.mark.usefixtures("few_draws")
@@ -55,14 +54,15 @@ def test_an_estimate_at_the_value_where_it_does_nothing_is_at_no_bound() -> None
     assert {value: bool(found[0]) for value, found in at.items()} == {0.0: False, 9.0: False, 50.0: True}
 
 
-def test_what_stops_at_a_bound_is_not_noticeable_for_its_interval_means_nothing_there() -> None:
+def test_what_stops_at_a_bound_is_not_noticeable() -> None:
+    """Its interval means nothing there."""
     source = AnalyticSource(1, repeated=False)
     source.least_change = 0.1  # type: ignore[misc]
     assert noticeable(fitted(source, "one_sided", change=np.array([49.0])))
     assert not noticeable(fitted(source, "one_sided", change=np.array([50.0])))
 
 
-def test_one_of_many_parameters_needs_an_interval_of_the_significance_of_all() -> None:
+def test_one_of_many_parameters_needs_the_significance_of_all() -> None:
     source = AnalyticSource(1)
     widths = [fitted(source, "of_joints").widths(level)[2] for level in (0.99, 1.0 - 0.01 / 7.0)]
     one = np.arange(7) == 2
@@ -82,7 +82,7 @@ def test_an_effect_is_certain_where_one_interval_leaves_out_nothing() -> None:
         assert certain(moved, "payload") == expected
 
 
-def test_estimates_that_move_against_each_other_are_told_as_well() -> None:
+def test_estimates_that_move_against_each_other_are_listed() -> None:
     """Two parameters do nearly the same: what one gets more, the other gets less."""
     found = fitted(AnalyticSource(1), "twin_of_straight")
     alike = tuple(np.stack((j[:, 0], j[:, 0] + 0.2 * j[:, 1]), axis=1) for j in found.candidate.jacobians)
@@ -90,7 +90,7 @@ def test_estimates_that_move_against_each_other_are_told_as_well() -> None:
     assert {pair.first, pair.second} == {"c", "c_2"} and pair.correlation < -0.8
 
 
-def test_what_an_effect_moves_is_told_from_the_most_noticeable_on() -> None:
+def test_what_an_effect_moves_is_listed_from_the_most_noticeable_on() -> None:
     source = AnalyticSource(1)
     found = fitted(source, "straight", change=np.array([5.0]))
     limits = {f"signal {number}": limit for number, limit in enumerate((0.1, 3.0, 0.3, 1.0))}
@@ -102,7 +102,7 @@ def test_what_an_effect_moves_is_told_from_the_most_noticeable_on() -> None:
 
 
 @pytest.mark.parametrize(("without", "tied"), [(0, ()), (3, ()), (4, ("bent",)), (6, ("bent",))])
-def test_an_effect_that_most_folds_replace_is_confusable_with_what_replaces_it(without: int, tied: tuple) -> None:
+def test_an_effect_is_confusable_with_what_replaces_it_in_most_folds(without: int, tied: tuple) -> None:
     chosen = (("bent", "payload"),) * without + (("straight", "payload"),) * (6 - without)
     hold_out = HoldOut((), np.zeros(0), (), chosen)
     names: Any = SimpleNamespace(candidate=SimpleNamespace(names=("straight", "payload")))
@@ -113,31 +113,14 @@ def test_an_effect_that_most_folds_replace_is_confusable_with_what_replaces_it(w
 @pytest.mark.parametrize(("verdict", "correct"), [("NOTHING-MISSING", True), ("PRESENT-BUT-SMALL", False)])
 def test_where_nothing_is_hidden_only_nothing_missing_is_right(tmp_path: Path, verdict: str, correct: bool) -> None:
     (tmp_path / "truth.json").write_text(json.dumps({"kind": "null", "effects": []}))
-    document = DiagnosisDocument(
-        verdict=verdict,
-        effects=(),
-        confusable=(),
-        model=ModelIdentity(name="nominal", digest="0"),
-        runs=RunsIdentity(digest="0", trials=2, conditions=("push/juice/case_2",)),
-        error_unit="N m",
-        noise_floor=1.0,
-        held_out_error_before=1.0,
-        held_out_error_after=1.0,
-    )
+    document = documents.diagnosis("minimal").model_copy(update={"verdict": verdict})
     found = held_against_truth(tmp_path, document)
     assert (found.correct, found.headline) == (correct, correct)
 
 
 def test_an_effect_is_identified_where_one_of_its_parameters_is() -> None:
     """How high the weight of a box lies hardly moves anything until it tips; that it is pushed is clear."""
-    source = AnalyticSource(1, (("tipping", (5.0, 0.0)),), design=(2,) * 3)
-
-    class Knowing(Model):
-        @property
-        def known_effects(self):  # noqa: ANN202
-            return {"tipping": TIPPING}
-
-    source.model = Knowing(name="nothing")
+    source = knowing(AnalyticSource(1, (("tipping", (5.0, 0.0)),), design=(2,) * 3), TIPPING)
     (effect,) = diagnose(source, source.model).effects
     low, high = effect.parameters["height"].interval
     assert (high - low) / 2.0 > UNSEEN > effect.parameters["g"].interval[1] - effect.parameters["g"].interval[0]

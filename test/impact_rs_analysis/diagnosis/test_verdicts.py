@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from analytic_world import EFFECTS, FEATURES, AnalyticSource, direction
+from analytic_world import EFFECTS, FEATURES, AnalyticSource, direction, knowing, means_of
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.search import Search
@@ -20,21 +20,19 @@ from impact_rs_analysis.diagnosis.verdicts import clip_p, residual_size, rests_o
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.model import Model
 
 pytestmark = pytest.mark.usefixtures("few_draws")
 
 
 def said(source: AnalyticSource, *names: str) -> DiagnosisDocument:
-    known = {name: EFFECTS[name] for name in names or ("straight", "bent", "payload")}
-
-    class Knowing(Model):
-        @property
-        def known_effects(self):  # noqa: ANN202
-            return known
-
-    source.model = Knowing(name="nothing")
+    knowing(source, *(EFFECTS[name] for name in names or ("straight", "bent", "payload")))
     return diagnose(source, source.model)
+
+
+def effect(document: DiagnosisDocument, name: str) -> EffectDocument:
+    found = document.effect(name)
+    assert found is not None
+    return found
 
 
 def test_nothing_is_missing_and_one_is_what_repetition_gives() -> None:
@@ -45,7 +43,7 @@ def test_nothing_is_missing_and_one_is_what_repetition_gives() -> None:
     assert sum(d.verdict == "NOTHING-MISSING" for d in documents) >= 18
 
 
-def test_where_noise_explains_all_nothing_is_named_that_no_part_of_the_conditions_shows(
+def test_where_noise_explains_all_only_what_folds_choose_is_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def nowhere(source: AnalyticSource, effects: Sequence[Effect], ended: Any) -> HoldOut | None:
@@ -66,15 +64,15 @@ def test_where_noise_explains_all_nothing_is_named_that_no_part_of_the_condition
 def test_the_headline_is_the_effect_however_large_it_is(value: float) -> None:
     document = said(AnalyticSource(1, (("straight", (value,)),)))
     assert document.verdict == "straight" and document.named == ("straight",)
-    effect = document.effects[0]
-    assert effect.verdict == "CONFIRMED" and effect.chosen_in_folds == 6
-    low, high = effect.parameters["a"].interval
+    found = document.effects[0]
+    assert found.verdict == "CONFIRMED" and found.chosen_in_folds == 6
+    low, high = found.parameters["a"].interval
     assert low <= value <= high
     assert document.held_out_error_after < 1.5
-    assert effect.sizes[0].value > effect.sizes[0].floor
+    assert found.sizes[0].value > found.sizes[0].floor
 
 
-def test_p_is_told_as_a_bound_where_noise_is_not_known() -> None:
+def test_p_is_a_bound_where_noise_is_not_known() -> None:
     document = said(AnalyticSource(1, (("straight", (40.0,)),)))
     assert document.design.least_p == clip_p(1e-6) == 0.0005
     assert document.lack_of_fit.before == pytest.approx(0.001)  # of 999 draws
@@ -89,7 +87,7 @@ def test_what_is_significant_and_too_small_to_matter_is_said_with_its_size() -> 
     assert "m/s" in document.summary and "at most" in document.summary
 
 
-def test_what_explains_most_and_not_all_is_named_and_the_rest_is_told_in_units() -> None:
+def test_what_explains_most_is_named_and_the_rest_given_in_units() -> None:
     document = said(AnalyticSource(3, (("straight", (20.0,)), ("outside", (5.0,)))))
     assert document.verdict == "PARTLY{straight}" and document.named == ("straight",)
     assert document.unexplained.share_of_excess == pytest.approx(25.0 / 425.0, rel=0.5)
@@ -106,7 +104,7 @@ def test_a_design_that_is_too_small_says_so_and_how_much_is_needed() -> None:
     document = said(AnalyticSource(5, (("straight", (40.0,)),), design=(2, 2, 1)))
     assert document.verdict == "TOO-FEW-REPEATS"
     assert "1 more repeat" in document.summary
-    assert all(effect.verdict == "TOO-FEW-REPEATS" for effect in document.effects)
+    assert {found.verdict for found in document.effects} == {"TOO-FEW-REPEATS"}
 
 
 def test_two_conditions_are_refused() -> None:
@@ -114,48 +112,48 @@ def test_two_conditions_are_refused() -> None:
         said(AnalyticSource(6, design=(3, 3)))
 
 
-def test_effects_that_cannot_be_told_apart_are_confusable_both_ways() -> None:
+def test_effects_that_look_alike_are_confusable_both_ways() -> None:
     document = said(AnalyticSource(7, (("straight", (5.0,)),)), "straight", "twin_of_straight", "bent")
     assert document.verdict == "straight"
     assert document.confusable == (("straight", "twin_of_straight"),)
-    verdicts = {effect.name: effect.verdict for effect in document.effects}
-    assert verdicts["straight"] == "CONFUSABLE-WITH{twin_of_straight}"
-    assert verdicts["twin_of_straight"] == "CONFUSABLE-WITH{straight}"
-    assert document.effect("twin_of_straight").parameters["c"].estimate == pytest.approx(10.0, abs=0.4)  # type: ignore[union-attr]
+    assert effect(document, "straight").verdict == "CONFUSABLE-WITH{twin_of_straight}"
+    twin = effect(document, "twin_of_straight")
+    assert twin.verdict == "CONFUSABLE-WITH{straight}"
+    assert twin.parameters["c"].estimate == pytest.approx(10.0, abs=0.4)
 
 
-def test_a_simulator_that_is_off_by_what_is_known_of_it_leaves_nothing_missing() -> None:
+def test_a_known_simulator_error_leaves_nothing_missing() -> None:
     verdicts = [said(AnalyticSource(seed, discrepancy=0.6, simulator=seed)).verdict for seed in range(10)]
     assert verdicts.count("NOTHING-MISSING") >= 9
 
 
-def test_what_is_left_is_told_in_the_unit_of_the_signal_without_the_noise() -> None:
-    """A shift of 3 in one signal of unit noise and 2,000 repeats is told as 3."""
+def test_what_is_left_has_the_unit_of_the_signal_and_no_noise_in_it() -> None:
+    """A shift of 3 in one signal of unit noise and 2,000 repeats is reported as 3."""
     source = AnalyticSource(8, design=(2_000, 2_000, 2_000))
     own = np.array([f % 4 == 0 for f in range(FEATURES)])
     clusters = tuple(replace(item, residuals=item.residuals + 3.0 * own / item.sigma) for item in source.clusters)
     evidence = Evidence(source, (0, 1, 2), clusters)
-    rests = {rest.signal: rest for rest in rests_of(evidence, [item.mean for item in clusters])}
+    rests = {rest.signal: rest for rest in rests_of(evidence, means_of(clusters))}
     assert rests["signal 0"].value == pytest.approx(3.0, rel=1e-2)
     assert all(rests[f"signal {number}"].value < 0.05 for number in (1, 2, 3))
     assert rests["signal 0"].share > 0.99
 
 
 def test_the_scale_of_errors_is_that_of_repetition() -> None:
-    """Noise of variance 1 in n repeats: a mean residual of size s is told as s sqrt(n)."""
+    """Noise of variance 1 in n repeats: a mean residual of size s is reported as s sqrt(n)."""
     source = AnalyticSource(9, design=(4, 4, 4))
     evidence = Evidence.of(source)
     rest = [np.full(FEATURES, 2.0) / item.sigma for item in source.clusters]
     assert residual_size(evidence, rest) == pytest.approx(2.0 * np.sqrt(4.0))
 
 
-def test_where_nothing_is_left_but_noise_next_to_nothing_is_told() -> None:
-    """Noise of 1 in 3 repeats is 0.58 in their mean; what is told of it is what exceeds that by chance."""
-    told_values = []
+def test_where_only_noise_is_left_the_rest_is_next_to_nothing() -> None:
+    """Noise of 1 in 3 repeats is 0.58 in their mean; only what exceeds that by chance is reported."""
+    sizes = []
     for seed in range(10):
         evidence = Evidence.of(AnalyticSource(seed))
-        told_values += [rest.value for rest in rests_of(evidence, [item.mean for item in evidence.clusters])]
-    assert np.mean(told_values) < 0.15
+        sizes += [rest.value for rest in rests_of(evidence, means_of(evidence.clusters))]
+    assert np.mean(sizes) < 0.15
 
 
 def changing(seed: int, sizes: Sequence[float], truth: Added = ()) -> AnalyticSource:
@@ -172,40 +170,38 @@ def changing(seed: int, sizes: Sequence[float], truth: Added = ()) -> AnalyticSo
 
 
 @pytest.mark.parametrize("beside", [(), (("straight", (5.0,)),)])
-def test_what_is_significant_and_stops_where_it_does_nothing_is_no_improvement(beside: Added) -> None:
+def test_what_is_significant_and_stops_at_nothing_is_no_improvement(beside: Added) -> None:
     """A size below zero is seen clearly by its score; the estimate cannot follow, and is nothing at all."""
     source = AnalyticSource(0, (("one_sided", (-0.06,)), *beside), design=(60,) * 8)
     document = said(source, "one_sided", *(name for name, _ in beside))
-    effect = document.effect("one_sided")
-    assert effect is not None and effect.p_value is not None and effect.p_value < 0.01
-    assert effect.parameters["d"].interval[0] == effect.parameters["d"].estimate == 0.0
-    assert effect.verdict == "NO-IMPROVEMENT" and "contains the nominal value" in effect.reason
+    found = effect(document, "one_sided")
+    assert found.p_value is not None and found.p_value < 0.01
+    assert found.parameters["d"].interval[0] == found.parameters["d"].estimate == 0.0
+    assert found.verdict == "NO-IMPROVEMENT" and "contains the nominal value" in found.reason
 
 
 @pytest.mark.parametrize("beside", [(), (("one_sided", (5.0,)),)])
 def test_what_is_small_and_may_as_well_be_nothing_is_not_named(beside: Added) -> None:
     """Three conditions that disagree about its size: the search accepts it, its interval contains zero."""
     document = said(changing(1, (0.12, 0.08, 0.03), beside), "straight", *(name for name, _ in beside))
-    effect = document.effect("straight")
-    assert effect is not None
-    low, high = effect.parameters["a"].interval
-    assert low < 0.0 < effect.parameters["a"].estimate < high
-    assert effect.verdict == "NO-IMPROVEMENT"
+    found = effect(document, "straight")
+    low, high = found.parameters["a"].interval
+    assert low < 0.0 < found.parameters["a"].estimate < high
+    assert found.verdict == "NO-IMPROVEMENT"
     assert document.named == tuple(name for name, _ in beside)
 
 
 def test_what_is_small_and_certain_is_named_where_conditions_disagree_less() -> None:
     document = said(changing(0, (0.12, 0.08, 0.03)), "straight")
-    effect = document.effect("straight")
-    assert effect is not None and effect.parameters["a"].interval[0] > 0.0
-    assert (effect.verdict, document.named) == ("PRESENT-BUT-SMALL", ("straight",))
+    found = effect(document, "straight")
+    assert found.parameters["a"].interval[0] > 0.0
+    assert (found.verdict, document.named) == ("PRESENT-BUT-SMALL", ("straight",))
 
 
 def test_errors_of_an_effect_alone_and_of_what_it_adds_are_given() -> None:
     """Two that are there: alone each leaves the other, and what a third adds to both is nothing."""
     document = said(AnalyticSource(1, (("straight", (9.0,)), ("one_sided", (5.0,)))), "straight", "one_sided", "bent")
-    straight, one_sided, bent = (document.effect(name) for name in ("straight", "one_sided", "bent"))
-    assert straight is not None and one_sided is not None and bent is not None
+    straight, one_sided, bent = (effect(document, name) for name in ("straight", "one_sided", "bent"))
     both = straight.held_out_error_after
     assert both == one_sided.held_out_error_after and both is not None and both < 1.5
     assert straight.held_out_error_alone == pytest.approx(one_sided.held_out_error_others, rel=1e-3)
@@ -217,15 +213,13 @@ def test_errors_of_an_effect_alone_and_of_what_it_adds_are_given() -> None:
 
 
 def test_an_effect_that_explains_all_is_as_good_alone() -> None:
-    effect = said(AnalyticSource(1, (("straight", (5.0,)),))).effects[0]
-    assert effect.held_out_error_alone == effect.held_out_error_after
-    assert effect.held_out_error_others == effect.held_out_error_before
+    found = said(AnalyticSource(1, (("straight", (5.0,)),))).effects[0]
+    assert found.held_out_error_alone == found.held_out_error_after
+    assert found.held_out_error_others == found.held_out_error_before
 
 
-def test_a_small_effect_beside_one_that_matters_does_not_make_the_whole_small() -> None:
+def test_a_small_effect_beside_one_that_matters_leaves_the_whole_large() -> None:
     document = said(changing(0, (0.12, 0.08, 0.03), (("one_sided", (5.0,)),)), "straight", "one_sided")
-    assert {effect.name: effect.verdict for effect in document.effects} == {
-        "one_sided": "CONFIRMED",
-        "straight": "PRESENT-BUT-SMALL",
-    }
+    assert effect(document, "one_sided").verdict == "CONFIRMED"
+    assert effect(document, "straight").verdict == "PRESENT-BUT-SMALL"
     assert document.verdict == "one_sided+straight"

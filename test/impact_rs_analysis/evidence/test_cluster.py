@@ -12,7 +12,8 @@ import pytest
 from mixed_grab import MIXED
 
 from impact_rs_analysis.diagnosis.fit import Evidence
-from impact_rs_analysis.evidence.cluster import Cluster, Feature, Source, pooled_error, size_of, with_per_arm_parameters
+from impact_rs_analysis.evidence.cluster import Cluster, Feature, pooled_error, size_of
+from impact_rs_analysis.evidence.source import Source, with_per_arm_parameters
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
@@ -49,7 +50,7 @@ def test_the_size_of_pure_repetition_is_one_for_any_number_of_repeats(repeats: i
     assert size_of([i.error for i in items], [i.expected for i in items]) == pytest.approx(1.0, abs=0.02)
 
 
-def test_a_discrepancy_that_is_known_belongs_to_what_is_expected_and_repeats_do_not_lower_it() -> None:
+def test_a_known_discrepancy_is_expected_and_repeats_do_not_lower_it() -> None:
     item = cluster(np.zeros((100, 3)), pure=1.0, discrepancy=2.0)
     assert item.expected == pytest.approx(1.0 / 100.0 + 4.0)
 
@@ -59,30 +60,30 @@ def test_a_size_without_any_noise_is_the_residual_itself() -> None:
     assert size_of([item.error], [item.expected]) == pytest.approx(3.0)
 
 
-def test_neighbours_on_the_same_recording_guard_a_stretch_and_those_of_another_do_not() -> None:
+def test_only_neighbours_on_the_same_recording_guard_a_stretch() -> None:
     class Stretches:
         repeated = False
 
     items = tuple(cluster(np.zeros((1, 3)), unit="first" if n < 3 else "second") for n in range(6))
     evidence = Evidence(Stretches(), tuple(range(6)), items)  # type: ignore[arg-type]
-    assert evidence.guard == ((1,), (0, 2), (1,), (4,), (3, 5), (4,))
-    assert evidence.only([0, 2, 3, 4]).guard == ((), (), (3,), (2,))
+    assert evidence.neighbours == ((1,), (0, 2), (1,), (4,), (3, 5), (4,))
+    assert evidence.only([0, 2, 3, 4]).neighbours == ((), (), (3,), (2,))
 
 
-def test_arms_of_one_kind_share_their_parameters_and_arms_of_different_kinds_do_not() -> None:
+def test_arms_share_their_parameters_where_they_are_of_one_kind() -> None:
     nominal, mixed = load_model("nominal"), Physics.nominal(MIXED, "parcel")
     alike = Physics.nominal(load_scenario("grab"), "parcel")
     assert with_per_arm_parameters(nominal, [mixed]).arms == {"left": 7, "right": 6}
     assert with_per_arm_parameters(nominal, [alike]) is nominal
     assert with_per_arm_parameters(nominal, [alike], each_arm=True).arms == {"left": 7, "right": 7}
-    # Two scenes with an arm of another kind each: their names tell them apart.
+    # Two scenes with an arm of another kind each: their names distinguish them.
     one, other = (replace(mixed, arms={name: arm}) for name, arm in mixed.arms.items())
     assert with_per_arm_parameters(nominal, [one, other]).arms == {"left": 7, "right": 6}
     known = nominal.model_copy(update={"arms": {"left": 7}})
     assert with_per_arm_parameters(known, [mixed]) is known
 
 
-def test_one_name_for_two_robots_is_told_where_parameters_go_by_names() -> None:
+def test_one_name_for_two_robots_is_refused_where_parameters_go_by_names() -> None:
     nominal, mixed = load_model("nominal"), Physics.nominal(MIXED, "parcel")
     one, other = (replace(mixed, arms={"arm": arm}) for arm in mixed.arms.values())
     assert with_per_arm_parameters(nominal, [one, other]) is nominal

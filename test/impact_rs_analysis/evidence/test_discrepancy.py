@@ -32,32 +32,36 @@ def entry(kind: str, value: float, by_bin: tuple[float, ...] = ()) -> Discrepanc
     )
 
 
+def of_entries(*entries: DiscrepancyEntry, patterns: tuple[Patterns, ...] = ()) -> Discrepancy:
+    return Discrepancy(provenance=None, variants={}, entries=entries, patterns=patterns)
+
+
 def feature(number: int, index: str = "x") -> Feature:
     return Feature("impact", "contact force", index, number, "N", 1.0)
 
 
 def test_contact_and_free_motion_have_their_own() -> None:
-    known = Discrepancy(provenance=None, variants={}, entries=(entry("square", 3.0), entry("free", 0.5)))
+    known = of_entries(entry("square", 3.0), entry("free", 0.5))
     assert known.of([feature(0)], "square") == pytest.approx(3.0)
     assert known.of([feature(0)], "free") == pytest.approx(0.5)
 
 
 def test_a_bin_is_half_its_own_and_half_the_signal_s() -> None:
-    known = Discrepancy(provenance=None, variants={}, entries=(entry("square", 3.0, (1.0, 5.0)),))
+    known = of_entries(entry("square", 3.0, (1.0, 5.0)))
     np.testing.assert_allclose(known.of([feature(0), feature(1)], "square"), np.sqrt([(9 + 1) / 2, (9 + 25) / 2]))
 
 
-def test_both_arms_have_the_discrepancy_of_one_and_what_was_not_measured_has_none() -> None:
-    known = Discrepancy(provenance=None, variants={}, entries=(entry("square", 3.0),))
-    assert known.of([feature(0, "left.x"), feature(0, "right.x"), feature(0, "y")], "square").tolist() == [
-        3.0,
-        3.0,
-        0.0,
-    ]
+def test_both_arms_have_the_discrepancy_of_one_the_unmeasured_has_none() -> None:
+    known = of_entries(entry("square", 3.0))
+    features = [feature(0, "left.x"), feature(0, "right.x"), feature(0, "y")]
+    assert known.of(features, "square").tolist() == [3.0, 3.0, 0.0]
     assert not np.any(NO_DISCREPANCY.of([feature(0)], "square"))
 
 
-ARMS = (("arm", ("revolute",) * 7),)
+def features_of(kind: str) -> list[Feature]:
+    """All features of a run."""
+    free = kind == "free"
+    return list(layout((("arm", ("revolute",) * 7),), 12 if free else 4, None if free else 4, True, True, True))
 
 
 def test_features_of_a_joint_that_slides_are_in_newtons_and_metres() -> None:
@@ -70,8 +74,7 @@ def test_features_of_a_joint_that_slides_are_in_newtons_and_metres() -> None:
 
 @pytest.mark.parametrize("kind", ["free", "square", "oblique"])
 def test_the_shipped_one_covers_every_feature_of_a_run_in_its_unit(kind: str) -> None:
-    known = measured_discrepancy()
-    features = layout(ARMS, 4 if kind != "free" else 12, None if kind == "free" else 4, True, True, True)
+    known, features = measured_discrepancy(), features_of(kind)
     entries = {(e.phase, e.signal, e.index): e for e in known.entries if e.kind == kind}
     assert {f.group for f in features} <= entries.keys()
     assert all(entries[f.group].unit == f.unit for f in features)
@@ -80,9 +83,8 @@ def test_the_shipped_one_covers_every_feature_of_a_run_in_its_unit(kind: str) ->
 
 
 @pytest.mark.parametrize("kind", ["free", "square", "oblique"])
-def test_patterns_have_the_size_of_every_feature_and_move_several_at_a_time(kind: str) -> None:
-    known = measured_discrepancy()
-    features = layout(ARMS, 4 if kind != "free" else 12, None if kind == "free" else 4, True, True, True)
+def test_patterns_have_the_size_of_every_feature_and_move_several(kind: str) -> None:
+    known, features = measured_discrepancy(), features_of(kind)
     patterns, size = known.patterns_of(features, kind), known.of(features, kind)
     np.testing.assert_allclose(np.sqrt(np.square(patterns).sum(axis=0)), size, rtol=1e-9, atol=1e-30)
     assert np.count_nonzero(patterns, axis=1).max() > 50
@@ -94,7 +96,7 @@ def test_a_feature_that_no_pattern_knows_moves_by_itself() -> None:
         features=(("impact", "contact force", "x", 0), ("impact", "contact force", "x", 1)),
         rows=((3.0, 4.0), (-1.0, 0.0)),
     )
-    known = Discrepancy(provenance=None, variants={}, entries=(entry("square", 2.0),), patterns=(table,))
+    known = of_entries(entry("square", 2.0), patterns=(table,))
     patterns = known.patterns_of([feature(0), feature(1), feature(7)], "square")
     np.testing.assert_allclose(np.sqrt(np.square(patterns).sum(axis=0)), 2.0)
     np.testing.assert_allclose(patterns[0, :2], [2.0 * 3.0 / np.sqrt(10.0), 2.0])

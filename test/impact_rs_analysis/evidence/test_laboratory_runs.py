@@ -11,27 +11,33 @@ import pytest
 from mixed_grab import write_experiment
 
 from impact_rs_analysis.evidence.ante_impact import ante_impact_state, obliqueness, problem_of
-from impact_rs_analysis.evidence.laboratory import _shifted, command_offset, read_laboratory_runs
-from impact_rs_analysis.evidence.measured import MeasuredRun
+from impact_rs_analysis.evidence.command_clock import command_offset, read_laboratory_runs
+from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs, read_trial
 from impact_rs_analysis.evidence.replays import layout_of, pure_errors
-from impact_rs_analysis.evidence.run import Run
-from impact_rs_analysis.evidence.runs import Runs, read_trial
-from impact_rs_analysis.evidence.twin import simulated
-from impact_rs_analysis.measure.laboratory import jumps_of
+from impact_rs_analysis.evidence.simulated_trials import simulated
+from impact_rs_analysis.measure.velocity_jumps import jumps_of
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import compute_impact_map
 from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.recordings.experiment import load_experiment
+from impact_rs_trials.runs import NONE, Run
 from impact_rs_trials.spec import TrialSpec
 
-from .conftest import COULOMB
+from .conftest import COULOMB, free_starts, with_signals
 
 
 def stamped(run: Run, late: float) -> Run:
     """The run with commands whose stamps are so much too late [s]."""
-    return replace(run, command_time={name: time + late for name, time in run.command_time.items()})
+    return run.commands_later(dict.fromkeys(run.signals.arms, late))
+
+
+def runs_of(*runs: MeasuredRun) -> Runs:
+    return Runs.of(Path("here"), runs)
+
+
+# ---- commands -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("late", [-0.0003, 0.0, 0.0003])
@@ -45,149 +51,137 @@ def test_an_offset_below_half_a_period_is_found_also_with_friction(free: Run, ru
 
 def test_a_delay_of_milliseconds_is_left_for_the_diagnosis(free: Run) -> None:
     assert command_offset([stamped(free, -0.003)], "arm") == (0.0, 0.0)
-    assert command_offset([replace(free, command={}, command_time={})], "arm") == (0.0, 0.0)
+    without = with_signals(free, lambda arm: replace(arm, command_time=NONE, command=NONE))
+    assert command_offset([without], "arm") == (0.0, 0.0)
 
 
 def test_a_shift_brings_commands_to_where_they_act(free: Run) -> None:
     late = stamped(free, 0.0003)
-    again = _shifted(late, {"arm": command_offset([late], "arm")[0]})
-    name = next(iter(free.command_time))
-    assert np.max(np.abs(again.command_time[name] - free.command_time[name])) < 2e-4
+    again = late.commands_later({"arm": command_offset([late], "arm")[0]})
+    assert np.max(np.abs(again.signals.arms["arm"].command_time - free.signals.arms["arm"].command_time)) < 2e-4
 
 
-def with_gap(run: Run, start: float, end: float) -> Run:
+# ---- gaps -----------------------------------------------------------------------------------------------------------
+
+
+def torn(run: Run, start: float, end: float, condition: str | None = None) -> MeasuredRun:
     """The run as it is read with a gap: nothing between is known, and something else stands there."""
-    rows = (run.signals.time > start) & (run.signals.time < end)
-    arms = {}
-    for name, arm in run.signals.arms.items():
-        torque = arm.torque.copy()
-        torque[rows] += 30.0
-        arms[name] = replace(arm, torque=torque)
-    return replace(run, signals=replace(run.signals, arms=arms), gaps=((start, end),))
+    wrong = np.where((run.signals.time > start) & (run.signals.time < end), 30.0, 0.0)[:, None]  # N m
+    changed = with_signals(run, lambda arm: replace(arm, torque=arm.torque + wrong), gaps=((start, end),))
+    return replace(MeasuredRun.of(changed), condition=condition or run.condition)
 
 
-def test_windows_that_no_gap_touches_are_as_without_it(free: Run) -> None:
-    whole = MeasuredRun.of(free)
-    start = [window.time[0] for window in whole.setup.windows][5]
-    torn = MeasuredRun.of(with_gap(free, start + 0.02, start + 0.06))
-    assert torn.lost == (5,)
-    assert whole.lost == ()
-    assert [window.number for window in torn.setup.windows] == [n for n in range(whole.free) if n != 5]
+def test_windows_that_no_gap_touches_are_as_without_it(free: Run, measured_free: MeasuredRun) -> None:
+    whole, start = measured_free, free_starts(measured_free)[5]
+    gapped = torn(free, start + 0.02, start + 0.06)
+    assert (whole.lost, gapped.lost) == ((), (5,))
+    assert [window.number for window in gapped.setup.windows] == [n for n in range(whole.free) if n != 5]
     known = dict(zip(whole.features, whole.measured, strict=True))
-    assert torn.measured == pytest.approx([known[feature] for feature in torn.features], abs=1e-12)
+    assert gapped.measured == pytest.approx([known[feature] for feature in gapped.features], abs=1e-12)
     # Of repeats what all of them have is used, and its pure error is that of all conditions.
-    runs = Runs.of(Path("here"), [whole, torn])
-    assert [run.features for run in runs.runs] == [torn.features, torn.features]
-    assert runs.runs[0].lost == (5,)
-    np.testing.assert_array_equal(runs.runs[0].measured, runs.runs[1].measured)
+    runs = runs_of(whole, gapped).runs
+    assert [run.features for run in runs] == [gapped.features, gapped.features]
+    assert runs[0].lost == (5,)
+    np.testing.assert_array_equal(runs[0].measured, runs[1].measured)
 
 
-def test_a_window_that_one_run_lost_is_given_up_by_all_that_are_alike(free: Run) -> None:
-    whole = MeasuredRun.of(free)
-    starts = [window.time[0] for window in whole.setup.windows]
-    torn = replace(MeasuredRun.of(with_gap(free, starts[5], starts[5] + 0.05)), condition="other")
-    runs = Runs.of(Path("here"), [whole, torn]).runs
+def test_a_window_that_one_run_lost_is_given_up_by_all_alike(free: Run, measured_free: MeasuredRun) -> None:
+    whole, starts = measured_free, free_starts(measured_free)
+    runs = runs_of(whole, torn(free, starts[5], starts[5] + 0.05, "other")).runs
     assert [run.lost for run in runs] == [(5,), (5,)]
     assert layout_of(runs[0]) == layout_of(runs[1])
     # More than half of the windows are not given up for others.
-    gone = replace(MeasuredRun.of(with_gap(free, starts[1], starts[-2])), condition="other")
+    gone = torn(free, starts[1], starts[-2], "other")
     assert len(gone.lost) > whole.free / 2
-    assert [run.lost for run in Runs.of(Path("here"), [whole, gone]).runs] == [(), gone.lost]
+    assert [run.lost for run in runs_of(whole, gone).runs] == [(), gone.lost]
 
 
-def test_a_repeat_that_moves_for_less_time_has_lost_nothing(free: Run) -> None:
-    whole = MeasuredRun.of(free)
+def test_a_repeat_that_moves_for_less_time_has_lost_nothing(measured_free: MeasuredRun) -> None:
+    whole = measured_free
     first = {feature for feature in whole.features if feature.bin < whole.free - 1}
     shorter = replace(whole.only(first), free=whole.free - 1)
-    assert [run.lost for run in Runs.of(Path("here"), [whole, shorter]).runs] == [(), ()]
+    assert [run.lost for run in runs_of(whole, shorter).runs] == [(), ()]
 
 
-def test_a_gap_that_ends_before_a_window_spoils_the_fit_of_its_start(free: Run) -> None:
-    starts = [window.time[0] for window in MeasuredRun.of(free).setup.windows]
-    assert MeasuredRun.of(with_gap(free, starts[3] - 0.03, starts[3] - 0.004)).lost in ((3,), (2, 3))
+def test_a_gap_that_ends_before_a_window_spoils_the_fit_of_its_start(free: Run, measured_free: MeasuredRun) -> None:
+    start = free_starts(measured_free)[3]
+    assert torn(free, start - 0.03, start - 0.004).lost in ((3,), (2, 3))
 
 
-def test_pure_error_is_pooled_over_conditions_with_and_without_gaps(free: Run) -> None:
-    whole = MeasuredRun.of(free)
-    start = [window.time[0] for window in whole.setup.windows][5]
-    torn = replace(MeasuredRun.of(with_gap(free, start, start + 0.05)), condition="other")
-    rng = np.random.default_rng(0)
-    scatter = rng.standard_normal((2, len(whole.features)))
-    left = [feature in torn.features for feature in whole.features]
-    found = pure_errors({whole.condition: whole, "other": torn}, {whole.condition: scatter, "other": scatter[:, left]})
+def test_pure_error_is_pooled_over_conditions_with_and_without_gaps(free: Run, measured_free: MeasuredRun) -> None:
+    whole, start = measured_free, free_starts(measured_free)[5]
+    other = torn(free, start, start + 0.05, "other")
+    scatter = np.random.default_rng(0).standard_normal((2, len(whole.features)))
+    left = [feature in other.features for feature in whole.features]
+    found = pure_errors({whole.condition: whole, "other": other}, {whole.condition: scatter, "other": scatter[:, left]})
     expected = np.std(scatter, axis=0, ddof=1)
     assert found[whole.condition] == pytest.approx(expected)
     assert found["other"] == pytest.approx(expected[left])
-    assert layout_of(whole) != layout_of(torn)
+    assert layout_of(whole) != layout_of(other)
 
 
-def test_a_gap_before_the_impact_takes_free_motion_and_one_about_it_the_run(hit: Run) -> None:
-    whole = MeasuredRun.of(hit)
-    start = whole.setup.windows[0].time[0]
-    torn = MeasuredRun.of(with_gap(hit, start + 0.02, start + 0.06))
-    assert 0 in torn.lost
-    known = dict(zip(whole.features, whole.measured, strict=True))
-    assert torn.measured == pytest.approx([known[feature] for feature in torn.features], abs=1e-9)
-    impact = whole.impacts["arm"]
+def test_a_gap_before_the_impact_takes_free_motion_one_about_it_the_run(hit: Run, measured_hit: MeasuredRun) -> None:
+    start = free_starts(measured_hit)[0]
+    gapped = torn(hit, start + 0.02, start + 0.06)
+    assert 0 in gapped.lost
+    known = dict(zip(measured_hit.features, measured_hit.measured, strict=True))
+    assert gapped.measured == pytest.approx([known[feature] for feature in gapped.features], abs=1e-9)
+    impact = measured_hit.impacts["arm"]
     with pytest.raises(InputError, match="a gap lies in the window about the impact"):
-        MeasuredRun.of(with_gap(hit, impact - 0.06, impact - 0.025))
+        torn(hit, impact - 0.06, impact - 0.025)
 
 
-def test_the_state_before_the_impact_is_that_at_the_impact_and_not_milliseconds_before(hit: Run) -> None:
-    measured = MeasuredRun.of(hit)
-    state = ante_impact_state(measured)["arm"]
-    twist = measured.setup.physics.robot_model("arm").jacobian(state.position) @ state.velocity
+# ---- the impact map of a run ----------------------------------------------------------------------------------------
+
+
+def test_the_state_before_the_impact_is_that_at_the_impact(measured_hit: MeasuredRun) -> None:
+    """And not milliseconds before."""
+    state = ante_impact_state(measured_hit)["arm"]
+    twist = measured_hit.physics.robot_model("arm").jacobian(state.position) @ state.velocity
     assert twist[1] == pytest.approx(-0.7, abs=0.005)
-    assert obliqueness(measured) < 0.01
+    assert obliqueness(measured_hit) < 0.01
 
 
-def test_pad_and_object_touch_in_what_the_map_is_asked(hit: Run) -> None:
-    measured = MeasuredRun.of(hit)
-    apart = replace(
-        measured,
-        setup=replace(
-            measured.setup,
-            windows=tuple(
-                replace(window, object=replace(window.object, position=window.object.position + [0.0, -0.004, 0.0]))
-                for window in measured.setup.windows
-            ),
-        ),
+def test_pad_and_object_touch_in_what_the_map_is_asked(measured_hit: MeasuredRun) -> None:
+    farther = tuple(
+        replace(window, object=replace(window.object, position=window.object.position + [0.0, -0.004, 0.0]))
+        for window in measured_hit.setup.windows
     )
-    physics = hit.physics
-    for run in (measured, apart):
+    apart = replace(measured_hit, setup=replace(measured_hit.setup, windows=farther))
+    physics = measured_hit.physics
+    for run in (measured_hit, apart):
         problem = problem_of(run, physics)
         placements = {"arm": physics.robot_model("arm").placement(problem.arms["arm"].position)}
         gaps = [m.separation for m in meetings(physics, problem.object, placements) if m.partner != SUPPORT]
         assert gaps == pytest.approx([0.0], abs=1e-9)
-    result = compute_impact_map(problem_of(measured, physics), "exact")
+    result = compute_impact_map(problem_of(measured_hit, physics), "exact")
     assert -0.6 < result.end_effector_twist["arm"][1] < -0.4
 
 
-def test_what_the_map_is_asked_about_a_tilted_pad_is_the_pad_face_on_face(hit: Run) -> None:
+def test_what_the_map_is_asked_about_a_tilted_pad_is_the_pad_face_on_face(measured_hit: MeasuredRun) -> None:
     """It turns the wrist until the pad is parallel, and not the flange, which is askew then."""
-    physics = library()["pad_tilt"].apply_vector(hit.physics, np.array([0.03, -0.02]))
-    problem = problem_of(MeasuredRun.of(hit), physics)
-    hand = physics.robot_model("arm").placement(problem.arms["arm"].position)
-    np.testing.assert_allclose(
-        (hand * physics.arms["arm"].end_effector.pad_placement).rotation[:, 2], [0, -1, 0], atol=1e-6
-    )
-    straight = problem_of(MeasuredRun.of(hit), hit.physics)
+    physics = library()["pad_tilt"].apply_vector(measured_hit.physics, np.array([0.03, -0.02]))
+    problem = problem_of(measured_hit, physics)
+    pad = physics.arms["arm"].end_effector.pad_placement
+    face = (physics.robot_model("arm").placement(problem.arms["arm"].position) * pad).rotation[:, 2]
+    np.testing.assert_allclose(face, [0, -1, 0], atol=1e-6)
+    straight = problem_of(measured_hit, measured_hit.physics)
     results = [compute_impact_map(one, "exact") for one in (problem, straight)]
     speeds = [result.end_effector_twist["arm"][1] for result in results]
     assert speeds[0] == pytest.approx(speeds[1], rel=0.05)
 
 
-def test_without_anything_hidden_the_reduced_inertia_predicts_the_speed_after_the_impact(hit: Run) -> None:
+def test_with_nothing_hidden_the_reduced_inertia_predicts_the_speed_after(measured_hit: MeasuredRun) -> None:
     """Frictionless plant: some tenths of a percent to some percent, and nearer than without the torque loop."""
-    light = replace(hit, spec=None)
-    found = jumps_of(Runs.of(Path("here"), [MeasuredRun.of(light), MeasuredRun.of(light)]))
+    theirs = replace(measured_hit, spec=None)
+    found = jumps_of(runs_of(theirs, theirs))
     assert abs(found.errors["reduced"]) < 4.5
     assert found.errors["reduced"] < found.errors["rotor"]
     (jump,) = found.jumps
     assert jump.before == pytest.approx(0.7, abs=0.01)
     assert 0.4 < jump.after < 0.6
     assert jump.interval == pytest.approx((jump.after, jump.after))
-    settled = jumps_of(Runs.of(Path("here"), [MeasuredRun.of(light)]), "settled")
+    settled = jumps_of(runs_of(theirs), "settled")
     assert (found.to_json()["contact"], settled.to_json()["contact"]) == ("first", "settled")
     assert settled.errors["reduced"] == pytest.approx(found.errors["reduced"], abs=0.5)  # the face was closed already
 
@@ -202,7 +196,7 @@ def test_a_pad_that_comes_at_an_angle_takes_the_object_along_sideways() -> None:
     trial = TrialSpec.of(oblique, "juice", "case_1")
     measured = MeasuredRun.of(replace(simulated(trial, trial.scene.physics), spec=None))
     assert 0.2 < obliqueness(measured) < 0.3
-    found = jumps_of(Runs.of(Path("here"), [measured]))
+    found = jumps_of(runs_of(measured))
     assert abs(found.errors["reduced"]) < 0.8
     assert found.errors["reduced"] < found.errors["rotor"]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arms of different kinds are told one by one: what they are, and what is measured and predicted of each."""
+"""Arms of different kinds are described one by one: what they are, and what is measured and predicted of each."""
 
 from pathlib import Path
 
@@ -24,8 +24,8 @@ def analysis(tmp_path_factory: pytest.TempPathFactory) -> Analysis:
     return analyze_campaign(directory)
 
 
-def test_arms_are_told_with_robot_joints_limits_and_motor_inertias() -> None:
-    left, right = arms_of(Physics.nominal(MIXED, thing) for thing in ("parcel", "juice"))
+def test_arms_are_described_with_robot_joints_limits_and_motor_inertias() -> None:
+    left, right = arms_of(Physics.nominal(MIXED, item) for item in ("parcel", "juice"))
     assert [left.title, right.title] == ["left: franka_fr3, 7 joints", "right: ur5e, 6 joints"]
     assert left.torque_limits_Nm == load_facts("franka_fr3").limits.torque_Nm
     assert left.torque_loop and left.motor_inertia_reduced_kg_m2[0] < left.motor_inertia_rotor_kg_m2[0]
@@ -56,12 +56,12 @@ def test_every_arm_has_an_estimate_of_its_own(analysis: Analysis) -> None:
         slope, intercept = np.polyfit(references, [trial.nets[arm.name] for trial in entry.trials], 1)
         assert arm.fit.estimate == pytest.approx(-intercept / slope)
         assert abs(arm.predictions["reduced"].error) < 8.0  # %, of three trials
-    told = analysis.to_json()
-    assert [arm["robot"] for arm in told["arms"]] == ["franka_fr3", "ur5e"]
-    assert [arm["arm"] for arm in told["sets"][0]["arms"]] == ["left", "right"]
+    document = analysis.to_json()
+    assert [arm["robot"] for arm in document["arms"]] == ["franka_fr3", "ur5e"]
+    assert [arm["arm"] for arm in document["sets"][0]["arms"]] == ["left", "right"]
 
 
-def test_the_report_tells_arm_by_arm(analysis: Analysis, tmp_path: Path) -> None:
+def test_the_report_goes_arm_by_arm(analysis: Analysis, tmp_path: Path) -> None:
     page = write_analysis_report(analysis, tmp_path)[0].read_text()
     part = page[page.index("<h2>Arm by arm</h2>") : page.index("<h2>Figures</h2>")]
     left, right = part.index("<h3>left: franka_fr3, 7 joints</h3>"), part.index("<h3>right: ur5e, 6 joints</h3>")
@@ -70,6 +70,6 @@ def test_the_report_tells_arm_by_arm(analysis: Analysis, tmp_path: Path) -> None
     assert "joint 7" in part and "the links carry B" in part
 
 
-def test_one_arm_needs_no_table_of_its_own(push_campaign: Path) -> None:
-    found = analyze_campaign(push_campaign)
-    assert found.sets[0].arms == () and [arm.title for arm in found.arms] == ["arm: franka_fer, 7 joints"]
+def test_one_arm_needs_no_table_of_its_own(push_analysis: Analysis) -> None:
+    titles = [arm.title for arm in push_analysis.arms]
+    assert (push_analysis.sets[0].arms, titles) == ((), ["arm: franka_fer, 7 joints"])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Data sets: the rows of the single file, no bag read twice, one table for whoever reads it."""
+"""Data sets: the rows of the single file, no bag read twice, one table for every reader."""
 
 import json
 import os
@@ -12,10 +12,10 @@ import fsspec
 import numpy as np
 import pytest
 
-from impact_rs_analysis.measure.analyze import analyze_campaign
+from impact_rs_analysis.measure.analyze import Analysis
 from impact_rs_analysis.measure.data_set import Extended, extend
 from impact_rs_analysis.measure.export import export
-from impact_rs_analysis.measure.fit import fit_zero_crossing
+from impact_rs_analysis.measure.linear_fit import fit_zero_crossing
 from impact_rs_cli.main import main
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.store import Folder, owned
@@ -24,11 +24,7 @@ parquet = pytest.importorskip("pyarrow.parquet")
 dataset = pytest.importorskip("pyarrow.dataset")
 
 NAMES = [f"cat_food__case_2__s{scale}__r0" for scale in ("0.800", "1.000", "1.200")]
-
-
-@pytest.fixture
-def campaign(push_campaign: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(push_campaign, tmp_path / "push"))
+PARTS = ["part-00000.parquet", "part-00001.parquet"]
 
 
 @pytest.fixture
@@ -53,16 +49,26 @@ class Reader:
             yield function(item)
 
 
+def quiet(done: int, total: int) -> None:
+    """The progress of a test is not shown."""
+
+
 def extended(place: Path | str, folder: Path, rows: int = 2) -> tuple[Extended, list[str]]:
     """Export, and the bags that were read for it."""
     reader = Reader()
-    return extend(place, folder, reader, lambda done, total: None, rows), reader.read
+    found = extend(place, folder, reader, quiet, rows)
+    assert reader.most <= rows  # no more than a part is held
+    return found, reader.read
 
 
 def table_of(folder: Path) -> list[dict[str, Any]]:
     """Its rows as other tools read them, in order of their bags."""
     rows: list[dict[str, Any]] = dataset.dataset(folder).to_table().to_pylist()
     return sorted(rows, key=lambda row: str(row["bag"]))
+
+
+def bags_of(folder: Path) -> list[str]:
+    return [row["bag"] for row in table_of(folder)]
 
 
 def parts(folder: Path) -> dict[str, bytes]:
@@ -72,7 +78,7 @@ def parts(folder: Path) -> dict[str, bytes]:
 def test_a_data_set_says_the_same_as_the_single_file(campaign: Path, folder: Path, tmp_path: Path) -> None:
     found, read = extended(campaign, folder)
     assert (found.trials, found.read, found.skipped, read) == (3, 3, (), NAMES)
-    export(campaign, tmp_path / "push.parquet", map, lambda done, total: None)
+    export(campaign, tmp_path / "push.parquet", map, quiet)
     single = parquet.read_table(tmp_path / "push.parquet")
     rows = table_of(folder)
     assert [row.pop("bag") for row in rows] == NAMES
@@ -80,14 +86,9 @@ def test_a_data_set_says_the_same_as_the_single_file(campaign: Path, folder: Pat
     assert rows == single.to_pylist()
     assert dataset.dataset(folder).schema.names[:-2] == single.schema.names
     assert parquet.read_table(folder).num_rows == 3  # as pandas reads a folder
-
-
-def test_at_most_one_part_of_rows_is_held(campaign: Path, folder: Path) -> None:
-    reader = Reader()
-    extend(campaign, folder, reader, lambda done, total: None, rows=2)
-    assert reader.most == 2
-    assert list(parts(folder)) == ["part-00000.parquet", "part-00001.parquet"]
-    assert [parquet.read_metadata(folder / name).num_rows for name in parts(folder)] == [2, 1]
+    assert {name: parquet.read_metadata(folder / name).num_rows for name in parts(folder)} == dict(
+        zip(PARTS, (2, 1), strict=True)
+    )
 
 
 def test_what_is_there_is_not_read_again(campaign: Path, folder: Path) -> None:
@@ -104,24 +105,24 @@ def test_trials_that_a_running_campaign_adds_are_read_alone(campaign: Path, fold
     (campaign / ".partial").rename(campaign / NAMES[2])
     found, read = extended(campaign, folder)
     assert (found.trials, read) == (3, [NAMES[2]])
-    assert [row["bag"] for row in table_of(folder)] == NAMES
+    assert bags_of(folder) == NAMES
 
 
 def test_an_interrupted_export_goes_on_with_what_is_missing(campaign: Path, folder: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
-        extend(campaign, folder, Reader(stop_after=1), lambda done, total: None)
-    assert [row["bag"] for row in table_of(folder)] == NAMES[:1]
+        extend(campaign, folder, Reader(stop_after=1), quiet)
+    assert bags_of(folder) == NAMES[:1]
     assert extended(campaign, folder)[1] == NAMES[1:]
-    assert [row["bag"] for row in table_of(folder)] == NAMES
+    assert bags_of(folder) == NAMES
 
 
 def test_a_killed_export_leaves_nothing_half_written(campaign: Path, folder: Path) -> None:
     extended(campaign, folder)
     (folder / "part-00001.parquet").rename(folder / ".part-00001.parquet.99.partial")
     (folder / ".lock").write_text("process 99 on a machine that was switched off\n")
-    assert [row["bag"] for row in table_of(folder)] == NAMES[:2]
+    assert bags_of(folder) == NAMES[:2]
     assert extended(campaign, folder)[1] == NAMES[2:]
-    assert list(parts(folder)) == ["part-00000.parquet", "part-00001.parquet"]
+    assert list(parts(folder)) == PARTS
 
 
 def test_rows_of_bags_that_are_gone_stay(campaign: Path, folder: Path) -> None:
@@ -133,17 +134,14 @@ def test_rows_of_bags_that_are_gone_stay(campaign: Path, folder: Path) -> None:
 
 @pytest.mark.parametrize("rows", [1, 2, 100])
 def test_a_trial_that_was_run_again_has_one_row_and_its_new_outcome(
-    campaign: Path, folder: Path, push_campaign: Path, rewrite_bag: Callable, rows: int
+    campaign: Path, folder: Path, with_outcome: Callable, rows: int
 ) -> None:
     extended(campaign, folder, rows)
-    shutil.rmtree(campaign / NAMES[1])
-    rewrite_bag(push_campaign / NAMES[1], campaign / NAMES[1], lambda topic: True)
-    metadata = campaign / NAMES[1] / "metadata.yaml"
-    metadata.write_text(metadata.read_text().replace("outcome: OK", "outcome: DROPPED"))
+    with_outcome(campaign / NAMES[1], "DROPPED")
     found, read = extended(campaign, folder, rows)
     assert (found.trials, read) == (3, [NAMES[1]])
-    told = [(row["bag"], row["outcome"]) for row in table_of(folder)]
-    assert told == list(zip(NAMES, ("OK", "DROPPED", "OK"), strict=True))
+    outcomes = [(row["bag"], row["outcome"]) for row in table_of(folder)]
+    assert outcomes == list(zip(NAMES, ("OK", "DROPPED", "OK"), strict=True))
 
 
 def test_two_arms_beside_one_are_one_table_for_readers_of_the_first_file(
@@ -173,18 +171,18 @@ def test_a_part_without_the_column_of_an_arm_gets_it_next_time(campaign: Path, f
     assert len([name for name in dataset.dataset(folder).schema.names if "_impact_" in name]) == 3
 
 
-def test_damaged_bags_are_told_each_time_and_have_no_row(campaign: Path, folder: Path) -> None:
+def test_damaged_bags_are_named_each_time_and_have_no_row(campaign: Path, folder: Path) -> None:
     (campaign / NAMES[0] / f"{NAMES[0]}.mcap").write_bytes(b"")
     for _ in range(2):
         found, read = extended(campaign, folder)
         assert [bag.name for bag in found.skipped] == NAMES[:1]
         assert NAMES[0] in read
-    assert [row["bag"] for row in table_of(folder)] == NAMES[1:]
+    assert bags_of(folder) == NAMES[1:]
 
 
-def test_net_feedback_by_condition_is_that_of_analyze(campaign: Path, folder: Path) -> None:
+def test_net_feedback_by_condition_is_that_of_analyze(campaign: Path, folder: Path, push_analysis: Analysis) -> None:
     extended(campaign, folder)
-    (entry,) = analyze_campaign(campaign).sets
+    (entry,) = push_analysis.sets
     keys = ["scenario", "object", "case"]
     table = dataset.dataset(folder).to_table(filter=dataset.field("impact"))
     (mean,) = table.group_by(keys).aggregate([("net_feedback_m_s", "mean")]).to_pylist()
@@ -204,7 +202,7 @@ def test_bags_at_a_url_are_copied_one_at_a_time_and_once(campaign: Path, folder:
         assert extended(url, folder)[1] == []
         files.put(f"{campaign / NAMES[1]}/", f"/data_set/push/{NAMES[1]}/", recursive=True)
         assert extended(url, folder)[1] == [NAMES[1]]
-        assert [row["bag"] for row in table_of(folder)] == NAMES
+        assert bags_of(folder) == NAMES
     finally:
         files.rm("/data_set", recursive=True)
 
@@ -212,9 +210,7 @@ def test_bags_at_a_url_are_copied_one_at_a_time_and_once(campaign: Path, folder:
 def test_a_data_set_belongs_to_one_campaign_and_one_process(campaign: Path, folder: Path, tmp_path: Path) -> None:
     extended(campaign, folder)
     other = campaign.rename(tmp_path / "other")
-    with pytest.raises(
-        InputError, match=r"rows: holds the trials of .*/push; choose another folder for those of .*other"
-    ):
+    with pytest.raises(InputError, match=r"rows: holds the trials of .*/push; choose another folder for .*other"):
         extended(other, folder)
     other.rename(campaign)
     with owned(Folder(folder), "data set"), pytest.raises(InputError, match="works on this data set"):
@@ -240,7 +236,7 @@ def test_a_folder_that_holds_something_else_is_refused_in_one_line(
 
 
 def test_a_part_of_another_program_is_refused(campaign: Path, folder: Path, tmp_path: Path) -> None:
-    export(campaign, tmp_path / "push.parquet", map, lambda done, total: None)
+    export(campaign, tmp_path / "push.parquet", map, quiet)
     folder.mkdir()
     (tmp_path / "push.parquet").rename(folder / "part-00000.parquet")
     with pytest.raises(InputError, match="is no part of a data set of impact-rs"):
@@ -249,15 +245,14 @@ def test_a_part_of_another_program_is_refused(campaign: Path, folder: Path, tmp_
         extended(campaign, campaign / "manifest.yaml")
 
 
-def test_the_command_tells_what_is_there_and_what_it_read(
+def test_the_command_prints_what_is_there_and_what_it_read(
     campaign: Path, folder: Path, capfd: pytest.CaptureFixture
 ) -> None:
     command = ["export", str(campaign), "-o", str(folder), "--jobs", "1"]
     assert main(command) == 0
     assert capfd.readouterr().out == f"3 trials in {folder}, 3 of them read now\n"
     assert main([*command, "--json"]) == 0
-    told = json.loads(capfd.readouterr().out)
-    assert told == {"folder": str(folder), "trials": 3, "read": 0, "skipped": []}
+    assert json.loads(capfd.readouterr().out) == {"folder": str(folder), "trials": 3, "read": 0, "skipped": []}
 
 
 def test_nothing_to_read_leaves_no_folder(folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture) -> None:

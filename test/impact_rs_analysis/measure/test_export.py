@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impact_rs_analysis.measure.export import CONTROLLER_UNITS, export, trial_row
+from impact_rs_analysis.measure.export import CONTROLLER_UNITS, Exported, export, trial_row
 from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags import topics
@@ -18,29 +18,28 @@ from impact_rs_trials.bags.reader import TrialBag
 NAME = "cat_food__case_2__s1.000__r0"
 
 
-def ignored(done: int, total: int) -> None:
-    pass
+def exported(place: Path, file: Path) -> Exported:
+    return export(place, file, map, lambda done, total: None)
 
 
 @pytest.fixture
-def campaign(push_campaign: Path, tmp_path: Path) -> Path:
+def with_cut_off(campaign: Path) -> Path:
     """The small campaign and a bag that was cut off."""
-    directory = Path(shutil.copytree(push_campaign, tmp_path / "push"))
-    shutil.copytree(directory / NAME, directory / "cut_off")
-    (directory / "cut_off" / "metadata.yaml").unlink()
-    return directory
+    shutil.copytree(campaign / NAME, campaign / "cut_off")
+    (campaign / "cut_off" / "metadata.yaml").unlink()
+    return campaign
 
 
-def test_parquet_has_a_row_per_trial(campaign: Path, tmp_path: Path) -> None:
+def test_parquet_has_a_row_per_trial(with_cut_off: Path, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
-    found = export(campaign, tmp_path / "new" / "push.parquet", map, ignored)
+    found = exported(with_cut_off, tmp_path / "new" / "push.parquet")
     assert (found.trials, found.skipped) == (4, ())
     rows = {row["trial"]: row for row in parquet.read_table(tmp_path / "new" / "push.parquet").to_pylist()}
     assert len(rows) == 4
     cut = rows["cut_off"]
     assert (cut["outcome"], cut["impact"], cut["net_feedback_m_s"]) == ("ABORTED", None, None)
     assert "cut off at t = 1.800 s" in cut["remark"]
-    bag, row = TrialBag.open(campaign / NAME), rows[NAME]
+    bag, row = TrialBag.open(with_cut_off / NAME), rows[NAME]
     assert (row["scenario"], row["object"], row["case"], row["repeat"]) == ("push", "cat_food", "case_2", 0)
     assert (row["seed"], row["outcome"], row["impact"]) == (bag.info.seed, "OK", True)
     assert row["net_feedback_m_s"] == net_feedback(bag).net
@@ -49,10 +48,10 @@ def test_parquet_has_a_row_per_trial(campaign: Path, tmp_path: Path) -> None:
     assert row["reference_post_velocity_m_s"] == bag.info.reference_post_velocity
 
 
-def test_hdf5_has_every_measured_signal_with_its_unit(campaign: Path, tmp_path: Path) -> None:
+def test_hdf5_has_every_measured_signal_with_its_unit(with_cut_off: Path, tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
-    assert export(campaign, tmp_path / "push.h5", map, ignored).trials == 4
-    bag = TrialBag.open(campaign / NAME)
+    assert exported(with_cut_off, tmp_path / "push.h5").trials == 4
+    bag = TrialBag.open(with_cut_off / NAME)
     with h5py.File(tmp_path / "push.h5") as file:
         assert len(file) == 4
         assert file["cut_off"].attrs["outcome"] == "ABORTED"
@@ -76,25 +75,29 @@ def test_hdf5_has_every_measured_signal_with_its_unit(campaign: Path, tmp_path: 
         assert all(units)
 
 
-def test_a_trial_that_is_no_measurement_says_why(push_campaign: Path, tmp_path: Path, rewrite_bag: Callable) -> None:
-    bag = tmp_path / NAME
-    rewrite_bag(push_campaign / NAME, bag, lambda topic: True)
-    metadata = bag / "metadata.yaml"
-    metadata.write_text(metadata.read_text().replace("outcome: OK", "outcome: DROPPED"))
-    row = trial_row(bag)
+def test_a_trial_that_is_no_measurement_says_why(tmp_path: Path, with_outcome: Callable) -> None:
+    with_outcome(tmp_path / NAME, "DROPPED")
+    row = trial_row(tmp_path / NAME)
     assert isinstance(row, dict)
     assert (row["outcome"], row["net_feedback_m_s"]) == ("DROPPED", None)
     assert row["remark"] == "DROPPED: the object was dropped"
 
 
+def test_a_single_bag_is_exported_as_a_campaign_of_one(push_campaign: Path, tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    assert exported(push_campaign / NAME, tmp_path / "one.h5").trials == 1
+    with h5py.File(tmp_path / "one.h5") as file:
+        assert list(file) == [NAME]
+
+
 @pytest.mark.parametrize("package", ["pyarrow", "h5py"])
-def test_a_missing_package_is_told_before_anything_is_read(
+def test_a_missing_package_is_named_before_anything_is_read(
     package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     name = {"pyarrow": "push.parquet", "h5py": "push.h5"}[package]
     with pytest.raises(InputError, match=f"pip install {package}"):
-        export(tmp_path / "nowhere", tmp_path / name, map, ignored)
+        exported(tmp_path / "nowhere", tmp_path / name)
 
 
 def test_nothing_to_export_leaves_no_file(tmp_path: Path) -> None:
@@ -102,5 +105,5 @@ def test_nothing_to_export_leaves_no_file(tmp_path: Path) -> None:
     (tmp_path / "push" / "cut_off").mkdir(parents=True)
     (tmp_path / "push" / "cut_off" / "cut_off.mcap").write_bytes(b"")
     with pytest.raises(InputError, match="no readable trials here; cut_off"):
-        export(tmp_path / "push", tmp_path / "push.h5", map, ignored)
+        exported(tmp_path / "push", tmp_path / "push.h5")
     assert [path.name for path in tmp_path.iterdir()] == ["push"]

@@ -2,6 +2,7 @@
 """The measure: an integral of a held signal, and trials that must not enter a fit."""
 
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,40 +30,39 @@ def test_the_integral_stops_at_the_end_of_the_window() -> None:
     assert course[-1] == pytest.approx(0.3)
 
 
+@pytest.fixture
+def bag(push_campaign: Path) -> Path:
+    return push_campaign / "cat_food__case_2__s1.000__r0"
+
+
 def test_the_analysis_gets_what_the_controller_integrated(push_campaign: Path) -> None:
     for path in push_campaign.glob("cat_food__*"):
         bag = TrialBag.open(path)
         assert net_feedback(bag).net == pytest.approx(bag.controller("arm").net_feedback[-1, 1], abs=1e-12)
 
 
-def test_a_trial_hits_near_the_nominal_time(push_campaign: Path) -> None:
-    trial = net_feedback(TrialBag.open(push_campaign / "cat_food__case_2__s1.000__r0"))
+def test_a_trial_hits_near_the_nominal_time(bag: Path) -> None:
+    trial = net_feedback(TrialBag.open(bag))
     assert trial.impact
     assert trial.impact_times[0] == pytest.approx(trial.info.nominal_impact_time, abs=0.02)
 
 
-def test_a_trial_without_detected_impact_is_flagged(push_campaign: Path, tmp_path: Path, rewrite_bag) -> None:
-    rewrite_bag(
-        push_campaign / "cat_food__case_2__s1.000__r0", tmp_path / "bag", lambda topic: "impact_event" not in topic
-    )
+def test_a_trial_without_detected_impact_is_flagged(bag: Path, tmp_path: Path, rewrite_bag: Callable) -> None:
+    rewrite_bag(bag, tmp_path / "bag", lambda topic: "impact_event" not in topic)
     assert not net_feedback(TrialBag.open(tmp_path / "bag")).impact
 
 
-def test_a_bag_without_controller_states_is_refused(push_campaign: Path, tmp_path: Path, rewrite_bag) -> None:
-    rewrite_bag(
-        push_campaign / "cat_food__case_2__s1.000__r0", tmp_path / "bag", lambda topic: "controller_state" not in topic
-    )
+def test_a_bag_without_controller_states_is_refused(bag: Path, tmp_path: Path, rewrite_bag: Callable) -> None:
+    rewrite_bag(bag, tmp_path / "bag", lambda topic: "controller_state" not in topic)
     with pytest.raises(BagError, match="controller states"):
         net_feedback(TrialBag.open(tmp_path / "bag"))
 
 
-def test_a_truncated_bag_is_refused(push_campaign: Path, tmp_path: Path) -> None:
-    bag = tmp_path / "bag"
-    shutil.copytree(push_campaign / "cat_food__case_2__s1.000__r0", bag)
-    file = next(bag.glob("*.mcap"))
+def test_a_truncated_bag_is_refused(bag: Path, tmp_path: Path) -> None:
+    file = next(Path(shutil.copytree(bag, tmp_path / "bag")).glob("*.mcap"))
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     with pytest.raises(BagError):
-        net_feedback(TrialBag.open(bag))
+        net_feedback(TrialBag.open(tmp_path / "bag"))
 
 
 PERIOD = 1e-3  # s
@@ -71,15 +71,11 @@ TIMES = np.arange(1801) * PERIOD
 
 def recorded(feedback: dict[str, np.ndarray], time: np.ndarray = TIMES, **changes: object) -> SimpleNamespace:
     """What the measure reads of a bag, made up: feedback ``(k, 3)`` [m/s^2] by arm."""
+    text = load_scenario("push" if "arm" in feedback else "grab").model_dump_json()
     info = SimpleNamespace(
-        scenario="grab",
-        axis="z",
-        robots=tuple(feedback),
-        window_start=0.8,
-        window_end=1.5,
-        nominal_impact_time=0.9,
-        scenario_json=load_scenario("push" if "arm" in feedback else "grab").model_dump_json(),
-    )
+        scenario="grab", axis="z", robots=tuple(feedback), window_start=0.8, window_end=1.5, nominal_impact_time=0.9,
+        scenario_json=text,
+    )  # fmt: skip
     hits = {arm: 0.9 + 0.01 * number for number, arm in enumerate(feedback)}
     columns = {
         arm: SimpleNamespace(
@@ -89,7 +85,7 @@ def recorded(feedback: dict[str, np.ndarray], time: np.ndarray = TIMES, **change
             ante_velocity=values + 30.0,
             post_velocity=values + 40.0,
             commanded_torque=np.full((time.size, 7), 11.9),
-        )
+        )  # fmt: skip
         for arm, values in feedback.items()
     }
     bag = SimpleNamespace(
@@ -100,8 +96,11 @@ def recorded(feedback: dict[str, np.ndarray], time: np.ndarray = TIMES, **change
     return bag
 
 
-def constant(*values: float, time: np.ndarray = TIMES) -> np.ndarray:
-    return np.broadcast_to(np.array(values), (time.size, 3))
+def constant(*values: float) -> np.ndarray:
+    return np.tile(np.array(values), (TIMES.size, 1))
+
+
+UP, STILL = constant(0.0, 0.0, 1.0), constant(0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(("axis", "expected"), [("x", 0.7), ("y", 1.4), ("z", -2.1)])
@@ -125,7 +124,7 @@ def test_feedback_outside_the_window_does_not_count() -> None:
 
 def test_two_arms_count_with_their_mean() -> None:
     """Paper sec. Dual-arm grabbing scenario."""
-    trial = net_feedback(recorded({"left": constant(0.0, 0.0, 1.0), "right": constant(0.0, 0.0, 3.0)}))
+    trial = net_feedback(recorded({"left": UP, "right": 3.0 * UP}))
     assert trial.net == pytest.approx(2.0 * 0.7, abs=1e-12)
     assert trial.nets == pytest.approx({"left": 0.7, "right": 3.0 * 0.7}, abs=1e-12)
     assert trial.spread == pytest.approx(0.01)
@@ -134,18 +133,17 @@ def test_two_arms_count_with_their_mean() -> None:
 def test_arms_with_stamps_of_their_own_are_brought_to_one_clock() -> None:
     """A feedback that grows with time is the same signal at shifted stamps."""
     late = TIMES + 0.4 * PERIOD
-    bag = recorded({"left": np.outer(TIMES, [0.0, 0.0, 1.0]), "right": constant(0.0, 0.0, 0.0)})
+    bag = recorded({"left": np.outer(TIMES, [0.0, 0.0, 1.0]), "right": STILL})
     right = bag.controller("right")
     right.time, right.feedback_acceleration = late, np.outer(late, [0.0, 0.0, 1.0])
     np.testing.assert_allclose(net_feedback(bag).feedback[1:], TIMES[1:], atol=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("moments", "impact"),
-    [((0.8, 1.5), True), ((0.79, 0.9), False), ((0.9, 1.51), False), ((0.9, np.nan), False)],
+    ("moments", "impact"), [((0.8, 1.5), True), ((0.79, 0.9), False), ((0.9, 1.51), False), ((0.9, np.nan), False)]
 )
 def test_every_arm_must_hit_within_the_window(moments: tuple[float, float], impact: bool) -> None:
-    trial = net_feedback(recorded({"left": constant(0.0, 0.0, 1.0), "right": constant(0.0, 0.0, 1.0)}))
+    trial = net_feedback(recorded({"left": UP, "right": UP}))
     assert replace(trial, impact_times=moments).impact == impact
 
 
@@ -160,51 +158,47 @@ def test_every_arm_must_hit_within_the_window(moments: tuple[float, float], impa
 )
 def test_a_recording_with_a_hole_in_the_window_is_refused(kept: np.ndarray, complaint: str) -> None:
     with pytest.raises(BagError, match=complaint):
-        net_feedback(recorded({"arm": constant(0.0, 0.0, 1.0)[kept]}, TIMES[kept]))
+        net_feedback(recorded({"arm": UP[kept]}, TIMES[kept]))
 
 
 def test_a_hole_outside_the_window_costs_nothing() -> None:
     kept = (TIMES < 0.3) | (TIMES > 0.5)
-    assert net_feedback(recorded({"arm": constant(0.0, 0.0, 1.0)[kept]}, TIMES[kept])).net == pytest.approx(0.7)
+    assert net_feedback(recorded({"arm": UP[kept]}, TIMES[kept])).net == pytest.approx(0.7)
 
 
 @pytest.mark.parametrize("outcome", sorted(set(OUTCOMES) - {"OK", "NO-IMPACT", "EARLY"}) + ["FORGOTTEN"])
 def test_a_trial_that_went_wrong_never_enters(outcome: str) -> None:
-    bag = recorded({"arm": constant(0.0, 0.0, 1.0)}, metadata={"outcome": outcome}, outcome=outcome, reason="too fast")
+    bag = recorded({"arm": UP}, metadata={"outcome": outcome}, outcome=outcome, reason="too fast")
     with pytest.raises(BagError, match=f"{outcome}: too fast"):
         net_feedback(bag)
 
 
 @pytest.mark.parametrize(
-    ("change", "complaint"),
-    [
-        ({"axis": "w"}, "axis 'w'"),
-        ({"window_start": 1.5, "window_end": 0.8}, "is none"),
-    ],
+    ("change", "complaint"), [({"axis": "w"}, "axis 'w'"), ({"window_start": 1.5, "window_end": 0.8}, "is none")]
 )
 def test_a_trial_that_does_not_say_what_to_measure_is_refused(change: dict, complaint: str) -> None:
     with pytest.raises(BagError, match=complaint):
-        net_feedback(recorded({"arm": constant(0.0, 0.0, 1.0)}, **change))
+        net_feedback(recorded({"arm": UP}, **change))
 
 
 def test_stamps_that_go_back_and_numbers_that_are_none_are_refused() -> None:
     time = TIMES.copy()
     time[900] = time[898]
     with pytest.raises(BagError, match="do not increase"):
-        net_feedback(recorded({"arm": constant(0.0, 0.0, 1.0)}, time))
-    bag = recorded({"arm": constant(0.0, 0.0, 1.0)})
-    broken = constant(0.0, 0.0, 1.0).copy()
+        net_feedback(recorded({"arm": UP}, time))
+    bag = recorded({"arm": UP})
+    broken = UP.copy()
     broken[1000, 2] = np.nan
     bag.controller("arm").feedback_acceleration = broken
     with pytest.raises(BagError, match="feedback signal is not finite"):
         net_feedback(bag)
 
 
-@pytest.mark.parametrize(("start", "told"), [(1.0, 0.020), (1.496, 0.0), (0.2, 0.0)])
-def test_a_joint_at_its_torque_limit_within_the_window_is_told(start: float, told: float) -> None:
+@pytest.mark.parametrize(("start", "known"), [(1.0, 0.020), (1.496, 0.0), (0.2, 0.0)])
+def test_a_joint_at_its_torque_limit_within_the_window_is_named(start: float, known: float) -> None:
     """20 ms at -12 N m: inside the window, less than 5 ms inside it, before it."""
-    bag = recorded({"left": constant(0.0, 0.0, 1.0), "right": constant(0.0, 0.0, 1.0)})
+    bag = recorded({"left": UP, "right": UP})
     assert net_feedback(bag).limited == ()
     first = round(1e3 * start)
     bag.controller("right").commanded_torque[first : first + 20, 5] = -12.0
-    assert dict(net_feedback(bag).limited) == ({"right joint6": pytest.approx(told)} if told else {})
+    assert dict(net_feedback(bag).limited) == ({"right joint6": pytest.approx(known)} if known else {})

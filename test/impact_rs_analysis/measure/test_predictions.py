@@ -47,7 +47,7 @@ def test_both_engines_predict_the_same() -> None:
     assert first == pytest.approx(second, abs=2e-3)
 
 
-def test_the_interval_of_a_prediction_holds_it_and_shrinks_with_what_is_stated() -> None:
+def test_the_interval_of_a_prediction_holds_it_and_shrinks_with_certainty() -> None:
     scenario = load_scenario("push")
     nominal = predict(scenario, "cat_food", "case_2")["reduced"]
     low, high = prediction_interval(scenario.model_dump_json(), "cat_food", "case_2")

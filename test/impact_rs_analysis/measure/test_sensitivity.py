@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impact_rs_analysis.measure.analyze import analyze_campaign
+from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
 from impact_rs_analysis.measure.net_feedback import TrialFeedback, net_feedback
 from impact_rs_analysis.measure.sensitivity import Sensitivity, Shift, sensitivity_of
 from impact_rs_analysis.measure.table import result_table
 from impact_rs_trials.bags.reader import TrialBag
-from impact_rs_trials.sensitivity import folder_name
+from impact_rs_trials.varied_settings import folder_name
 
 SLOPE = 0.7
 
@@ -40,7 +40,7 @@ def test_a_planted_shift_is_found_whatever_the_slope(trials: list[TrialFeedback]
     assert not found.missing
 
 
-def test_a_window_that_ends_elsewhere_changes_no_crossing_of_steady_feedback(trials: list[TrialFeedback]) -> None:
+def test_another_end_of_the_window_changes_no_crossing_of_steady_feedback(trials: list[TrialFeedback]) -> None:
     found = sensitivity_of(on_a_line(trials, -0.5), {("clamp_force", 2.0): on_a_line(trials, -0.5)})
     window = found.of("push", "cat_food")["window"]
     assert len(window) == 2
@@ -58,19 +58,9 @@ def test_feedback_after_the_window_counts_only_in_the_longer_one(trials: list[Tr
     assert longer > 0.5  # %; feedback that is too high is as if the reference were, and -0.5 m/s goes faster
 
 
-def test_shifts_of_one_sign_add_in_squares_and_the_larger_of_a_setting_counts() -> None:
-    def shift(setting: str, factor: float, percent: float) -> Shift:
-        return Shift("grab", "juice", setting, factor, percent)
-
-    found = Sensitivity(
-        (
-            shift("a", 0.5, -3.0),
-            shift("a", 2.0, -1.0),
-            shift("b", 0.5, -4.0),
-            shift("b", 2.0, 0.5),
-            shift("c", 2.0, 1.2),
-        )
-    )
+def test_shifts_of_one_sign_add_in_squares_one_per_setting() -> None:
+    shifts = (("a", 0.5, -3.0), ("a", 2.0, -1.0), ("b", 0.5, -4.0), ("b", 2.0, 0.5), ("c", 2.0, 1.2))
+    found = Sensitivity(tuple(Shift("grab", "juice", *shift) for shift in shifts))
     assert found.band("grab", "juice") == pytest.approx((-5.0, 1.3))
     assert found.band("grab", "parcel") is None
 
@@ -84,16 +74,17 @@ def test_trials_without_a_partner_are_named_and_move_nothing(trials: list[TrialF
     assert "clamping force × 2, cat_food" in dict(two.missing)
 
 
-def test_analyze_finds_the_varied_campaigns_and_tells_the_band(push_campaign: Path, tmp_path: Path) -> None:
+def test_analyze_finds_the_varied_campaigns_and_gives_the_band(
+    push_campaign: Path, push_analysis: Analysis, tmp_path: Path
+) -> None:
     for target in (tmp_path / "push", tmp_path / "push" / folder_name("pad_stiffness", 2.0)):
         target.mkdir(parents=True)
         for path in push_campaign.iterdir():
             (target / path.name).symlink_to(path)
     analysis = analyze_campaign(tmp_path / "push")
-    plain = analyze_campaign(push_campaign)
-    assert plain.sets[0].estimate == analysis.sets[0].estimate
-    assert plain.to_json()["sets"][0]["systematic_percent"] is None
-    assert plain.to_json()["sensitivity"] == []
+    assert push_analysis.sets[0].estimate == analysis.sets[0].estimate
+    plain = push_analysis.to_json()
+    assert (plain["sets"][0]["systematic_percent"], plain["sensitivity"]) == (None, [])
     shifts = {(shift.setting, shift.factor): shift.percent for shift in analysis.sensitivity.shifts}
     assert shifts["pad_stiffness", 2.0] == pytest.approx(0.0, abs=1e-12)  # the very same trials
     low, high = analysis.to_json()["sets"][0]["systematic_percent"]

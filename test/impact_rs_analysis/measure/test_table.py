@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 
 from impact_rs_analysis.measure.analyze import Analysis, ExperimentSet, Prediction
-from impact_rs_analysis.measure.fit import fit_zero_crossing
+from impact_rs_analysis.measure.linear_fit import fit_zero_crossing
 from impact_rs_analysis.measure.published import paper_row
 from impact_rs_analysis.measure.table import result_table, shown_contacts
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 
 
-def experiment(scenario: str, thing: str, case: str, truth: float, errors: dict[str, float]) -> ExperimentSet:
+def experiment(scenario: str, item: str, case: str, truth: float, errors: dict[str, float]) -> ExperimentSet:
     """A set whose line crosses zero at ``truth`` [m/s], with predictions that are wrong by ``errors`` [%]."""
     rng = np.random.default_rng(0)
     velocity = truth * np.repeat([0.8, 1.0, 1.2], 3)
     fit = fit_zero_crossing(velocity, 1.1 * (velocity - truth) + 0.02 * rng.standard_normal(9))
     predictions = {name: Prediction(fit.estimate * (1.0 + error / 100.0), error) for name, error in errors.items()}
     settled = {name: Prediction(fit.estimate * (1.0 + error / 200.0), error / 2.0) for name, error in errors.items()}
-    row = paper_row(scenario, thing, case)
+    row = paper_row(scenario, item, case)
     return ExperimentSet(
-        scenario, thing, case, "y", f"{thing}: {case}", (), fit, predictions, settled, ante_velocity=-0.7, published=row
+        scenario, item, case, "y", f"{item}: {case}", (), fit, predictions, settled, ante_velocity=-0.7, published=row
     )
 
 
@@ -38,31 +38,24 @@ SECOND = experiment("push", "juice", "case_1", -0.40, {"reduced": -4.0, "rotor":
 THIRD = experiment("grab", "juice", "case_1", 0.30, {"reduced": 8.0, "rotor": -2.0, "zero": 0.0})
 
 
-def test_bias_is_the_mean_with_sign_and_quality_the_mean_without() -> None:
-    *rows, bias, quality = result_table(analysis(FIRST, SECOND))
+@pytest.mark.parametrize(("contact", "share", "key"), [("first", 1.0, ""), ("settled", 0.5, "_settled")])
+def test_bias_is_the_mean_with_sign_and_quality_the_mean_without(contact: str, share: float, key: str) -> None:
+    """The errors of the settled contact are half of those of the first, and have a table of their own."""
+    found = analysis(FIRST, SECOND)
+    *rows, bias, quality = result_table(found)
     assert [row.label for row in rows] == ["cat_food: case_2", "juice: case_1"]
-    assert bias.errors == pytest.approx({"reduced": -1.0, "rotor": 3.0, "zero": -4.0})
-    assert quality.errors == pytest.approx({"reduced": 3.0, "rotor": 3.0, "zero": 4.0})
+    assert [row.of_contact(contact)["reduced"] for row in rows] == pytest.approx([2.0 * share, -4.0 * share])
+    mean = {"reduced": -1.0 * share, "rotor": 3.0 * share, "zero": -4.0 * share}
+    size = {"reduced": 3.0 * share, "rotor": 3.0 * share, "zero": 4.0 * share}
+    assert (bias.of_contact(contact), quality.of_contact(contact)) == (pytest.approx(mean), pytest.approx(size))
     assert (bias.label, bias.signed) == ("Average error", True)
     assert (quality.label, quality.signed) == ("Absolute error", False)
-    found = analysis(FIRST, SECOND)
-    assert found.average_error == pytest.approx(bias.errors)
-    assert found.absolute_error == pytest.approx(quality.errors)
-
-
-def test_the_settled_contact_has_a_table_of_its_own() -> None:
-    *rows, bias, quality = result_table(analysis(FIRST, SECOND))
-    assert [row.of_contact("settled")["reduced"] for row in rows] == pytest.approx([1.0, -2.0])
-    assert [row.of_contact("first")["reduced"] for row in rows] == pytest.approx([2.0, -4.0])
-    assert bias.settled == pytest.approx({"reduced": -0.5, "rotor": 1.5, "zero": -2.0})
-    assert quality.settled == pytest.approx({"reduced": 1.5, "rotor": 1.5, "zero": 2.0})
-    found = analysis(FIRST, SECOND)
-    assert found.average_error_settled == pytest.approx(bias.settled)
-    assert found.absolute_error_settled == pytest.approx(quality.settled)
+    assert getattr(found, f"average_error{key}") == pytest.approx(mean)
+    assert getattr(found, f"absolute_error{key}") == pytest.approx(size)
     document = found.to_json()
-    assert document["absolute_error_percent_settled"] == pytest.approx(quality.settled)
-    assert document["absolute_error_percent"] == pytest.approx(quality.errors)
-    assert document["sets"][0]["predictions_settled"]["reduced"]["error_percent"] == pytest.approx(1.0)
+    assert document[f"absolute_error_percent{key}"] == pytest.approx(size)
+    prediction = document["sets"][0][f"predictions{key}"]["reduced"]
+    assert prediction["error_percent"] == pytest.approx(2.0 * share)
 
 
 def test_the_nearest_model_of_a_set_is_counted_for_each_contact() -> None:
@@ -73,7 +66,7 @@ def test_the_nearest_model_of_a_set_is_counted_for_each_contact() -> None:
     assert found.nearest("settled") == {"reduced": 2, "rotor": 0, "zero": 0}
 
 
-def test_every_scenario_has_its_averages_and_all_sets_count_once_in_the_whole() -> None:
+def test_scenarios_have_averages_and_all_sets_count_once_in_the_whole() -> None:
     rows = {row.label: row for row in result_table(analysis(FIRST, SECOND, THIRD))}
     assert rows["push: average error"].errors["reduced"] == pytest.approx(-1.0)
     assert rows["grab: average error"].errors["reduced"] == pytest.approx(8.0)
@@ -94,12 +87,9 @@ def test_an_estimate_is_a_speed_with_the_larger_half_of_its_interval() -> None:
 def test_the_papers_averages_are_over_the_rows_that_it_has() -> None:
     unknown = experiment("push", "tin", "case_1", -0.4, dict.fromkeys(MOTOR_INERTIA_MODELS, 0.0))
     *_, bias, quality = result_table(analysis(FIRST, SECOND, unknown))
-    papers = [paper_row("push", "cat_food", "case_2"), paper_row("push", "juice", "case_1")]
+    rows = [paper_row("push", "cat_food", "case_2"), paper_row("push", "juice", "case_1")]
     for model in MOTOR_INERTIA_MODELS:
-        errors = [row.errors[model] for row in papers if row is not None]
-        assert len(errors) == 2
-        assert bias.paper_errors is not None
-        assert quality.paper_errors is not None
+        errors = [row.errors[model] for row in rows]
         assert bias.paper_errors[model] == pytest.approx(np.mean(errors))
         assert quality.paper_errors[model] == pytest.approx(np.mean(np.abs(errors)))
 
@@ -120,7 +110,7 @@ def test_the_settled_contact_is_shown_only_where_its_errors_differ() -> None:
     assert shown_contacts(rows) == ("first", "settled")
     flat = replace(FIRST, predictions_settled=FIRST.predictions)
     assert shown_contacts(result_table(analysis(flat))) == ("first",)
-    off = {name: Prediction(0.0, told.error + 0.006) for name, told in FIRST.predictions.items()}
+    off = {name: Prediction(0.0, one.error + 0.006) for name, one in FIRST.predictions.items()}
     assert shown_contacts(result_table(analysis(flat, replace(flat, predictions_settled=off)))) == ("first", "settled")
     assert shown_contacts([]) == ("first",)
 
@@ -138,7 +128,7 @@ def test_the_nearest_prediction_fits_only_within_the_intervals_of_both() -> None
     assert row.tolerance == pytest.approx(np.hypot(own, 4.0))
     assert row.fits("first")
     shift = 0.117 * estimate
-    far = {name: Prediction(told.velocity + shift, told.error + 11.7) for name, told in FIRST.predictions.items()}
+    far = {name: Prediction(one.velocity + shift, one.error + 11.7) for name, one in FIRST.predictions.items()}
     moved = (wide.prediction_interval[0] + shift, wide.prediction_interval[1] + shift)  # type: ignore[index]
     (row, *_) = result_table(analysis(replace(wide, predictions=far, prediction_interval=moved)))
     assert row.tolerance == pytest.approx(np.hypot(own, 4.0))

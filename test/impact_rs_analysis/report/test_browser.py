@@ -26,12 +26,12 @@ BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil
 
 
 def with_other_names(source: Path, target: Path) -> None:
-    """A bag as somebody makes it who wishes us ill: names and labels are markup."""
+    """A bag as an attacker makes it: names and labels are markup."""
     info = TrialBag.open(source).info
     scenario = info.spec.scenario
-    thing = scenario.object(info.object)
+    item = scenario.object(info.object)
     text = scenario.model_copy(
-        update={"name": NAME, "objects": {NAME: thing.model_copy(update={"label": LABEL})}}
+        update={"name": NAME, "objects": {NAME: item.model_copy(update={"label": LABEL})}}
     ).model_dump_json()
     evil = replace(info, scenario=NAME, object=NAME, scenario_json=text)
     with Reader(source) as reader, Writer(target, version=9, storage_plugin=StoragePlugin.MCAP) as writer:

@@ -13,14 +13,13 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from mixed_grab import MIXED
 from playwright.sync_api import Browser, Page, Playwright, sync_playwright
 from plotly.offline import get_plotlyjs_version
+from scenes import PHYSICS, joints_track
 
-from impact_rs_analysis.evidence.animation import Animation, Movement
 from impact_rs_analysis.report.animation import animation_data
 from impact_rs_analysis.report.page import BUNDLE, TEMPLATES
-from impact_rs_analysis.report.scene import described_scene
+from impact_rs_analysis.report.scene_3d import described_scene
 from impact_rs_analysis.report.trial import write_trial
 from impact_rs_cli.main import main
 from impact_rs_sim.physics import Physics
@@ -86,20 +85,15 @@ def until(page: Page, condition: str) -> None:
     page.evaluate(f"async () => {{ while (!({condition})) await new Promise(requestAnimationFrame); }}")
 
 
-COMPONENT = """<!DOCTYPE html><meta charset="utf-8"><div id="here"></div>
-<script>{three}</script><script>{replay}</script><script>
-var seeks = [];
-var replay = new ImpactReplay(document.getElementById('here'), {data}, {{onSeek: (time) => seeks.push(time)}});
-</script>"""
+ALONE = """<!DOCTYPE html><meta charset="utf-8"><div id="here"></div>
+<script>{three}</script><script>{replay}</script>
+<script>var here = document.getElementById('here'); {program}</script>"""
 
 
-def component(path: Path, animations: list[Animation]) -> Path:
-    """The 3D alone, as another page has it: two scripts, data, and one element."""
-    data = json.dumps(animation_data(animations))
-    three, replay = (
-        (folder / name).read_text() for folder, name in ((BUNDLE, "three.min.js"), (TEMPLATES, "replay.js"))
-    )
-    path.write_text(COMPONENT.format(three=three, replay=replay, data=data))
+def component(path: Path, program: str) -> Path:
+    """The 3D alone, as another page has it: two scripts, a program, and one element."""
+    three, replay = (BUNDLE / "three.min.js").read_text(), (TEMPLATES / "replay.js").read_text()
+    path.write_text(ALONE.format(three=three, replay=replay, program=program))
     return path
 
 
@@ -119,22 +113,22 @@ def sliding(physics: Physics) -> Physics:
 @needs_browser
 def test_links_of_every_arm_are_where_pinocchio_says(opened: Callable[[Path], Page], tmp_path: Path) -> None:
     """Two arms, mounted apart, of seven joints and of six, one of which slides; between two samples as well."""
-    physics = sliding(Physics.nominal(MIXED, next(iter(MIXED.objects))))
     (tmp_path / "base.stl").write_text(TRIANGLES)
-    arms = dict(physics.arms)
+    physics = sliding(PHYSICS)
+    left = physics.arms["left"]
     base = Mesh(file=(tmp_path / "base.stl").as_uri())
-    arms["left"] = replace(arms["left"], facts=arms["left"].facts.model_copy(update={"base_meshes": (base,)}))
-    physics = replace(physics, arms=arms)
-    time = np.arange(11) / 100.0
-    rng = np.random.default_rng(1)
-    sides = []
-    for _ in range(2):
-        joints = {
+    facts = left.facts.model_copy(update={"base_meshes": (base,)})
+    physics = replace(physics, arms=physics.arms | {"left": replace(left, facts=facts)})
+    time, rng = np.arange(11) / 100.0, np.random.default_rng(1)
+    sides = [
+        {
             name: rng.uniform(-0.5, 0.5, (time.size, own.facts.joint_count)).astype("<f4").astype(float)
             for name, own in physics.arms.items()
         }
-        sides.append(Movement(joints, {}, {}, {}, np.full((time.size, 7), np.nan), ()))
-    page = opened(component(tmp_path / "page.html", [Animation("run", physics, time, (0,), 0.05, *sides)]))
+        for _ in range(2)
+    ]
+    data = json.dumps(animation_data([joints_track(time, *sides, impact=0.05, physics=physics)]))
+    page = opened(component(tmp_path / "page.html", f"var replay = new ImpactReplay(here, {data});"))
     mesh = "replay.measured.links.left_base.children.find((child) => child.isMesh)"
     assert page.evaluate(f"{mesh}.geometry.attributes.position.count") == len(CORNERS)  # the arm's own mesh is seen
     for moment, before, share in ((0.0, 0, 0.0), (0.05, 5, 0.0), (0.073, 7, 0.3), (0.1, 10, 0.0)):
@@ -144,17 +138,12 @@ def test_links_of_every_arm_are_where_pinocchio_says(opened: Callable[[Path], Pa
         )
         for side, positions in zip(sides, found, strict=True):
             for name, model in physics.robot_models().items():
-                rows = side.joints[name]
+                rows = side[name]
                 q = (1.0 - share) * rows[before] + share * rows[after]
                 for link, placement in model.link_placements(q).items():
                     assert positions[f"{name}_{link}"] == pytest.approx(placement.translation, abs=1e-6), (name, link)
 
 
-LIVE = """<!DOCTYPE html><meta charset="utf-8"><div id="here"></div>
-<script>{three}</script><script>{replay}</script><script>
-var live = new ImpactLive(document.getElementById('here'));
-live.show({scene});
-</script>"""
 ROBOT = """<robot name="r"><link name="foot"/><link name="a"/><link name="b"/><link name="c"/><link name="tip"/>
 <joint name="one" type="revolute"><parent link="foot"/><child link="a"/><origin xyz="0.1 0 0.3" rpy="0.3 -0.2 0.1"/>
 <axis xyz="1 2 -2"/><limit lower="-3" upper="3" velocity="1" effort="1"/></joint>
@@ -166,16 +155,10 @@ ROBOT = """<robot name="r"><link name="foot"/><link name="a"/><link name="b"/><l
 
 
 @needs_browser
-def test_links_of_a_robot_that_somebody_else_describes_are_where_pinocchio_says(
-    opened: Callable[[Path], Page], tmp_path: Path
-) -> None:
+def test_links_of_another_robot_are_where_pinocchio_says(opened: Callable[[Path], Page], tmp_path: Path) -> None:
     """Joints turn about and slide along axes that are not z; there is no arm of ours and no object."""
     scene, _ = described_scene(ROBOT)
-    three, replay = (
-        (folder / name).read_text() for folder, name in ((BUNDLE, "three.min.js"), (TEMPLATES, "replay.js"))
-    )
-    path = tmp_path / "live.html"
-    path.write_text(LIVE.format(three=three, replay=replay, scene=json.dumps(scene)))
+    path = component(tmp_path / "live.html", f"var live = new ImpactLive(here); live.show({json.dumps(scene)});")
     page, model = opened(path), pin.buildModelFromXML(ROBOT)
     data = model.createData()
     for q in np.random.default_rng(1).uniform(-1.0, 1.0, (3, 3)):
@@ -195,13 +178,13 @@ def check_where_it_was_measured(page: Page, bag: TrialBag, moments: tuple[float,
     model = bag.info.spec.scene.physics.robot_model("arm")
     for moment in moments:
         row, tracked = int(np.argmin(np.abs(measured.time - moment))), int(np.argmin(np.abs(seen.time - moment)))
-        hand, thing = page.evaluate(
+        hand, box = page.evaluate(
             """(time) => { const {replay} = window.impact_rs; replay.seek(time);
                  return [replay.measured.positions().arm_end_effector, replay.measured.object.position.toArray()]; }""",
             moment,
         )
         assert hand == pytest.approx(model.placement(measured.position[row]).translation, abs=1e-6)
-        assert thing == pytest.approx(seen.position[tracked], abs=1e-6)
+        assert box == pytest.approx(seen.position[tracked], abs=1e-6)
 
 
 @needs_browser
@@ -271,12 +254,6 @@ def test_the_keyboard_plays_steps_and_finds_the_impact(opened: Callable[[Path], 
 
 
 @needs_browser
-def test_nothing_moves_before_a_reader_plays_it(opened: Callable[[Path], Page], trial: Path) -> None:
-    page = opened(trial)
-    assert page.evaluate("window.impact_rs.replay.playing") is None
-
-
-@needs_browser
 def test_the_impact_is_played_a_hundred_times_slower(opened: Callable[[Path], Page], trial: Path) -> None:
     """80 ms of the slider's 1.8 s are 8 s of playing time; at 1 : 1 they are as long as they were."""
     page = opened(trial)
@@ -293,10 +270,11 @@ def test_the_impact_is_played_a_hundred_times_slower(opened: Callable[[Path], Pa
 
 
 @needs_browser
-def test_the_slider_and_everything_else_has_a_name_for_who_does_not_see_it(
+def test_nothing_moves_by_itself_and_everything_has_an_accessible_name(
     opened: Callable[[Path], Page], trial: Path
 ) -> None:
     page = opened(trial)
+    assert page.evaluate("window.impact_rs.replay.playing") is None
     assert "0 ms" not in (page.get_by_role("slider", name="time").get_attribute("aria-valuetext") or "")
     assert page.get_by_role("img", name=re.compile("in 3D")).is_visible()
     assert page.get_by_role("group", name=re.compile("space plays")).is_visible()
@@ -346,7 +324,7 @@ def laboratory_page(bag: TrialBag, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 @needs_browser
-def test_a_run_of_a_laboratory_begins_at_its_impact_and_moves_as_it_was_measured(
+def test_a_laboratory_run_begins_at_its_impact_and_moves_as_measured(
     opened: Callable[[Path], Page], laboratory_page: Path, bag: TrialBag
 ) -> None:
     page = opened(laboratory_page)

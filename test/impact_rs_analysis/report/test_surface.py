@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mixed_grab import MIXED
+from scenes import PHYSICS
 
-from impact_rs_analysis.report.scene import scene_data
+from impact_rs_analysis.report.scene_3d import scene_data
 from impact_rs_analysis.report.surface import MOST_FACES, surface_of
-from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Mesh
 
 
@@ -75,16 +74,15 @@ def test_a_mesh_of_a_package_is_found_where_ros_installs_it(tmp_path: Path, monk
 
 
 def test_a_link_shows_its_mesh_and_one_whose_mesh_is_away_its_simple_shape(tmp_path: Path) -> None:
-    physics = Physics.nominal(MIXED, next(iter(MIXED.objects)))
-    arm = physics.arms["left"]
+    arm = PHYSICS.arms["left"]
     here = Mesh(file=write_stl(tmp_path / "here.stl", ball(4)).as_uri(), xyz=(0.0, 0.0, 0.1), scale=(2.0, 2.0, 2.0))
     away = Mesh(file=(tmp_path / "away.dae").as_uri())
     links = list(arm.facts.links)
     links[0] = links[0].model_copy(update={"meshes": (here,)})
     links[1] = links[1].model_copy(update={"meshes": (here, away)})
     facts = arm.facts.model_copy(update={"links": tuple(links)})
-    scene = scene_data(replace(physics, arms=physics.arms | {"left": replace(arm, facts=facts)}))
+    scene = scene_data(replace(PHYSICS, arms=PHYSICS.arms | {"left": replace(arm, facts=facts)}))
     (shown,) = scene["links"]["left_link1"]
     assert (shown["kind"], shown["position"]) == ("mesh", [0.0, 0.0, 0.1])
-    assert scene["links"]["left_link2"] == scene_data(physics)["links"]["left_link2"]
+    assert scene["links"]["left_link2"] == scene_data(PHYSICS)["links"]["left_link2"]
     assert {shape["kind"] for shape in scene["links"]["left_link2"]} == {"cylinder"}

@@ -10,19 +10,12 @@ from bench import bench
 from impact_rs_sim.effects import ArmEffect, Parameter, SceneEffect, library
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import Physics
-from impact_rs_sim.scenario import load_scenario
 
 STRIBECK = library()["joint_stribeck_friction"]
 PAYLOAD = library()["end_effector_payload"]
 
 
-@pytest.fixture(scope="module")
-def physics():
-    return Physics.nominal(load_scenario("push"), "juice")
-
-
-def test_a_parameter_per_joint_is_spelled_out_for_as_many_joints_as_the_arm_has():
+def test_a_parameter_per_joint_has_a_scalar_for_every_joint():
     for count in (1, 6, 7):
         scalars = STRIBECK.scalars(count)
         assert [scalar.name for scalar in scalars] == [
@@ -35,7 +28,7 @@ def test_a_parameter_per_joint_is_spelled_out_for_as_many_joints_as_the_arm_has(
         STRIBECK.apply_vector(bench(), np.zeros(8))
 
 
-def test_shape_parameters_are_no_part_of_the_complexity_and_move_nothing_while_the_effect_is_off(physics):
+def test_shape_parameters_do_nothing_while_the_effect_is_off(physics):
     assert [scalar.name for scalar in PAYLOAD.scalars(7) if scalar.shape] == ["com_x", "com_y", "com_z"]
     assert PAYLOAD.complexity(7) == 1
     assert library()["torque_offset"].complexity(7) == 7
@@ -43,7 +36,7 @@ def test_shape_parameters_are_no_part_of_the_complexity_and_move_nothing_while_t
         off = effect.nominal(7)
         for index, scalar in enumerate(effect.scalars(7)):
             if scalar.shape:
-                off[index] += scalar.step
+                off[index] += scalar.difference
                 assert scalar.hidden is not None and scalar.lower <= scalar.hidden[0] < scalar.hidden[1] <= scalar.upper
                 assert all(scalar.lower <= value <= scalar.upper for value in scalar.grid)
         same = effect.apply_vector(physics, off)
@@ -110,7 +103,7 @@ def test_effects_of_the_contact_are_not_seen_in_free_motion():
     assert all(effect.seen_in(contact=True) for effect in library().values())
 
 
-def test_arms_with_unequal_numbers_of_joints_cannot_share_a_parameter_per_joint(physics):
+def test_unequal_joint_counts_cannot_share_a_parameter_per_joint(physics):
     pair = replace(physics, arms={"left": physics.arms["arm"], "right": bench().arms["arm"]})
     with pytest.raises(InputError, match="left 7, right 1"):
         library()["torque_offset"].apply_vector(pair, np.zeros(7))

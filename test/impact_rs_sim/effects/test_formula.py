@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from trials import nominal_physics, plan_of
 
 from impact_rs_control.closed_loop import make_plant
-from impact_rs_control.plan import plan_trial
 from impact_rs_sim.effects import library
 from impact_rs_sim.effects.formula import Formula, FormulaEffect, FormulaParameter, FormulaSpec, load_formulas
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import LoadState, Physics
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import Scene
+from impact_rs_sim.physics import LoadState
 
 PARAMETER = {"unit": "N s/m", "nominal": 0.0, "lower": 0.0, "upper": 50.0, "scale": 1.0}
 
@@ -69,7 +67,7 @@ def test_what_is_no_arithmetic_is_refused(text, complaint):
 
 def test_formula_effect_acts_on_the_plant_as_a_force_and_as_a_torque():
     effect = FormulaEffect(spec(joint_torque={"joint2": "drag * cos(q2)"}))
-    physics = Physics.nominal(load_scenario("push"), "juice")
+    physics = nominal_physics()
     load = effect.apply_vector(physics, np.array([4.0])).arms["arm"].loads[0]
     velocity = np.array([0.1, -0.5, 0.0])
     state = LoadState(0.2, np.full(7, 0.3), np.zeros(7), np.zeros(3), velocity, np.zeros(3))
@@ -79,7 +77,7 @@ def test_formula_effect_acts_on_the_plant_as_a_force_and_as_a_torque():
 
 def test_a_formula_effect_and_its_load_reach_a_worker_process_unchanged():
     effect = FormulaEffect(spec(motor_torque={"joint2": "-drag * dq2 / (1 + abs(dq2))"}))
-    load = effect.apply_vector(Physics.nominal(load_scenario("push"), "juice"), np.array([4.0])).arms["arm"].loads[0]
+    load = effect.apply_vector(nominal_physics(), np.array([4.0])).arms["arm"].loads[0]
     there, load_there = pickle.loads(pickle.dumps((effect, load)))
     state = LoadState(0.2, np.zeros(7), np.full(7, 0.3), np.zeros(3), np.array([0.1, -0.5, 0.0]), np.zeros(3))
     assert there.identity == effect.identity
@@ -91,7 +89,7 @@ def test_every_joint_has_its_own_position_and_speed():
     number = {"c": {**PARAMETER, "unit": "-"}}
     table = {f"joint{joint}": f"c * (q{joint} + 100 * dq{joint})" for joint in range(1, 8)}
     effect = FormulaEffect(spec(end_effector_force={}, parameters=number, motor_torque=table, joint_torque=table))
-    load = effect.apply_vector(Physics.nominal(load_scenario("push"), "juice"), np.ones(1)).arms["arm"].loads[0]
+    load = effect.apply_vector(nominal_physics(), np.ones(1)).arms["arm"].loads[0]
     position, velocity = np.arange(1.0, 8.0), np.arange(0.1, 0.75, 0.1)
     state = LoadState(0.0, position, velocity, np.zeros(3), np.zeros(3), np.zeros(3))
     np.testing.assert_allclose(load.motor_torque(state), position + 100.0 * velocity)
@@ -101,13 +99,13 @@ def test_every_joint_has_its_own_position_and_speed():
 @pytest.mark.parametrize("text", ["exp(700) * exp(700) * c", "-exp(700) * exp(700) * c"])
 def test_a_force_that_is_not_finite_is_refused(text):
     effect = FormulaEffect(spec(end_effector_force={"y": text}, parameters={"c": PARAMETER}))
-    load = effect.apply_vector(Physics.nominal(load_scenario("push"), "juice"), np.ones(1)).arms["arm"].loads[0]
+    load = effect.apply_vector(nominal_physics(), np.ones(1)).arms["arm"].loads[0]
     with pytest.raises(InputError, match="'cable_drag' is not finite at t = 0.200 s"):
         load.end_effector_force(LoadState(0.2, np.zeros(7), np.zeros(7), np.zeros(3), np.zeros(3), np.zeros(3)))
 
 
-def test_a_constant_torque_on_the_motor_is_a_torque_offset_and_one_on_the_link_is_not():
-    plan = plan_trial(Scene.resolve(load_scenario("push"), "juice", "case_1"))
+def test_a_constant_motor_torque_is_a_torque_offset_a_link_torque_is_not():
+    plan = plan_of("push", "juice", "case_1")
     number = {"c": {**PARAMETER, "unit": "N m"}}
     ends = {}
     for key in ("motor_torque", "joint_torque"):
@@ -134,7 +132,7 @@ def held(plan, physics):
 
 def test_formula_that_blows_up_says_when():
     effect = FormulaEffect(spec(end_effector_force={"y": "drag / (t - 0.2)"}))
-    physics = Physics.nominal(load_scenario("push"), "juice")
+    physics = nominal_physics()
     load = effect.apply_vector(physics, np.array([4.0])).arms["arm"].loads[0]
     state = LoadState(0.2, np.zeros(7), np.zeros(7), np.zeros(3), np.zeros(3), np.zeros(3))
     with pytest.raises(InputError, match=r"cable_drag.*t = 0\.200 s"):
@@ -166,9 +164,9 @@ def test_formula_effect_that_makes_no_sense_is_refused(changes, complaint):
         ({"end_effector_force": {"y": "drag * dq8"}}, r"'drag \* dq8'.*'dq8'.*7 joints"),
     ],
 )
-def test_a_joint_that_the_arm_does_not_have_is_refused_when_the_effect_meets_the_arm(changes, complaint):
+def test_a_joint_that_the_arm_lacks_is_refused_by_the_arm(changes, complaint):
     effect = FormulaEffect(spec(**changes))
-    physics = Physics.nominal(load_scenario("push"), "juice")
+    physics = nominal_physics()
     with pytest.raises(InputError, match=complaint):
         effect.apply_vector(physics, np.array([1.0]))
 

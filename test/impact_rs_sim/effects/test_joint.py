@@ -6,7 +6,7 @@ from bench import ACROSS, FIRST_MOMENT, GRAVITY, STIFFNESS, bench, run, switched
 
 
 @pytest.mark.parametrize("scale", [0.5, 2.0])
-def test_joint_stiffness_decides_how_far_the_weight_twists_a_joint_that_holds_it(scale):
+def test_joint_stiffness_decides_how_far_weight_twists_a_joint(scale):
     """A pendulum that stands out level along +x falls about +y, so it is held by a negative torque."""
     weight = -FIRST_MOMENT * GRAVITY
     motion = run(switched_on(bench(ACROSS), "joint_stiffness", scale=scale), lambda time: weight)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from impact_rs_analysis.evidence.measured import MeasuredRun
-from impact_rs_analysis.evidence.store import Replay, run_replay
-from impact_rs_analysis.evidence.twin import simulated
+from impact_rs_analysis.evidence.measured_runs import MeasuredRun
+from impact_rs_analysis.evidence.replay_cache import Replay, run_replay
+from impact_rs_analysis.evidence.simulated_trials import simulated
 from impact_rs_sim import effects
 from impact_rs_sim.effects import BUILT_IN, Effect, Parameter, library
 from impact_rs_sim.errors import InputError
@@ -20,11 +20,6 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.spec import TrialSpec
 
 NAMES = [effect.name for effect in BUILT_IN]
-
-
-@pytest.fixture(scope="module")
-def physics():
-    return Physics.nominal(load_scenario("push"), "juice")
 
 
 def simulated_run(scenario, thing, case):

@@ -26,7 +26,7 @@ PAYLOAD = {"mass": 0.8, "com_x": 0.05, "com_y": -0.12, "com_z": 0.03}
 
 @pytest.mark.parametrize("q", [0.0, 0.7, -1.9])
 @pytest.mark.parametrize("sign", [1.0, -0.25])
-def test_payload_raises_the_torque_that_holds_the_arm_by_its_weight_times_lever(q, sign):
+def test_payload_raises_the_holding_torque_by_weight_times_lever(q, sign):
     """Across, link x is (cos q, 0, -sin q) and link y is (-sin q, 0, -cos q): height of the mass, and dV/dq."""
     values = {**PAYLOAD, "mass": sign * PAYLOAD["mass"]}
     physics = switched_on(bench(ACROSS), "end_effector_payload", **values)
@@ -62,7 +62,7 @@ def test_payload_follows_the_parallel_axis_theorem_about_every_axis():
 
 
 @pytest.mark.parametrize(("on_the_flange", "lowest"), [(TOOL_MASS, -0.45), (0.0, 0.0), (2.0, -0.5)])
-def test_no_more_than_nine_tenths_of_what_is_on_the_flange_can_be_taken_away(on_the_flange, lowest):
+def test_at_most_nine_tenths_of_the_flange_mass_can_be_taken_away(on_the_flange, lowest):
     physics = bench()
     arm = physics.arms["arm"]
     physics = replace(physics, arms={"arm": replace(arm, end_effector=replace(arm.end_effector, mass=on_the_flange))})

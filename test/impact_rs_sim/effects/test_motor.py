@@ -20,14 +20,14 @@ def test_without_friction_a_joint_that_is_let_go_keeps_its_speed():
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_coulomb_friction_slows_a_free_joint_by_its_torque_over_the_inertia(direction):
+def test_coulomb_friction_slows_a_joint_by_torque_over_inertia(direction):
     motion = run(switched_on(bench(), "joint_coulomb_friction", coulomb_joint1=0.3), pushed(direction))
     assert direction * motion.velocity[-1] > 0.1
     assert slope(motion.time, motion.velocity, 0.25, 0.39) == pytest.approx(-direction * 0.3 / INERTIA, rel=0.01)
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_viscous_friction_lets_the_speed_decay_with_the_inertia_over_the_coefficient(direction):
+def test_viscous_speed_decays_with_inertia_over_coefficient(direction):
     motion = run(switched_on(bench(), "joint_viscous_friction", viscous_joint1=0.5), pushed(direction))
     assert direction * motion.velocity[-1] > 0.1
     later = motion.time > 0.2
@@ -35,13 +35,13 @@ def test_viscous_friction_lets_the_speed_decay_with_the_inertia_over_the_coeffic
     assert decay == pytest.approx(-0.5 / INERTIA, rel=0.01)
 
 
-def test_stribeck_friction_holds_a_joint_that_is_pushed_with_less_than_the_breakaway_torque():
+def test_stribeck_friction_holds_a_joint_below_the_breakaway_torque():
     stuck = switched_on(bench(), "joint_stribeck_friction", breakaway_joint1=1.0)
     assert abs(run(stuck, lambda time: 0.5).position[-1]) < 2e-3
     assert run(bench(), lambda time: 0.5).position[-1] > 0.05
 
 
-def test_stribeck_friction_falls_to_1_over_e_at_its_velocity_and_is_gone_at_thrice_of_it():
+def test_stribeck_friction_falls_to_1_over_e_at_its_velocity():
     physics = switched_on(bench(), "joint_stribeck_friction", breakaway_joint1=1.0, stribeck_velocity=0.2)
     motion = run(physics, lambda time: 1.5, seconds=0.4)
     rate = np.gradient(motion.momentum, motion.time)

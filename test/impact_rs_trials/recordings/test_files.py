@@ -6,15 +6,17 @@ from __future__ import annotations
 import warnings
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refusal
 
 from impact_rs_sim.decimals import decimal
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.array_file import ArrayFile
 from impact_rs_trials.recordings.csv_rows import csv_rows
-from impact_rs_trials.recordings.mapping import Mapping, SignalSource, TimeSource, load_mapping
+from impact_rs_trials.recordings.mapping import SignalSource, load_mapping
 from impact_rs_trials.recordings.series import Names, Series
 from impact_rs_trials.recordings.table_file import TableFile
 
@@ -22,29 +24,20 @@ TIME = 0.01 * np.arange(24)
 VALUES = np.outer(np.sin(TIME), np.arange(1.0, 8.0))
 
 
-def mapping(unit: str = "s", **source: object) -> Mapping:
-    plain = load_mapping("joint_state")
-    position = SignalSource(**{**plain.signals["position"].model_dump(), **source})
-    return plain.model_copy(
-        update={"signals": {**plain.signals, "position": position}, "time": TimeSource(unit=unit)}  # type: ignore[arg-type]
-    )
-
-
-def read(path: Path, unit: str = "s", **source: object) -> Series:
+def read(path: Path, **source: object) -> Series:
     """Joint positions of a file."""
-    how = mapping(unit, **source)
-    file = (TableFile if path.suffix in (".csv", ".parquet") else ArrayFile)(path, how, Names())
-    return file.series("position", how.signals["position"])
+    mapping = load_mapping("joint_state")
+    position = SignalSource(**{**mapping.signals["position"].model_dump(), **source})
+    file = (TableFile if path.suffix in (".csv", ".parquet") else ArrayFile)(path, mapping, Names())
+    return file.series("position", position)
 
 
-def refusal(path: Path, unit: str = "s") -> str:
+def refused(path: Path) -> str:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        with pytest.raises(InputError) as caught:
-            read(path, unit)
-    assert "\n" not in str(caught.value)
-    assert str(path) in str(caught.value)
-    return str(caught.value)
+        said = refusal(read, path)
+    assert str(path) in said
+    return said
 
 
 # ---- tables ---------------------------------------------------------------------------------------------------------
@@ -67,7 +60,7 @@ def test_a_stray_quotation_mark_does_not_swallow_rows(tmp_path: Path, last: int 
     notes = ["" if row != 4 else '"slow' for row in range(24)]
     if last is not None:
         notes[last] = '"'
-    assert 'line 6: quotation marks (") do not pair up' in refusal(table(tmp_path / "a.csv", notes))
+    assert 'line 6: quotation marks (") do not pair up' in refused(table(tmp_path / "a.csv", notes))
 
 
 def test_quoted_cells_keep_separators_and_marks(tmp_path: Path) -> None:
@@ -85,7 +78,7 @@ def test_lines_are_counted_as_an_editor_counts_them(tmp_path: Path) -> None:
 
 def test_a_cell_that_is_longer_than_any_number_is_refused(tmp_path: Path) -> None:
     file = table(tmp_path / "a.csv", ["x" * 131_073] + [""] * 23)
-    assert "line 2: a cell has more than 131072 characters" in refusal(file)
+    assert "line 2: a cell has more than 131072 characters" in refused(file)
 
 
 @pytest.mark.parametrize(
@@ -95,7 +88,7 @@ def test_only_decimal_notation_is_a_number(tmp_path: Path, cell: str) -> None:
     with pytest.raises(ValueError, match="could not convert"):
         decimal(cell)
     quoted = f'"{cell}"'
-    assert "not a table of numbers" in refusal(table(tmp_path / "a.csv", cells={3: quoted}))
+    assert "not a table of numbers" in refused(table(tmp_path / "a.csv", cells={3: quoted}))
 
 
 @pytest.mark.parametrize(
@@ -112,11 +105,7 @@ def test_a_stamp_beyond_64_bits_is_refused(tmp_path: Path, digits: int) -> None:
     lines = ["time," + ",".join(f"position_{joint}" for joint in range(1, 8))]
     lines += [",".join([str(time), *["0"] * 7]) for time in range(23)] + [",".join(["9" * digits, *["0"] * 7])]
     (tmp_path / "a.csv").write_text("\n".join(lines))
-    assert f"column 'time' (time) has a stamp of {digits} digits" in refusal(tmp_path / "a.csv")
-
-
-def test_a_delay_of_a_table_is_added_to_its_stamps(tmp_path: Path) -> None:
-    assert read(table(tmp_path / "a.csv"), delay=0.25).time[0] == 0.25
+    assert f"column 'time' (time) has a stamp of {digits} digits" in refused(tmp_path / "a.csv")
 
 
 def parquet(path: Path, **columns: object) -> Path:
@@ -129,7 +118,7 @@ def parquet(path: Path, **columns: object) -> Path:
 def test_a_parquet_stamp_outside_of_what_nanoseconds_hold_is_refused(tmp_path: Path) -> None:
     pyarrow = pytest.importorskip("pyarrow")
     stamps = pyarrow.array([0] * 23 + [10**12]).cast(pyarrow.timestamp("s"))
-    said = refusal(parquet(tmp_path / "a.parquet", time=stamps))
+    said = refused(parquet(tmp_path / "a.parquet", time=stamps))
     assert "column 'time' has a stamp outside the years 1678 to 2262" in said
 
 
@@ -137,14 +126,15 @@ def test_two_columns_of_a_parquet_file_with_one_name_are_refused(tmp_path: Path)
     io = pytest.importorskip("pyarrow.parquet")
     whole = io.read_table(parquet(tmp_path / "a.parquet"))
     io.write_table(whole.append_column("position_3", [VALUES[:, 0]]), tmp_path / "b.parquet")
-    assert "position_3" in refusal(tmp_path / "b.parquet")
+    assert "position_3" in refused(tmp_path / "b.parquet")
 
 
 # ---- arrays ---------------------------------------------------------------------------------------------------------
 
 
-def arrays(**changes: object) -> dict[str, object]:
-    return {"time": TIME, "position": VALUES, **changes}
+def arrays(path: Path, **changes: object) -> Path:
+    np.savez(path, **{"time": TIME, "position": VALUES, **changes})
+    return path
 
 
 @pytest.mark.parametrize(
@@ -153,49 +143,45 @@ def arrays(**changes: object) -> dict[str, object]:
         ({"position": VALUES + 1j}, "complex128"),
         ({"position": VALUES > 0.0}, "bool"),
         ({"position": VALUES.astype(str)}, "<U"),
-        ({"time": np.arange(24).astype("m8[ms]")}, r"timedelta64\[ms\]"),
-        ({"time": np.arange(24).astype("M8[ms]")}, r"datetime64\[ms\]"),
+        ({"time": np.arange(24).astype("m8[ms]")}, "timedelta64[ms]"),
+        ({"time": np.arange(24).astype("M8[ms]")}, "datetime64[ms]"),
     ],
 )
 def test_arrays_hold_real_numbers(tmp_path: Path, changes: dict[str, object], kind: str) -> None:
-    np.savez(tmp_path / "a.npz", **arrays(**changes))
-    said = refusal(tmp_path / "a.npz")
-    assert f"holds {kind}".replace("\\", "") in said
-    assert "expected real numbers" in said
+    said = refused(arrays(tmp_path / "a.npz", **changes))
+    assert f"holds {kind}" in said and "expected real numbers" in said
 
 
 @pytest.mark.parametrize("kind", ["f4", "i4", "u2"])
 def test_real_numbers_of_any_kind_are_read(tmp_path: Path, kind: str) -> None:
     values = np.round(10.0 * np.abs(VALUES)).astype(kind)
-    np.savez(tmp_path / "a.npz", **arrays(position=values))
-    np.testing.assert_array_equal(read(tmp_path / "a.npz").values, values)
+    np.testing.assert_array_equal(read(arrays(tmp_path / "a.npz", position=values)).values, values)
 
 
 def test_two_arrays_of_one_name_are_refused(tmp_path: Path) -> None:
-    np.savez(tmp_path / "a.npz", **arrays())
     np.save(tmp_path / "other.npy", VALUES + 1.0)
-    with warnings.catch_warnings(), zipfile.ZipFile(tmp_path / "a.npz", "a") as archive:
+    with warnings.catch_warnings(), zipfile.ZipFile(arrays(tmp_path / "a.npz"), "a") as archive:
         warnings.simplefilter("ignore")
         archive.write(tmp_path / "other.npy", "position.npy")
-    assert "two arrays are called 'position'" in refusal(tmp_path / "a.npz")
+    assert "two arrays are called 'position'" in refused(tmp_path / "a.npz")
 
 
-def test_a_delay_of_an_array_is_added_to_its_stamps(tmp_path: Path) -> None:
-    np.savez(tmp_path / "a.npz", **arrays())
-    np.testing.assert_allclose(read(tmp_path / "a.npz", delay=0.25).time, TIME + 0.25)
+def test_a_delay_is_added_to_the_stamps_of_arrays_and_tables(tmp_path: Path) -> None:
+    for file in (arrays(tmp_path / "a.npz"), table(tmp_path / "a.csv")):
+        np.testing.assert_allclose(read(file, delay=0.25).time, TIME + 0.25)
 
 
 def hdf5(path: Path, **options: object) -> Path:
     h5py = pytest.importorskip("h5py")
     with h5py.File(path, "w") as file:
-        for name, values in arrays().items():
+        for name, values in (("time", TIME), ("position", VALUES)):
             file.create_dataset(name, data=values, **options)
     return path
 
 
 def test_an_hdf5_file_says_where_it_carries_no_checksums(tmp_path: Path) -> None:
-    (told,) = read(hdf5(tmp_path / "a.h5")).remarks
-    assert told.startswith("a.h5 has arrays without checksums")
+    (remark,) = read(hdf5(tmp_path / "a.h5")).remarks
+    assert remark.startswith("a.h5 has arrays without checksums")
     assert read(hdf5(tmp_path / "b.h5", fletcher32=True, chunks=True)).remarks == ()
 
 
@@ -205,7 +191,7 @@ def test_a_changed_byte_of_an_hdf5_file_with_checksums_is_noticed(tmp_path: Path
     place = bytes(data).index(VALUES.tobytes()[8:64])
     data[place + 20] ^= 1
     file.write_bytes(data)
-    assert "not a readable HDF5 file" in refusal(file)
+    assert "not a readable HDF5 file" in refused(file)
 
 
 def test_numbers_of_other_files_are_not_those_of_this_one(tmp_path: Path) -> None:
@@ -214,30 +200,33 @@ def test_numbers_of_other_files_are_not_those_of_this_one(tmp_path: Path) -> Non
     VALUES.tofile(tmp_path / "raw")
     layout = h5py.VirtualLayout(VALUES.shape, float)
     layout[:] = h5py.VirtualSource(str(other), "position", VALUES.shape)
-    with h5py.File(tmp_path / "virtual.h5", "w") as file:
-        file["time"] = TIME
-        file.create_virtual_dataset("position", layout)
-    with h5py.File(tmp_path / "raw.h5", "w") as file:
-        file["time"] = TIME
-        file.create_dataset("position", VALUES.shape, float, external=[(str(tmp_path / "raw"), 0, VALUES.nbytes)])
-    with h5py.File(tmp_path / "links.h5", "w") as file:
-        file["time"] = TIME
-        file["position"] = h5py.ExternalLink(str(other), "position")
-    with h5py.File(tmp_path / "folder.h5", "w") as file:
-        file["time"] = TIME
+    raw = [(str(tmp_path / "raw"), 0, VALUES.nbytes)]
+
+    def folder(file: Any) -> None:
         file["far"] = h5py.ExternalLink(str(other), "/")
         file["position"] = h5py.SoftLink("/far/position")
-    for name in ("virtual", "raw"):
-        assert "array 'position' is made of other files" in refusal(tmp_path / f"{name}.h5")
-    for name in ("links", "folder"):
-        assert "no array 'position'" in refusal(tmp_path / f"{name}.h5")
+
+    for name, add, complaint in (
+        ("virtual", lambda file: file.create_virtual_dataset("position", layout), "is made of other files"),
+        (
+            "raw",
+            lambda file: file.create_dataset("position", VALUES.shape, float, external=raw),
+            "is made of other files",
+        ),
+        ("link", lambda file: file.update(position=h5py.ExternalLink(str(other), "position")), "no array 'position'"),
+        ("folder", folder, "no array 'position'"),
+    ):
+        with h5py.File(tmp_path / f"{name}.h5", "w") as file:
+            file["time"] = TIME
+            add(file)
+        assert complaint in refused(tmp_path / f"{name}.h5")
 
 
 def test_an_empty_hdf5_array_is_refused(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["time"], file["position"] = TIME, h5py.Empty("f8")
-    assert "array 'position' (position) is (0,), expected 24 samples x 7 joints" in refusal(tmp_path / "a.h5")
+    assert "array 'position' (position) is (0,), expected 24 samples x 7 joints" in refused(tmp_path / "a.h5")
 
 
 @pytest.mark.parametrize("seed", range(40))

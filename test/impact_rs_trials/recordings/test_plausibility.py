@@ -33,17 +33,17 @@ def test_a_pad_that_touches_says_nothing() -> None:
     assert touch(0.0) == touch(0.004) == touch(-0.004) == []
 
 
-@pytest.mark.parametrize(("offset", "told"), [(0.02, "20.0 mm short of"), (-0.02, "20.0 mm inside")])
-def test_what_motion_capture_and_robot_disagree_by_is_told(offset: float, told: str) -> None:
+@pytest.mark.parametrize(("offset", "said"), [(0.02, "20.0 mm short of"), (-0.02, "20.0 mm inside")])
+def test_what_motion_capture_and_robot_disagree_by_is_said(offset: float, said: str) -> None:
     (remark,) = touch(offset)
-    assert f"the middle of the pad is {told} 'parcel'" in remark
+    assert f"the middle of the pad is {said} 'parcel'" in remark
 
 
 @pytest.mark.parametrize(
-    ("offset", "told"), [(0.3, "never comes nearer to 'parcel' than 0.300 m"), (-0.07, "is 0.070 m inside 'parcel'")]
+    ("offset", "said"), [(0.3, "never comes nearer to 'parcel' than 0.300 m"), (-0.07, "is 0.070 m inside 'parcel'")]
 )
-def test_a_pad_that_cannot_have_touched_is_refused(offset: float, told: str) -> None:
-    with pytest.raises(InputError, match=f"run_1: the pad {told}: pose in another frame"):
+def test_a_pad_that_cannot_have_touched_is_refused(offset: float, said: str) -> None:
+    with pytest.raises(InputError, match=f"run_1: the pad {said}: pose in another frame"):
         touch(offset)
 
 
@@ -53,7 +53,7 @@ def test_an_object_turned_a_quarter_is_met_at_another_depth() -> None:
     assert "35.0 mm inside" in remark
 
 
-def test_the_height_on_the_support_follows_the_side_that_the_object_lies_on() -> None:
+def test_the_height_on_the_support_is_that_of_the_side_it_lies_on() -> None:
     lying = np.array(pin.Quaternion(pin.utils.rotate("x", np.pi / 2.0)).coeffs())
     pose = TOUCHING.copy()
     pose[2:] = [0.405 + 0.09, *lying]
@@ -63,7 +63,7 @@ def test_the_height_on_the_support_follows_the_side_that_the_object_lies_on() ->
         check_object(RUN, SCENE.scenario, "arm", "parcel", np.zeros(1), pose[None])
 
 
-def test_an_object_that_is_never_moved_is_told() -> None:
+def test_an_object_that_is_never_moved_is_noted() -> None:
     poses = np.tile(TOUCHING, (3, 1))
     (remark,) = check_object(RUN, SCENE.scenario, "arm", "parcel", 0.1 * np.arange(3), poses)
     assert "never moves by 2 mm" in remark

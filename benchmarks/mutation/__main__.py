@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Would the tests notice a wrong line? ``./run python -m benchmarks.mutation impact_rs_sim/drive.py src/drive.cpp``.
+
+Mutants of a Python module are made and judged by mutmut (``./run python -m pip install mutmut``), by the tests of its
+name in the mirrored folder. Mutants of the C++ kernel are a list in ``mutation.toml``, which also holds the settings of
+mutmut. Both run in ``build/mutation``, a copy of the repository; there ``mutmut browse`` shows the mutants of Python.
+How to read the figures: ``docs/mutants.md``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import sysconfig
+import time
+import tomllib
+from collections import Counter
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+HERE = Path(__file__).resolve().parent
+COPY = ROOT / "build" / "mutation"
+SETTINGS = tomllib.loads((HERE / "mutation.toml").read_text(encoding="utf-8"))
+NOTICED = (1, 2)  # exit codes of pytest: a test failed; a test file could not be imported
+STATES = ("killed", "survived", "no tests", "timeout", "not checked")
+KERNEL_LIMIT = 600.0  # s, of the tests of a mutant of the kernel
+STOP_TIME = 20.0  # s, until mutmut has stopped
+
+
+class MutationError(Exception):
+    """The mutants do not fit the code, or cannot be judged; the message says why."""
+
+
+@dataclass(frozen=True)
+class KernelMutant:
+    """One wrong line of C++.
+
+    Attributes:
+        file: Source file, relative to the root of the repository.
+        wrong: What is wrong.
+        text: Content of the file with the mutation.
+        tests: Test files that should notice it.
+    """
+
+    file: str
+    wrong: str
+    text: str
+    tests: tuple[str, ...]
+
+
+def kernel_mutants() -> list[KernelMutant]:
+    """The list in ``mutation.toml``.
+
+    Raises:
+        MutationError: An original does not stand in its file exactly once, or a test file is missing.
+    """
+    found = []
+    for group in SETTINGS["kernel"]:
+        file, tests = group["file"], tuple(f"test/{test}.py" for test in group["tests"])
+        text = (ROOT / file).read_text(encoding="utf-8")
+        if missing := [test for test in tests if not (ROOT / test).is_file()]:
+            raise MutationError(f"mutation.toml: {missing[0]}, which tests {file}, does not exist")
+        for wrong, old, new in group["mutants"]:
+            if text.count(old) != 1:
+                raise MutationError(f"mutation.toml: {wrong}: {old!r} is in {file} {text.count(old)} times, not once")
+            found.append(KernelMutant(file, wrong, text.replace(old, new), tests))
+    return found
+
+
+def tests_of(file: str) -> list[str]:
+    """Tests of its name in the mirrored folder or in that of its package; without one, those that import the module.
+
+    Raises:
+        MutationError: There is none.
+    """
+    path = Path(file)
+    folders = (ROOT / "test" / path.parent, ROOT / "test" / path.parts[0])
+    patterns = (f"test_{path.stem}.py", f"test_{path.stem}_*.py", f"test_{path.parent.name}_{path.stem}.py")
+    found = sorted({test for folder in folders for pattern in patterns for test in folder.glob(pattern)})
+    if not found:
+        module, name = re.escape(".".join(path.parent.parts)), path.stem
+        importing = re.compile(rf"{module}\.{name}\b|from {module} import [^\n]*\b{name}\b")
+        tests = sorted((ROOT / "test" / path.parts[0]).rglob("test_*.py"))
+        found = [test for test in tests if importing.search(test.read_text(encoding="utf-8"))]
+    if not found:
+        raise MutationError(f"{file}: no test in test/{path.parts[0]} has its name or imports it; name one by --tests")
+    return [str(test.relative_to(ROOT)) for test in found]
+
+
+def make_copy() -> Path:
+    """Copy the working tree with the compiled kernel to ``COPY``; returns the file of the kernel."""
+    from impact_rs_sim import _kernel
+
+    listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    names = subprocess.run(listed, cwd=ROOT, capture_output=True, check=True).stdout.decode().split("\0")
+    shutil.rmtree(COPY, ignore_errors=True)
+    for name in filter(None, names):
+        if (ROOT / name).is_file():
+            (COPY / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, COPY / name)
+    kernel = COPY / "impact_rs_sim" / Path(_kernel.__file__).name
+    shutil.copy2(_kernel.__file__, kernel)
+    return kernel
+
+
+def run(command: list[str], tree: Path, limit: float | None = None) -> tuple[int | None, str]:
+    """Exit code and output of a Python command in ``COPY``, whose packages are imported from ``tree``.
+
+    Without an answer within the limit [s] the code is None, and the process and all that it has started are ended.
+    """
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(HERE / "hook"),
+        "PYTHONDONTWRITEBYTECODE": "1",  # compiled code is known by size and second, which mutants may share
+        "XDG_CACHE_HOME": str(COPY / "build" / "cache"),
+        "IMPACT_RS_MUTANT_COPY": str(tree),
+        "OMP_NUM_THREADS": "1",
+    }
+    shutil.rmtree(environment["XDG_CACHE_HOME"], ignore_errors=True)
+    process = subprocess.Popen(
+        [sys.executable, "-m", *command], cwd=COPY, env=environment, text=True, start_new_session=True,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    )  # fmt: skip
+    try:
+        output, _ = process.communicate(timeout=limit)
+        return process.returncode, output
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGINT)  # mutmut stops, and keeps its results
+        try:
+            output, _ = process.communicate(timeout=STOP_TIME)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            output, _ = process.communicate()
+        return None, output
+
+
+def judge_module(file: str, tests: list[str], minutes: float, jobs: int) -> tuple[Counter[str], list[str]]:
+    """Mutants of a Python module by state, and the changes that survived.
+
+    Raises:
+        MutationError: mutmut is missing, or its tests fail without a mutant.
+    """
+    if find_spec("mutmut") is None:
+        raise MutationError("mutmut is not installed: ./run python -m pip install mutmut")
+    package = Path(file).parts[0]
+    others = sorted(path.name for path in COPY.iterdir() if path.name not in (package, "mutants", "build"))
+    settings = SETTINGS["mutmut"] | {
+        "source_paths": [package],
+        "only_mutate": [file],
+        "pytest_add_cli_args_test_selection": tests,
+        "also_copy": [package, *others],
+    }
+    lines = [f"{key} = {json.dumps(value)}" for key, value in settings.items()]
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    (COPY / "pyproject.toml").write_text("\n".join([project, "[tool.mutmut]", *lines, ""]), encoding="utf-8")
+    tree = COPY / "mutants"
+    shutil.rmtree(tree, ignore_errors=True)
+    code, output = run(["mutmut", "run", "--max-children", str(jobs)], tree, 60.0 * minutes)
+    _, listed = run(["mutmut", "results", "--all", "true"], tree)
+    states = dict(re.findall(r"^ +(\S+): (.+)$", listed, re.MULTILINE))
+    if not states or code not in (0, None):
+        raise MutationError(f"{file}: mutmut ended with {code}:\n{output[-3000:]}")
+    survivors = []
+    for name in (name for name, state in states.items() if state == "survived"):
+        _, diff = run(["mutmut", "show", name], tree)
+        changes = [line for line in diff.splitlines() if re.match(r"[+-](?!--|\+\+)", line)]
+        survivors.append("\n".join([name, *(f"    {line}" for line in changes)]))
+    return Counter(state if state in STATES else "killed" for state in states.values()), survivors
+
+
+def judge_kernel(file: str, kernel: Path) -> tuple[Counter[str], list[str]]:
+    """Mutants of a C++ file by state, and those that survived.
+
+    Raises:
+        MutationError: There are none, one does not compile, or the tests fail without a mutant.
+    """
+    mutants = [mutant for mutant in kernel_mutants() if mutant.file == file]
+    if not mutants:
+        raise MutationError(f"{file}: mutation.toml has no mutant of it")
+    compile_kernel(kernel)
+    pytest = ["pytest", "-x", "-q", "-p", "no:cacheprovider"]
+    code, output = run([*pytest, *dict.fromkeys(test for mutant in mutants for test in mutant.tests)], COPY)
+    if code != 0:
+        raise MutationError(f"{file}: tests fail without any mutant:\n{output[-3000:]}")
+    states, survivors = Counter[str](), []
+    source = COPY / file
+    original = source.read_text(encoding="utf-8")
+    for mutant in mutants:
+        source.write_text(mutant.text, encoding="utf-8")
+        compile_kernel(kernel)
+        code, output = run([*pytest, *mutant.tests], COPY, KERNEL_LIMIT)
+        if code not in (0, None, *NOTICED):
+            raise MutationError(f"{file}, {mutant.wrong}: the tests did not run:\n{output[-3000:]}")
+        state = "survived" if code == 0 else "timeout" if code is None else "killed"
+        states[state] += 1
+        survivors += [f"{file}: {mutant.wrong}"] if code == 0 else []
+        failed = re.search(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
+        print(f"  {state:8} {mutant.wrong}{f'  [{failed[1]}]' if failed else ''}", flush=True)
+    source.write_text(original, encoding="utf-8")
+    compile_kernel(kernel)
+    return states, survivors
+
+
+def compile_kernel(kernel: Path) -> None:
+    """Build the kernel of the copy; what has not changed is compiled once.
+
+    Raises:
+        MutationError: It does not compile.
+    """
+    import pybind11
+
+    include = [f"-I{sysconfig.get_path('include')}", f"-I{pybind11.get_include()}"]
+    flags = ["-std=c++17", "-O2", "-fPIC", "-fvisibility=hidden", *include]
+    built = COPY / "build" / "objects"
+    built.mkdir(parents=True, exist_ok=True)
+    commands, objects = [], []
+    for source in sorted((COPY / "src").glob("*.cpp")):
+        known, compiled = built / source.name, built / f"{source.stem}.o"
+        objects.append(str(compiled))
+        if not known.exists() or known.read_bytes() != source.read_bytes():
+            commands.append(["c++", *flags, "-c", str(source), "-o", str(compiled)])
+            shutil.copy(source, known)
+    for command in [*commands, ["c++", "-shared", *objects, "-o", str(kernel)]]:
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode:
+            shutil.rmtree(built)
+            raise MutationError(f"{' '.join(command[-4:])}: {done.stderr[-1000:]}")
+
+
+def main() -> int:
+    """Run; exit code 0: nothing survived, 1: something did, 2: mutants do not fit the code or cannot be judged."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="*", help="modules, or sources of the kernel, relative to the repository")
+    parser.add_argument("--tests", nargs="+", help="test files in the place of those of the module's name")
+    parser.add_argument("--minutes", type=float, default=10.0, help="time limit for a module; what is left is counted")
+    parser.add_argument("--jobs", type=int, default=1, help="mutants of Python at a time")
+    parser.add_argument("--check", action="store_true", help="only check that the list for the kernel fits the code")
+    options = parser.parse_args()
+    rows, alive = [], 0
+    try:
+        listed = kernel_mutants()
+        if options.check or not options.files:
+            print(f"{len(listed)} mutants of the kernel fit the code")
+            return 0
+        kernel = make_copy()
+        for file in options.files:
+            began = time.monotonic()
+            if file.endswith(".cpp"):
+                states, survivors = judge_kernel(file, kernel)
+            else:
+                tests = options.tests or tests_of(file)
+                print(f"{file}: {', '.join(tests)}", flush=True)
+                states, survivors = judge_module(file, tests, options.minutes, options.jobs)
+            alive += len(survivors)
+            print("survived:" if survivors else "nothing survived", *survivors, sep="\n", flush=True)
+            numbers = " | ".join(str(states[state]) for state in STATES)
+            rows.append(f"| `{file}` | {numbers} | {time.monotonic() - began:.0f} s |")
+    except (MutationError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(f"\n| File | {' | '.join(STATES)} | Time |\n|{'---|' * (len(STATES) + 2)}", *rows, sep="\n")
+    return int(alive > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of another controller: reading, and the offset of the clock of their commands from that of the joints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_analysis.evidence.features import Balances
+from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
+from impact_rs_analysis.evidence.replay import FREE, free_starts, held_means, recorded
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array
+from impact_rs_trials.recordings.experiment import Experiment
+from impact_rs_trials.recordings.laboratory import read_laboratory
+from impact_rs_trials.runs import ArmSignals, Run
+from impact_rs_trials.workers import Map
+
+LARGEST_OFFSET = 0.5  # sampling periods; a larger offset is a delay, left to the diagnosis
+SLOPE = 0.002  # s, averaging time of the command at both ends of a window, for its slope
+SURE = 3.0  # standard errors; an offset this far beyond the largest is a delay
+LEAST_WINDOWS = 8  # of a joint, for five terms
+
+
+def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map) -> Runs:
+    """Every run of an experiment.
+
+    Args:
+        directory: Folder of the recordings.
+        experiment: Description of the recordings.
+        map_tasks: Parallel map.
+
+    Raises:
+        InputError: A file cannot be used; the message names it.
+    """
+    runs, skipped = read_laboratory(directory, experiment, map_tasks)
+    remarks = [f"{run.name}: {remark}" for run in runs for remark in run.remarks]
+    estimates = {arm: command_offset(runs, arm) for arm in runs[0].signals.arms}
+    offsets = {arm: offset for arm, (offset, _) in estimates.items()}
+    runs = [run.commands_later(offsets) for run in runs]
+    for arm, offset in offsets.items():
+        if offset == 0.0:
+            continue
+        whose = f"commands of arm {arm!r}" if len(offsets) > 1 else "commands"
+        remarks.append(
+            f"{whose} act {1e3 * abs(offset):.2f} ms {'after' if offset > 0.0 else 'before'} their stamps, by the "
+            "torque balance of free motion; they are shifted by that (below half a sampling period it is an offset of "
+            "clocks)"
+        )
+    measured = list(map_tasks(measured_or_why_not, runs))
+    remarks += [
+        f"{run.name}: {len(run.lost)} of {run.free} windows of free motion touch a gap, and are dropped "
+        "from all runs of this kind"
+        for run in measured
+        if isinstance(run, MeasuredRun) and run.lost
+    ]
+    found = Runs.of(directory, [*measured, *skipped])
+    clock = LARGEST_OFFSET * max((run.period for run in runs if run.commanded), default=0.0)
+    late = _late(found, runs, {arm: error for arm, (_, error) in estimates.items()}, map_tasks)
+    return replace(found, remarks=tuple(_merged(remarks)), clock=clock, late=late)
+
+
+def _late(found: Runs, runs: Sequence[Run], errors: Mapping[str, float], map_tasks: Map) -> dict[str, MeasuredRun]:
+    """The first run of every condition with commands that act later by a standard error of their offset."""
+    if not any(errors.values()):
+        return {}
+    known = {run.path: run for run in runs}
+    firsts = {condition: own[0] for condition, own in found.conditions.items()}
+    shifted = map_tasks(measured_or_why_not, [known[first.path].commands_later(errors) for first in firsts.values()])
+    return {
+        condition: late.only(set(first.features))
+        for (condition, first), late in zip(firsts.items(), shifted, strict=True)
+        if isinstance(late, MeasuredRun) and set(first.features) <= set(late.features)
+    }
+
+
+def measured_or_why_not(run: Run) -> MeasuredRun | tuple[str, str]:
+    """The measured run, or its path and the reason why it cannot be used."""
+    try:
+        return MeasuredRun.of(run)
+    except InputError as error:
+        return str(run.path), error.message
+
+
+def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
+    """Offset of an arm's commands after their stamps, and its standard error [s]; 0 for an offset that is a delay.
+
+    In free motion the motor-side balance of a window is
+
+        b_m = delta dtau_d/dt + (contributions of friction, offset, gain and inertia of the joint)
+
+    to first order in the offset delta. A regression over all windows has one delta and, for every joint, a constant,
+    the sign and the mean of its velocity, the mean torque and the acceleration. Windows in which a joint reverses are
+    not used for that joint, because the sign of its dry friction changes. Runs in free motion are preferred, because
+    there are few windows before an impact.
+
+    Returned are posterior mean and standard deviation of delta, with a uniform prior over half a sampling period either
+    way.
+
+    Args:
+        runs: Of one laboratory.
+        name: Name of the arm.
+    """
+    chosen = [run for run in runs if run.commanded and not run.hit] or [run for run in runs if run.commanded]
+    rows: dict[int, list[Array]] = {}
+    for run in chosen:
+        starts = free_starts(run, {}) if not run.hit else free_starts(run, _rough_impact(run))
+        for start in (start for start in starts if recorded(run, start)):
+            terms, turns = _window_terms(run, name, run.signals.arms[name], start)
+            for joint in np.flatnonzero(np.logical_not(turns)).tolist():
+                rows.setdefault(joint, []).append(terms[joint])
+    tables = [np.array(own) for own in rows.values() if len(own) >= LEAST_WINDOWS]
+    if not tables:
+        return 0.0, 0.0
+    slopes, rests = [], []
+    for table in tables:
+        balance, slope, beside = table[:, 0], table[:, 1], table[:, 2:]
+        design = np.column_stack((np.ones(len(table)), beside))
+        basis = np.linalg.qr(design / np.maximum(np.linalg.norm(design, axis=0), 1e-12))[0]
+        slopes.append(slope - basis @ (basis.T @ slope))
+        rests.append(balance - basis @ (basis.T @ balance))
+    # Weights: joints with less noise count more.
+    weights = [1.0 / max(float(np.std(rest)), 1e-9) for rest in rests]
+    a = np.concatenate([weight * slope for weight, slope in zip(weights, slopes, strict=True)])
+    b = np.concatenate([weight * rest for weight, rest in zip(weights, rests, strict=True)])
+    offset = float(a @ b / (a @ a))
+    error = float(np.sqrt(np.mean(np.square(b - offset * a)) / (a @ a)))
+    # The time at which the torque loop takes a command within its period is unknown: uniform, half a period either way.
+    error = math.hypot(error, chosen[0].drive_period / math.sqrt(12.0))
+    largest = LARGEST_OFFSET * chosen[0].period
+    if abs(offset) > largest + SURE * error:
+        return 0.0, 0.0
+    believed = largest**2 / 3.0  # variance of a uniform distribution
+    share = believed / (believed + error**2)
+    return float(np.clip(share * offset, -largest, largest)), math.sqrt(share) * error
+
+
+def _rough_impact(run: Run) -> dict[str, float]:
+    """Rough time of the impact by arm: where joint velocities change fastest."""
+    change = np.max([np.abs(np.diff(arm.velocity, axis=0)).max(axis=1) for arm in run.signals.arms.values()], axis=0)
+    return {name: float(run.signals.time[int(np.argmax(change))]) for name in run.signals.arms}
+
+
+def _window_terms(run: Run, name: str, arm: ArmSignals, start: float) -> tuple[Array, Array]:
+    """Terms of :func:`command_offset` for one window.
+
+    Returns:
+        By joint its balance, the slope of its command and the other regressors, ``(n, 6)``; whether it reverses,
+        ``(n,)``.
+    """
+    time = run.signals.time
+    rows = (time >= start - 1e-9) & (time <= start + FREE + 1e-9)
+    cut = arm.at(rows)
+    physics = run.physics.arms[name]
+    model, stacked = run.physics.robot_model(name), ArmSignals.stack([cut])
+    balances = Balances(time[rows], stacked, None, physics, model, run.motor_measured, coarse=True)
+    first, last = time[rows][:1], time[rows][-1:]
+    begin, end = (float(moment[0]) for moment in balances.middle(first, last))
+    ((ramp,), (passed,)) = balances.motor_terms(first, last)
+    sent, values = arm.command_time, arm.command
+    torque = _held_mean(sent, values, begin, end)
+    slope = (
+        _held_mean(sent, values, end - SLOPE, end + SLOPE) - _held_mean(sent, values, begin - SLOPE, begin + SLOPE)
+    ) / (end - begin)
+    balance = torque - passed - physics.motor_inertia_reduced * ramp
+    speed = cut.velocity.mean(axis=0)
+    # A delay delta lowers the mean of the command by delta times its slope.
+    turns = np.min(cut.velocity, axis=0) * np.max(cut.velocity, axis=0) < 0.0
+    return np.column_stack((balance, slope, np.sign(speed), speed, torque, ramp)), turns
+
+
+def _held_mean(sent: Array, values: Array, start: float, end: float) -> Array:
+    """Mean over a window of zero-order-hold commands, ``(n,)`` [N m]."""
+    return np.asarray(held_means(sent, values, np.array([start, end]))[0])
+
+
+def _merged(remarks: Sequence[str]) -> list[str]:
+    """Remarks, each once with the runs that share it."""
+    grouped: dict[str, list[str]] = {}
+    for remark in remarks:
+        name, separator, text = remark.partition(": ")
+        grouped.setdefault(text if separator else remark, []).append(name if separator else "")
+    merged = []
+    for text, names in grouped.items():
+        named = [name for name in names if name]
+        if not named:
+            merged.append(text)
+        elif len(named) > 3:
+            merged.append(f"{len(named)} runs: {text}")
+        else:
+            merged.append(f"{', '.join(named)}: {text}")
+    return merged

@@ -1,0 +1,401 @@
+# SPDX-License-Identifier: Apache-2.0
+"""RUNS: runs with their windows, the start of their replay and their features; and a folder of them."""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import sys
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from impact_rs_analysis.evidence.cluster import Feature
+from impact_rs_analysis.evidence.features import extract, layout, pushes_recorded
+from impact_rs_analysis.evidence.impacts import impacts_of
+from impact_rs_analysis.evidence.replay import Window, free_starts, replay, windows_of
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.bags.checksums import says_so, unsealed_words
+from impact_rs_trials.bags.reader import BagError, TrialBag, reason_of
+from impact_rs_trials.runs import DriveName, Run, Signals
+from impact_rs_trials.store import Folder
+from impact_rs_trials.workers import Map
+
+Made = TypeVar("Made")
+KEPT = 64  # free motions, or models, cached by a process, at most about 0.2 MB each
+LARGEST_LOSS = 0.5  # largest share of windows of free motion that all runs drop for gaps in some
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Start state and inputs of a replay; small, because it is sent to worker processes.
+
+    Attributes:
+        windows: The windows of the replay.
+        physics: Nominal physics of the scene.
+        drive_period: Period of the torque loop [s].
+        drive: Model between the recorded torque and the links.
+        motor: Whether motor position and velocity are used.
+        tracked: Whether object features are used.
+        pushes: Number of bins of the push; None: free motion.
+        kept: Mask of the features that are used.
+        levels: By arm, loss of speed that marks the begin of the impact [m/s].
+    """
+
+    windows: tuple[Window, ...]
+    physics: Physics
+    drive_period: float
+    drive: DriveName
+    motor: bool
+    tracked: bool
+    pushes: int | None
+    kept: tuple[int, ...]
+    levels: dict[str, float]
+
+    @cached_property
+    def digest(self) -> str:
+        """Digest of the content."""
+        facts = self.physics, self.drive_period, self.drive, self.motor, self.tracked, self.pushes, self.kept
+        with np.printoptions(floatmode="unique", threshold=sys.maxsize):  # to the last bit
+            text = [repr((facts, self.levels))]
+        for window in self.windows:
+            text.append(repr(window.contact))
+            arrays = [window.time, window.seen, window.object.position, window.object.rotation, window.object.twist]
+            for name, arm in window.arms.items():
+                drive = window.drives[name]
+                arrays += [arm.position, arm.velocity, drive.torque, drive.torque_rate]
+                arrays += [np.append(moment, torque) for moment, torque in drive.earlier]
+                arrays += [window.torque[name], window.acting[name].astype(float)]
+            text += [hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest() for array in arrays]
+        return hashlib.sha256("\n".join(text).encode()).hexdigest()
+
+    def features_of(self, signals: Sequence[Signals]) -> Array | None:
+        """Features of its windows, measured or replayed, ``(F,)``; None without an expected impact."""
+        return self.features_of_all([signals])[0]
+
+    def features_of_all(self, simulations: Sequence[Sequence[Signals]]) -> list[Array | None]:
+        """Features of several simulations of its windows, ``(F,)`` each; None without an expected impact."""
+        arms = {
+            name: (arm, _models.of((self.digest, name), partial(self.physics.robot_model, name)))
+            for name, arm in self.physics.arms.items()
+        }
+        found = extract(
+            [Signals.stack(windows) for windows in zip(*simulations, strict=True)],
+            [
+                {name: window.commanded(name) for name in window.torque} if self.drive == "command" else {}
+                for window in self.windows
+            ],
+            [window.contact for window in self.windows],
+            arms,
+            self.motor,
+            self.tracked,
+            self.pushes,
+            self.levels,
+        )
+        kept = list(self.kept)
+        return [None if row is None else row[kept] for row in found]
+
+    def replayed(self, physics: Physics) -> list[Signals]:
+        """Simulation of the windows under other physics.
+
+        Free motion does not depend on pad, object and support: if only these change, it is taken from the cache.
+
+        Raises:
+            NotABody: Mass and inertia of an end effector are not those of a body.
+        """
+        free = [window for window in self.windows if not window.contact]
+        if not free or len(free) == len(self.windows):
+            return replay(self.windows, physics, self.drive_period, self.drive)
+        before = _free_motions.of(
+            (self.digest, _free_physics(physics)), lambda: replay(free, physics, self.drive_period, self.drive)
+        )
+        return [*before, *replay(self.windows[len(free) :], physics, self.drive_period, self.drive)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredRun(Run):
+    """A run with its features.
+
+    Attributes:
+        setup: Start state and inputs of a replay.
+        features: Description of the entries of its feature vector.
+        measured: Measured features, ``(F,)``.
+        impacts: Begin of the impact by arm [s]; empty in free motion.
+        free: Number of windows of free motion, including those with gaps.
+    """
+
+    setup: Setup
+    features: tuple[Feature, ...]
+    measured: Array
+    impacts: dict[str, float]
+    free: int
+
+    @classmethod
+    def of(cls, run: Run) -> MeasuredRun:
+        """Find the impact, cut the run into windows, and compute their features.
+
+        Raises:
+            InputError: An expected impact is missing, or the signals do not cover the windows.
+        """
+        found = impacts_of(run) if run.hit else {}
+        impacts = {name: begin for name, (begin, _) in found.items()}
+        windows = windows_of(run, impacts)
+        starts = free_starts(run, impacts)
+        if not windows:
+            what = "gaps leave no window" if starts else "no joint moves for the length of a window"
+            raise InputError(f"{what} of free motion")
+        pushes = pushes_recorded(max(impacts.values()), float(windows[-1].time[-1])) if impacts else None
+        tracked = bool(impacts) and run.signals.object_time.size > 1
+        numbers = [window.number for window in windows if not window.contact]
+        features = layout(
+            run.physics.arm_joints,
+            len(numbers),
+            pushes,
+            run.commanded,
+            run.motor_measured,
+            tracked,
+        )
+        if run.gaps:  # windows at the same place of the motion have the same name in every repeat
+            features = tuple(replace(f, bin=numbers[f.bin]) if f.phase == "free" else f for f in features)
+        setup = Setup(
+            windows=tuple(windows),
+            physics=run.physics,
+            drive_period=run.drive_period,
+            drive=run.drive,
+            motor=run.motor_measured,
+            tracked=tracked,
+            pushes=pushes,
+            kept=tuple(range(len(features))),
+            levels={name: level for name, (_, level) in found.items()},
+        )
+        measured = setup.features_of([_within(run.signals, window) for window in windows])
+        if measured is None:
+            raise InputError("no impact found: the end effector loses no speed")
+        if not np.isfinite(measured).all():
+            raise InputError("its signals do not cover the windows about the impact")
+        return cls(
+            **vars(run),
+            setup=setup,
+            features=features,
+            measured=measured,
+            impacts=impacts,
+            free=len(starts),
+        )
+
+    @property
+    def windowed(self) -> tuple[Signals, ...]:
+        """Signals in its windows."""
+        return tuple(_within(self.signals, window) for window in self.setup.windows)
+
+    @property
+    def free_part(self) -> MeasuredRun | None:
+        """The run before the impact; None without a window of free motion."""
+        windows = tuple(window for window in self.setup.windows if not window.contact)
+        if len(windows) == len(self.setup.windows):
+            return self
+        if not windows:
+            return None
+        physics, command = self.setup.physics, self.setup.drive == "command"
+        parts = layout(physics.arm_joints, len(windows), None, command, self.setup.motor, False)
+        numbers = [window.number for window in windows]
+        rows = [number for number, feature in enumerate(self.features) if feature.phase == "free"]
+        features = tuple(self.features[row] for row in rows)
+        setup = replace(
+            self.setup,
+            windows=windows,
+            tracked=False,
+            pushes=None,
+            kept=tuple(parts.index(replace(feature, bin=numbers.index(feature.bin))) for feature in features),
+            levels={},
+        )
+        return replace(
+            self,
+            hit=False,
+            setup=setup,
+            features=features,
+            measured=self.measured[rows],
+            impacts={},
+        )
+
+    @property
+    def lost(self) -> tuple[int, ...]:
+        """Windows of free motion dropped for gaps, in this run or in a repeat."""
+        return tuple(sorted(set(range(self.free)) - {f.bin for f in self.features if f.phase == "free"}))
+
+    @property
+    def family(self) -> tuple[object, ...]:
+        """Key of runs that would have the same features without gaps."""
+        further = tuple(feature for feature in self.features if feature.phase != "free")
+        return (self.hit, *self.setup.physics.arms, self.free, further)
+
+    def only(self, features: set[Feature]) -> MeasuredRun:
+        """The run with some of its features."""
+        rows = [number for number, feature in enumerate(self.features) if feature in features]
+        if len(rows) == len(self.features):
+            return self
+        kept = tuple(self.setup.kept[row] for row in rows)
+        return replace(
+            self,
+            setup=replace(self.setup, kept=kept),
+            features=tuple(self.features[row] for row in rows),
+            measured=self.measured[rows],
+        )
+
+
+def _within(signals: Signals, window: Window) -> Signals:
+    """Signals in a window."""
+    first = int(np.argmin(np.abs(signals.time - window.time[0])))
+    rows = slice(first, first + window.time.size)
+    arms = {name: arm.at(rows) for name, arm in signals.arms.items()}
+    seen = np.isin(signals.object_time, window.seen)
+    return Signals(
+        window.time, arms, signals.object_time[seen], signals.object_position[seen], signals.object_quaternion[seen]
+    )
+
+
+class _Recent(Generic[Made]):
+    """Cache of the results that a process made last."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[Hashable, Made] = OrderedDict()
+
+    def of(self, key: Hashable, make: Callable[[], Made]) -> Made:
+        """The result for a key, made if missing."""
+        if key not in self._kept:
+            self._kept[key] = make()
+            if len(self._kept) > KEPT:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        return self._kept[key]
+
+
+_models = _Recent[RobotModel]()
+_free_motions = _Recent[list[Signals]]()
+
+
+def _free_physics(physics: Physics) -> bytes:
+    """Digest of everything that free motion depends on."""
+    arms = {name: replace(arm, pad_stiffness=None, pad_damping=0.0) for name, arm in physics.arms.items()}
+    return pickle.dumps((arms, physics.gravity))
+
+
+@dataclass(frozen=True)
+class Runs:
+    """The usable runs of a folder.
+
+    Attributes:
+        directory: The folder.
+        runs: Measured runs; repeats of a condition have the same features.
+        skipped: Path and reason of every bag that cannot be used.
+        remarks: Remarks on how they were read.
+        clock: See :class:`~impact_rs_analysis.evidence.cluster.Source` [s].
+        late: By condition, its first run with commands that act one standard deviation of their clock later; empty if
+            the clock is known.
+    """
+
+    directory: Path
+    runs: tuple[MeasuredRun, ...]
+    skipped: tuple[tuple[str, str], ...]
+    remarks: tuple[str, ...] = ()
+    clock: float = 0.0
+    late: Mapping[str, MeasuredRun] = field(default_factory=dict)
+
+    @property
+    def digest(self) -> str:
+        """Digest of the runs, independent of their location."""
+        if all(run.spec is not None for run in self.runs):
+            return runs_digest(self.directory)
+        rows = sorted(f"{run.condition} {run.setup.digest}" for run in self.runs)
+        return hashlib.sha256("\n".join(rows).encode()).hexdigest()[:16]
+
+    @property
+    def conditions(self) -> dict[str, list[MeasuredRun]]:
+        """Repeats by condition, in order of appearance."""
+        found: dict[str, list[MeasuredRun]] = {}
+        for run in self.runs:
+            found.setdefault(run.condition, []).append(run)
+        return found
+
+    @staticmethod
+    def of(directory: Path, results: Iterable[MeasuredRun | tuple[str, str]]) -> Runs:
+        """Runs from the results of reading.
+
+        Raises:
+            InputError: No run can be used.
+        """
+        listed = list(results)
+        runs = [result for result in listed if isinstance(result, MeasuredRun)]
+        skipped = tuple(result for result in listed if not isinstance(result, MeasuredRun))
+        if not runs:
+            reason = f"; {len(skipped)} bag(s) cannot be used, the first because: {skipped[0][1]}" if skipped else ""
+            raise InputError(f"no usable trials here{reason}", file=directory)
+        common: dict[str, set] = {}
+        free: dict[str, int] = {}  # a shorter repeat has fewer windows, even without gaps
+        for run in runs:
+            common.setdefault(run.condition, set(run.features)).intersection_update(run.features)
+            free[run.condition] = min(run.free, free.get(run.condition, run.free))
+        shared = [replace(run.only(common[run.condition]), free=free[run.condition]) for run in runs]
+        return Runs(directory, _alike(shared), skipped)
+
+
+def _alike(runs: list[MeasuredRun]) -> tuple[MeasuredRun, ...]:
+    """The runs without windows that a gap drops in any run of their family, so that conditions share a pure error.
+
+    If that would drop too many windows, the runs stay unchanged.
+    """
+    left: dict[tuple[object, ...], set[Feature]] = {}
+    for run in runs:
+        left.setdefault(run.family, set(run.features)).intersection_update(run.features)
+    alike = [run.only(left[run.family]) for run in runs]
+    torn = {run.family for run in alike if len(run.lost) > LARGEST_LOSS * run.free}
+    return tuple(old if old.family in torn else new for old, new in zip(runs, alike, strict=True))
+
+
+def find_bags(directory: Path) -> list[Path]:
+    """Folders below ``directory`` that look like bags; hidden ones are half-written."""
+    return sorted(directory / name for name in Folder(directory).stamps())
+
+
+def read_trial(path: Path) -> MeasuredRun | tuple[str, str]:
+    """One trial, or its path and the reason why it cannot be used."""
+    try:
+        bag = TrialBag.open(path)
+        if bag.outcome not in ("OK", "DROPPED", "EARLY"):
+            return str(path), f"{bag.outcome}: {bag.reason}"
+        return MeasuredRun.of(bag.run())
+    except Exception as error:  # a damaged bag must not stop the others
+        return str(path), reason_of(error)
+
+
+def read_runs(directory: Path, map_tasks: Map) -> Runs:
+    """Read every trial below a folder.
+
+    Raises:
+        InputError: The folder does not exist or holds no usable trial.
+    """
+    bags = find_bags(directory)
+    found = Runs.of(directory, map_tasks(read_trial, bags))
+    skipped = {path for path, _ in found.skipped}
+    remark = unsealed_words(sum(not says_so(bag) for bag in bags if str(bag) not in skipped))
+    return replace(found, remarks=(remark,)) if remark else found
+
+
+def runs_digest(directory: Path) -> str:
+    """Digest of the trials in a folder: names, scenarios and seeds, independent of its location."""
+    rows = []
+    for path in find_bags(directory):
+        try:
+            info = TrialBag.open(path).info
+        except BagError:  # not a usable trial
+            continue
+        scenario = hashlib.sha256(info.scenario_json.encode()).hexdigest()
+        rows.append(f"{path.name} {scenario} {info.seed}")
+    return hashlib.sha256("\n".join(sorted(rows)).encode()).hexdigest()[:16]

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Closed-loop simulation of a trial that was not measured, with the native controller, without noise and scatter.
+
+Used to propose experiments (:mod:`impact_rs_analysis.diagnosis.next_experiment`); measured trials are replayed instead.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from impact_rs_analysis.evidence.replay import AFTER_IMPACT
+from impact_rs_control.closed_loop import RobotCell, run_closed_loop, without_garbage_collection
+from impact_rs_control.plan import TrialPlan
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.plant import Plant
+from impact_rs_sim.scenario import Scenario
+from impact_rs_trials.runs import Run, run_of_trial, signals_of_ticks
+from impact_rs_trials.spec import TrialSpec
+
+MARGIN = 0.1  # s after the last window, for a late impact
+
+
+def quiet(scenario: Scenario) -> Scenario:
+    """The scenario with ideal sensors and no scatter."""
+    sensors = {name: 0.0 for name in type(scenario.sensors).model_fields if name != "object_period"}
+    scatter = dict.fromkeys(type(scenario.scatter).model_fields, 0.0)
+    return scenario.model_copy(
+        update={
+            "sensors": scenario.sensors.model_copy(update=sensors),
+            "scatter": scenario.scatter.model_copy(update=scatter),
+        }
+    )
+
+
+def observed_until(plan: TrialPlan) -> float:
+    """End of the last window of a trial [s], where its simulation may stop."""
+    scenario = plan.scene.scenario
+    if scenario.excursion is None:
+        return scenario.timing.nominal_impact + AFTER_IMPACT + MARGIN
+    case = scenario.cases[plan.scene.case_name]
+    return max(scenario.excursion_end(robot) for robot in case.robots.values()) + MARGIN
+
+
+def simulated(spec: TrialSpec, physics: Physics) -> Run:
+    """A simulated trial without noise and scatter.
+
+    Args:
+        spec: Plan of the trial.
+        physics: Physics of the model.
+
+    Raises:
+        InputError: There is no such trial, or the physics is not valid.
+    """
+    plan = spec.plan
+    scene = plan.scene
+    initial = {name: arm.initial for name, arm in plan.arms.items()}
+    return observed(spec, Plant.for_trial(quiet(scene.scenario), physics, initial, scene.object, seed=0))
+
+
+def observed(spec: TrialSpec, plant: RobotCell) -> Run:
+    """A trial on a plant up to the end of its last window; closes the plant."""
+    plan = spec.plan
+    ticks, until = [], observed_until(plan)
+    try:
+        with without_garbage_collection():
+            for tick in run_closed_loop(plan, plant):
+                ticks.append(tick)
+                if tick.measurement.time >= until:
+                    break
+    finally:
+        plant.close()
+    return run_of_trial(spec, signals_of_ticks(ticks), Path("simulated"))

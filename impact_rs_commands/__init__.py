@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The commands of ``impact-rs``, each declared once (:mod:`impact_rs_commands.declaration`)."""
+
+from __future__ import annotations
+
+from impact_rs_commands import explaining, measuring, predicting
+from impact_rs_commands.declaration import Command
+
+COMMANDS: dict[str, Command] = {  # in the order of the help
+    command.name: command
+    for command in (
+        measuring.DEMO,
+        predicting.MAP,
+        measuring.TRIAL,
+        measuring.CAMPAIGN,
+        explaining.ANALYZE,
+        measuring.STUDY,
+        explaining.SHOW,
+        explaining.EXPORT,
+        explaining.COMPARE,
+        explaining.DIAGNOSE,
+        explaining.ADD,
+        explaining.HISTORY,
+        predicting.EFFECTS,
+        measuring.BLIND,
+        measuring.FRICTION,
+        predicting.ROBOT,
+        predicting.SCENARIO_DRAFT,
+        explaining.PAPER,
+        measuring.UP,
+        explaining.WORKBENCH,
+    )
+}

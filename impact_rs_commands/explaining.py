@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands that read measurements: estimates, comparison, diagnosis and better models; and what shows them."""
+
+from __future__ import annotations
+
+from impact_rs_commands.declaration import Command, argument, option
+from impact_rs_commands.shared import (
+    JOBS,
+    JSON,
+    MODEL,
+    NO_BROWSER,
+    RUNS,
+    RUNS_TEXT,
+    SOURCE,
+    contact,
+    output,
+)
+
+ANALYZE = Command(
+    name="analyze",
+    summary="compare predictions with recorded trials",
+    about="""\
+Compare the impact map's predictions with a folder of trials.
+
+For every object and case: the net feedback of each trial over its post-impact reference velocity, a line through them,
+and its zero crossing, which is the experimental estimate of the post-impact velocity, with a 95 % interval. Errors are
+(prediction - estimate) / estimate in percent, for three models of the motor inertia, just after the first simultaneous
+impact and for the settled contact, when the pads lie flat on the object and move with it.
+
+If settings were varied (impact-rs campaign --sensitivity, impact-rs study), every estimate also has a systematic band:
+how far it moves with settings that it should not depend on. More trials do not make this band smaller.
+
+Damaged or foreign bags and failed trials are listed with the reason and left out; trials without impact never enter a
+fit. Published numbers appear beside a set with the published robot, object and velocity only. A warning names each
+prediction that is further from the estimate than a fifth of the ante-impact speed.
+
+Runs recorded with another controller have no net feedback. With --experiment the speed 20 to 40 ms after the impact is
+compared with the impact map of the measured state just before it.""",
+    examples="""\
+impact-rs analyze campaigns/push                  # report in campaigns/push/report
+impact-rs analyze campaigns/push -o /tmp/report --json
+impact-rs analyze lab/ --experiment experiment.yaml""",
+    output="a table; report.html (opens offline and on a phone), analysis.json, and the figures as PNG.",
+    units="speeds in m/s along the scenario's axis, errors in percent.",
+    options=(
+        argument(
+            "directory", "folder whose subfolders are bags of trials, or URL", kind="runs", url=True, metavar="DIR",
+            label="measurements",
+        ),
+        output("new_folder", "folder for the report", "REPORT_DIR", otherwise="DIR/report"),
+        option(
+            "--experiment", kind="experiment", metavar="FILE.yaml", label="experiment file", advanced=True,
+            help="DIR holds runs recorded with another controller: their experiment file, relative to the working "
+            "directory, else to DIR",
+        ),
+        contact("predictions shown in the figures (both have a table); with --experiment those of the table"),
+        *JOBS,
+        JSON,
+    ),
+)  # fmt: skip
+
+PAPER = Command(
+    name="paper",
+    summary="fit a motor-inertia scale to the published results",
+    about="""\
+Fit one motor-inertia scale to the 18 published rows (config/paper/tables.yaml).
+
+The published predictions are known for no motor inertia, for B_theta and for B_rho = 3 B_theta. In between they are
+interpolated by a parabola in s, B = s B_theta. Gives the s with the smallest mean absolute mismatch, its interval from
+resampling the rows, the mismatch of held-out rows, and the rows that no motor inertia between 0 and B_rho explains.""",
+    examples="""\
+impact-rs paper
+impact-rs paper --json -o report""",
+    output="a table; with -o a figure and the table as files.",
+    units="mismatch is (prediction - estimate) / estimate in percent; the scale has none.",
+    options=(output("new_folder", "folder for figure and table", "REPORT_DIR"), JSON),
+)
+
+COMPARE = Command(
+    name="compare",
+    summary="show where a model fails against trials",
+    about="""\
+Compare a model with measurements, and show where it fails.
+
+Three levels: the velocity jump of the impact map, free motion, and the impact with the push after it. The latter two
+use a twin: an open-loop simulation from the measured state, driven by the recorded torque. Differences have their own
+units and are also given as multiples of repeatability (the scatter of repeats). One score summarises all; a score of 1
+equals repeatability. Only measured signals are read.""",
+    examples="""\
+impact-rs compare campaigns/blind/runs --model config/models/nominal.yaml -o report
+impact-rs compare campaigns/blind/runs --model model_2.yaml --mcap aligned --json
+
+# runs recorded with another controller (bags, CSV, NPZ, Parquet, HDF5)
+impact-rs compare lab/ --experiment experiment.yaml -o report
+
+# a recording of a real robot in free motion is compared on joint torque
+impact-rs compare recording.db3 --mapping joint_state
+
+# a table with one row per impact, of one free body on a plane or of an arm and an object (--scenario), is compared
+# on the velocities just after; docs/your_data.md lists its columns
+impact-rs compare --impacts tosses.csv
+impact-rs compare --impacts pushes.csv --scenario push""",
+    output="score, size of the differences, and where they are largest; with -o compare.html and compare.json.",
+    units="""\
+beside each difference; scores are multiples of repeatability, for recordings N m, for impacts without repeats
+m/s.""",
+    options=(
+        RUNS,
+        MODEL,
+        output("new_folder", "folder for an HTML report", "REPORT_DIR", label="folder of the report"),
+        *SOURCE,
+        option(
+            "--mcap", kind="new_folder", metavar="DIR", advanced=True, label="folder for aligned bags",
+            help="folder for aligned bags: measured, predicted and residual signals",
+        ),
+        *JOBS,
+        JSON,
+    ),
+)  # fmt: skip
+
+DIAGNOSE = Command(
+    name="diagnose",
+    summary="name the physical effect that a model lacks",
+    about="""\
+Find out which physical effect a model lacks.
+
+Fits every effect of the library (impact-rs effects lists them) and of your own formulas to the measurements, and
+judges it by its held-out error: how well it predicts conditions that the search has not seen. The verdict on an effect
+is CONFIRMED, CONFUSABLE-WITH{...}, PRESENT-BUT-SMALL, NOT-IDENTIFIABLE, NO-IMPROVEMENT or AT-BOUND; the verdict on
+the model names the missing effects, or is NOTHING-MISSING, NONE-EXPLAINS, PARTLY{...} or TOO-FEW-REPEATS.
+
+Needs at least three conditions (object x case) and three extra repeats (runs minus conditions >= 3). A free motion
+(scenario excite) separates friction, offset and gain of the torque.""",
+    examples="""\
+impact-rs diagnose campaigns/blind/runs --model config/models/nominal.yaml -o diagnosis.json
+impact-rs diagnose campaigns/blind/runs -o diagnosis.json --effects torque_offset joint_coulomb_friction
+impact-rs add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
+
+# runs recorded with another controller (bags, CSV, NPZ, Parquet, HDF5)
+impact-rs diagnose lab/ --experiment experiment.yaml -o diagnosis.json
+
+# a recording of a real robot in free motion is compared on joint torque
+impact-rs diagnose recording.db3 --mapping joint_state
+
+# a table with one row per impact, of one free body on a plane or of an arm and an object (--scenario), is diagnosed
+# on the velocities just after; docs/your_data.md lists its columns
+impact-rs diagnose --impacts tosses.csv -o diagnosis.json
+impact-rs diagnose --impacts pushes.csv --scenario push -o diagnosis.json""",
+    output="verdict, ranking of the effects, estimates; with -o a JSON file, with --report diagnosis.html.",
+    units="""\
+beside each estimate; errors are multiples of repeatability, for recordings N m, for impacts without repeats
+m/s.""",
+    options=(
+        RUNS,
+        MODEL,
+        option(
+            "--report", kind="new_folder", metavar="DIR", help="folder for an HTML report", label="folder of the report"
+        ),
+        output("new_file", "file for the diagnosis", "FILE.json", label="file of the diagnosis"),
+        option(
+            "--formulas", kind="formulas", metavar="FILE.yaml", help="consider your own effects as well",
+            label="your own effects",
+        ),
+        option(
+            "--effects", kind="effect", many=True, metavar="NAME", help="consider only these effects",
+            otherwise="all", label="only these effects",
+        ),
+        *SOURCE,
+        option(
+            "--each-arm", kind="switch", label="parameters of every arm separately", advanced=True,
+            help="fit parameters of every arm separately; by default arms of one kind share them (arms of different "
+            "kinds never do)",
+        ),
+        *JOBS,
+        JSON,
+    ),
+)  # fmt: skip
+
+ADD = Command(
+    name="add",
+    summary="add a diagnosed effect to a model",
+    module="add_effect",
+    about="""\
+Write a new model file: the old model and one effect with the parameters of a diagnosis.
+
+The new file names its parent, so impact-rs history can list all versions. Model files are never overwritten. The
+command refuses a diagnosis of another model, and an effect that the trials do not determine; --force adds an effect
+whose verdict is NO-IMPROVEMENT.""",
+    examples="""\
+impact-rs add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
+impact-rs compare campaigns/blind/runs --model model_2.yaml""",
+    output="the effect with its parameters, and a YAML file.",
+    units="those of the diagnosis and the model file.",
+    options=(
+        argument("effect", "name of an effect of the diagnosis", kind="effect", metavar="EFFECT"),
+        MODEL._replace(label="model that was diagnosed", advanced=True),
+        option(
+            "--from", name="source", kind="diagnosis", required=True, metavar="FILE.json", label="diagnosis",
+            help="diagnosis of the model",
+        ),
+        output("new_file", "new model file", "FILE.yaml", required=True, label="new model"),
+        option(
+            "--force", kind="switch", help="add the effect even if its verdict is NO-IMPROVEMENT",
+            label="add it even if it does not reduce the error",
+        ),
+        JSON,
+    ),
+)  # fmt: skip
+
+HISTORY = Command(
+    name="history",
+    summary="show how the error fell from model to model",
+    about="""\
+Show the error of every version of a model, from its first parent to MODEL.yaml.
+
+Two errors: with the parameters of the file, and held out, where the parameters of the added effect are fitted to all
+other conditions. Fitting noise does not reduce the held-out error.""",
+    examples="""\
+impact-rs history model_3.yaml --runs campaigns/blind/runs
+impact-rs history model_3.yaml --runs campaigns/blind/runs -o report --json
+impact-rs history model_2.yaml --impacts tosses.csv""",
+    output="a table with one row per version; with -o history.html and history.json.",
+    units="errors are multiples of repeatability, for recordings of the torque noise; for impacts without repeats m/s.",
+    options=(
+        argument("model", "the last model", kind="model", metavar="MODEL.yaml"),
+        option(
+            "--runs", kind="runs", url=True, metavar="RUNS", help=f"{RUNS_TEXT}; leave it out with --impacts",
+            label="measurements",
+        ),
+        output("new_folder", "folder for an HTML page with the plot", label="folder of the page"),
+        *SOURCE,
+        *JOBS,
+        JSON,
+    ),
+)  # fmt: skip
+
+SHOW = Command(
+    name="show",
+    summary="show a trial in 3D",
+    about="""\
+Show one run in 3D: arms, object and support as measured, contact forces, velocities before and after the impact.
+
+Writes one HTML page that opens offline and on a phone, and opens it in the browser. A time slider moves the bodies and
+the plots of joint positions, joint velocities and end-effector velocity together; the impact is played a hundred times
+slower. Space plays, arrow keys step by 1 ms, with shift by 10 ms, I goes to the impact. Only measured signals are read.
+
+With --live, running nodes (up, a cell, nodes of your own) are shown until Ctrl-C; the page is served to this machine
+alone.""",
+    examples="""\
+impact-rs show campaigns/push/cat_food__case_2__s1.000__r0
+impact-rs show campaigns/push/cat_food__case_2__s1.000__r0 -o impact.html --no-browser
+
+# a run recorded with another controller, as compare reads it; with --model beside its twin, window by window
+impact-rs show lab --experiment lab/experiment.yaml --run run_03
+impact-rs show lab --experiment lab/experiment.yaml --run run_03 --model model_2.yaml
+
+# running nodes
+impact-rs show --live
+impact-rs show --live --namespace cell_a --no-browser""",
+    output="one HTML page; with --live the address of a page.",
+    units="s, m, m/s, N; joints in rad and rad/s (prismatic joints in m and m/s).",
+    options=(
+        argument(
+            "path", "folder of a trial; with --experiment the folder of the recordings; leave it out with --live",
+            kind="folder", metavar="BAG", required=False,
+        ),
+        option(
+            "--experiment", kind="experiment", metavar="FILE.yaml",
+            help="BAG is a folder of runs recorded with another controller: their experiment file "
+            "(docs/your_data.md); relative to the working directory, else to BAG",
+        ),
+        option("--run", name="run_name", metavar="NAME", help="with --experiment: name of the run in its table"),
+        option(
+            "--model", kind="model", metavar="FILE",
+            help="with --experiment: model file, or nominal, whose twin is shown beside the run",
+        ),
+        option("--live", kind="switch", help="show the running nodes until Ctrl-C"),
+        option(
+            "--namespace", metavar="NAME", help="with --live: ROS namespace of the nodes", otherwise="none"
+        ),
+        option("--port", kind="whole", metavar="N", help="with --live: port to listen on", otherwise="a free one"),
+        output(
+            "new_file", "the page", "FILE.html",
+            otherwise="NAME_OF_THE_BAG.html beside the bag, DIR_RUN.html beside a folder of runs",
+        ),
+        NO_BROWSER._replace(help="do not open the page, only write or serve it"),
+        *JOBS,
+        JSON,
+    ),
+)  # fmt: skip
+
+EXPORT = Command(
+    name="export",
+    summary="write a campaign into one Parquet or HDF5 file",
+    about="""\
+Write a campaign into one file: .parquet has a row per trial, .h5 (or .hdf5) has every measured signal.
+
+A name without suffix is a folder of .parquet files that are read as one table, with the same rows. It grows with its
+campaign: run the same command again, also while the campaign runs, and it reads only new or repeated trials. Rows stay
+when their bags are removed.
+
+A row holds scenario, object, case, scale, repeat, seed, outcome, predicted and reference velocity, net feedback and
+impact times. In HDF5 every trial is a group, with a group per arm (joint states, motor states, commands, controller
+state) and one for the object. Ground truth of the simulated plant is not exported. Unreadable bags
+are listed and left out.
+
+Needs pyarrow for Parquet and h5py for HDF5 (both are in the extra "export").""",
+    examples="""\
+impact-rs export campaigns/push -o push.parquet
+impact-rs export s3://bucket/push -o push.h5
+impact-rs export campaigns/push -o push_rows     # folder: push_rows/part-00000.parquet, ...""",
+    output="how many trials were written, and one file or a folder of files.",
+    units="a column name ends with its unit; datasets have an attribute units.",
+    options=(
+        argument("campaign", RUNS_TEXT, kind="runs", url=True, metavar="CAMPAIGN"),
+        output("new_file", ".parquet, .h5, .hdf5, or a folder", "FILE", required=True),
+        *JOBS,
+        JSON,
+    ),
+)
+
+WORKBENCH = Command(
+    name="workbench",
+    summary="run the loop on a page in the browser",
+    about="""\
+Run the loop on one page in the browser: predict, measure, compare, diagnose, add, history.
+
+The page is served to this machine alone, until Ctrl-C; the printed address contains the access key. Every action is a
+command of this command line, which the page shows, and every result is a file in DIR: closing the page loses
+nothing.""",
+    examples="""\
+impact-rs workbench
+impact-rs workbench campaigns --no-browser""",
+    output="the address of the page.",
+    units="beside every number on the page.",
+    options=(
+        argument(
+            "directory", "folder of campaigns, recordings and models", kind="folder", required=False, metavar="DIR",
+            default="workbench",
+        ),
+        NO_BROWSER,
+        option("--port", kind="whole", default=0, metavar="N", help="port to listen on", otherwise="a free one"),
+    ),
+)  # fmt: skip

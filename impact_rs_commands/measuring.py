@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands that run trials, and those that start nodes."""
+
+from __future__ import annotations
+
+from impact_rs_commands.declaration import Command, argument, option
+from impact_rs_commands.shared import (
+    CASE,
+    CASES,
+    JOBS,
+    JSON,
+    NAMESPACE,
+    OBJECT,
+    OBJECTS,
+    SCENARIO,
+    SEED,
+    SETTINGS,
+    WITHOUT,
+    contact,
+    output,
+)
+
+DEMO = Command(
+    name="demo",
+    summary="run the whole loop once: trials, analysis, diagnosis, better model",
+    about="""\
+Run the whole loop through the ROS 2 nodes: a robot hits and pushes boxes, and its plant has a hidden physical effect
+that the model lacks. The bags are analysed as in the paper; compare shows where the model fails, diagnose names the
+missing effect, add writes a better model, and history shows how the error falls.
+
+Takes some minutes, half of them for trials, and ends with the next commands. --quick runs the paper's experiment alone,
+without a hidden effect: five trials, their analysis and the report, in well under a minute.""",
+    examples="""\
+impact-rs demo
+impact-rs demo --quick
+impact-rs demo -o /tmp/impact_demo""",
+    output="the result of every step, and in DIR trials, diagnosis, model and reports.",
+    units="speeds in m/s; errors in percent, or as multiples of repeatability.",
+    options=(
+        output("new_folder", "folder of trials, model and reports", default="demo_output"),
+        option("--quick", kind="switch", help="the paper's experiment alone, without a hidden effect"),
+        JSON,
+    ),
+)
+
+TRIAL = Command(
+    name="trial",
+    summary="run one trial and record it",
+    about="""\
+Run one trial of a scenario in this process and record it as a bag.
+
+--scale multiplies the predicted post-impact velocity to give the reference; 1.0 follows the prediction. The trial
+equals repeat 0 of a campaign with the same seed.""",
+    examples="""\
+impact-rs trial push cat_food case_2 --scale 0.9 --seed 7 -o trials
+impact-rs analyze trials        # needs trials at three scales or more""",
+    output="how the trial ended and its net feedback; in DIR one bag.",
+    units="the scale has none; speeds are in m/s.",
+    options=(
+        SCENARIO,
+        OBJECT,
+        CASE,
+        option(
+            "--scale", kind="number", default=1.0, metavar="S", unit="-", label="reference over prediction",
+            help="post-impact reference over prediction",
+        ),
+        SEED,
+        output("new_folder", "folder for the bag", required=True),
+        JSON,
+    ),
+)  # fmt: skip
+
+CAMPAIGN = Command(
+    name="campaign",
+    summary="run many trials, or continue a campaign",
+    about="""\
+Run all trials of a scenario, or a selection of them, and record one bag each.
+
+To continue an interrupted campaign, run the same command again: finished bags stay, a half-written one is run again.
+Trials run in parallel worker processes; results do not depend on their number (--jobs). With --scheduler they run on
+the workers of a dask scheduler; DIR is then a folder that all workers share, or a URL.""",
+    examples="""\
+impact-rs campaign push -o campaigns/push
+impact-rs campaign push -o campaigns/quick --objects cat_food --cases 2 --scales 0.8 1.0 1.2 --trials 2
+impact-rs campaign grab -o campaigns/firm --set control.clamp_force=90
+impact-rs campaign push -o s3://bucket/push --scheduler tcp://10.0.0.1:8786
+impact-rs campaign push -o campaigns/mine --via nodes --without plant
+impact-rs analyze campaigns/push""",
+    output="how many trials are there and how they ended; in DIR a manifest and one bag per trial.",
+    units="scales have none (post-impact reference velocity over predicted velocity).",
+    options=(
+        SCENARIO,
+        output("new_folder", "folder of the campaign, or URL", required=True, url=True, label="folder of the campaign"),
+        OBJECTS,
+        CASES,
+        option(
+            "--scales", kind="number", many=True, metavar="S", unit="-", otherwise="the scenario's",
+            label="post-impact reference over prediction", help="post-impact references over the prediction",
+        ),
+        option(
+            "--trials", kind="whole", least=1, most=1000, metavar="N", label="repeats of each",
+            help="repeats of every scale", otherwise="the scenario's",
+        ),
+        SEED._replace(help="seed of the campaign"),
+        SETTINGS,
+        option(
+            "--sensitivity", kind="switch", label="settings halved and doubled", advanced=True,
+            help="also halve and double, one at a time, settings that the estimate should not depend on (three scales "
+            "of the first case); analyze then reports a systematic band",
+        ),
+        *JOBS,
+        option(
+            "--via", choices=("inprocess", "nodes"), default="inprocess", label="how trials run", advanced=True,
+            help="run trials in this program, or through the ROS 2 nodes (one at a time)",
+        ),
+        WITHOUT,
+        NAMESPACE,
+        JSON,
+    ),
+    resumable=True,
+)  # fmt: skip
+
+STUDY = Command(
+    name="study",
+    summary="run and analyse all 450 trials of the published study",
+    about="""\
+Run the whole published study, analyse it and write one report: both scenarios (push with one arm, grab with two), three
+objects, three cases, five post-impact references, five repeats: 450 trials. Then 126 trials for the systematic band of
+the estimates: one setting at a time, on which they should not depend, is halved or doubled.
+
+To continue an interrupted study, run the same command again. Its two campaigns are DIR/push and DIR/grab; tables, means
+and all figures are in DIR/report, beside the published numbers. The tables have predictions for the first and for the
+settled contact (see impact-rs map --help).""",
+    examples="""\
+impact-rs study -o study
+impact-rs study -o study_small --trials 1 --no-sensitivity    # 90 trials""",
+    output="a table of estimates and errors; in DIR two campaigns and the report.",
+    units="speeds in m/s along each scenario's axis (push y, grab z), errors in percent.",
+    options=(
+        output("new_folder", "folder of the study", required=True),
+        option("--trials", kind="whole", metavar="N", help="repeats of every reference", otherwise="5"),
+        SEED._replace(help="seed of the study"),
+        option(
+            "--no-sensitivity", kind="switch",
+            help="leave out the 126 trials for the systematic band of the estimates",
+        ),
+        contact("predictions shown in the figures; both have a table"),
+        *JOBS,
+        JSON,
+    ),
+    resumable=True,
+)  # fmt: skip
+
+BLIND = Command(
+    name="blind",
+    summary="make a campaign with a hidden effect, or score a diagnosis",
+    about="""\
+Make a campaign whose plant has a hidden effect, or score a diagnosis of one.
+
+make draws effect and size from SEED, records pushes and free motions into DIR/runs, and writes DIR/truth.json, which
+only score reads. Kinds: single, pair, null (no hidden effect), outside (an effect that is not in the library).""",
+    examples="""\
+impact-rs blind make 7 -o blind_7 --size small
+impact-rs diagnose blind_7/runs -o diagnosis.json
+impact-rs blind score blind_7 --diagnosis diagnosis.json
+impact-rs blind make 8 -o blind_8 --scenarios my_push.yaml my_excite.yaml      # for your own robot""",
+    output="make: trials in DIR/runs. score: right or wrong, what was hidden, and what was named.",
+    units="truth.json names those of the hidden parameters.",
+    actions=(
+        Command(
+            name="blind make",
+            summary="make a campaign with a hidden effect",
+            function="make",
+            options=(
+                argument(
+                    "seed", "whole number; the same seed hides the same effect", kind="whole", metavar="SEED", least=0,
+                    label="seed: draws effect and size",
+                ),
+                output("new_folder", "folder of the campaign", required=True, label="folder of the campaign"),
+                option(
+                    "--kind", choices=("single", "pair", "null", "outside"), default="single", advanced=True,
+                    help="what is hidden",
+                ),
+                option(
+                    "--effect", metavar="NAME", advanced=True, otherwise="drawn from SEED",
+                    help="effect to hide, FIRST+SECOND for a pair",
+                ),
+                option(
+                    "--scenarios", kind="scenario", many=True, metavar="SCENARIO", default=("push", "excite"),
+                    help="scenarios of one arm to record: pushes and free motions", advanced=True,
+                ),
+                option("--size", choices=("small", "full"), default="small", help="how many trials", advanced=True),
+                *JOBS,
+                JSON,
+            ),
+        ),
+        Command(
+            name="blind score",
+            summary="score a diagnosis against the truth",
+            function="score",
+            options=(
+                argument("directory", "folder of the campaign", kind="folder", metavar="DIR"),
+                option(
+                    "--diagnosis", kind="diagnosis", required=True, metavar="FILE.json",
+                    help="diagnosis of its folder runs",
+                ),
+                JSON,
+            ),
+        ),
+    ),
+)  # fmt: skip
+
+FRICTION = Command(
+    name="friction",
+    summary="identify the friction compensation of a scenario",
+    about="""\
+Identify a feedforward for joint friction, so that the net feedback shows the impact alone.
+
+identify runs the scenario's plant in free motion, one arm at a time: along the ante-impact reference with the
+ante-impact controller, and from rest along the post-impact reference with the post-impact controller. The mean
+feedback of these runs is the feedforward. Two more turns with it correct the remaining feedback. Writes FILE and
+beside it SCENARIO_compensated.yaml, a copy of the scenario that uses it. Existing files are never overwritten.""",
+    examples="""\
+impact-rs friction identify my_push.yaml -o friction/push_friction.yaml
+impact-rs campaign friction/my_push_compensated.yaml -o campaigns/compensated""",
+    output="the largest feedforward of every arm before and after the impact, and two files.",
+    units="""\
+accelerations of the end effector [m/s^2, rad/s^2] and of joint 1 [rad/s^2], over the time of the trial [s].""",
+    actions=(
+        Command(
+            name="friction identify",
+            summary="identify the feedforward from runs in free motion",
+            function="identify",
+            options=(
+                SCENARIO,
+                output("new_file", "file to write, .yaml", "FILE", required=True),
+                OBJECTS,
+                CASES,
+                option(
+                    "--runs", kind="whole", default=5, least=1, metavar="N",
+                    help="runs per mean, in each of three turns",
+                ),
+                SEED,
+                option(
+                    "--effects", kind="model", metavar="MODEL",
+                    help="model file with effects of the plant beyond the scenario",
+                ),
+                *JOBS,
+                JSON,
+            ),
+        ),
+    ),
+)  # fmt: skip
+
+UP = Command(
+    name="up",
+    summary="start the ROS 2 nodes",
+    about="""\
+Start the ROS 2 nodes (plant, controller, impact map, recorder, experiment) and keep them running until Ctrl-C.
+
+Equivalent to `ros2 launch impact_rs impact_rs.launch.py`, without the ROS 2 command line.
+
+With --without, a node of your own replaces one of them; docs/real_robot.md lists its duties.""",
+    examples="""\
+impact-rs up push
+impact-rs up push --namespace cell_a
+impact-rs up push --without plant""",
+    output="services and actions of the nodes, then one line per trial.",
+    options=(SCENARIO, WITHOUT, NAMESPACE),
+)

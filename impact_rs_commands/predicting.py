@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands about one prediction and what it needs: impact map, effects, robots and scenarios."""
+
+from __future__ import annotations
+
+from impact_rs_commands.declaration import Command, argument, option
+from impact_rs_commands.shared import CASE, JOBS, JSON, OBJECT, SCENARIO, SETTINGS, contact, optional, output
+
+ROBOT_TEXT = "name of a robot in config/robots, or path of its YAML file"
+
+MAP = Command(
+    name="map",
+    summary="predict the velocities just after an impact",
+    about="""\
+Predict the velocities after the nominal impact of a scenario.
+
+Solves the rigid impact map: from the ante-impact configuration and velocities to the post-impact velocities of all
+joints and bodies and the contact impulses. Where the contact laws have several solutions, it also gives their spread.
+--motor-inertia selects the reflected inertia of the motors: 'reduced' (B_theta, with the robot's torque loop), 'rotor'
+(B_rho, without it) or 'zero'. --contact selects the instant: 'first', just after the first simultaneous impact, or
+'settled', when the pads lie flat on the object and move with it.
+
+--table solves one problem per row of a table of impacts (docs/your_data.md) without post-impact velocities: impacts
+of an arm if a scenario is given, of free bodies otherwise.""",
+    examples="""\
+impact-rs map push cat_food case_2
+impact-rs map push cat_food 2 --motor-inertia rotor --json
+impact-rs map grab cat_food 2 --contact settled
+impact-rs map push cat_food 2 --uncertainty
+impact-rs map push cat_food 2 --derivatives
+impact-rs map push cat_food 2 --set contact.restitution=0.2 objects.cat_food.mass=1.5
+impact-rs map push --table problems.parquet -o answers.parquet
+impact-rs map --table tosses.csv -o answers.csv""",
+    output="""\
+velocities before and after of every end effector and the object, the impulse, and the largest residual of the
+contact laws; --json adds joints and contacts; with --table the file of -o.""",
+    units="m/s and rad/s, impulses in N s, vectors in the axes of the world frame, SI throughout.",
+    options=(
+        optional(SCENARIO),
+        optional(OBJECT),
+        optional(CASE),
+        option(
+            "--uncertainty", kind="switch",
+            help="interval of every velocity from the uncertainties of the scenario, and the share of each source",
+        ),
+        option(
+            "--motor-inertia", choices=("reduced", "rotor", "zero"), default="reduced",
+            help="reflected inertia of the motors",
+        ),
+        contact("first: just after the first impact; settled: when the faces lie on each other"),
+        option(
+            "--engine", choices=("exact", "bullet"), former=(("pinocchio", "exact"),), default="exact",
+            help="solver of the first contact: exact, Newton's method on the contact laws (formerly pinocchio), or "
+            "bullet, the independent check: the impact map extracted from steps of the physics engine Bullet",
+        ),
+        option(
+            "--restitution-law", choices=("newton", "poisson"), help="law of restitution",
+            otherwise="that of the scenario",
+        ),
+        option(
+            "--derivatives", kind="switch",
+            help="derivatives of every velocity with respect to masses, inertias, B, friction, restitution, poses and "
+            "ante-impact velocities",
+        ),
+        SETTINGS,
+        option("--table", kind="file", metavar="FILE", help="many problems: a .csv or .parquet table of impacts"),
+        output("new_file", "file for the answers of --table", "FILE"),
+        *JOBS,
+        JSON,
+    ),
+)  # fmt: skip
+
+EFFECTS = Command(
+    name="effects",
+    summary="list the library of physical effects",
+    about="""\
+List the physical effects that a model may have and that diagnose considers, or explain one of them.
+
+Add your own effects with a Python entry point (group impact_rs.effects) or a YAML file of formulas (--formulas checks
+it).""",
+    examples="""\
+impact-rs effects
+impact-rs effects torque_offset
+impact-rs effects --formulas cable.yaml""",
+    output="a table of effects, or the parameters of one with bounds.",
+    units="beside every parameter.",
+    options=(
+        argument("name", "one effect", kind="effect", metavar="NAME", required=False, otherwise="all"),
+        option(
+            "--formulas", kind="formulas", metavar="FILE.yaml", help="also list the effects of a formula file"
+        ),
+        JSON,
+    ),
+)  # fmt: skip
+
+ROBOT = Command(
+    name="robot",
+    summary="import the URDF of your own robot, and check it",
+    about="""\
+Import your own robot from its URDF, and check the result.
+
+import writes robot facts (kinematics, inertias, limits) of the serial chain from --base to --tip. Joints may be
+revolute or prismatic, about any axis; mesh files are not needed. Comments in the file name the facts that a URDF does
+not hold. Robot facts are never overwritten. check tests robot facts before a simulation uses them, with --scenario also
+the drives of the arms that are this robot.""",
+    examples="""\
+impact-rs robot import my_robot.urdf --tip flange -o my_robot.yaml
+impact-rs robot check my_robot.yaml
+impact-rs robot check my_robot.yaml --scenario my_push.yaml""",
+    output="import: a YAML file, and notes on what a URDF does not hold. check: a table; exit code 1 if a check fails.",
+    units="SI; angles in rad. Prismatic joints have m, N and kg instead of rad, N m and kg m^2.",
+    actions=(
+        Command(
+            name="robot import",
+            summary="robot facts from a URDF",
+            function="import_robot",
+            options=(
+                argument("urdf", "URDF file; expand xacro first", kind="file", metavar="ROBOT.urdf"),
+                output("new_file", "file to write", "FILE.yaml", required=True),
+                option("--base", metavar="LINK", help="link that is mounted", otherwise="the root of the tree"),
+                option(
+                    "--tip", metavar="LINK", help="link whose frame is the flange, +z outwards",
+                    otherwise="the only leaf of the tree",
+                ),
+                option("--source", metavar="TEXT", help="where the numbers come from, with their licence"),
+                JSON,
+            ),
+        ),
+        Command(
+            name="robot check",
+            summary="check robot facts; exit code 1 if a check fails",
+            function="check",
+            options=(
+                argument("robot", ROBOT_TEXT, kind="robot", metavar="ROBOT"),
+                option(
+                    "--scenario", kind="scenario", metavar="SCENARIO",
+                    help="also check the drives of this robot's arms in the scenario",
+                ),
+                JSON,
+            ),
+        ),
+    ),
+)  # fmt: skip
+
+SCENARIO_DRAFT = Command(
+    name="scenario",
+    summary="write a scenario to start from, for any robot",
+    about="""\
+Write a scenario for a robot: boxes, an impact pose, and everything else that trials need.
+
+The command searches for a pose whose whole motion is far from joint limits and singularities, and runs the trials of
+the file before it writes it. Motor inertia, stiffness and damping that the robot facts lack are assumptions, scaled
+from a Franka arm: replace them with yours. Files are never overwritten.""",
+    examples="""\
+impact-rs scenario new --robot franka_fr3 -o my_push.yaml
+impact-rs scenario new --robot my_robot.yaml --kind excite -o my_excite.yaml
+impact-rs campaign my_push.yaml -o campaigns/my_push""",
+    output="a YAML file.",
+    units="SI; angles in rad.",
+    actions=(
+        Command(
+            name="scenario new",
+            summary="a working scenario for a robot",
+            function="new",
+            options=(
+                option("--robot", kind="robot", required=True, metavar="ROBOT", help=ROBOT_TEXT),
+                option(
+                    "--kind", choices=("push", "grab", "excite"), default="push",
+                    help="push: one arm hits a box; grab: two arms clamp and lift it; excite: free motion",
+                ),
+                output("new_file", "file to write", "FILE.yaml", required=True),
+                JSON,
+            ),
+        ),
+    ),
+)  # fmt: skip

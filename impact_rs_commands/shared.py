@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Options that several commands have."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from impact_rs_commands.declaration import Option, argument, option
+
+RUNS_TEXT = "folder with bags of trials, searched with its subfolders, or URL"
+SCENARIO_TEXT = "name of a scenario, or path of its YAML file"
+
+SCENARIO = argument("scenario", SCENARIO_TEXT, kind="scenario", metavar="SCENARIO")
+OBJECT = argument("object", "name of an object of the scenario", kind="object", metavar="OBJECT")
+CASE = argument("case", "name of a case of the scenario; 2 is short for case_2", kind="case", metavar="CASE")
+OBJECTS = option("--objects", kind="object", many=True, metavar="NAME", help="objects", otherwise="all of the scenario")
+CASES = option("--cases", kind="case", many=True, metavar="NAME", help="cases", otherwise="all of the scenario")
+SEED = option("--seed", kind="whole", default=0, least=0, metavar="N", help="seed of scatter and noise")
+JSON = option("--json", kind="json", help="print one JSON document on standard output, nothing else")
+MODEL = option(
+    "--model", kind="model", default="nominal", metavar="FILE", help="model file", otherwise="the nominal model"
+)
+RUNS = argument(
+    "runs", f"{RUNS_TEXT}; leave it out with --impacts", kind="runs", url=True, required=False, metavar="RUNS",
+    label="measurements",
+)  # fmt: skip
+NAMESPACE = option(
+    "--namespace", kind="name", default="", metavar="NAME", label="ROS namespace", advanced=True, otherwise="none",
+    help="ROS namespace of the nodes; lets several sets of nodes run side by side",
+)  # fmt: skip
+WITHOUT = option(
+    "--without", kind="name", many=True, default=(), metavar="NODE", label="without nodes", advanced=True,
+    help="nodes that are not started because you provide them; the command waits for yours",
+)  # fmt: skip
+SETTINGS = option(
+    "--set", name="settings", kind="setting", many=True, default=(), metavar="KEY=VALUE", advanced=True,
+    label="scenario settings",
+    help="override values of the scenario, for example control.clamp_force=90",
+)  # fmt: skip
+NO_BROWSER = option("--no-browser", kind="switch", help="only print the address")
+JOBS = (
+    option(
+        "--jobs", kind="whole", least=1, metavar="N", label="worker processes", advanced=True, help="worker processes",
+        otherwise="one per core",
+    ),
+    option(
+        "--scheduler", kind="address", metavar="ADDRESS", label="dask scheduler", advanced=True,
+        help="run on the workers of a running dask scheduler instead (tcp://host:port)",
+    ),
+)  # fmt: skip
+SOURCE = (
+    option(
+        "--mapping", kind="mapping", metavar="NAME", label="mapping of a recording", advanced=True,
+        otherwise="joint_state",
+        help="RUNS is a recording of a real robot in free motion (.db3, .mcap, .csv, .npz, or a folder of them): name "
+        "of a mapping (joint_state, franka_robot_state), or path of a mapping file",
+    ),
+    option(
+        "--experiment", kind="experiment", metavar="FILE.yaml", label="experiment file", advanced=True,
+        help="RUNS is a folder of runs recorded with another controller: experiment file with scenario, mapping and "
+        "table of runs (docs/your_data.md); path relative to the working directory, else to RUNS",
+    ),
+    option(
+        "--impacts", kind="file", metavar="TABLE", label="table of impacts", advanced=True,
+        help="instead of RUNS: a table (.csv, .parquet) with one row per impact, of one free body on a plane or of an "
+        "arm and an object; a column header is name and unit, for example 'vx_before [m/s]' (docs/your_data.md)",
+    ),
+    option(
+        "--scenario", kind="scenario", metavar="NAME", label="scenario of the table", advanced=True,
+        help="with --impacts: scenario (name or file) whose robots, pads and support the rows refer to; without it "
+        "each row is one free body that hits a fixed plane",
+    ),
+    option(
+        "--no-discrepancy", kind="switch", label="assume an exact simulation", advanced=True,
+        help="assume that the simulation is exact: ignore the model discrepancy between simulators "
+        "(config/discrepancy.yaml)",
+    ),
+)  # fmt: skip
+
+
+def contact(help: str) -> Option:
+    """The option ``--contact``; ``help`` says what it decides."""
+    return option("--contact", choices=("first", "settled"), default="first", help=help, advanced=True)
+
+
+def output(kind: Any, help: str, metavar: str = "DIR", **more: Any) -> Option:
+    """The option ``-o``, also spelled ``--output``."""
+    return option("-o", "--output", kind=kind, help=help, metavar=metavar, **more)
+
+
+def optional(of: Option) -> Option:
+    """The same option, which may be left out."""
+    return of._replace(required=False)

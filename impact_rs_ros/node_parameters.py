@@ -1,0 +1,337 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the nodes: each is declared here and nowhere else.
+
+``ros2 param describe``, ``config/nodes.yaml`` and ``docs/parameters.md`` follow from this list; the last is printed by
+``python -m impact_rs_ros.node_parameters``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import CONTACTS, DEFAULT_ENGINE, ENGINES, FORMER_NAMES
+from impact_rs_sim.scenario import load_scenario
+
+Value = bool | float | str
+FULL_TURN = 6.283185  # rad
+
+
+@dataclass(frozen=True)
+class NodeParameter:
+    """One parameter of a node.
+
+    Attributes:
+        name: Name.
+        default: Default value; decides the type.
+        description: What it does, in a sentence.
+        unit: Unit, ``-`` where it has none.
+        range: Least and greatest value; floats only.
+        choices: Allowed values; empty: any.
+        former: Values of older versions, which are accepted as well.
+    """
+
+    name: str
+    default: Value
+    description: str
+    unit: str = "-"
+    range: tuple[float, float] | None = None
+    choices: tuple[str, ...] = ()
+    former: tuple[str, ...] = ()
+
+    @property
+    def expected(self) -> str:
+        """Allowed values, as text; empty: any, or those of the range."""
+        return f"one of {', '.join(self.choices)}" if self.choices else ""
+
+    def descriptor(self) -> ParameterDescriptor:
+        """Descriptor that ``ros2 param describe`` shows."""
+        limits = [] if self.range is None else [FloatingPointRange(from_value=self.range[0], to_value=self.range[1])]
+        return ParameterDescriptor(
+            description=f"{self.description} [{self.unit}]",
+            additional_constraints="; ".join(filter(None, (f"unit: {self.unit}", self.expected))),
+            floating_point_range=limits,
+        )
+
+
+COMMON = (
+    NodeParameter("scenario", "push", "Name or path of the scenario for requests that name none"),
+    NodeParameter(
+        "config_root",
+        "",
+        "Folder whose scenarios requests may name by path, in addition to the shipped ones; empty: working directory",
+    ),
+    NodeParameter("diagnostics_period", 1.0, "Wall-clock time between two messages on /diagnostics", "s", (0.1, 60.0)),
+)
+
+DATA_ROOT = NodeParameter("data_root", "", "Folder below which requests may write bags; empty: working directory")
+
+ROBOT = (
+    NodeParameter(
+        "joints",
+        "{arm}_joint{number}",
+        "Pattern of the robot's joint names: {arm} is the name of the arm in the scenario, {number} counts from 1",
+    ),
+    NodeParameter(
+        "robot_adds_gravity",
+        True,
+        "true: the robot compensates gravity itself (franka_ros2), and commanded torques do not contain it",
+    ),
+    NodeParameter(
+        "state_timeout",
+        0.01,
+        "Largest age of a robot state, and longest time without one; beyond it the trial is aborted",
+        "s",
+        (0.001, 10.0),
+    ),
+    NodeParameter(
+        "torque_rate_limit",
+        1000.0,
+        "Largest rate of change of the commanded torque; a larger step is spread over several control periods",
+        "N m/s or N/s",
+        (1.0, 1e6),
+    ),
+)
+
+PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
+    "plant": (
+        *COMMON,
+        NodeParameter(
+            "realtime",
+            False,
+            "true: the ticks follow the wall clock. A late torque counts as a missed tick: the last torque is held, and"
+            " the late one acts from the next tick on. false: the plant waits for the torque of every tick",
+        ),
+        # Torques one tick late change the net feedback of a push by up to 1.2 mm/s if late in 5 % of the ticks, one at
+        # a time, and by 4 mm/s in runs of ten ticks; if late in 50 % of the ticks, by 3.9 mm/s and 14 mm/s.
+        NodeParameter(
+            "missed_ticks_limit",
+            0.05,
+            "Largest share of missed ticks in real time; a trial with more is ABORTED",
+            range=(0.0, 1.0),
+        ),
+        NodeParameter(
+            "repeat_after",
+            0.25,
+            "Time without an answer after which the measured state of the tick is published again",
+            "s",
+            (0.01, 10.0),
+        ),
+        NodeParameter(
+            "answer_timeout", 1.5, "Time without an answer after which the trial is aborted", "s", (0.1, 600.0)
+        ),
+    ),
+    "impact_map": (
+        *COMMON,
+        NodeParameter(
+            "engine",
+            DEFAULT_ENGINE,
+            "Engine for requests that name none",
+            choices=tuple(ENGINES),
+            former=tuple(FORMER_NAMES),
+        ),
+        NodeParameter("contact", "first", "Contact for requests that name none", choices=tuple(CONTACTS)),
+    ),
+    "controller": COMMON,
+    "cell": (
+        *COMMON,
+        *ROBOT,
+        NodeParameter("watchdog", False, "true: a trial is armed, and continues, only while the watchdog node runs"),
+        NodeParameter(
+            "mocap",
+            False,
+            "true: publish poses of the object from motion capture; a trial is armed only if they arrive",
+        ),
+        NodeParameter(
+            "mocap_frame", "world", "Name of the motion-capture frame (frame_id); poses in another frame are refused"
+        ),
+        *(
+            NodeParameter(
+                f"mocap_{axis}", 0.0, f"Origin of the motion-capture frame in world, along {axis}", "m", (-100.0, 100.0)
+            )
+            for axis in "xyz"
+        ),
+        *(
+            NodeParameter(
+                f"mocap_{name}",
+                0.0,
+                f"Rotation of the motion-capture frame in world about the fixed {axis} axis; roll, then pitch, then yaw"
+                " (REP-103)",
+                "rad",
+                (-FULL_TURN, FULL_TURN),
+            )
+            for name, axis in (("roll", "x"), ("pitch", "y"), ("yaw", "z"))
+        ),
+        NodeParameter(
+            "answer_timeout",
+            0.01,
+            "Longest time until the controller answers a state; beyond it the trial is aborted",
+            "s",
+            (0.001, 10.0),
+        ),
+        NodeParameter(
+            "late_torque_share",
+            0.2,
+            "Largest share of the last 100 ticks whose torque came after the next state, or never; above it the trial"
+            " is aborted",
+            range=(0.0, 1.0),
+        ),
+        NodeParameter(
+            "arm_jitter_limit",
+            0.002,
+            "Largest difference between the interval at which two states arrive and that of their stamps; above it no"
+            " trial is armed",
+            "s",
+            (1e-6, 10.0),
+        ),
+        NodeParameter(
+            "start_tolerance",
+            0.01,
+            "Largest distance of a joint from its initial position; above it no trial is armed or begins",
+            "rad or m",
+            (1e-4, 0.2),
+        ),
+    ),
+    "watchdog": (
+        *COMMON,
+        *ROBOT,
+        NodeParameter(
+            "command_timeout", 0.05, "Time without a command after which moving arms are braked", "s", (0.01, 10.0)
+        ),
+    ),
+    "recorder": (
+        *COMMON,
+        DATA_ROOT,
+        NodeParameter("drain_period", 0.01, "Period of writing received messages to the bag", "s", (0.001, 0.1)),
+        NodeParameter(
+            "completion_timeout",
+            2.0,
+            "Longest time that the recorder waits at the end of a trial for messages that were published",
+            "s",
+            (0.1, 60.0),
+        ),
+    ),
+    "experiment": (
+        *COMMON,
+        DATA_ROOT,
+        NodeParameter(
+            "service_timeout",
+            10.0,
+            "Longest time for plant, controller and recorder to prepare a trial",
+            "s",
+            (0.5, 600.0),
+        ),
+        NodeParameter(
+            "progress_timeout",
+            2.5,
+            "Time without a newer controller state after which a running trial is aborted",
+            "s",
+            (0.5, 600.0),
+        ),
+        NodeParameter(
+            "finish_timeout",
+            3.5,
+            "Longest time for the recorder to close a bag: its completion_timeout, plus the time to write",
+            "s",
+            (0.5, 600.0),
+        ),
+        NodeParameter(
+            "hide_model",
+            True,
+            "true: the effects that a trial hides in the plant are recorded on /truth/model only, and not in"
+            " /trial_info or the metadata of the bag",
+        ),
+        NodeParameter("feedback_period", 0.05, "Wall-clock time between two action feedbacks", "s", (0.01, 10.0)),
+    ),
+}
+
+
+def declare(node: Node, kind: str) -> None:
+    """Declare the parameters of a node; invalid values are refused, now and later.
+
+    Args:
+        node: The node.
+        kind: Its key in ``PARAMETERS``; its name may have been remapped.
+
+    Raises:
+        InputError: The node was started with an invalid value.
+    """
+    for parameter in PARAMETERS[kind]:
+        node.declare_parameter(parameter.name, parameter.default, parameter.descriptor())
+
+    def check(changed: list[Parameter]) -> SetParametersResult:
+        wrong = [complaint for one in changed if (complaint := complaint_about(kind, one.name, one.value))]
+        return SetParametersResult(successful=not wrong, reason="; ".join(wrong))
+
+    for name in (*(parameter.name for parameter in PARAMETERS[kind]), "use_sim_time"):
+        if complaint := complaint_about(kind, name, value(node, name)):
+            raise InputError(complaint)
+    node.add_on_set_parameters_callback(check)
+
+
+def complaint_about(kind: str, name: str, wanted: Any) -> str:
+    """Why a value of a parameter is invalid; empty: it is valid.
+
+    Args:
+        kind: Node, a key of ``PARAMETERS``.
+        name: Name of the parameter.
+        wanted: Value of the parameter.
+    """
+    if name == "use_sim_time":
+        return "use_sim_time: expected false, because the plant publishes /clock" if kind == "plant" and wanted else ""
+    known = next((parameter for parameter in PARAMETERS[kind] if parameter.name == name), None)
+    if known is None:
+        return ""
+    if name == "joints" and "{number}" not in wanted:
+        return f"joints {wanted!r}: expected {{number}} in it"
+    if known.choices and wanted not in (*known.choices, *known.former):
+        return f"{name} {wanted!r}: expected {' or '.join(known.choices)}"
+    if name in ("config_root", "data_root") and not Path(wanted or ".").is_dir():
+        return f"{name} {wanted!r}: expected a folder that exists"
+    if name == "scenario":
+        try:
+            load_scenario(wanted)
+        except InputError as error:
+            return f"scenario: {error}"
+    return ""
+
+
+def value(node: Node, name: str) -> Any:
+    """Present value of a parameter."""
+    return node.get_parameter(name).value
+
+
+def text(node: Node, kind: str) -> str:
+    """Present values of all parameters of a node with their units, for its log."""
+    values = ((parameter, value(node, parameter.name)) for parameter in PARAMETERS[kind])
+    return ", ".join(f"{p.name} {v}" + ("" if p.unit == "-" else f" {p.unit}") for p, v in values if v != "")
+
+
+def markdown() -> str:
+    """Text of ``docs/parameters.md``."""
+    lines = [
+        "# Node parameters",
+        "",
+        "Made by `python -m impact_rs_ros.node_parameters > docs/parameters.md`.",
+        "`config/nodes.yaml` sets all of them to their defaults, `config/cell.yaml` those of the cell (a node called",
+        "`plant`). `ros2 param describe /plant realtime` describes a parameter of a running node.",
+    ]
+    for kind, parameters in PARAMETERS.items():
+        lines += ["", f"## {kind}", "", "| Name | Type | Default | Range | Unit | Meaning |", "|---" * 6 + "|"]
+        for p in parameters:
+            default = str(p.default).lower() if isinstance(p.default, bool) else str(p.default)
+            limits = ", ".join(p.choices) if p.range is None else f"{p.range[0]:g} to {p.range[1]:g}"
+            lines.append(
+                f"| `{p.name}` | {type(p.default).__name__} | `{default}` | {limits} | {p.unit} | {p.description}. |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(markdown(), end="")

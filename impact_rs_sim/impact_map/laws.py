@@ -1,0 +1,329 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The laws of an impact: terms of a problem, residuals of a solution, and Newton's method.
+
+**Terms.** All bodies form one mechanical system. The generalised velocity stacks the joint velocities of every arm and
+the twist of the object at its geometric centre, ``u = (dq_1, ..., dq_k, v_O, omega)``, so that
+
+    H = blockdiag(M_1 + B_1, ..., M_k + B_k, M_object),      H (u^+ - u^-) = J_c^T L
+
+with the laws of :mod:`impact_rs_sim.impact_map.problem` for the impulses L. Every engine shares these terms.
+
+**Residuals** are computed from the solution alone, by the same code for every engine. With w = J_n u^+ + e J_n u^- and,
+per point, the inverse mass g = tr(G_ii) / 3 that turns impulses into velocities,
+
+    penetration      max(0, -w)
+    complementarity  max(w, 0) L_n / max(L_n),  g max(0, -L_n)
+    friction         g |L_t - P(L_t - J_t u^+ / g)|,   P: projection onto the disk of radius mu max(L_n, 0)
+    momentum         |H^-1 (H (u^+ - u^-) - J_c^T L)|
+
+The friction term is the natural map of Coulomb's law: zero exactly when the point sticks inside the cone or slides
+with the impulse on its edge, against the sliding velocity.
+
+**Newton's method.** With s_i = (J_c u^+)_i + e (J_n u^-)_i n_i + (rho / m) L_i, the mass m of the object, the impulse
+L_n >= a of every contact point, r_i = 1 / g_i and the projection P onto the disk of radius mu L_n, the laws are
+
+    F_n = L_n - max(a, L_n - r s_n) = 0,        F_t = L_t - P(L_t - r s_t) = 0
+
+(Alart and Curnier 1991), and u^+ = u^- + H^-1 J_c^T L. a = 0 but in the second phase of Poisson's law.
+
+**Uniqueness.** Four corners of a face share a load in many ways. Where they slide, each share has its own friction, and
+u^+ is not unique. A compliance rho > 0 makes it unique: every contact point yields by rho / m per impulse. As rho goes
+to 0 the impulses tend to those of minimum norm among all with the same velocities. With ``COMPLIANCE`` a point yields
+by 1e-8 of the velocity that its impulse gives the object. The solution is then :func:`hardened <harden>`: rho L / m is
+replaced by rho (L - L') / m with the previous solution L' (proximal point method, Rockafellar 1976). This removes the
+effect of the compliance, keeps the choice, and the result obeys the rigid laws.
+
+The laws, their derivatives and the iterations are compiled (``src/laws.cpp``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim import _kernel
+from impact_rs_sim.impact_map.contacts import ContactPoint
+from impact_rs_sim.impact_map.problem import ImpactProblem, Residual
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+
+COMPLIANCE = 1e-8  # rho [-]; ten times less, and rounding errors begin to decide the shares of the load
+SLIDING = 1e-7  # m/s, slower points stick
+_AXES = (0, 1, 2)
+
+
+@dataclass(frozen=True)
+class System:
+    """Inertia and kinematics at the moment of impact.
+
+    Attributes:
+        columns: Where each arm's joints, and under ``object`` the object's twist, stand in u.
+        inertia: H, ``(nv, nv)`` [kg m^2, kg m, kg].
+        link_inertia: H with B = 0, ``(nv, nv)``.
+        velocity: u^-, ``(nv,)`` [rad/s, m/s].
+        end_effector_position: Origin of frame E in A by arm, ``(3,)`` [m].
+        end_effector_jacobian: Jacobian of frame E in E[A] by arm, ``(6, n)``.
+        object_position: Geometric centre of the object in A, ``(3,)`` [m].
+    """
+
+    columns: Mapping[str, slice]
+    inertia: Array
+    link_inertia: Array
+    velocity: Array
+    end_effector_position: Mapping[str, Array]
+    end_effector_jacobian: Mapping[str, Array]
+    object_position: Array
+
+    @property
+    def kinetic_energy(self) -> float:
+        """Before the impact [J]."""
+        return 0.5 * float(self.velocity @ self.inertia @ self.velocity)
+
+    def jacobian(self, contacts: Sequence[ContactPoint]) -> Array:
+        """J_c: velocity of the object relative to its partner, ``(3 m, nv)``, three rows of axes of A per point."""
+        size = self.velocity.size
+        jacobian = np.zeros((len(contacts), 3, size))
+        positions = np.array([contact.position for contact in contacts]).reshape(-1, 3)
+        jacobian[:, :, self.columns["object"]] = point_maps(positions - self.object_position)
+        for name, of_arm in self.end_effector_jacobian.items():
+            rows = [row for row, contact in enumerate(contacts) if contact.partner == name]
+            levers = np.array([contacts[row].partner_position for row in rows]).reshape(-1, 3)
+            levers -= self.end_effector_position[name]
+            jacobian[rows, :, self.columns[name]] = -point_maps(levers) @ of_arm
+        return jacobian.reshape(3 * len(contacts), size)
+
+    def split(self, velocity: Array) -> tuple[dict[str, Array], dict[str, Array], Array]:
+        """Joint velocity by arm, twist of frame E by arm, and twist of the object, out of u ``(nv,)``."""
+        joints = {name: velocity[self.columns[name]] for name in self.end_effector_jacobian}
+        twists = {name: self.end_effector_jacobian[name] @ dq for name, dq in joints.items()}
+        return joints, twists, velocity[self.columns["object"]]
+
+
+def point_maps(levers: Array) -> Array:
+    """Twist of a body at O to velocities of its points at O + ``levers`` ``(m, 3)``, ``(m, 3, 6)``."""
+    maps = np.zeros((len(levers), 3, 6))
+    maps[:, _AXES, _AXES] = 1.0
+    maps[:, (1, 2, 0), (5, 3, 4)] = levers
+    maps[:, (2, 0, 1), (4, 5, 3)] = -levers
+    return maps
+
+
+def build_system(problem: ImpactProblem, models: Mapping[str, RobotModel]) -> System:
+    """Terms of ``problem``; ``models`` are the rigid-body models by arm."""
+    columns: dict[str, slice] = {}
+    start = 0
+    for name, state in problem.arms.items():
+        columns[name] = slice(start, start + state.position.size)
+        start += state.position.size
+    columns["object"] = slice(start, start + 6)
+    link_inertia = np.zeros((start + 6, start + 6))
+    velocity = np.zeros(start + 6)
+    motor = np.zeros(start + 6)
+    positions, jacobians = {}, {}
+    for name, state in problem.arms.items():
+        where = columns[name]
+        link_inertia[where, where] = models[name].mass_matrix(state.position)
+        motor[where] = problem.motor_inertia[name]
+        velocity[where] = state.velocity
+        jacobians[name] = models[name].jacobian(state.position)
+        positions[name] = models[name].placement(state.position).translation.copy()
+    object_, body = problem.physics.object, problem.object
+    inertia = pin.Inertia(object_.mass, body.rotation @ object_.com_offset, _rotated(object_.inertia, body.rotation))
+    link_inertia[columns["object"], columns["object"]] = inertia.matrix()
+    velocity[columns["object"]] = body.twist
+    return System(
+        columns=columns,
+        inertia=link_inertia + np.diag(motor),
+        link_inertia=link_inertia,
+        velocity=velocity,
+        end_effector_position=positions,
+        end_effector_jacobian=jacobians,
+        object_position=body.position,
+    )
+
+
+def _rotated(moments: Array, rotation: Array) -> Array:
+    return np.asarray((rotation * moments) @ rotation.T)
+
+
+@dataclass(frozen=True)
+class ContactTerms:
+    """Terms of a problem at its contact points, for the residuals of any number of solutions.
+
+    Attributes:
+        contacts: The m contact points.
+        restitution: Newton restitution e [-].
+        before: u^-, ``(nv,)`` [rad/s, m/s].
+        jacobian: J_c, ``(3 m, nv)``.
+        response: H^-1 J_c^T, ``(nv, 3 m)``.
+        normals: Unit normals into the object, ``(m, 3)``.
+        friction: Coulomb coefficients, ``(m,)`` [-].
+        rebound: e J_n u^-, ``(m,)`` [m/s].
+        inverse_mass: Mean over the directions of a point of its J_c H^-1 J_c^T, ``(m,)`` [1/kg].
+        mobility: 1 / m of the object [1/kg].
+    """
+
+    contacts: Sequence[ContactPoint]
+    restitution: float
+    before: Array
+    jacobian: Array
+    response: Array
+    normals: Array
+    friction: Array
+    rebound: Array
+    inverse_mass: Array
+    mobility: float
+
+    @classmethod
+    def of(cls, system: System, contacts: Sequence[ContactPoint], restitution: float) -> ContactTerms:
+        """The terms of a problem.
+
+        Args:
+            system: Terms of the problem.
+            contacts: The m contact points of the answer.
+            restitution: Newton restitution e [-].
+        """
+        jacobian = system.jacobian(contacts)
+        response = np.asarray(np.linalg.solve(system.inertia, jacobian.T), dtype=np.float64)
+        normals = np.array([contact.normal for contact in contacts]).reshape(-1, 3)
+        approach = np.sum(normals * (jacobian @ system.velocity).reshape(-1, 3), axis=1)
+        return cls(
+            contacts=contacts,
+            restitution=restitution,
+            before=system.velocity,
+            jacobian=jacobian,
+            response=response,
+            normals=normals,
+            friction=np.array([contact.friction for contact in contacts]),
+            rebound=restitution * approach,
+            inverse_mass=np.einsum("ij,ji->i", jacobian, response).reshape(-1, 3).mean(axis=1),
+            mobility=float(1.0 / system.inertia[system.columns["object"].start, system.columns["object"].start]),
+        )
+
+    @cached_property
+    def kernel(self) -> _kernel.Terms:
+        """The same terms for the compiled laws."""
+        return _kernel.Terms(
+            self.jacobian @ self.response,
+            self.jacobian @ self.before,
+            self.normals,
+            self.friction,
+            self.rebound,
+            self.inverse_mass,
+            self.mobility,
+        )
+
+    def split(self, vectors: Array) -> tuple[Array, Array]:
+        """Normal components ``(m,)`` and tangential parts ``(m, 3)`` of one vector per point, ``(m, 3)``."""
+        along = np.sum(self.normals * vectors, axis=1)
+        return along, vectors - along[:, None] * self.normals
+
+    def sliding(self, impulses: Array, velocity: Array) -> tuple[Array, Array]:
+        """Which points slide with their friction at its limit ``(m,)``, and unit vectors against sliding ``(m, 3)``."""
+        pressing, tangential = self.split(impulses)
+        _, sliding = self.split((self.jacobian @ velocity).reshape(-1, 3))
+        speed = np.linalg.norm(sliding, axis=1)
+        limit = self.friction * np.maximum(pressing, 0.0)
+        slides = (np.linalg.norm(tangential, axis=1) >= limit * (1.0 - 1e-9)) & (speed > SLIDING)
+        return slides, -sliding / np.maximum(speed, SLIDING)[:, None]
+
+    def residual(self, impulses: Array, velocity: Array, least: Array | float = 0.0) -> Residual:
+        """Residuals of a solution.
+
+        Args:
+            impulses: L on the object in axes of A, ``(m, 3)`` [N s].
+            velocity: u^+, ``(nv,)`` [rad/s, m/s].
+            least: What every point presses at least; L_n beyond it is complementary to opening [N s].
+        """
+        jump = velocity - self.before
+        momentum = float(np.max(np.abs(jump - self.response @ impulses.ravel())))
+        if not len(impulses):
+            return Residual(0.0, 0.0, 0.0, momentum)
+        return Residual(*self.kernel.judge(impulses, self.jacobian @ velocity, least), momentum)
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """The laws at one L and their derivatives: dF_i = by_impulse dL_i + by_velocity ds_i + by_friction dmu_i.
+
+    Attributes:
+        defect: F, ``(m, 3)`` [N s].
+        by_impulse: ``(m, 3, 3)`` [-].
+        by_velocity: ``(m, 3, 3)`` [kg].
+        by_friction: ``(m, 3)`` [N s].
+        state: Per point ``open``, ``stick`` or ``slide``, ``(m,)``.
+        margin: Distance to another contact state, as a velocity, ``(m,)`` [m/s].
+    """
+
+    defect: Array
+    by_impulse: Array
+    by_velocity: Array
+    by_friction: Array
+    state: tuple[str, ...]
+    margin: Array
+
+
+def delassus(terms: ContactTerms, compliance: float = COMPLIANCE) -> Array:
+    """J_c H^-1 J_c^T + rho / m, ``(3 m, 3 m)`` [1/kg]."""
+    operator = terms.jacobian @ terms.response
+    if not len(operator):
+        return operator
+    return np.asarray((operator + operator.T) / 2.0 + compliance * terms.mobility * np.eye(len(operator)))
+
+
+def linearise(terms: ContactTerms, impulses: Array, velocity: Array, least: Array | float = 0.0) -> Linearisation:
+    """The laws at impulses ``(m, 3)`` [N s] and velocities s ``(m, 3)`` [m/s], with L_n >= ``least`` [N s]."""
+    return Linearisation(*terms.kernel.linearise(impulses, velocity, least))
+
+
+def yielding_velocity(terms: ContactTerms, operator: Array, impulses: Array) -> Array:
+    """s at impulses ``(m, 3)``, ``(m, 3)`` [m/s]; ``operator`` is that of :func:`delassus`."""
+    moved = (terms.jacobian @ terms.before + operator @ impulses.ravel()).reshape(-1, 3)
+    return np.asarray(moved + terms.rebound[:, None] * terms.normals)
+
+
+def slope(linear: Linearisation, operator: Array) -> Array:
+    """dF / dL with u^+ following L, ``(3 m, 3 m)``."""
+    count = len(linear.defect)
+    matrix = np.einsum("mij,mjk->mik", linear.by_velocity, operator.reshape(count, 3, 3 * count))
+    matrix = matrix.reshape(3 * count, 3 * count)
+    for index, block in enumerate(linear.by_impulse):
+        where = slice(3 * index, 3 * index + 3)
+        matrix[where, where] += block
+    return np.asarray(matrix)
+
+
+def states(terms: ContactTerms, impulses: Array, compliance: float = COMPLIANCE) -> tuple[str, ...]:
+    """``open``, ``stick`` or ``slide`` of every contact point of an answer."""
+    if not len(impulses):
+        return ()
+    return linearise(terms, impulses, yielding_velocity(terms, delassus(terms, compliance), impulses)).state
+
+
+def newton(
+    terms: ContactTerms, impulses: Array, least: Array | float = 0.0, compliance: float = COMPLIANCE
+) -> tuple[Array, bool]:
+    """The solution that Newton's method reaches from a first guess.
+
+    Args:
+        terms: The problem at its m contact points.
+        impulses: First guess on the object, ``(m, 3)`` [N s].
+        least: Bound a of the normal impulses, ``(m,)`` [N s].
+        compliance: rho [-].
+
+    Returns:
+        Impulses ``(m, 3)`` [N s], and whether the iteration converged; else they are the first guess.
+    """
+    return terms.kernel.newton(impulses, least, compliance)
+
+
+def harden(terms: ContactTerms, impulses: Array, least: Array | float = 0.0, compliance: float = COMPLIANCE) -> Array:
+    """The solution of :func:`newton` without the velocity that the compliance lets points yield, ``(m, 3)`` [N s].
+
+    Where that does not converge, the impulses stay as they are. Arguments as there.
+    """
+    return terms.kernel.harden(impulses, least, compliance)

@@ -1,0 +1,329 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The twin: arms with drives, object and support from a measured state under recorded torque, compiled.
+
+It stands beside the plant (:mod:`impact_rs_sim.mechanics`) as a second simulator of the same
+:class:`~impact_rs_sim.physics.Physics`: in free motion both are equal to rounding, in contact they differ by their
+step methods (``docs/physics.md``, "The twin"). Many jobs run in one call, on several threads, with the same numbers for
+any number of threads.
+
+Loads of formulas and springs are compiled. A load that is a Python class works as well, at the price of a call into
+Python in every tick, during which no other thread calls into Python.
+
+Pads touch the object, not each other; links touch nothing.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from impact_rs_sim import _kernel
+from impact_rs_sim.bullet_world import check_body
+from impact_rs_sim.drive import Drive, DriveStart
+from impact_rs_sim.effects.formula import AXES, JOINT_SYMBOL, SPEEDS, FormulaLoad
+from impact_rs_sim.effects.surroundings import Spring
+from impact_rs_sim.free_motion import FreePath
+from impact_rs_sim.physics import ArmPhysics, Load, Physics
+from impact_rs_sim.robot import Array, Flange, JointOrigin
+from impact_rs_sim.scene import ArmState, BodyState
+
+REFINEMENT = 2  # steps in a period of the torque loop in which a pad meets the object
+BEFORE_ALL = -1e9  # s, since when a command without a time was desired
+
+
+@dataclass(frozen=True)
+class TwinJob:
+    """One simulation.
+
+    Attributes:
+        physics: Parameters of the scene.
+        arms: Joint states at the start, by arm.
+        drives: State of the drives at the start.
+        torque: By arm, driving torques in the order in which they act, ``(m, n)`` [N m].
+        acting: By arm, row of ``torque`` in every period of the torque loop, ``((k - 1) s,)``.
+        time: Ticks, ``(k,)`` [s].
+        period: Period of the torque loop [s].
+        object: State of the object at the start; None: the arms are alone.
+        joint_torque: Whether the torques are measured joint torques, without motors and torque loop
+            (:class:`~impact_rs_sim.drive.LinkTorque`).
+        refinement: Steps in a period of the torque loop in which a pad meets the object.
+    """
+
+    physics: Physics
+    arms: Mapping[str, ArmState]
+    drives: Mapping[str, DriveStart]
+    torque: Mapping[str, Array]
+    acting: Mapping[str, NDArray[np.int32]]
+    time: Array
+    period: float
+    object: BodyState | None = None
+    joint_torque: bool = False
+    refinement: int = REFINEMENT
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a job led to.
+
+    Attributes:
+        arms: Motion of the arms.
+        poses: Middle [m] and orientation x y z w of the object in A, without changes of sign, ``(k, 7)``; without an
+            object ``(k, 0)``.
+        twists: Velocity of its middle and angular velocity in A, ``(k, 6)`` [m/s, rad/s], likewise.
+        residual: Largest residual of a step's equations, as a velocity of the object [m/s].
+        steps: Number of steps.
+        contact_steps: Those with a contact.
+        iterations: Steps of Newton's method in them.
+        fallbacks: Contact steps in which Newton's method alone did not arrive.
+        failed: Times of the steps whose equations were not solved [s]; from the first time at which a state is not
+            finite on, everything is NaN.
+        failure: Why the job ended early; empty: it did not.
+    """
+
+    arms: dict[str, FreePath]
+    poses: Array
+    twists: Array
+    residual: float
+    steps: int
+    contact_steps: int
+    iterations: int
+    fallbacks: int
+    failed: tuple[float, ...]
+    failure: str
+
+
+def simulate(jobs: Sequence[TwinJob], threads: int = 1) -> list[Result]:
+    """Run jobs, each from its start to its last tick.
+
+    Args:
+        jobs: The jobs; those that share one ``physics`` object share its preparation.
+        threads: Largest number of threads.
+
+    Raises:
+        NotABody: Mass and inertia of an end effector are those of no body.
+        InputError: A load of a Python class raises it.
+    """
+    models: dict[tuple[int, float, bool, int], _kernel.Twin] = {}
+    prepared = []
+    for job in jobs:
+        key = (id(job.physics), job.period, job.joint_torque, job.refinement)
+        if key not in models:
+            models[key] = _model(job)
+        prepared.append(_prepared(models[key], job))
+    return [_result(job, *found) for job, found in zip(jobs, _kernel.run_twins(prepared, threads), strict=True)]
+
+
+def _prepared(model: _kernel.Twin, job: TwinJob) -> _kernel.TwinTask:
+    """A job in the form of the kernel."""
+    arms = []
+    for name in job.physics.arms:
+        state, drive = job.arms[name], job.drives[name]
+        earlier = drive.earlier or ((BEFORE_ALL, drive.torque),)
+        times, values = np.array([time for time, _ in earlier]), np.array([torque for _, torque in earlier])
+        arms.append(
+            (
+                state.position,
+                state.velocity,
+                drive.torque,
+                drive.torque_rate,
+                times,
+                values,
+                job.torque[name],
+                job.acting[name],
+            )
+        )
+    box = None if job.object is None else (job.object.position, job.object.rotation, job.object.twist)
+    ticks = len(job.time) - 1
+    substeps = len(next(iter(job.acting.values()))) // ticks if ticks else 1
+    return model, arms, box, job.time, substeps
+
+
+def _result(
+    job: TwinJob,
+    rows: Array,
+    steps: int,
+    contact_steps: int,
+    iterations: int,
+    fallbacks: int,
+    residual: float,
+    failed: Sequence[float],
+    failure: str,
+) -> Result:
+    arms, at = {}, 0
+    for name, arm in job.physics.arms.items():
+        n = arm.facts.joint_count
+        arms[name] = FreePath(*(rows[:, at + i * n : at + (i + 1) * n] for i in range(5)))
+        at += 5 * n
+    poses, twists = rows[:, at:at], rows[:, at:at]
+    if job.object is not None:
+        poses, twists = rows[:, at : at + 7], rows[:, at + 7 : at + 13]
+    return Result(arms, poses, twists, residual, steps, contact_steps, iterations, fallbacks, tuple(failed), failure)
+
+
+def _model(job: TwinJob) -> _kernel.Twin:
+    """Physics in the form of the kernel."""
+    physics = job.physics
+    arms = [_arm(physics, name, job.period, job.joint_torque) for name in physics.arms]
+    box = physics.object
+    support = None
+    if physics.support_height is not None:
+        half_x, half_y = (extent / 2.0 for extent in physics.support_size)
+        support = (physics.support_height, half_x, half_y, physics.support_friction, physics.support_compliance)
+    return _kernel.Twin(
+        arms,
+        (box.mass, box.size / 2.0, box.inertia, box.com_offset),
+        support,
+        physics.pad_friction,
+        physics.rolling_arm,
+        physics.gravity,
+        job.period,
+        job.refinement,
+    )
+
+
+def _arm(physics: Physics, name: str, period: float, joint_torque: bool) -> _kernel.TwinArm:
+    arm = physics.arms[name]
+    check_body(name, arm.end_effector)
+    links, tip = _links(arm, physics.gravity)
+    pad = arm.end_effector.pad_placement
+    springs = [load for load in arm.loads if isinstance(load, Spring)]
+    pull = None
+    if springs:
+        force = np.sum([spring.pull for spring in springs], axis=0)
+        pull = (force, sum(spring.stiffness for spring in springs), arm.impact_position)
+    formulas = [formula for load in arm.loads if isinstance(load, FormulaLoad) for formula in _formulas(load)]
+    others = tuple(load for load in arm.loads if not isinstance(load, (Spring, FormulaLoad)))
+    return _kernel.TwinArm(
+        links,
+        Drive(arm, period),
+        arm.motor_inertia_rotor / arm.motor_inertia_reduced,
+        arm.torque_gain,
+        arm.torque_offset,
+        arm.stiffness,
+        arm.damping,
+        arm.actuation_delay,
+        joint_torque,
+        (
+            tip @ pad.translation,
+            tip @ pad.rotation,
+            np.array(arm.end_effector.pad_size) / 2.0,
+            arm.pad_stiffness,
+            arm.pad_damping,
+            arm.pad_shear_compliance,
+            arm.pad_creep,
+        ),
+        pull,
+        formulas,
+        _call(physics, name, others) if others else None,
+    )
+
+
+def _links(arm: ArmPhysics, gravity: Array) -> tuple[_kernel.Chain, Array]:
+    """Links of an arm, its end effector part of the last one, and axes of frame E in those of the last joint."""
+    facts, end_effector = arm.facts, arm.end_effector
+    rotations, origins, flange = _kinematics(facts.joints, facts.flange)
+    rotations, origins = rotations.copy(), origins.copy()
+    origins[0] = arm.base.rotation @ origins[0] + arm.base.translation
+    rotations[0] = arm.base.rotation @ rotations[0]
+    mass = np.array([link.mass for link in facts.links])
+    com = np.array([link.com for link in facts.links])
+    inertia = np.array([link.inertia_matrix for link in facts.links])
+    tip = flange @ pin.rpy.rpyToMatrix(0.0, 0.0, end_effector.mount_yaw)
+    place = np.array(facts.flange.xyz) + end_effector.length * flange[:, 2]
+    own = place + tip @ end_effector.com
+    total = mass[-1] + end_effector.mass
+    middle = (mass[-1] * com[-1] + end_effector.mass * own) / total
+    inertia[-1] += tip @ end_effector.inertia @ tip.T
+    inertia[-1] += mass[-1] * _steiner(com[-1] - middle) + end_effector.mass * _steiner(own - middle)
+    mass[-1], com[-1] = total, middle
+    slides = [joint.type == "prismatic" for joint in facts.joints]
+    return _kernel.Chain(rotations, origins, slides, mass, com, inertia, gravity, place), tip
+
+
+@functools.lru_cache(maxsize=64)
+def _kinematics(joints: tuple[JointOrigin, ...], flange: Flange) -> tuple[Array, Array, Array]:
+    """Axes ``(n, 3, 3)`` and origins ``(n, 3)`` of the joints in the link before, and axes of the flange."""
+    rotations = np.array([pin.rpy.rpyToMatrix(*joint.rpy) for joint in joints])
+    return rotations, np.array([joint.xyz for joint in joints]), flange.rotation
+
+
+def _steiner(offset: Array) -> Array:
+    """Moment of inertia of a unit mass at ``offset``, ``(3, 3)`` [m^2]."""
+    return np.asarray(offset @ offset * np.eye(3) - np.outer(offset, offset))
+
+
+def _call(physics: Physics, name: str, loads: tuple[Load, ...]) -> _kernel.TwinLoad:
+    """Torques on links and motors of an arm's loads of Python classes, from time, q and dq."""
+    only = replace(physics, arms={name: replace(physics.arms[name], loads=loads)})
+    model = only.robot_model(name)
+    return lambda time, position, velocity: only.load_torques(name, model, time, position, velocity)
+
+
+def _formulas(load: FormulaLoad) -> list[_kernel.TwinFormula]:
+    """Formulas of a load in the form of the kernel: effect, what it acts on, joint or axis, code and constants."""
+    found: list[_kernel.TwinFormula] = []
+    for acts, table in enumerate((load.torque, load.motor, load.force)):
+        for index, formula in table.items():
+            code, constants = _postfix(formula.text)
+            values = [load.numbers[value] if isinstance(value, str) else value for value in constants]
+            found.append((load.name, acts, index, code, values))
+    return found
+
+
+@functools.lru_cache(maxsize=256)
+def _postfix(text: str) -> tuple[list[int], list[float | str]]:
+    """Code of a formula in postfix order, and its constants: numbers, and names of parameters."""
+    code: list[int] = []
+    constants: list[float | str] = []
+
+    def put(operation: str, index: int | None = None) -> None:
+        code.append(_kernel.OPERATIONS.index(operation))
+        if index is not None:
+            code.append(index)
+
+    def constant(value: float | str) -> None:
+        put("constant", len(constants))
+        constants.append(value)
+
+    def visit(node: ast.AST) -> None:
+        if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
+            constant(float(node.value))
+        elif isinstance(node, ast.Name):
+            symbol(node.id)
+        elif isinstance(node, ast.UnaryOp):
+            visit(node.operand)
+            if isinstance(node.op, ast.USub):
+                put("USub")
+        elif isinstance(node, ast.BinOp):
+            visit(node.left)
+            visit(node.right)
+            put(type(node.op).__name__)
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            for argument in node.args:
+                visit(argument)
+            put(node.func.id)
+
+    def symbol(name: str) -> None:
+        joint = JOINT_SYMBOL.fullmatch(name)
+        if name == "t":
+            put("time")
+        elif name == "pi":
+            constant(math.pi)
+        elif name in AXES:
+            put("position", AXES.index(name))
+        elif name in SPEEDS:
+            put("speed", SPEEDS.index(name))
+        elif joint is not None:
+            put("joint_velocity" if name.startswith("d") else "joint_position", int(joint[1]) - 1)
+        else:
+            constant(name)
+
+    visit(ast.parse(text.strip(), mode="eval").body)
+    return code, constants

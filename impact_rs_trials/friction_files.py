@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Friction identification for a whole scenario, and its result files."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from impact_rs_control.friction_identification import identify_arm, sample_period
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import write_whole
+from impact_rs_sim.friction_compensation import ArmFriction, FrictionCompensation
+from impact_rs_sim.model import Model
+from impact_rs_sim.scenario import Scenario, load_scenario, scenario_path
+from impact_rs_trials.spec import TrialSpec
+from impact_rs_trials.workers import Map
+
+KEY = "friction_compensation"
+
+
+@dataclass(frozen=True)
+class ArmTask:
+    """Identification of one arm in one set; everything a worker needs."""
+
+    spec: TrialSpec
+    arm: str
+    runs: int
+    seed: int
+    effects: Model | None
+
+    def run(self) -> ArmFriction:
+        """Run it."""
+        return identify_arm(self.spec.scene, self.arm, self.runs, self.seed, self.effects)
+
+
+def identify(
+    scenario: Scenario,
+    objects: list[str] | None,
+    cases: list[str] | None,
+    runs: int,
+    seed: int,
+    effects: Model | None,
+    map_tasks: Map,
+    progress: Callable[[int, int], None],
+) -> FrictionCompensation:
+    """Identify the friction compensation of a scenario.
+
+    Args:
+        scenario: The scenario; its plant has the friction that ``drive.friction`` names.
+        objects: Names of objects; None: all.
+        cases: Names of cases; None: all.
+        runs: Runs to average, for each set, arm and controller.
+        seed: Seed of scatter and noise.
+        effects: Effects of the plant beyond the scenario; None: none.
+        map_tasks: Maps over worker processes.
+        progress: Progress callback, called with the number of finished arms and of all arms.
+
+    Raises:
+        InputError: Unknown object or case, a scenario in which nothing is hit, fewer than one run, a negative seed.
+    """
+    if seed < 0:
+        raise InputError(f"seed = {seed}: expected a whole number >= 0")
+    for name in objects or []:
+        scenario.object(name)
+    tasks = [
+        ArmTask(TrialSpec.of(scenario, name, case), arm, runs, seed, effects)
+        for name in dict.fromkeys(objects or scenario.objects)
+        for case in dict.fromkeys(scenario.case_name(case) for case in cases or scenario.cases)
+        for arm in scenario.robots
+    ]
+    sets: dict[str, dict[str, dict[str, ArmFriction]]] = {}
+    progress(0, len(tasks))
+    for number, (task, found) in enumerate(zip(tasks, map_tasks(ArmTask.run, tasks), strict=True), start=1):
+        sets.setdefault(task.spec.object, {}).setdefault(task.spec.case, {})[task.arm] = found
+        progress(number, len(tasks))
+    return FrictionCompensation(
+        scenario=scenario.name,
+        scenario_digest=scenario.digest,
+        runs=runs,
+        seed=seed,
+        period=sample_period(scenario),
+        sets=sets,
+    )
+
+
+def prepare_output(scenario_name: str, path: Path) -> Path:
+    """Make the folder of a compensation that is to be written at ``path``, for identification takes long.
+
+    Returns:
+        Where the copy of the scenario goes that uses it.
+
+    Raises:
+        InputError: One of the two files exists already, the folder cannot be made, or there is no such scenario.
+    """
+    copy = path.with_name(f"{scenario_path(scenario_name).stem}_compensated.yaml")
+    for file in (path, copy):
+        if file.exists():
+            raise InputError("this file exists already; choose another name", file=file)
+    if copy == path:
+        raise InputError("this is the name of the scenario's copy; choose another name", file=path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", file=path) from None
+    return copy
+
+
+def _with_paths_from(folder: Path, text: str, old_folder: Path) -> str:
+    """The scenario's text for a file in ``folder``: paths of robot facts lead to the same files."""
+
+    def rewritten(found: re.Match[str]) -> str:
+        return found[1] + os.path.relpath(old_folder.resolve() / found[2], folder.resolve())
+
+    return re.sub(r"(\bfacts:\s*['\"]?)([^\s'\",}#]+\.ya?ml)\b", rewritten, text)
+
+
+def write_compensation(compensation: FrictionCompensation, scenario_name: str, path: Path) -> Path:
+    """Write the compensation, and beside it a copy of the scenario that names it.
+
+    Returns:
+        Path of the copy, which loads.
+
+    Raises:
+        InputError: A file exists already or cannot be written.
+    """
+    copy = prepare_output(scenario_name, path)
+    text = scenario_path(scenario_name).read_text(encoding="utf-8")
+    text = re.sub(rf"^{KEY}:.*\n?", "", text, flags=re.MULTILINE)
+    text = _with_paths_from(path.parent, text, scenario_path(scenario_name).parent)
+    try:
+        content = compensation.model_dump(mode="json")
+        write_whole(path, yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120))
+        write_whole(copy, f"{text.rstrip()}\n\n{yaml.safe_dump({KEY: path.name})}")
+        load_scenario(str(copy))
+    except InputError:
+        path.unlink(missing_ok=True)
+        copy.unlink(missing_ok=True)
+        raise
+    return copy

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A running graph as a page in the browser: the newest state some 25 times a second, over server-sent events."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any, Protocol
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, HTMLResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import Route
+from starlette.types import ASGIApp
+
+from impact_rs_analysis.report.page import BUNDLE, STYLE, TEMPLATES
+from impact_rs_analysis.report.scene_3d import described_scene, moving_joints, scene_data
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.snapshot import Snapshot
+from impact_rs_workbench.local import Ended, listening, serve_locally
+from impact_rs_workbench.request_guard import Guard
+
+PERIOD = 0.04  # s, between two looks at the graph
+PATIENCE = 0.25  # s, after which an idle stream checks whether it has to end
+STATIC = {
+    "page.css": STYLE,
+    "three.min.js": BUNDLE / "three.min.js",
+    "replay.js": TEMPLATES / "replay.js",
+}
+
+
+log = logging.getLogger(__name__)
+
+
+class Lookout(Protocol):
+    """Source of the newest state of a graph."""
+
+    def look(self) -> Snapshot:
+        """The newest snapshot; returns at once."""
+
+
+@dataclass(frozen=True)
+class DrawnScene:
+    """The scene as the page draws it.
+
+    Attributes:
+        text: The scene as JSON; ``null`` where none is known.
+        joints: Names of the joints in the order of the page.
+        arms: Names of the arms in the order of the page.
+        complaint: Why the scene cannot be drawn; empty: it can, or none is known yet.
+    """
+
+    text: str = "null"
+    joints: tuple[str, ...] = ()
+    arms: tuple[str, ...] = ()
+    complaint: str = ""
+
+
+class LiveView:
+    """A graph as every open page sees it.
+
+    Args:
+        source: Source of snapshots.
+        program: How a terminal calls ``impact-rs``.
+        say: Prints every new status line.
+        ended: Whether streams are to end.
+    """
+
+    def __init__(self, source: Lookout, program: str, say: Callable[[str], None], ended: Ended) -> None:
+        self._source, self._program, self._say, self.ended = source, program, say, ended
+        self._number = -1
+        self._scene = DrawnScene()
+        self._changed = asyncio.Condition()
+        self.news: dict[str, str] = {}  # newest content by name of the event
+
+    async def follow(self) -> None:
+        """Poll the graph until the end."""
+        clock = asyncio.get_running_loop().time
+        due = clock()
+        while not self.ended():
+            snapshot = self._source.look()
+            if snapshot.number != self._number:
+                self._number = snapshot.number
+                self._scene = await run_in_threadpool(drawn_scene, snapshot)
+            news = {
+                "scene": self._scene.text,
+                "status": json.dumps(status_text(snapshot, self._scene, self._program)),
+                "state": json.dumps(state_of(snapshot, self._scene), allow_nan=False),
+            }
+            if news != self.news:
+                if news["status"] != self.news.get("status"):
+                    self._say(json.loads(news["status"]))
+                self.news = news
+                async with self._changed:
+                    self._changed.notify_all()
+            due = max(due + PERIOD, clock())
+            await asyncio.sleep(due - clock())
+
+    async def stream(self, request: Request) -> AsyncIterator[str]:
+        """Server-sent events: ``scene``, ``status`` and ``state``, each as a whole and only when it has changed."""
+        sent: dict[str, str] = {}
+        while not (self.ended() or await request.is_disconnected()):
+            for name, text in self.news.items():
+                if sent.get(name) != text:
+                    sent[name] = text
+                    yield f"event: {name}\ndata: {text}\n\n"
+            try:
+                async with asyncio.timeout(PATIENCE), self._changed:
+                    await self._changed.wait_for(lambda: self.news != sent)
+            except TimeoutError:
+                continue
+
+
+def drawn_scene(snapshot: Snapshot) -> DrawnScene:
+    """The scene of a snapshot."""
+    if snapshot.physics is not None:
+        text = json.dumps(scene_data(snapshot.physics))
+        return DrawnScene(text, tuple(moving_joints(snapshot.physics)), tuple(snapshot.physics.arms))
+    if snapshot.description:
+        try:
+            found, joints = described_scene(snapshot.description)
+        except InputError as error:
+            return DrawnScene(complaint=str(error))
+        return DrawnScene(json.dumps(found), tuple(joints))
+    return DrawnScene(complaint=snapshot.complaint)
+
+
+def state_of(snapshot: Snapshot, scene: DrawnScene) -> dict[str, Any] | None:
+    """Positions of all bodies; None until the joints of every arm are known."""
+    known = snapshot.positions
+    if not scene.joints or not (any if snapshot.physics is None else all)(name in known for name in scene.joints):
+        return None
+    forces = None
+    if all(arm in snapshot.forces for arm in scene.arms) and scene.arms:
+        forces = [snapshot.forces[arm].tolist() for arm in scene.arms]
+    return {
+        "time": snapshot.time,
+        "joints": [known.get(name, 0.0) for name in scene.joints],
+        "object": None if snapshot.object is None else snapshot.object.tolist(),
+        "forces": forces,
+    }
+
+
+def status_text(snapshot: Snapshot, scene: DrawnScene, program: str) -> str:
+    """Status in one line."""
+    title = snapshot.title or "the robot of /robot_description"
+    if scene.complaint:
+        return f"{title} cannot be drawn: {scene.complaint}"
+    return {
+        "absent": f"no graph runs in {snapshot.place}; {program} up push starts one. Waiting",
+        "idle": f"nodes are there in {snapshot.place}; nothing has moved yet. Waiting for a trial",
+        "running": f"now: {title}",
+        "over": f"at rest until the next trial; this is the last state of {title}",
+        "gone": f"the nodes have ended; this is the last state of {title}. Waiting",
+    }[snapshot.situation]
+
+
+def application(view: LiveView, token: str, port: int) -> ASGIApp:
+    """The web application.
+
+    Args:
+        view: The view to serve.
+        token: Access token of the address.
+        port: Port of the server.
+    """
+
+    @asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        following = asyncio.create_task(view.follow())
+        following.add_done_callback(_log_failure)
+        yield
+        following.cancel()
+
+    async def events(request: Request) -> Response:
+        return StreamingResponse(view.stream(request), media_type="text/event-stream")
+
+    routes = [Route("/", _page), Route("/static/{name}", _static), Route("/api/events", events)]
+    return Guard(Starlette(routes=routes, lifespan=lifespan), token, port, "show")
+
+
+def _log_failure(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and (error := task.exception()) is not None:
+        log.error("the graph is no longer watched", exc_info=error)
+
+
+async def _page(request: Request) -> Response:
+    return HTMLResponse((files(__package__) / "static" / "live.html").read_text(encoding="utf-8"))
+
+
+async def _static(request: Request) -> Response:
+    name = request.path_params["name"]
+    kind = "text/css" if name.endswith(".css") else "text/javascript"
+    if name in STATIC:
+        return FileResponse(STATIC[name], media_type=kind)
+    if name == "live.js":
+        return Response((files(__package__) / "static" / name).read_text(encoding="utf-8"), media_type=kind)
+    return PlainTextResponse("There is no such file.", 404)
+
+
+def serve(source: Lookout, program: str, port: int, browser: bool, say: Callable[[str], None]) -> None:
+    """Serve the page of a running graph until Ctrl-C.
+
+    Args:
+        source: Source of snapshots.
+        program: How a terminal calls ``impact-rs``.
+        port: Port; 0: any that is free.
+        browser: Whether to open a browser.
+        say: Prints the address and every new status line.
+
+    Raises:
+        InputError: The port is taken.
+    """
+    with listening(port) as listener:
+
+        def make(token: str, number: int, ended: Ended) -> ASGIApp:
+            return application(LiveView(source, program, say, ended), token, number)
+
+        serve_locally(listener, make, browser, lambda address: say(f"live: {address}"))

@@ -1,0 +1,374 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Foreign recordings: preview of their signals, and the files that describe them.
+
+A preview goes the way of an analysis, by a mapping and :func:`read_series`, so that what is seen is what will be used;
+and what is written has been read once as an analysis reads it.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+import yaml
+from pydantic import Field
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import whole_folder
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scenario import Scenario, load_scenario
+from impact_rs_sim.schema import Name, Schema, load_mapping, validate
+from impact_rs_trials.recordings.experiment import (
+    FREE_MOTION,
+    HIT,
+    NO_OBJECT,
+    Experiment,
+    MotionCapture,
+    read_runs,
+)
+from impact_rs_trials.recordings.laboratory import IMPACT_SHARE, Laboratory, placed, read_run
+from impact_rs_trials.recordings.mapping import (
+    JOINT_SIGNALS,
+    QUANTITY,
+    REQUIRED,
+    SLIDES,
+    TURNS,
+    UNITS,
+    Mapping,
+    SignalName,
+    SignalSource,
+)
+from impact_rs_trials.recordings.plausibility import check_weight
+from impact_rs_trials.recordings.recording import check_limits, check_velocity
+from impact_rs_trials.recordings.series import Series
+from impact_rs_trials.recordings.sources import read_series
+from impact_rs_workbench.candidates import MOST_WIDE, OBJECT_POSE, candidates_of, propose
+from impact_rs_workbench.workspace import RUN_TABLE, Workspace
+
+EXPERIMENT = "experiment.yaml"
+MOST_POINTS = 300  # of a preview
+
+ArmSignal = Literal["position", "velocity", "torque", "command"]
+
+
+class PreviewRequest(Schema):
+    """A signal to be looked at."""
+
+    path: str = Field(description="recording")
+    scenario: str = Field(description="scenario with the robot that it is of")
+    arm: str = Field(description="arm that it is of; of the pose of the object the one whose clock it has")
+    signal: SignalName = Field(description="what it is taken for")
+    source: SignalSource = Field(description="where it is")
+    position: SignalSource = Field(description="where the joint positions are, whose clock the others are brought to")
+    joints: tuple[str, ...] = Field(min_length=1, max_length=MOST_WIDE, description="joints in order")
+    command_includes_gravity: bool = Field(True, description="whether the command holds the arm's own weight")
+
+
+class RunEntry(Schema):
+    """One row of the table of runs."""
+
+    bag: str = Field(min_length=1, max_length=200, description="recording")
+    object: Name = Field(description="object, or none")
+    kind: str = Field(description="hit or free motion")
+    condition: Name = Field(description="what repeats have in common")
+
+
+class ArmDescription(Schema):
+    """What was recorded of one arm."""
+
+    joints: tuple[str, ...] = Field(min_length=1, max_length=MOST_WIDE, description="joints in order")
+    command_includes_gravity: bool = Field(True, description="whether the command holds the arm's own weight")
+    signals: dict[ArmSignal, SignalSource] = Field(description="where each signal is")
+
+
+class Description(Schema):
+    """What a folder of recordings is."""
+
+    path: str = Field(description="the folder")
+    scenario: str = Field(description="scenario with robots, objects and support")
+    arms: dict[str, ArmDescription] = Field(description="what was recorded of each arm")
+    object_pose: SignalSource | None = Field(None, description="where the pose of the object is")
+    world_from_hits: bool = Field(False, description="whether the tracker's world is found from contact in the hits")
+    runs: tuple[RunEntry, ...] | None = Field(
+        None, min_length=1, description="the runs; null: runs.csv of the folder says what they are"
+    )
+
+
+def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any]:
+    """What the first recording of a folder holds, and what of it may be the signals of a scenario's arms.
+
+    Raises:
+        InputError: There is none, or it cannot be read; or there is no such scenario.
+    """
+    directory = workspace.existing(folder)
+    lab = next((one for one in workspace.contents().laboratories if one.path == folder), None)
+    if lab is None or not lab.recordings:
+        raise InputError("no recording of others in this folder", file=directory)
+    path = directory / lab.recordings[0]
+    found = candidates_of(path)
+    if not found:
+        raise InputError("nothing in it looks like the signals of a robot", file=path)
+    scenario = load_scenario(workspace.scenario_path(scenario_name))
+    robots = scenario.robots
+    own = _own_table(directory, scenario_name, scenario)
+    proposals = propose(found, {arm: robot.robot_facts.joint_count for arm, robot in robots.items()})
+    return {
+        "recording": lab.recordings[0],
+        "table": own,
+        "path": workspace.name(path),
+        "streams": [asdict(stream) for stream in found],
+        "arms": {
+            arm: {
+                "robot": Path(_robot(workspace, scenario_name, scenario, arm)).stem,
+                "slides": [kind == "prismatic" for kind in robots[arm].robot_facts.joint_types],
+                **asdict(proposal),
+            }
+            for arm, proposal in proposals.items()
+        },
+        "units": {
+            name: [list(table.get(QUANTITY[name], {})) for table in (TURNS, SLIDES)] for name in get_args(ArmSignal)
+        }
+        | {OBJECT_POSE: [list(UNITS[QUANTITY[OBJECT_POSE]]), []]},
+        "object_pose": next((number for number, one in enumerate(found) if one.guess == OBJECT_POSE), None),
+    }
+
+
+def _own_table(folder: Path, scenario_name: str, scenario: Scenario) -> dict[str, Any] | None:
+    """Rows of the user's own table of runs in the folder; None: there is none."""
+    if not (folder / RUN_TABLE).is_file():
+        return None
+    try:
+        rows = read_runs(folder, Experiment(scenario=scenario_name), scenario)
+    except InputError as error:
+        return {"name": RUN_TABLE, "rows": [], "error": str(error)}
+    listed = [
+        {"bag": row.name, "object": row.object or NO_OBJECT, "kind": HIT if row.hit else FREE_MOTION}
+        | {"condition": row.condition}
+        for row in rows
+    ]
+    return {"name": RUN_TABLE, "rows": listed, "error": ""}
+
+
+def preview(workspace: Workspace, request: PreviewRequest) -> dict[str, Any]:
+    """A signal over time, in SI units, thinned out, with one line if its values are implausible.
+
+    Raises:
+        InputError: The signal cannot be read as what it is taken for.
+    """
+    path = workspace.existing(request.path)
+    scenario = load_scenario(workspace.scenario_path(request.scenario))
+    if request.arm not in scenario.robots:
+        raise InputError(f"scenario {scenario.name!r} has no arm {request.arm!r}", key="arm")
+    signals: dict[SignalName, SignalSource] = {"position": request.position, request.signal: request.source}
+    robot = _robot(workspace, request.scenario, scenario, request.arm)
+    mapping = _mapping(robot, request.joints, signals, request.command_includes_gravity, path)
+    wanted: list[SignalName] = ["position", request.signal]
+    read = read_series(path, mapping, wanted, [request.signal])
+    series, pose = read[request.signal], request.signal == OBJECT_POSE
+    kept = slice(None, None, max(1, math.ceil(series.time.size / MOST_POINTS)))
+    time = series.time - series.time[0]
+    values = series.values[:, :3] if pose else series.values
+    names = list("xyz") if pose else list(request.joints)
+    units = [_si(request.signal, mapping.unit(request.signal, number)) for number in range(len(names))]
+    span = float(time[-1])
+    return {
+        "place": series.place,
+        "samples": int(time.size),
+        "rate": (time.size - 1) / span if span > 0.0 else 0.0,
+        "ranges": [
+            {"unit": unit, "low": float(np.nanmin(own)), "high": float(np.nanmax(own))}
+            for unit in dict.fromkeys(units)
+            for own in [values[:, [one == unit for one in units]]]
+        ],
+        "time": _short(time[kept]),
+        "columns": [
+            {"name": name, "unit": unit, "values": _short(values[kept, number])}
+            for number, (name, unit) in enumerate(zip(names, units, strict=True))
+        ],
+        "wrong": _wrong(path, scenario, request, mapping, read),
+    }
+
+
+def _wrong(
+    path: Path, scenario: Scenario, request: PreviewRequest, mapping: Mapping, read: dict[SignalName, Series]
+) -> str:
+    """Why the analysis would refuse a joint signal; empty: it would not."""
+    name, series = request.signal, read[request.signal]
+    if name not in JOINT_SIGNALS:
+        return ""
+    try:
+        _ = mapping.facts  # whose joints have these units
+        position = read["position"].at(series.time)
+        if name in REQUIRED:
+            check_limits(path, name, series.time, series.values, mapping, IMPACT_SHARE)
+        if name == "velocity":
+            check_velocity(path, series.time, position, series.values, mapping)
+        if name == "torque" or (name == "command" and request.command_includes_gravity):
+            model = Physics.nominal(scenario, next(iter(scenario.objects))).robot_model(request.arm)
+            remedy = "wrong unit or sign, or without the arm's own weight?"
+            check_weight(path, name, model, position, series.values, remedy)
+    except InputError as error:
+        return error.message
+    return ""
+
+
+def _robot(workspace: Workspace, scenario_name: str, scenario: Scenario, arm: str) -> str:
+    """The robot of an arm: its name in config/robots, or the path of its file.
+
+    Raises:
+        InputError: It has no file.
+    """
+    facts = scenario.robots[arm].facts
+    if isinstance(facts, str):
+        return facts
+    path = Path(workspace.scenario_path(scenario_name))
+    named = load_mapping(path)["robots"][arm]["facts"]
+    if not isinstance(named, str):
+        what = "the robot is described in the scenario itself: put it into a file of its own, and name that here"
+        raise InputError(what, file=path, key=f"robots.{arm}.facts")
+    return str((path.parent / named).resolve())
+
+
+def _si(signal: SignalName, unit: str, like: SignalName | None = None) -> str:
+    """The SI unit of a signal, of a joint that moves as ``unit`` says (of the signal ``like``)."""
+    known = next((table for table in (TURNS, SLIDES) if unit in table.get(QUANTITY[like or signal], {})), UNITS)
+    return next(iter(known[QUANTITY[signal]]))
+
+
+def _short(values: Array) -> list[float | None]:
+    return [float(f"{value:.5g}") if math.isfinite(value) else None for value in values]
+
+
+def describe(workspace: Workspace, description: Description) -> tuple[list[str], tuple[str, ...]]:
+    """Write experiment file, mappings and table of runs beside the recordings, all of them or none.
+
+    A table of runs that the user has written is used as it is.
+
+    Returns:
+        The files as they are seen from the folder, the experiment file first; and what the user should know of how the
+        first run was read.
+
+    Raises:
+        InputError: A file is there already, something in the description cannot be, or the first run (of those that
+            hit something) cannot be read with it.
+    """
+    folder = workspace.existing(description.path)
+    scenario_name = workspace.scenario_path(description.scenario)
+    scenario = load_scenario(scenario_name)
+    files = _mapping_files(scenario)
+    new = [EXPERIMENT, *files.values(), *([] if description.runs is None else [RUN_TABLE])]
+    for name in new:
+        if (folder / name).exists():
+            raise InputError("this file exists already; take it away to describe the folder anew", file=folder / name)
+    mappings = {arm: _mapping_of(workspace, description, scenario, arm, folder / file) for arm, file in files.items()}
+    if scenario_name.endswith((".yaml", ".yml")):
+        scenario_name = os.path.relpath(scenario_name, folder)
+    experiment: dict[str, Any] = {"scenario": scenario_name, "runs": RUN_TABLE}
+    experiment["mapping"] = files if len(files) > 1 else next(iter(files.values()))
+    motion_capture = MotionCapture(estimate=description.world_from_hits)
+    if motion_capture.estimate:
+        experiment["motion_capture"] = {"estimate": True}
+    texts = {file: _yaml(_seen_from(folder, mappings[arm])) for arm, file in files.items()}
+    texts[EXPERIMENT] = _yaml(experiment)
+    if description.runs is not None:
+        texts[RUN_TABLE] = _table(description.runs)
+    with whole_folder(folder) as aside:
+        for name, text in texts.items():
+            (aside / name).write_text(text, encoding="utf-8")
+        table = (folder if description.runs is None else aside) / RUN_TABLE
+        rows = read_runs(folder, Experiment(scenario=scenario_name, runs=str(table.relative_to(folder))), scenario)
+        laboratory = Laboratory.checked(scenario, mappings, motion_capture, lambda arm: {"key": arm})
+        first = next((row for row in rows if row.hit), rows[0])
+        remarks = read_run(placed(laboratory, rows, map), first).remarks
+    written = [workspace.name(folder / name) for name in new]
+    return written, tuple(f"{first.name}: {remark}" for remark in remarks)
+
+
+def _mapping_files(scenario: Scenario) -> dict[str, str]:
+    """Name of the mapping file of every arm."""
+    if len(scenario.robots) == 1:
+        return dict.fromkeys(scenario.robots, "mapping.yaml")
+    return {arm: f"mapping_{arm}.yaml" for arm in scenario.robots}
+
+
+def _mapping_of(workspace: Workspace, description: Description, scenario: Scenario, arm: str, file: Path) -> Mapping:
+    """The mapping of one arm; the object's pose is with the first.
+
+    Raises:
+        InputError: The arm is not described, a signal is missing, or something breaks the schema.
+    """
+    where = f"arms.{arm}."
+    if arm not in description.arms:
+        raise InputError(f"scenario {scenario.name!r} has this arm: say where its signals are", key=where[:-1])
+    own = description.arms[arm]
+    for needed in REQUIRED:
+        if needed not in own.signals:
+            raise InputError(
+                "this signal is needed", key=f"{where if len(scenario.robots) > 1 else ''}signals.{needed}"
+            )
+    signals: dict[SignalName, SignalSource] = dict(own.signals.items())
+    if description.object_pose is not None and arm == next(iter(scenario.robots)):
+        signals[OBJECT_POSE] = _for_all_objects(description.object_pose, scenario)
+    robot = _robot(workspace, description.scenario, scenario, arm)
+    return _mapping(robot, own.joints, signals, own.command_includes_gravity, file)
+
+
+def _mapping(
+    robot: str, joints: tuple[str, ...], signals: dict[SignalName, SignalSource], gravity: bool, file: Path
+) -> Mapping:
+    """A mapping; where needed signals are not chosen yet, one that is chosen stands for them.
+
+    Raises:
+        InputError: It breaks its schema.
+    """
+    first_name, first = next(iter(signals.items()))
+    units = first.units if len(first.units) > 1 else first.units * len(joints)
+    stand_ins = {
+        name: first.model_copy(update={"unit": tuple(_si(name, unit, first_name) for unit in units)})
+        for name in REQUIRED
+        if name not in signals
+    }
+    content = {
+        "description": "recordings as described in the workbench",
+        "robot": robot,
+        "joints": list(joints),
+        "command_includes_gravity": gravity,
+        "signals": {
+            name: source.model_dump(exclude_defaults=True) for name, source in {**signals, **stand_ins}.items()
+        },
+    }
+    return validate(Mapping, content, file)
+
+
+def _seen_from(folder: Path, mapping: Mapping) -> dict[str, Any]:
+    """What a mapping file in a folder says, which names the file of a robot as it is seen from there."""
+    content = mapping.model_dump(mode="json", exclude_defaults=True)
+    robot = mapping.robot
+    return content | {"robot": os.path.relpath(robot, folder) if robot.endswith((".yaml", ".yml")) else robot}
+
+
+def _yaml(content: dict[str, Any]) -> str:
+    return yaml.safe_dump(content, sort_keys=False)
+
+
+def _for_all_objects(source: SignalSource, scenario: Scenario) -> SignalSource:
+    """A topic that has the name of an object in it stands for those of all objects."""
+    if source.topic is None:
+        return source
+    parts = ["{object}" if part in scenario.objects else part for part in source.topic.split("/")]
+    return source.model_copy(update={"topic": "/".join(parts)})
+
+
+def _table(runs: tuple[RunEntry, ...]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["bag", "object", "kind", "condition"])
+    writer.writerows([run.bag, run.object, run.kind, run.condition] for run in runs)
+    return text.getvalue()

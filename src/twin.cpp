@@ -1,0 +1,465 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "twin.hpp"
+
+#include <limits>
+
+namespace impact_rs {
+
+namespace {
+
+constexpr double ALIGNED = 1e-9;         // m, as in impact_rs_sim/impact_map/contacts.py
+constexpr double MARGIN = 2e-3;          // m; what is closer may touch soon
+constexpr double IN_REACH = 1e-4;        // m; what is closer, but for its speed, may touch within a step or did so in the last one
+constexpr double WHOLE_FACE = 2e-2;      // m; corners that far apart belong to one face
+constexpr double FACE_POINTS = 4.0;      // that share stiffness and damping of a face
+constexpr double RIGID = 1e4;            // of the object's mass stops it within a step, and holds what sticks
+constexpr double SUPPORT_THICKNESS = 0.1;      // m
+constexpr double SUPPORT_DAMPING_RATIO = 0.5;  // of the object on a compliant support
+constexpr double RESOLVED = 1e-2;        // m/s; a pad that meets the object more slowly needs no shorter steps
+
+constexpr Matrix IDENTITY{1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0};
+
+bool is_zero(const Vector& a) { return a[0] == 0.0 && a[1] == 0.0 && a[2] == 0.0; }
+
+// exp([a]) m: axes turned by a rotation vector [rad].
+Matrix turned(const Vector& a, const Matrix& m) {
+  const double square = dot(a, a), angle = std::sqrt(square);
+  const double s = square < 1e-8 ? 1.0 - square / 6.0 : std::sin(angle) / angle;
+  const double c = square < 1e-8 ? 0.5 - square / 24.0 : (1.0 - std::cos(angle)) / square;
+  Matrix found;
+  for (int j = 0; j < 3; ++j) {
+    const Vector axis = column(m, j), first = cross(a, axis), second = cross(a, first);
+    for (int i = 0; i < 3; ++i) found[3 * i + j] = axis[i] + s * first[i] + c * second[i];
+  }
+  return found;
+}
+
+// Quaternion x y z w, with the sign that is nearer to another one unless that is null.
+void quaternion(const Matrix& m, double* out, const double* near) {
+  const double squares[] = {1.0 + m[0] - m[4] - m[8], 1.0 - m[0] + m[4] - m[8], 1.0 - m[0] - m[4] + m[8],
+                            1.0 + m[0] + m[4] + m[8]};  // 4 x^2, 4 y^2, 4 z^2, 4 w^2
+  const long most = std::max_element(squares, squares + 4) - squares;
+  const double twice = std::sqrt(squares[most]), scale = 0.5 / twice;
+  const double xy = m[3] + m[1], xz = m[2] + m[6], yz = m[7] + m[5];  // 4 x y, 4 x z, 4 y z
+  const double xw = m[7] - m[5], yw = m[2] - m[6], zw = m[3] - m[1];
+  const double products[4][4] = {
+      {squares[0], xy, xz, xw}, {xy, squares[1], yz, yw}, {xz, yz, squares[2], zw}, {xw, yw, zw, squares[3]}};
+  double sign = 0.0;
+  for (int i = 0; i < 4; ++i) {
+    out[i] = scale * products[most][i];
+    if (near != nullptr) sign += out[i] * near[i];
+  }
+  if (sign < 0.0)
+    for (int i = 0; i < 4; ++i) out[i] = -out[i];
+}
+
+// S^-1 x of a symmetric 3 x 3 matrix.
+Vector divided(const Matrix& s, const Vector& x) {
+  const Vector a = row(s, 0), b = row(s, 1), c = row(s, 2);
+  const Vector bc = cross(b, c), ca = cross(c, a), ab = cross(a, b);
+  return (1.0 / dot(a, bc)) * Vector{bc[0] * x[0] + ca[0] * x[1] + ab[0] * x[2], bc[1] * x[0] + ca[1] * x[1] + ab[1] * x[2],
+                                     bc[2] * x[0] + ca[2] * x[1] + ab[2] * x[2]};
+}
+
+Vector tangential(const Vector& a, const Vector& normal) { return a + -dot(a, normal) * normal; }
+
+}  // namespace
+
+Twin::Twin(const TwinModel& model, const TwinStart& start)
+    : model_(model),
+      start_(start),
+      has_box_(start.box.has_value()),
+      awake_(false),
+      last_(model.period),
+      centre_{},
+      velocity_{},
+      angular_{},
+      momentum_{},
+      rotation_(IDENTITY),
+      motions_(model.arms.size()),
+      guesses_(model.arms.size() + 1),
+      softened_(model.arms.size()) {
+  arms_.reserve(model.arms.size());
+  for (std::size_t i = 0; i < model.arms.size(); ++i) arms_.emplace_back(model.arms[i], start.arms[i], model.period);
+  if (!has_box_) return;
+  const BoxStart& box = *start.box;
+  rotation_ = box.rotation;
+  const Vector lever = rotation_ * model.box.offset;
+  centre_ = box.centre + lever;
+  angular_ = box.angular;
+  velocity_ = box.velocity + cross(angular_, lever);
+  momentum_ = inertia() * angular_;
+  // At rest on a support that does not let it slide, the box stays where it is until it is touched.
+  const Vector& g = model.gravity;
+  awake_ = !(model.support && is_zero(box.velocity) && is_zero(box.angular) &&
+             std::hypot(g[0], g[1]) < -g[2] * model.support->friction);
+}
+
+Matrix Twin::inertia() const {
+  Matrix found;
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) {
+      double sum = 0.0;
+      for (int k = 0; k < 3; ++k) sum += rotation_[3 * i + k] * model_.box.inertia[k] * rotation_[3 * j + k];
+      found[3 * i + j] = sum;
+    }
+  return found;
+}
+
+Box Twin::box() const { return {centre_ - rotation_ * model_.box.offset, rotation_, model_.box.half}; }
+
+std::size_t Twin::row() const {
+  std::size_t size = has_box_ ? BOX_ROW : 0;
+  for (const TwinArm& arm : arms_) size += 5 * arm.joints();
+  return size;
+}
+
+void Twin::sample(std::size_t tick, double* out) const {
+  for (const TwinArm& arm : arms_)
+    for (const auto* values : {&arm.q, &arm.dq, &arm.elastic(), &arm.motor_position(), &arm.motor_velocity()})
+      out = std::copy(values->begin(), values->end(), out);
+  if (!has_box_) return;
+  const Vector lever = rotation_ * model_.box.offset, middle = centre_ - lever;
+  const Vector velocity = velocity_ - cross(angular_, lever);
+  out = std::copy(middle.begin(), middle.end(), out);
+  quaternion(rotation_, out, tick > 0 ? out - row() : nullptr);
+  out += 4;
+  out = std::copy(velocity.begin(), velocity.end(), out);
+  std::copy(angular_.begin(), angular_.end(), out);
+}
+
+bool Twin::is_finite() const {
+  double sum = dot(centre_, centre_) + dot(velocity_, velocity_) + dot(angular_, angular_);
+  for (const TwinArm& arm : arms_)
+    for (int i = 0; i < arm.joints(); ++i) sum += arm.q[i] + arm.dq[i];
+  return std::isfinite(sum);
+}
+
+void Twin::run(double* out) {
+  const std::size_t ticks = start_.time.size(), size = row();
+  long number = 0;
+  for (std::size_t tick = 0; tick < ticks; ++tick, out += size) {
+    sample(tick, out);
+    if (tick + 1 == ticks) break;
+    const double time = start_.time[tick];
+    for (TwinArm& arm : arms_) arm.load(time);
+    for (int i = 0; i < start_.substeps; ++i) period(number++, time + i * model_.period);
+    if (is_finite()) continue;
+    report_.failed.push_back(time);
+    std::fill(out + size, out + (ticks - tick) * size, std::numeric_limits<double>::quiet_NaN());
+    break;
+  }
+}
+
+void Twin::period(long number, double time) {
+  for (TwinArm& arm : arms_) arm.command(number);
+  const int steps = look() ? model_.refinement : 1;
+  const double length = model_.period / steps;
+  for (int i = 0; i < steps; ++i) {
+    if (i > 0) look();
+    step(length, time + i * length);
+  }
+}
+
+bool Twin::look() {
+  for (TwinArm& arm : arms_) arm.look();
+  partners_.clear();
+  solver_.partners.clear();
+  solver_.points.clear();
+  if (!has_box_) return false;
+  for (std::size_t i = 0; i < arms_.size(); ++i) look_at_pad(static_cast<int>(i));
+  bool fast = false;
+  for (const ContactPoint& point : solver_.points)
+    fast = fast || (std::abs(point.speed) > RESOLVED && point.gap + 2.0 * model_.period * std::min(point.speed, 0.0) < 0.0);
+  if (!solver_.points.empty()) awake_ = true;
+  if (awake_ && model_.support) look_at_support();
+  return fast;
+}
+
+void Twin::look_at_pad(int number) {
+  TwinArm& arm = arms_[number];
+  const Box object = box(), pad = arm.pad_box();
+  const double reach = norm(pad.half) + norm(object.half) + MARGIN;
+  const Vector apart = object.centre - pad.centre;
+  softened_[number].yields = false;
+  if (!(dot(apart, apart) < reach * reach)) {
+    arm.shear = {};
+    return;
+  }
+  const Face face = separating_face(pad, object, ALIGNED);
+  touches_.clear();
+  if (face.separation < MARGIN) touching(pad, object, face, WHOLE_FACE, touches_);
+  const std::size_t first = solver_.points.size();
+  const double share = std::min(1.0, FACE_POINTS / static_cast<double>(touches_.size())) / FACE_POINTS;
+  std::vector<double>& motions = motions_[number];
+  motions.clear();
+  for (const Touch& touch : touches_) {
+    if (touch.gap > MARGIN) continue;
+    ContactPoint point{};
+    point.place = touch.position - centre_;
+    point.normal = face.normal;
+    point.gap = touch.gap;
+    point.share = share;
+    solver_.points.push_back(point);
+  }
+  const std::size_t count = solver_.points.size() - first;
+  if (count == 0) {
+    arm.shear = {};
+    return;
+  }
+  Vector linear = velocity_, angular = angular_;
+  for (int i = 0; i < arm.joints(); ++i) {
+    const Spatial& axis = arm.axis(i);
+    const Vector slides = axis.linear + cross(axis.angular, centre_);
+    motions.insert(motions.end(), axis.angular.begin(), axis.angular.end());
+    motions.insert(motions.end(), slides.begin(), slides.end());
+    linear = linear - arm.dq[i] * slides;
+    angular = angular - arm.dq[i] * axis.angular;
+  }
+  bool in_reach = false;
+  for (std::size_t i = first; i < first + count; ++i) {
+    ContactPoint& point = solver_.points[i];
+    point.speed = dot(point.normal, linear + cross(angular, point.place));
+    in_reach = in_reach || point.gap - 2.0 * model_.period * std::abs(point.speed) < IN_REACH;
+  }
+  if (!in_reach) {
+    solver_.points.resize(first);
+    arm.shear = {};
+    return;
+  }
+  partners_.push_back(number);
+  solver_.partners.push_back({arm.joints(), 0, motions.data(), first, count});
+}
+
+void Twin::look_at_support() {
+  const SupportModel& support = *model_.support;
+  // Unloaded, a compliant support is higher by what the object's weight presses it down.
+  const double surface = support.height - model_.gravity[2] * model_.box.mass * support.compliance;
+  const Box object = box();
+  if (object.centre[2] - norm(object.half) > surface + MARGIN) return;
+  const Box table{{0.0, 0.0, surface - 0.5 * SUPPORT_THICKNESS},
+                  IDENTITY,
+                  {support.half_x, support.half_y, 0.5 * SUPPORT_THICKNESS}};
+  const Face face = separating_face(table, object, ALIGNED);
+  touches_.clear();
+  if (face.separation < MARGIN) touching(table, object, face, MARGIN, touches_);
+  if (touches_.empty()) return;
+  const std::size_t first = solver_.points.size();
+  const double share = std::min(1.0, FACE_POINTS / static_cast<double>(touches_.size())) / FACE_POINTS;
+  for (const Touch& touch : touches_) {
+    ContactPoint point{};
+    point.place = touch.position - centre_;
+    point.normal = face.normal;
+    point.gap = touch.gap;
+    point.share = share;
+    point.speed = dot(point.normal, velocity_ + cross(angular_, point.place));
+    solver_.points.push_back(point);
+  }
+  partners_.push_back(static_cast<int>(arms_.size()));
+  solver_.partners.push_back({0, 0, nullptr, first, touches_.size()});
+}
+
+// Laws of the points of one partner over the coming step.
+void Twin::prepare(std::size_t number, double kick) {
+  const Partner& partner = solver_.partners[number];
+  const bool is_pad = partner.joints > 0;
+  const double hold = RIGID * model_.box.mass / (FACE_POINTS * kick);
+  const Vector half = model_.box.half;
+  double stiffness = 0.0, damping = 0.0, friction = model_.pad_friction;
+  bool rigid;
+  if (is_pad) {
+    const Pad& pad = arms_[partners_[number]].pad();
+    rigid = pad.rigid;
+    stiffness = pad.stiffness;
+    damping = pad.damping;
+  } else {
+    const SupportModel& support = *model_.support;
+    rigid = support.compliance == 0.0;
+    friction = support.friction;
+    if (!rigid) {
+      stiffness = 1.0 / support.compliance;
+      damping = 2.0 * SUPPORT_DAMPING_RATIO * std::sqrt(stiffness * model_.box.mass);
+    }
+  }
+  // Half of the damper acts after the step, for second order; more where it would reverse the velocity within a step.
+  const double decay = 2.0 * kick * damping / model_.box.mass;
+  const double implicit = decay > 2.0 ? 1.0 - 1.0 / decay : 0.5;
+  for (std::size_t i = partner.first; i < partner.first + partner.count; ++i) {
+    ContactPoint& point = solver_.points[i];
+    point.rigid = rigid;
+    point.stiffness = point.share * stiffness;
+    point.damping = point.share * damping;
+    point.implicit = implicit;
+    point.stop = hold;
+    point.stick = hold;
+    point.held = {};
+    point.friction = friction;
+    point.augmented = 1.0 / RIGID;
+    point.lever = model_.rolling_arm;
+    point.turn_stick = hold * dot(half, half);
+  }
+  if (is_pad) soften(number);
+}
+
+// Friction of a pad that yields along its face: impact_rs_sim/pad_shear.py, with spring and damper after the step.
+void Twin::soften(std::size_t number) {
+  const Partner& partner = solver_.partners[number];
+  TwinArm& arm = arms_[partners_[number]];
+  Softened& own = softened_[partners_[number]];
+  const double compliance = arm.pad().shear_compliance, creep = arm.pad().creep;
+  own.yields = compliance > 0.0 || creep > 0.0;
+  if (!own.yields) return;
+  own.weights.clear();
+  double total = 0.0;
+  for (std::size_t i = partner.first; i < partner.first + partner.count; ++i) {
+    const ContactPoint& point = solver_.points[i];
+    own.weights.push_back(normal_force(point, solver_.span, point.speed).force);
+    total += own.weights.back();
+  }
+  if (!(total > 0.0)) arm.shear = {};
+  own.centre = {};
+  for (std::size_t i = 0; i < partner.count; ++i) {
+    own.weights[i] = total > 0.0 ? own.weights[i] / total : 1.0 / static_cast<double>(partner.count);
+    own.centre = own.centre + own.weights[i] * solver_.points[partner.first + i].place;
+  }
+  own.lag = std::sqrt(compliance);  // damping ratio 0.5 of a kilogram on the spring
+  const double theta = own.lag + solver_.span.now, stiff = 1.0 / (compliance + theta * creep);
+  const Vector& normal = solver_.points[partner.first].normal;
+  const Vector lever = cross(normal, own.centre + centre_ - arm.end());
+  const Vector shift = tangential(arm.axes_of_last() * arm.shear.shift + arm.shear.twist * lever, normal);
+  for (std::size_t i = 0; i < partner.count; ++i) {
+    ContactPoint& point = solver_.points[partner.first + i];
+    point.stick = own.weights[i] * stiff * theta;
+    point.augmented = std::min(1.0, point.stop / (RIGID * std::max(point.stick, 1e-300)));
+    point.held = (own.weights[i] * stiff) * (shift + arm.shear.twist * cross(normal, point.place - own.centre));
+  }
+}
+
+// Shear after the step: what friction holds.
+void Twin::remember(std::size_t number) {
+  const Partner& partner = solver_.partners[number];
+  TwinArm& arm = arms_[partners_[number]];
+  const Softened& own = softened_[partners_[number]];
+  const Vector& normal = solver_.points[partner.first].normal;
+  const double* wrench = solver_.wrench(number);  // about the object's centre of mass
+  const Vector force = vector(wrench + 3), pull = tangential(force, normal);
+  double torque = dot(normal, vector(wrench) - cross(own.centre, force)), radius = 0.0;
+  for (std::size_t i = 0; i < partner.count; ++i) {
+    const Vector turning = cross(normal, solver_.points[partner.first + i].place - own.centre);
+    radius += own.weights[i] * dot(turning, turning);
+  }
+  const double theta = own.lag + solver_.span.now, kept = own.lag / theta;
+  const double yields = solver_.span.now * arm.pad().shear_compliance / theta;
+  const Vector lever = cross(normal, own.centre + centre_ - arm.end());
+  const Vector shift = tangential(arm.axes_of_last() * arm.shear.shift + arm.shear.twist * lever, normal);
+  const double twist = kept * arm.shear.twist - (radius > 1e-12 ? yields * torque / radius : 0.0);
+  arm.shear.twist = twist;
+  arm.shear.shift = transposed_times(arm.axes_of_last(), kept * shift - yields * pull - twist * lever);
+}
+
+void Twin::step(double length, double time) {
+  const double kick = 0.5 * (last_ + length);
+  ++report_.steps;
+  solver_.span = {last_, length};
+  for (TwinArm& arm : arms_) arm.equations();
+  if (awake_ && has_box_) {
+    touch_step(kick, time);
+  } else {
+    for (TwinArm& arm : arms_)
+      if (!arm.coast(kick)) std::fill(arm.dq.begin(), arm.dq.end(), std::numeric_limits<double>::quiet_NaN());
+  }
+  for (TwinArm& arm : arms_) arm.move(kick, length);
+  if (awake_ && has_box_) move_box(length);
+  last_ = length;
+}
+
+void Twin::touch_step(double kick, double time) {
+  StepSolver& solver = solver_;
+  std::vector<bool> touches(arms_.size(), false);
+  int size = 0;
+  for (std::size_t k = 0; k < partners_.size(); ++k) {
+    if (solver.partners[k].joints == 0) continue;
+    touches[partners_[k]] = true;
+    solver.partners[k].offset = size;
+    size += solver.partners[k].joints;
+  }
+  for (std::size_t i = 0; i < arms_.size(); ++i)
+    if (!touches[i] && !arms_[i].coast(kick))
+      std::fill(arms_[i].dq.begin(), arms_[i].dq.end(), std::numeric_limits<double>::quiet_NaN());
+  const int o = size, n = size + 6;
+  solver.size = n;
+  solver.kick = kick;
+  solver.object_mass = model_.box.mass;
+  solver.mass.assign(n * n, 0.0);
+  solver.impulse.resize(n);
+  solver.velocity.resize(n);
+  for (std::size_t k = 0; k < partners_.size(); ++k) {
+    const Partner& partner = solver.partners[k];
+    prepare(k, kick);
+    if (partner.joints == 0) continue;
+    const TwinArm& arm = arms_[partners_[k]];
+    const int joints = partner.joints, at = partner.offset;
+    for (int i = 0; i < joints; ++i)
+      for (int j = 0; j <= i; ++j)
+        solver.mass[(at + i) * n + at + j] = solver.mass[(at + j) * n + at + i] = arm.mass[i * joints + j];
+    for (int i = 0; i < joints; ++i) {
+      double sum = kick * arm.driving[i];
+      for (int j = 0; j < joints; ++j) sum += solver.mass[(at + i) * n + at + j] * arm.dq[j];
+      solver.impulse[at + i] = sum;
+      solver.velocity[at + i] = arm.dq[i];
+    }
+  }
+  const Matrix turns = inertia();
+  const Vector free = velocity_ + kick * model_.gravity, spin = divided(turns, momentum_);
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) solver.mass[(o + i) * n + o + j] = turns[3 * i + j];
+    solver.mass[(o + 3 + i) * n + o + 3 + i] = model_.box.mass;
+    solver.impulse[o + i] = momentum_[i];
+    solver.impulse[o + 3 + i] = model_.box.mass * free[i];
+    solver.velocity[o + i] = partners_.empty() ? spin[i] : angular_[i];
+    solver.velocity[o + 3 + i] = partners_.empty() ? free[i] : velocity_[i];
+  }
+  if (!partners_.empty()) {
+    ++report_.contact_steps;
+    recall();
+    const Solution solution = solver.solve();
+    report_.iterations += solution.iterations;
+    report_.fallbacks += solution.fallback;
+    report_.residual = std::max(report_.residual, solution.residual);
+    if (!solution.solved) report_.failed.push_back(time);
+  }
+  for (auto& guesses : guesses_) guesses.clear();
+  for (std::size_t k = 0; k < partners_.size(); ++k) {
+    const Partner& partner = solver.partners[k];
+    std::vector<Guess>& guesses = guesses_[partners_[k]];
+    for (std::size_t i = partner.first; i < partner.first + partner.count; ++i) {
+      guesses.push_back(solver.guesses[i]);
+      guesses.back().load = solver.loads()[i];
+    }
+    const double* wrench = solver.wrench(k);
+    for (int i = 0; i < 3; ++i) momentum_[i] += kick * wrench[i];
+    if (partner.joints == 0) continue;
+    TwinArm& arm = arms_[partners_[k]];
+    std::copy_n(solver.velocity.begin() + partner.offset, partner.joints, arm.dq.begin());
+    if (softened_[partners_[k]].yields) remember(k);
+  }
+  angular_ = vector(&solver.velocity[o]);
+  velocity_ = vector(&solver.velocity[o + 3]);
+}
+
+// Forces of the step before as a first guess, where a partner has as many points as then.
+void Twin::recall() {
+  solver_.guesses.assign(solver_.points.size(), Guess{{}, -1.0, true, true});
+  for (std::size_t k = 0; k < partners_.size(); ++k) {
+    const Partner& partner = solver_.partners[k];
+    const std::vector<Guess>& before = guesses_[partners_[k]];
+    if (before.size() == partner.count) std::copy(before.begin(), before.end(), solver_.guesses.begin() + partner.first);
+  }
+}
+
+void Twin::move_box(double drift) {
+  centre_ = centre_ + drift * velocity_;
+  rotation_ = turned(drift * angular_, rotation_);
+}
+
+}  // namespace impact_rs

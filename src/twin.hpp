@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: Apache-2.0
+// The twin: arms with drives, a box and its support, from a measured state under recorded torque. Equations and step
+// method in docs/physics.md, "The twin".
+
+#pragma once
+
+#include "twin_arm.hpp"
+#include "twin_step.hpp"
+
+namespace impact_rs {
+
+struct BoxModel {
+  double mass;     // [kg]
+  Vector half;     // half extents [m]
+  Vector inertia;  // principal moments about the centre of mass [kg m^2]
+  Vector offset;   // centre of mass from the middle, in axes of the box [m]
+};
+
+struct SupportModel {
+  double height;       // of its surface in A, below the object that stands on it [m]
+  double half_x, half_y;  // half extents [m]
+  double friction;     // [-]
+  double compliance;   // 0: rigid [m/N]
+};
+
+// What does not change over a simulation.
+struct TwinModel {
+  std::vector<ArmModel> arms;
+  BoxModel box;
+  std::optional<SupportModel> support;
+  double pad_friction;  // [-]
+  double rolling_arm;   // [m]
+  Vector gravity;       // [m/s^2]
+  double period;        // of the torque loop [s]
+  int refinement;       // steps in a period in which a pad meets the object
+};
+
+struct BoxStart {
+  Vector centre;     // [m]
+  Matrix rotation;
+  Vector velocity;   // of the centre [m/s]
+  Vector angular;    // [rad/s]
+};
+
+struct TwinStart {
+  std::vector<ArmStart> arms;
+  std::optional<BoxStart> box;  // none: the arms are alone
+  std::vector<double> time;     // ticks [s]
+  int substeps;                 // periods of the torque loop from tick to tick
+};
+
+// How well the steps were solved.
+struct TwinReport {
+  long steps = 0, contact_steps = 0, iterations = 0, fallbacks = 0;
+  double residual = 0.0;       // largest of all steps [m/s]
+  std::vector<double> failed;  // times of the steps that were not solved [s]
+};
+
+constexpr std::size_t BOX_ROW = 13;  // numbers of the box in a row
+
+class Twin {
+ public:
+  Twin(const TwinModel& model, const TwinStart& start);
+
+  // All ticks: per tick q, dq, tau_J, theta, dtheta (n each) of every arm; then middle, quaternion x y z w, velocity of
+  // the middle and angular velocity of the box, where there is one. `out` is (ticks, row()).
+  void run(double* out);
+  std::size_t row() const;
+
+  const TwinReport& report() const { return report_; }
+
+ private:
+  void sample(std::size_t tick, double* out) const;
+  void period(long number, double time);
+  bool look();  // contact points now; whether a pad meets the object faster than a step of a period resolves
+  void look_at_pad(int arm);
+  void look_at_support();
+  void step(double length, double time);
+  void touch_step(double kick, double time);
+  void prepare(std::size_t partner, double kick);
+  void soften(std::size_t partner);
+  void remember(std::size_t partner);
+  void recall();
+  void move_box(double drift);
+  Box box() const;
+  Matrix inertia() const;
+  bool is_finite() const;
+
+  const TwinModel& model_;
+  const TwinStart& start_;
+  TwinReport report_;
+  std::vector<TwinArm> arms_;
+  bool has_box_, awake_;
+  double last_;  // length of the step before [s]
+
+  // The box: centre of mass, axes, velocities; angular momentum about the centre of mass.
+  Vector centre_, velocity_, angular_, momentum_;
+  Matrix rotation_;
+
+  // Contacts of this step. Partners are arms by number, then the support.
+  std::vector<Touch> touches_;
+  std::vector<int> partners_;
+  std::vector<std::vector<double>> motions_;  // by arm
+  std::vector<std::vector<Guess>> guesses_;  // by partner and point, of the step before
+  StepSolver solver_;
+
+  // Shear of the pad that is being prepared.
+  struct Softened {
+    Vector centre{};              // of the load, from the object's centre of mass [m]
+    std::vector<double> weights;  // share of the load by point
+    double lag = 0.0;             // time constant of the damper [s]
+    bool yields = false;
+  };
+  std::vector<Softened> softened_;  // by arm
+};
+
+}  // namespace impact_rs

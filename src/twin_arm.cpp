@@ -1,0 +1,143 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "twin_arm.hpp"
+
+#include <cstdio>
+#include <stdexcept>
+
+namespace impact_rs {
+
+TwinArm::TwinArm(const ArmModel& model, const ArmStart& start, double period)
+    : q(start.position),
+      dq(start.velocity),
+      model_(model),
+      start_(start),
+      period_(period),
+      links_(model.links),
+      drive_(model.drive),
+      since_(start.earlier_times) {
+  const std::size_t n = q.size();
+  for (auto* numbers : {&wanted_, &shaped_, &passed_, &on_links_, &on_motors_, &acceleration_, &driving})
+    numbers->assign(n, 0.0);
+  mass.assign(n * n, 0.0);
+  rate_ = start.torque_rate;
+  drive_.elastic = start.torque;
+  for (std::size_t i = 0; i < n; ++i) {
+    const double tau = start.torque[i], rate = rate_[i];
+    drive_.position[i] = q[i] + tau / model.stiffness[i];
+    drive_.velocity[i] = dq[i] + rate / model.stiffness[i];
+    drive_.transmission[i] = tau + model.damping[i] / model.stiffness[i] * rate;
+  }
+}
+
+Box TwinArm::pad_box() const {
+  const Matrix& axes = links_.axes_of_last();
+  return {links_.end() + axes * model_.pad.centre, axes * model_.pad.rotation, model_.pad.half};
+}
+
+void TwinArm::load(double time) {
+  if (!model_.pull && model_.formulas.empty() && !model_.python) return;
+  const int n = joints();
+  std::fill(on_links_.begin(), on_links_.end(), 0.0);
+  std::fill(on_motors_.begin(), on_motors_.end(), 0.0);
+  look();
+  Spatial twist{};
+  for (int i = 0; i < n; ++i) twist = twist + dq[i] * axis(i);
+  const Vector& place = end();
+  const FormulaState state{time, q.data(), dq.data(), place, twist.linear + cross(twist.angular, place)};
+  Vector force{};
+  if (model_.pull) force = model_.pull->force + -model_.pull->stiffness * (place - model_.pull->place);
+  for (const FormulaLoad& load : model_.formulas) {
+    const double value = load.formula(state);
+    if (std::isnan(value)) {
+      char at[32];
+      std::snprintf(at, sizeof at, "%.3f", time);
+      throw std::runtime_error("effect '" + load.effect + "' blows up at t = " + at + " s");
+    }
+    if (load.acts == Acts::on_end_effector) {
+      force[load.index] += value;
+    } else {
+      (load.acts == Acts::on_link ? on_links_ : on_motors_)[load.index] += value;
+    }
+  }
+  for (int i = 0; i < n; ++i) on_links_[i] += dot(axis(i).linear + cross(axis(i).angular, place), force);
+  if (model_.python) model_.python(time, q.data(), dq.data(), on_links_.data(), on_motors_.data());
+}
+
+const double* TwinArm::command_row(long number) const {
+  const long earlier = start_.earlier_times.size(), n = joints();
+  if (number < earlier) return start_.earlier + number * n;
+  return start_.torques + rows_[number - earlier] * n;
+}
+
+// The desired torque of a period in `wanted_`: the mean of the held commands over the period that began `delay` ago.
+void TwinArm::deliver(long period) {
+  const int n = joints(), row = start_.acting[period];
+  if (model_.delay <= 0.0 || model_.joint_torque) {
+    std::copy_n(start_.torques + static_cast<long>(row) * n, n, wanted_.begin());
+    return;
+  }
+  if (rows_.empty() || rows_.back() != row) {
+    since_.push_back(period * period_);
+    rows_.push_back(row);
+  }
+  const double begin = period * period_ - model_.delay, end = begin + period_;
+  while (oldest_ + 1 < static_cast<long>(since_.size()) && since_[oldest_ + 1] <= begin) ++oldest_;
+  std::fill(wanted_.begin(), wanted_.end(), 0.0);
+  for (long number = oldest_; number < static_cast<long>(since_.size()); ++number) {
+    const double from = number == oldest_ ? begin : since_[number];
+    const double until = number + 1 < static_cast<long>(since_.size()) ? std::min(since_[number + 1], end) : end;
+    if (until <= from) continue;
+    const double* torque = command_row(number);
+    for (int i = 0; i < n; ++i) wanted_[i] += (until - from) / period_ * torque[i];
+  }
+}
+
+void TwinArm::command(long period) {
+  deliver(period);
+  const int n = joints();
+  if (model_.joint_torque) {
+    for (int i = 0; i < n; ++i) {
+      rate_[i] = (wanted_[i] - drive_.elastic[i]) / period_;
+      passed_[i] = wanted_[i] + model_.damping[i] / model_.stiffness[i] * rate_[i] + on_links_[i];
+      drive_.elastic[i] = wanted_[i];
+    }
+    return;
+  }
+  for (int i = 0; i < n; ++i)
+    shaped_[i] = model_.shaping[i] * (model_.gain[i] * wanted_[i] + model_.offset[i] + on_motors_[i]);
+  drive_.act(shaped_.data());
+}
+
+void TwinArm::equations() {
+  const int n = joints();
+  if (!model_.joint_torque)
+    for (int i = 0; i < n; ++i) passed_[i] = drive_.transmission[i] + on_links_[i];
+  links_.equations(dq.data(), passed_.data(), mass.data(), driving.data());
+}
+
+bool TwinArm::coast(double kick) {
+  const int n = joints();
+  factor_ = mass;
+  acceleration_ = driving;
+  if (!factorise(factor_.data(), n)) return false;
+  forward(factor_.data(), n, acceleration_.data(), 1);
+  backward(factor_.data(), n, acceleration_.data(), 1);
+  for (int i = 0; i < n; ++i) dq[i] += kick * acceleration_[i];
+  return true;
+}
+
+void TwinArm::move(double kick, double drift) {
+  const int n = joints();
+  for (int i = 0; i < n; ++i) q[i] += drift * dq[i];
+  if (model_.joint_torque) {
+    for (int i = 0; i < n; ++i) {
+      drive_.position[i] = q[i] + drive_.elastic[i] / model_.stiffness[i];
+      drive_.velocity[i] = dq[i] + rate_[i] / model_.stiffness[i];
+    }
+    return;
+  }
+  drive_.move(kick, drift);
+  drive_.sense(q.data(), dq.data());
+}
+
+}  // namespace impact_rs

@@ -1,0 +1,124 @@
+// SPDX-License-Identifier: Apache-2.0
+// One arm of the twin: links, drive, delayed command, loads and pad. Equations in impact_rs_sim/drive.py and physics.py.
+
+#pragma once
+
+#include <functional>
+#include <optional>
+#include <string>
+
+#include "boxes.hpp"
+#include "drive.hpp"
+#include "twin_formula.hpp"
+
+namespace impact_rs {
+
+// A compliant or rigid box on the last link.
+struct Pad {
+  Vector centre;    // in axes of the last joint
+  Matrix rotation;
+  Vector half;      // half extents [m]
+  bool rigid;
+  double stiffness, damping;         // of the whole face [N/m, N s/m]
+  double shear_compliance, creep;    // [m/N], [m/(s N)]
+};
+
+// f_0 - k (p - p_impact) on frame E.
+struct Pull {
+  Vector force;      // f_0 [N]
+  double stiffness;  // k [N/m]
+  Vector place;      // p_impact [m]
+};
+
+enum class Acts { on_link, on_motor, on_end_effector };
+
+struct FormulaLoad {
+  std::string effect;  // its name
+  Acts acts;
+  int index;  // of the joint, or the axis of A
+  Formula formula;
+};
+
+// Torque on links and motors that Python computes: time, q, dq, and the two torques, added to.
+using PythonLoad = std::function<void(double, const double*, const double*, double*, double*)>;
+
+// What does not change over a simulation.
+struct ArmModel {
+  Chain links;
+  Drive drive;
+  std::vector<double> shaping, gain, offset, stiffness, damping;  // per joint
+  double delay;        // of the desired torque [s]
+  bool joint_torque;   // the torques are measured joint torques; there is no motor
+  Pad pad;
+  std::optional<Pull> pull;
+  std::vector<FormulaLoad> formulas;
+  PythonLoad python;
+};
+
+// Initial state and input. Pointers belong to the caller.
+struct ArmStart {
+  std::vector<double> position, velocity, torque, torque_rate;  // q, dq, tau_J, dtau_J
+  std::vector<double> earlier_times;  // of commands before the start, one or more; the first acts from ever [s]
+  const double* earlier;              // what they are, (earlier_times, n)
+  const double* torques;              // driving torques in the order in which they act, (m, n)
+  const int* acting;                  // row of `torques` in every period
+};
+
+// Shear of a pad against its flange, in axes of the last joint.
+struct Shear {
+  Vector shift{};      // at frame E [m]
+  double twist = 0.0;  // about the normal [rad]
+};
+
+class TwinArm {
+ public:
+  TwinArm(const ArmModel& model, const ArmStart& start, double period);
+
+  int joints() const { return static_cast<int>(q.size()); }
+  Box pad_box() const;  // where the links were placed
+
+  // Loads that hold until they are computed again; std::runtime_error where a formula is not finite.
+  void load(double time);
+
+  // Torque law at the begin of a period of the torque loop.
+  void command(long period);
+
+  // Links in their places; then M (n, n) and the change of momentum per time without contact.
+  void look() { links_.place(q.data()); }
+  void equations();
+
+  // Velocities after `kick` [s] without contact; false where M is not positive definite.
+  bool coast(double kick);
+
+  // Motors after a step, links along their velocities, and the spring between them.
+  void move(double kick, double drift);
+
+  const Spatial& axis(int joint) const { return links_.axis(joint); }
+  const Vector& end() const { return links_.end(); }
+  const Matrix& axes_of_last() const { return links_.axes_of_last(); }
+  const Pad& pad() const { return model_.pad; }
+
+  std::vector<double> q, dq;
+  std::vector<double> mass, driving;  // of equations()
+  Shear shear;
+
+  const std::vector<double>& elastic() const { return drive_.elastic; }
+  const std::vector<double>& motor_position() const { return drive_.position; }
+  const std::vector<double>& motor_velocity() const { return drive_.velocity; }
+
+ private:
+  void deliver(long period);
+  const double* command_row(long number) const;
+
+  const ArmModel& model_;
+  const ArmStart& start_;
+  double period_;
+  Chain links_;
+  Drive drive_;
+  std::vector<double> wanted_, shaped_, rate_, passed_, on_links_, on_motors_, factor_, acceleration_;
+  long oldest_ = 0;                // the first command that the delay may still deliver
+  std::vector<double> since_;      // times of all commands so far [s]
+  std::vector<int> rows_;          // their rows in `torques`, from the first that is not earlier
+};
+
+}  // namespace impact_rs

@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "twin_formula.hpp"
+
+#include <limits>
+#include <stdexcept>
+
+namespace impact_rs {
+
+Formula::Formula(std::vector<int> code, std::vector<double> constants, int joints)
+    : code_(std::move(code)), constants_(std::move(constants)) {
+  int depth = 0;
+  for (std::size_t i = 0; i < code_.size(); ++i) {
+    const int operation = code_[i];
+    if (operation < 0 || operation > sign) throw std::invalid_argument("formula: unknown operation");
+    if (operation <= speed) {
+      const int limits[] = {static_cast<int>(constants_.size()), 3, joints, joints, 3};
+      if (++i == code_.size() || code_[i] < 0 || code_[i] >= limits[operation])
+        throw std::invalid_argument("formula: unknown symbol");
+    }
+    depth += operation <= time ? 1 : operation <= maximum ? -1 : 0;
+    if (depth < 1 || depth > DEEPEST) throw std::invalid_argument("formula: too deep, or without operands");
+  }
+  if (depth != 1) throw std::invalid_argument("formula: not one value");
+}
+
+double Formula::operator()(const FormulaState& state) const {
+  double values[DEEPEST];
+  int top = -1;
+  for (std::size_t i = 0; i < code_.size(); ++i) {
+    const auto operation = static_cast<Operation>(code_[i]);
+    if (operation >= add && operation <= maximum) --top;
+    if (operation <= time) ++top;
+    double& a = values[top];
+    switch (operation) {
+      case constant: a = constants_[code_[++i]]; break;
+      case position: a = state.place[code_[++i]]; break;
+      case joint_position: a = state.q[code_[++i]]; break;
+      case joint_velocity: a = state.dq[code_[++i]]; break;
+      case speed: a = state.velocity[code_[++i]]; break;
+      case time: a = state.time; break;
+      case add: a += values[top + 1]; break;
+      case subtract: a -= values[top + 1]; break;
+      case multiply: a *= values[top + 1]; break;
+      case divide: a /= values[top + 1]; break;
+      case power: a = std::pow(a, values[top + 1]); break;
+      case minimum: a = std::min(a, values[top + 1]); break;
+      case maximum: a = std::max(a, values[top + 1]); break;
+      case negate: a = -a; break;
+      case sine: a = std::sin(a); break;
+      case cosine: a = std::cos(a); break;
+      case tangent: a = std::tan(a); break;
+      case exponential: a = std::exp(a); break;
+      case logarithm: a = std::log(a); break;
+      case root: a = std::sqrt(a); break;
+      case hyperbolic: a = std::tanh(a); break;
+      case absolute: a = std::abs(a); break;
+      case sign: a = a > 0.0 ? 1.0 : a < 0.0 ? -1.0 : 0.0; break;
+    }
+    if (!std::isfinite(a)) return std::numeric_limits<double>::quiet_NaN();
+  }
+  return values[0];
+}
+
+}  // namespace impact_rs

@@ -1,0 +1,192 @@
+// SPDX-License-Identifier: Apache-2.0
+// Python bindings of twin.hpp, documented in impact_rs_sim/_kernel.pyi.
+
+#include <atomic>
+#include <exception>
+#include <stdexcept>
+#include <thread>
+
+#include "module.hpp"
+#include "twin.hpp"
+
+namespace impact_rs {
+namespace {
+
+using Rows = py::array_t<int, py::array::c_style | py::array::forcecast>;
+using PadOfPython = std::tuple<Numbers, Numbers, Numbers, std::optional<double>, double, double, double>;
+using PullOfPython = std::tuple<Numbers, double, Numbers>;
+using FormulaOfPython = std::tuple<std::string, int, int, std::vector<int>, std::vector<double>>;
+using BoxOfPython = std::tuple<double, Numbers, Numbers, Numbers>;
+using SupportOfPython = std::tuple<double, double, double, double, double>;
+using ArmStartOfPython = std::tuple<Numbers, Numbers, Numbers, Numbers, Numbers, Numbers, Numbers, Rows>;
+using BoxStartOfPython = std::tuple<Numbers, Numbers, Numbers>;
+using JobOfPython =
+    std::tuple<const TwinModel*, std::vector<ArmStartOfPython>, std::optional<BoxStartOfPython>, Numbers, int>;
+
+Vector vector_of(const Numbers& values, const char* name) { return vector(checked(values, 3, name)); }
+
+Matrix matrix_of(const Numbers& values, const char* name) {
+  Matrix found;
+  std::copy_n(checked(values, 9, name), 9, found.begin());
+  return found;
+}
+
+// Torques of a function of time, q and dq.
+PythonLoad load_of(const py::function& function, std::size_t n) {
+  return [function, n](double time, const double* q, const double* dq, double* on_links, double* on_motors) {
+    const py::gil_scoped_acquire acquire;
+    const auto count = static_cast<py::ssize_t>(n);
+    const auto torques = function(time, Numbers(count, q), Numbers(count, dq)).cast<std::tuple<Numbers, Numbers>>();
+    const double* parts[] = {checked(std::get<0>(torques), count, "torque on the links"),
+                             checked(std::get<1>(torques), count, "torque on the motors")};
+    for (std::size_t i = 0; i < n; ++i) {
+      on_links[i] += parts[0][i];
+      on_motors[i] += parts[1][i];
+    }
+  };
+}
+
+ArmModel arm_of(const Chain& links, const py::object& motors, const Numbers& shaping, const Numbers& gain,
+                const Numbers& offset, const Numbers& stiffness, const Numbers& damping, double delay, bool joint_torque,
+                const PadOfPython& pad, const std::optional<PullOfPython>& pull,
+                const std::vector<FormulaOfPython>& formulas, const std::optional<py::function>& load) {
+  const auto n = static_cast<py::ssize_t>(links.joints());
+  const auto& [centre, rotation, half, pad_stiffness, pad_damping, shear_compliance, creep] = pad;
+  ArmModel arm{links,
+               drive_of(motors),
+               copied(shaping, n, "shaping"),
+               copied(gain, n, "gain"),
+               copied(offset, n, "offset"),
+               copied(stiffness, n, "stiffness"),
+               copied(damping, n, "damping"),
+               delay,
+               joint_torque,
+               {vector_of(centre, "pad"), matrix_of(rotation, "pad"), vector_of(half, "pad"), !pad_stiffness,
+                pad_stiffness.value_or(0.0), pad_damping, shear_compliance, creep},
+               std::nullopt,
+               {},
+               load ? load_of(*load, links.joints()) : PythonLoad{}};
+  if (pull) arm.pull = Pull{vector_of(std::get<0>(*pull), "pull"), std::get<1>(*pull), vector_of(std::get<2>(*pull), "pull")};
+  for (const auto& [effect, acts, index, code, constants] : formulas) {
+    if (index < 0 || index >= (acts == 2 ? 3 : n)) throw py::value_error("formula: unknown joint or axis");
+    arm.formulas.push_back({effect, static_cast<Acts>(acts), index, Formula(code, constants, static_cast<int>(n))});
+  }
+  if (static_cast<py::ssize_t>(arm.drive.joints()) != n) throw py::value_error("motors: not one per joint");
+  return arm;
+}
+
+TwinModel model_of(const std::vector<const ArmModel*>& arms, const BoxOfPython& box,
+                   const std::optional<SupportOfPython>& support, double pad_friction, double rolling_arm,
+                   const Numbers& gravity, double period, int refinement) {
+  const auto& [mass, half, inertia, offset] = box;
+  TwinModel model{{}, {mass, vector_of(half, "box"), vector_of(inertia, "box"), vector_of(offset, "box")}, std::nullopt,
+                  pad_friction, rolling_arm, vector_of(gravity, "gravity"), period, refinement};
+  for (const ArmModel* arm : arms) model.arms.push_back(*arm);
+  if (support) {
+    const auto& [height, half_x, half_y, friction, compliance] = *support;
+    model.support = SupportModel{height, half_x, half_y, friction, compliance};
+  }
+  if (refinement < 1) throw py::value_error("refinement: expected 1 or more");
+  return model;
+}
+
+ArmStart arm_start_of(const ArmStartOfPython& given, py::ssize_t n, py::ssize_t periods) {
+  const auto& [q, dq, torque, rate, times, earlier, torques, acting] = given;
+  if (times.size() == 0) throw py::value_error("earlier: expected one command or more");
+  checked(earlier, n * times.size(), "earlier");
+  if (acting.size() != periods) throw py::value_error("acting: expected a row for every period");
+  for (py::ssize_t i = 0; i < periods; ++i)
+    if (acting.data()[i] < 0 || acting.data()[i] >= torques.size() / n) throw py::value_error("acting: no such row");
+  return {copied(q, n, "position"), copied(dq, n, "velocity"), copied(torque, n, "torque"), copied(rate, n, "torque rate"),
+          copied(times, times.size(), "earlier"), earlier.data(), torques.data(), acting.data()};
+}
+
+TwinStart start_of(const JobOfPython& job) {
+  const auto& [model, arms, box, time, substeps] = job;
+  TwinStart start{{}, std::nullopt, copied(time, time.size(), "time"), substeps};
+  if (arms.size() != model->arms.size()) throw py::value_error("arms: not those of the model");
+  if (time.size() == 0 || substeps < 1) throw py::value_error("time: expected ticks, and periods between them");
+  for (std::size_t i = 0; i < arms.size(); ++i)
+    start.arms.push_back(arm_start_of(arms[i], static_cast<py::ssize_t>(model->arms[i].links.joints()),
+                                      (time.size() - 1) * substeps));
+  if (box) {
+    const double* twist = checked(std::get<2>(*box), 6, "box");
+    start.box = BoxStart{vector_of(std::get<0>(*box), "box"), matrix_of(std::get<1>(*box), "box"), vector(twist),
+                         vector(twist + 3)};
+  }
+  return start;
+}
+
+// What one job leaves behind.
+struct Outcome {
+  Numbers rows;
+  double* data;
+  TwinReport report;
+  std::string failure;
+  std::exception_ptr thrown;
+};
+
+void run_one(const TwinModel& model, const TwinStart& start, Outcome& outcome) {
+  try {
+    Twin twin(model, start);
+    std::fill_n(outcome.data, start.time.size() * twin.row(), NAN);
+    try {
+      twin.run(outcome.data);
+    } catch (const std::runtime_error& error) {
+      outcome.failure = error.what();
+    }
+    outcome.report = twin.report();
+  } catch (...) {
+    outcome.thrown = std::current_exception();
+  }
+}
+
+py::list run_twins(const std::vector<JobOfPython>& jobs, int threads) {
+  std::vector<TwinStart> starts;
+  std::vector<Outcome> outcomes;
+  starts.reserve(jobs.size());
+  for (const JobOfPython& job : jobs) {
+    starts.push_back(start_of(job));
+    const TwinStart& start = starts.back();
+    std::size_t row = start.box ? BOX_ROW : 0;
+    for (const ArmStart& arm : start.arms) row += 5 * arm.position.size();
+    Numbers rows({static_cast<py::ssize_t>(start.time.size()), static_cast<py::ssize_t>(row)});
+    double* data = rows.mutable_data();
+    outcomes.push_back({std::move(rows), data, {}, {}, nullptr});
+  }
+  {
+    const py::gil_scoped_release release;
+    std::atomic<std::size_t> next{0};
+    const auto work = [&] {
+      for (std::size_t i = next++; i < jobs.size(); i = next++) run_one(*std::get<0>(jobs[i]), starts[i], outcomes[i]);
+    };
+    std::vector<std::thread> pool;
+    for (std::size_t i = 1; i < std::min<std::size_t>(std::max(threads, 1), jobs.size()); ++i) pool.emplace_back(work);
+    work();
+    for (std::thread& thread : pool) thread.join();
+  }
+  py::list found;
+  for (Outcome& outcome : outcomes) {
+    if (outcome.thrown) std::rethrow_exception(outcome.thrown);
+    const TwinReport& report = outcome.report;
+    found.append(py::make_tuple(outcome.rows, report.steps, report.contact_steps, report.iterations, report.fallbacks,
+                                report.residual, report.failed, outcome.failure));
+  }
+  return found;
+}
+
+}  // namespace
+
+void add_twin(py::module_& module) {
+  module.attr("OPERATIONS") = py::cast(std::vector<std::string>(std::begin(Formula::NAMES), std::end(Formula::NAMES)));
+  py::class_<ArmModel>(module, "TwinArm")
+      .def(py::init(&arm_of), py::arg("links"), py::arg("motors"), py::arg("shaping"), py::arg("gain"), py::arg("offset"),
+           py::arg("stiffness"), py::arg("damping"), py::arg("delay"), py::arg("joint_torque"), py::arg("pad"),
+           py::arg("pull"), py::arg("formulas"), py::arg("load"));
+  py::class_<TwinModel>(module, "Twin")
+      .def(py::init(&model_of), py::arg("arms"), py::arg("box"), py::arg("support"), py::arg("pad_friction"),
+           py::arg("rolling_arm"), py::arg("gravity"), py::arg("period"), py::arg("refinement"));
+  module.def("run_twins", &run_twins, py::arg("jobs"), py::arg("threads"));
+}
+
+}  // namespace impact_rs

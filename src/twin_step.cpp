@@ -1,0 +1,211 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "twin_step.hpp"
+
+namespace impact_rs {
+
+namespace {
+
+constexpr int NEWTON_STEPS = 8;   // two are usual
+constexpr int ROUNDS = 60;        // of friction held and let go again
+constexpr int EARLY_ROUNDS = 6;   // of them, for a guess only
+constexpr int CONVEX_STEPS = 60;  // of Newton's method with friction held
+constexpr double HELD_TOLERANCE = 1e-6;  // m/s, of such a guess
+
+// x = A^-1 x by Gaussian elimination with partial pivoting; A is overwritten.
+void eliminate(double* a, double* x, int n) {
+  for (int k = 0; k < n; ++k) {
+    int pivot = k;
+    for (int i = k + 1; i < n; ++i)
+      if (std::abs(a[i * n + k]) > std::abs(a[pivot * n + k])) pivot = i;
+    if (pivot != k) {
+      for (int j = k; j < n; ++j) std::swap(a[k * n + j], a[pivot * n + j]);
+      std::swap(x[k], x[pivot]);
+    }
+    const double inverse = 1.0 / a[k * n + k];
+    for (int i = k + 1; i < n; ++i) {
+      if (a[i * n + k] == 0.0) continue;
+      const double factor = a[i * n + k] * inverse;
+      for (int j = k + 1; j < n; ++j) a[i * n + j] -= factor * a[k * n + j];
+      x[i] -= factor * x[k];
+    }
+  }
+  for (int i = n - 1; i >= 0; --i) {
+    for (int j = i + 1; j < n; ++j) x[i] -= a[i * n + j] * x[j];
+    x[i] /= a[i * n + i];
+  }
+}
+
+}  // namespace
+
+// Twist of the object against a partner, about its centre of mass.
+void StepSolver::twist_against(const Partner& partner, const std::vector<double>& x, double* twist) const {
+  for (int i = 0; i < 6; ++i) twist[i] = x[size - 6 + i];
+  for (int j = 0; j < partner.joints; ++j)
+    for (int i = 0; i < 6; ++i) twist[i] -= partner.motions[6 * j + i] * x[partner.offset + j];
+}
+
+void StepSolver::evaluate(const std::vector<double>& x, bool with_derivative) {
+  const int n = size, o = size - 6;
+  const auto multiply = [&](int first, int count) {  // a block of A
+    for (int i = first; i < first + count; ++i) {
+      double sum = -impulse[i];
+      for (int j = first; j < first + count; ++j) sum += mass[i * n + j] * x[j];
+      rest_[i] = sum;
+    }
+  };
+  for (const Partner& partner : partners)
+    if (partner.joints > 0) multiply(partner.offset, partner.joints);
+  multiply(o, 6);
+  if (with_derivative) std::copy(mass.begin(), mass.end(), matrix_.begin());
+  wrenches_.assign(6 * partners.size(), 0.0);
+  for (std::size_t k = 0; k < partners.size(); ++k) {
+    const Partner& partner = partners[k];
+    double twist[6];
+    twist_against(partner, x, twist);
+    double* wrench = &wrenches_[6 * k];
+    Matrix6 z{};
+    const Vector angular = vector(twist), linear = vector(twist + 3);
+    bool loaded = false;
+    for (std::size_t i = partner.first; i < partner.first + partner.count; ++i) {
+      const double held = holds_ ? held_[i] : -1.0;
+      loads_[i] = with_derivative ? add_linear_contact(points[i], span, angular, linear, held, guesses[i], wrench, z, forces_[i])
+                                  : add_contact(points[i], span, angular, linear, held, wrench);
+      loaded = loaded || loads_[i] > 0.0 || held > 0.0;
+    }
+    if (!loaded) continue;
+    for (int i = 0; i < 6; ++i) rest_[o + i] -= kick * wrench[i];
+    for (int j = 0; j < partner.joints; ++j) {
+      double sum = 0.0;
+      for (int i = 0; i < 6; ++i) sum += partner.motions[6 * j + i] * wrench[i];
+      rest_[partner.offset + j] += kick * sum;
+    }
+    if (!with_derivative) continue;
+    for (int i = 0; i < 6; ++i)
+      for (int j = 0; j < 6; ++j) matrix_[(o + i) * n + o + j] += kick * z[6 * i + j];
+    times_.resize(6 * partner.joints);
+    for (int j = 0; j < partner.joints; ++j) {
+      const double* own = partner.motions + 6 * j;
+      for (int i = 0; i < 6; ++i) {
+        double right = 0.0, left = 0.0;  // of z s and s^T z
+        for (int l = 0; l < 6; ++l) {
+          right += z[6 * i + l] * own[l];
+          left += own[l] * z[6 * l + i];
+        }
+        times_[6 * j + i] = kick * right;
+        matrix_[(o + i) * n + partner.offset + j] -= kick * right;
+        matrix_[(partner.offset + j) * n + o + i] -= kick * left;
+      }
+    }
+    for (int i = 0; i < partner.joints; ++i)
+      for (int j = 0; j < partner.joints; ++j) {
+        double sum = 0.0;
+        for (int l = 0; l < 6; ++l) sum += partner.motions[6 * i + l] * times_[6 * j + l];
+        matrix_[(partner.offset + i) * n + partner.offset + j] += sum;
+      }
+  }
+}
+
+double StepSolver::residual() const {
+  double sum = 0.0;
+  for (int i = 0; i < size; ++i) sum += rest_[i] * rest_[i] / mass[i * size + i];
+  return std::sqrt(sum / object_mass);
+}
+
+void StepSolver::newton_step() {
+  step_ = rest_;
+  eliminate(matrix_.data(), step_.data(), size);
+  ++iterations_;
+}
+
+// Newton's method from `velocity`; that is left where it was where it does not arrive.
+bool StepSolver::newton(bool augmented, bool as_before) {
+  before_ = velocity;
+  for (int k = 0; k < NEWTON_STEPS; ++k) {
+    for (Guess& guess : guesses) {
+      guess.augmented = augmented;
+      guess.as_before = as_before && k == 0;
+    }
+    evaluate(velocity, true);
+    newton_step();
+    for (int i = 0; i < size; ++i) velocity[i] -= step_[i];
+    update_guesses();
+    evaluate(velocity, false);
+    if (residual() < STEP_TOLERANCE) return true;
+  }
+  velocity = before_;
+  evaluate(velocity, false);
+  return false;
+}
+
+// Friction that the linear laws of the last step of Newton's method have after it.
+void StepSolver::update_guesses() {
+  for (const Partner& partner : partners) {
+    double twist[6];
+    twist_against(partner, velocity, twist);
+    for (std::size_t i = partner.first; i < partner.first + partner.count; ++i) {
+      const LinearForce& own = forces_[i];
+      const Vector moved = vector(twist + 3) + cross(vector(twist), points[i].place) - own.velocity;
+      const Vector force = own.force - own.derivative * moved;
+      guesses[i].grip = force + -dot(force, points[i].normal) * points[i].normal;
+    }
+  }
+}
+
+// Derivative of the convex function along the step, at a fraction of it.
+double StepSolver::slope(double fraction) {
+  for (int i = 0; i < size; ++i) trial_[i] = velocity[i] - fraction * step_[i];
+  evaluate(trial_, false);
+  double sum = 0.0;
+  for (int i = 0; i < size; ++i) sum -= step_[i] * rest_[i];
+  return sum;
+}
+
+// The minimum for friction limited by the normal forces at the present velocities.
+void StepSolver::hold_friction(double tolerance) {
+  for (Guess& guess : guesses) guess.augmented = guess.as_before = false;
+  held_ = loads_;
+  holds_ = true;
+  for (int k = 0; k < CONVEX_STEPS; ++k) {
+    evaluate(velocity, true);
+    if (!(residual() > tolerance)) break;
+    newton_step();
+    double first = 0.0;
+    for (int i = 0; i < size; ++i) first -= step_[i] * rest_[i];
+    double fraction = 1.0, low = 0.0, high = 1.0, at_low = first, at_high = slope(1.0);
+    if (at_high > -1e-3 * first) {  // beyond the minimum along the step: there by regula falsi and halving
+      for (int tries = 0; tries < 30; ++tries) {
+        fraction = tries % 3 == 2 ? 0.5 * (low + high) : low - at_low * (high - low) / (at_high - at_low);
+        const double at = slope(fraction);
+        if (std::abs(at) < 1e-2 * std::abs(first)) break;
+        (at > 0.0 ? high : low) = fraction;
+        (at > 0.0 ? at_high : at_low) = at;
+      }
+    }
+    for (int i = 0; i < size; ++i) velocity[i] -= fraction * step_[i];
+  }
+  holds_ = false;
+  evaluate(velocity, true);
+  for (std::size_t i = 0; i < points.size(); ++i)
+    guesses[i].grip = forces_[i].force + -dot(forces_[i].force, points[i].normal) * points[i].normal;
+  evaluate(velocity, false);
+}
+
+// Newton's method, and where it does not arrive, from where friction that is held and let go again leads: that arrives
+// by itself where friction and normal forces depend on each other weakly enough.
+Solution StepSolver::solve() {
+  iterations_ = 0;
+  rest_.resize(size);
+  matrix_.resize(size * size);
+  trial_.resize(size);
+  loads_.resize(points.size());
+  forces_.resize(points.size());
+  bool solved = newton(true, true);
+  const bool fallback = !solved;
+  for (int round = 0; round < ROUNDS && !solved; ++round) {
+    hold_friction(round < EARLY_ROUNDS ? HELD_TOLERANCE : 0.1 * STEP_TOLERANCE);
+    solved = residual() < STEP_TOLERANCE || newton(true, false) || newton(false, false);
+  }
+  return {residual(), iterations_, fallback, solved};
+}
+
+}  // namespace impact_rs

@@ -1,0 +1,71 @@
+// SPDX-License-Identifier: Apache-2.0
+// Velocities after one step of the twin: the root of
+//
+//     R(x) = A x - p - h sum S_k^T w_k(S_k x),      A = blockdiag(M_1.., I, m),
+//
+// x the joint velocities of the arms in contact, then angular velocity and velocity of the object's centre of mass; w_k
+// the wrench of partner k on the object at its twist against it. Newton's method; where it goes round in circles, the
+// limits of friction are held for a while, for which the root is the minimum of a convex function.
+
+#pragma once
+
+#include <vector>
+
+#include "twin_contact.hpp"
+
+namespace impact_rs {
+
+constexpr double STEP_TOLERANCE = 1e-9;  // m/s, of a step that is solved
+
+// A partner of the object: an arm, or the support.
+struct Partner {
+  int joints;           // 0: it is at rest
+  int offset;           // of its joint velocities among the unknowns
+  const double* motions;  // of its joints: twist (angular, linear) at the object's centre of mass, (joints, 6)
+  std::size_t first, count;  // its points
+};
+
+struct Solution {
+  double residual;  // size of R, as a velocity of the object [m/s]
+  int iterations;
+  bool fallback;
+  bool solved;
+};
+
+class StepSolver {
+ public:
+  // The problem; filled in by the caller, then solved.
+  int size = 0;
+  double kick = 0.0;            // h in R [s]
+  Span span{};                  // of the contact laws
+  double object_mass = 0.0;     // turns a residual into a velocity [kg]
+  std::vector<double> mass;     // A, (size, size)
+  std::vector<double> impulse;  // p
+  std::vector<double> velocity; // x: first guess, then the root
+  std::vector<Partner> partners;
+  std::vector<ContactPoint> points;
+  std::vector<Guess> guesses;   // of the points; grips are those of the last step of Newton's method afterwards
+
+  Solution solve();
+
+  // Normal force of every point and wrench (6) of every partner at the velocities of the last evaluation.
+  const std::vector<double>& loads() const { return loads_; }
+  const double* wrench(std::size_t partner) const { return &wrenches_[6 * partner]; }
+
+ private:
+  void evaluate(const std::vector<double>& x, bool with_derivative);
+  void twist_against(const Partner& partner, const std::vector<double>& x, double* twist) const;
+  double residual() const;
+  bool newton(bool augmented, bool as_before);
+  void update_guesses();
+  void hold_friction(double tolerance);
+  void newton_step();
+  double slope(double fraction);
+
+  bool holds_ = false;  // whether friction is limited by held_
+  int iterations_ = 0;
+  std::vector<LinearForce> forces_;
+  std::vector<double> held_, loads_, wrenches_, rest_, matrix_, step_, trial_, before_, times_;
+};
+
+}  // namespace impact_rs

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is due to chance, held against textbook distributions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from analytic_world import FEATURES, AnalyticSource, assert_uniform, correlated, means_of
+from scipy.stats import binom, norm
+from scipy.stats import t as student
+
+from impact_rs_analysis.diagnosis.null_distribution import (
+    RotationNull,
+    SignFlipNull,
+    _contrasts,
+    combined_half_width,
+    rarity,
+    smallest,
+)
+from impact_rs_analysis.diagnosis.thresholds import LEAST_FREEDOM
+
+pytestmark = pytest.mark.usefixtures("few_draws")
+DRAWS = 999
+WHITE = AnalyticSource(0).clusters[0]
+
+
+def sensitivity(seed: int, clusters: int, parameters: int, alike: bool = False) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    if alike:
+        return [rng.standard_normal((FEATURES, parameters))] * clusters
+    return [rng.standard_normal((FEATURES, parameters)) for _ in range(clusters)]
+
+
+def information(reference, jacobians):
+    return sum(item.count * j.T @ j for item, j in zip(reference.clusters, jacobians, strict=True))
+
+
+def p_of(reference, jacobians) -> float:
+    return reference.p_value(jacobians, information(reference, jacobians))
+
+
+def lack_of_fit(reference) -> float:
+    return reference.lack_of_fit(means_of(reference.clusters))
+
+
+def shifted(clusters, jacobians, sizes) -> RotationNull:
+    """The reference of clusters whose residuals are shifted along a sensitivity, by a size of each."""
+    return RotationNull(
+        [
+            replace(item, residuals=item.residuals + size * jacobian[:, 0])
+            for item, jacobian, size in zip(clusters, jacobians, sizes, strict=True)
+        ]
+    )
+
+
+def test_contrasts_are_orthonormal_and_the_first_one_is_the_mean() -> None:
+    for count in range(1, 6):
+        rows = _contrasts(count)
+        np.testing.assert_allclose(rows @ rows.T, np.eye(count), atol=1e-14)
+        np.testing.assert_allclose(rows[0], 1.0 / np.sqrt(count))
+
+
+@pytest.mark.parametrize("repeats", [4, 5, 9])
+def test_with_one_parameter_and_one_condition_p_is_that_of_students_t(repeats: int) -> None:
+    for seed in range(5):
+        source = AnalyticSource(seed, design=(repeats,), correlation=correlated())
+        reference = RotationNull(source.clusters)
+        jacobians = sensitivity(seed, 1, 1)
+        scores = source.clusters[0].residuals @ jacobians[0][:, 0]
+        t = scores.mean() / (scores.std(ddof=1) / np.sqrt(repeats))
+        expected = 2.0 * student.sf(abs(t), repeats - 1)
+        assert p_of(reference, jacobians) == pytest.approx(expected, abs=4.0 * np.sqrt(0.25 / DRAWS))
+
+
+@pytest.mark.parametrize(("design", "parameters"), [((2, 2, 2), 1), ((2,) * 6, 7), ((3,) * 6, 7), ((5, 2, 3, 2), 3)])
+def test_p_is_uniform_under_the_null_for_few_and_correlated_features(design: tuple[int, ...], parameters: int) -> None:
+    draws, jacobians = 300, sensitivity(1, len(design), parameters)
+    sources = (AnalyticSource(seed, design=design, correlation=correlated()) for seed in range(draws))
+    references = [RotationNull(source.clusters) for source in sources]
+    assert_uniform([p_of(reference, jacobians) for reference in references])
+    assert_uniform([lack_of_fit(reference) for reference in references])
+
+
+def test_a_reference_with_too_few_repeats_decides_nothing() -> None:
+    reference = RotationNull(AnalyticSource(0, design=(2, 2, 1)).clusters)
+    assert reference.freedom == 2 < LEAST_FREEDOM
+    assert reference.shortage is not None and "1 more repeat" in reference.shortage
+    assert p_of(reference, sensitivity(0, 3, 1)) == 1.0
+    assert lack_of_fit(reference) is None
+
+
+def test_a_shift_that_all_repeats_share_is_seen() -> None:
+    jacobians = sensitivity(3, 6, 1)
+    reference = shifted(AnalyticSource(3).clusters, jacobians, [1.0] * 6)
+    assert p_of(reference, jacobians) == pytest.approx(1.0 / (1.0 + DRAWS))
+
+
+def test_a_known_simulator_error_raises_no_alarm() -> None:
+    """False alarms at 5 %: without the discrepancy nearly always, with it at most about as often as stated."""
+    draws, jacobians = 60, sensitivity(5, 6, 1, alike=True)
+    blind, aware = 0, 0
+    for seed in range(draws):
+        source = AnalyticSource(seed, discrepancy=0.7, simulator=seed)
+        known = RotationNull(source.clusters)
+        unknown = RotationNull([replace(item, discrepancy=0.0 * item.discrepancy) for item in source.clusters])
+        aware += p_of(known, jacobians) < 0.05
+        blind += lack_of_fit(unknown) < 0.05
+        assert lack_of_fit(known) > 0.001
+    assert aware <= binom.ppf(0.9999, draws, 0.05)
+    assert blind == draws
+
+
+def of_signals(rows, names, patterns=None):
+    """A cluster with noise of one whose features belong to the named signals, one feature each."""
+    count = len(names)
+    patterns = np.zeros((0, count)) if patterns is None else patterns
+    sigma = np.sqrt(1.0 + np.sum(np.square(patterns), axis=0))
+    return replace(
+        WHITE,
+        features=tuple(replace(WHITE.features[0], signal=name, bin=number) for number, name in enumerate(names)),
+        residuals=rows / sigma,
+        sigma=sigma,
+        pure=1.0 / sigma,
+        discrepancy=np.sqrt(1.0 - 1.0 / sigma**2),
+        patterns=patterns / sigma,
+    )
+
+
+def test_what_shows_in_one_signal_of_many_is_seen() -> None:
+    """One of ten signals is off by half a standard deviation: all squares together hide it, its own do not."""
+    shift = np.where(np.arange(240) < 24, 0.5, 0.0)
+    signals = [f"signal {number // 24}" for number in range(240)]
+    found: dict[str, list[float | None]] = {"by signal": [], "all at once": []}
+    for seed in range(10):
+        noise = np.random.default_rng(seed).standard_normal((6, 3, 240))
+        for way, names in (("by signal", signals), ("all at once", [""] * 240)):
+            reference = RotationNull([of_signals(rows + shift, names) for rows in noise])
+            found[way].append(lack_of_fit(reference))
+    assert np.median(found["by signal"]) < 0.03
+    assert np.median(found["all at once"]) > 0.05
+
+
+def test_a_difference_is_seen_across_simulator_error_and_not_along_it() -> None:
+    """One pattern, twice the noise, and a difference as large: along it, or at right angles to it."""
+    rng = np.random.default_rng(0)
+    pattern, across = 2.0 * np.linalg.qr(rng.standard_normal((400, 2)))[0].T * np.sqrt(400.0)
+    noise = rng.standard_normal((6, 3, 400))
+    p = {}
+    for name, shift in (("along", pattern), ("across", across)):
+        reference = RotationNull([of_signals(rows + shift, ["all"] * 400, pattern[None]) for rows in noise])
+        p[name] = lack_of_fit(reference)
+    assert p["along"] > 0.2
+    assert p["across"] < 0.01
+
+
+def test_the_smallest_of_several_p_counts_all_that_were_looked_at() -> None:
+    """Of one statistic it is its own p; of k independent ones about k times the smallest; copies cost nothing."""
+    null = np.random.default_rng(0).standard_normal((4000, 5)) ** 2
+    own = rarity(8.0, null[:, 0])
+    assert smallest(np.array([8.0]), null[:, :1]) == pytest.approx(own)
+    assert smallest(np.full(3, 8.0), null[:, [0, 0, 0]]) == pytest.approx(own)
+    together = smallest(np.array([8.0, 0.1, 0.1, 0.1, 0.1]), null)
+    assert together == pytest.approx(1.0 - (1.0 - own) ** 5, rel=0.2)
+    silent = smallest(np.array([8.0, 0.0]), np.column_stack((null[:, 0], np.zeros(4000))))
+    assert silent == pytest.approx(own)
+
+
+def test_blocks_flip_their_signs_and_the_null_is_uniform() -> None:
+    jacobians = sensitivity(7, 24, 3)
+    sources = (AnalyticSource(seed, design=(1,) * 24, repeated=False) for seed in range(300))
+    assert_uniform([p_of(SignFlipNull(source.clusters), jacobians) for source in sources])
+
+
+def test_covariance_of_repeats_is_that_of_a_weighted_mean() -> None:
+    """One parameter that shifts every feature alike: the estimate is the mean over repeats, its variance s^2 / n."""
+    source = AnalyticSource(11, design=(400,))
+    reference, ones = RotationNull(source.clusters), [np.ones((FEATURES, 1))]
+    inverse = np.linalg.inv(information(reference, ones))
+    found = reference.covariance(ones, np.zeros(1), inverse)[0, 0]
+    means = source.clusters[0].residuals.mean(axis=1)
+    assert found == pytest.approx(means.var(ddof=1) / 400, rel=1e-9)
+
+
+def test_intervals_take_the_quantile_of_the_estimator_that_made_them() -> None:
+    one, nothing = np.ones(1), np.zeros(1)
+    from_noise = combined_half_width(one, float(student.ppf(0.975, 12)), nothing, 6, nothing)
+    from_clusters = combined_half_width(nothing, 2.0, one, 6, nothing)
+    from_simulators = combined_half_width(nothing, 2.0, nothing, 6, one)
+    assert from_noise[0] == pytest.approx(student.ppf(0.975, 12))
+    assert from_clusters[0] == pytest.approx(student.ppf(0.975, 5))
+    assert from_simulators[0] == pytest.approx(norm.ppf(0.975))
+    assert combined_half_width(one, 2.0, one, 6, one)[0] == pytest.approx(
+        np.hypot(student.ppf(0.975, 5), norm.ppf(0.975))
+    )
+
+
+def test_rarity_counts_the_observation_itself() -> None:
+    assert rarity(5.0, np.arange(9.0)) == pytest.approx(5.0 / 10.0)
+    assert rarity(100.0, np.arange(9.0)) == pytest.approx(1.0 / 10.0)
+
+
+def test_an_effect_is_seen_although_conditions_disagree_about_its_size() -> None:
+    """It is held against the scatter of repeats, not against all that differs: the disagreement is no noise."""
+    jacobians, sizes = sensitivity(21, 6, 1), [2.0 + 6.0 * (-1.0) ** number for number in range(6)]
+    reference = shifted(AnalyticSource(21, design=(2,) * 6).clusters, jacobians, sizes)
+    assert p_of(reference, jacobians) < 0.01
+
+
+def test_the_quantile_is_that_of_student_with_the_freedom_of_the_repeats() -> None:
+    reference = RotationNull(AnalyticSource(0, design=(2, 3, 2)).clusters)
+    assert reference.freedom == 4
+    assert reference.quantile() == pytest.approx(student.ppf(0.975, 4))
+
+
+def test_p_is_uniform_where_conditions_are_of_two_layouts() -> None:
+    """What the layouts say is added, in the observation as in the null."""
+    draws, jacobians = 150, sensitivity(2, 6, 2)
+    effects, fits = [], []
+    for seed in range(draws):
+        clusters = AnalyticSource(seed, design=(2, 3) * 3, correlation=correlated()).clusters
+        reference = RotationNull([replace(item, layout=f"{n % 2}") for n, item in enumerate(clusters)])
+        effects.append(reference.p_value(jacobians, information(reference, jacobians)))
+        fits.append(reference.lack_of_fit([item.mean for item in reference.clusters]))
+    for level in (0.05, 0.3, 0.7):
+        low, high = binom.ppf([5e-5, 1 - 5e-5], draws, level)
+        assert low <= np.count_nonzero(np.array(effects) < level) <= high
+        assert low <= np.count_nonzero(np.array(fits) < level) <= high
+
+
+def test_an_effect_in_one_of_two_layouts_is_seen() -> None:
+    jacobians = sensitivity(4, 4, 1)
+    for shifted in (0, 1):
+        clusters = AnalyticSource(4, design=(3,) * 4).clusters
+        reference = RotationNull(
+            [
+                replace(item, layout=f"{n % 2}", residuals=item.residuals + 2.0 * (n % 2 == shifted) * own[:, 0])
+                for n, (item, own) in enumerate(zip(clusters, jacobians, strict=True))
+            ]
+        )
+        assert reference.p_value(jacobians, information(reference, jacobians)) < 0.01
+
+
+def test_covariance_adds_up_over_conditions_of_two_repeats_and_more() -> None:
+    """The mean over all repeats has the variance sum n_c s_c^2 / n^2; a condition without repeats says nothing."""
+    source = AnalyticSource(12, design=(5, 1, 2, 3))
+    reference, ones = RotationNull(source.clusters), [np.ones((FEATURES, 1))] * 4
+    found = reference.covariance(ones, np.zeros(1), np.linalg.inv(information(reference, ones)))[0, 0]
+    means = [item.residuals.mean(axis=1) for item in source.clusters if item.count > 1]
+    assert found == pytest.approx(sum(own.size * own.var(ddof=1) for own in means) / 11.0**2, rel=1e-9)

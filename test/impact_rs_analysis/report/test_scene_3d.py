@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes as data: joints and shapes of our own arms, and of a robot that is described elsewhere."""
+
+from __future__ import annotations
+
+import base64
+
+import numpy as np
+import pytest
+from refusals import refusal
+from scenes import PHYSICS
+
+from impact_rs_analysis.report.scene_3d import described_scene, moving_joints, scene_data
+
+
+def test_every_moving_joint_has_its_column_arm_after_arm() -> None:
+    scene = scene_data(PHYSICS)
+    columns = {joint["child"]: joint["column"] for joint in scene["joints"] if "column" in joint}
+    assert columns == {f"left_link{n + 1}": n for n in range(7)} | {f"right_link{n + 1}": 7 + n for n in range(6)}
+    assert scene["arms"] == ["left", "right"]
+
+
+def test_every_link_hangs_on_the_world_and_the_pad_is_a_box_of_its_size() -> None:
+    scene = scene_data(PHYSICS)
+    parents = {joint["child"]: joint["parent"] for joint in scene["joints"]}
+    for link in scene["links"]:
+        way = [link]
+        while way[-1] != "world":
+            way.append(parents[way[-1]])
+    (pad,) = [shape for shape in scene["links"]["left_end_effector"] if shape["kind"] == "box"]
+    assert pad["size"] == pytest.approx(PHYSICS.arms["left"].end_effector.pad_size)
+    assert scene["object"] == pytest.approx(PHYSICS.object.size)
+
+
+def test_what_we_describe_ourselves_is_the_same_scene_when_it_is_read() -> None:
+    scene, joints = described_scene(PHYSICS.description())
+    own = scene_data(PHYSICS)
+    assert joints == moving_joints(PHYSICS)
+    assert (scene["joints"], scene["links"], scene["root"]) == (own["joints"], own["links"], "world")
+    assert (scene["arms"], scene["object"]) == ([], None)
+
+
+ROBOT = """<robot name="r"><link name="foot"><visual><geometry><sphere radius="0.2"/></geometry></visual></link>
+<link name="arm"><visual><geometry><mesh filename="package://nowhere/arm.dae"/></geometry></visual>
+<collision><geometry><box size="0.1 0.2 0.3"/></geometry></collision></link>
+<link name="bare"><visual><geometry><mesh filename="package://nowhere/bare.dae"/></geometry></visual></link>
+<link name="tip"/><link name="finger"/>
+<joint name="turn" type="continuous"><parent link="foot"/><child link="arm"/><axis xyz="0 2 0"/></joint>
+<joint name="slide" type="prismatic"><parent link="arm"/><child link="bare"/></joint>
+<joint name="fixed" type="fixed"><parent link="bare"/><child link="tip"/><origin xyz="0 0 0.4"/></joint>
+<joint name="same" type="revolute"><parent link="tip"/><child link="finger"/><mimic joint="turn"/></joint></robot>"""
+
+
+def test_joints_of_another_robot_keep_their_axes_and_others_stand_still() -> None:
+    scene, joints = described_scene(ROBOT)
+    assert joints == ["turn", "slide"]
+    assert [joint.get("column") for joint in scene["joints"]] == [0, 1, None, None]
+    assert [joint.get("axis") for joint in scene["joints"]] == [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], None, None]
+    assert scene["root"] == "foot"
+
+
+def test_a_link_without_readable_shapes_is_its_collision_shape_or_a_stick() -> None:
+    links = described_scene(ROBOT)[0]["links"]
+    assert [shape["kind"] for shape in links["arm"]] == ["box"]
+    (stick,) = links["bare"]
+    assert (stick["kind"], stick["length"], stick["position"]) == ("cylinder", [0.4], [0.0, 0.0, 0.2])
+    assert links["tip"] == []
+
+
+def test_a_sphere_is_a_closed_mesh_of_its_size() -> None:
+    (ball,) = described_scene(ROBOT)[0]["links"]["foot"]
+    vertices, faces = (
+        np.frombuffer(base64.b64decode(ball[name]), "<f4").reshape(-1, 3) for name in ("vertices", "faces")
+    )
+    assert np.linalg.norm(vertices, axis=1) == pytest.approx(0.2)
+    corners = vertices[faces.astype(int)]
+    volume = np.sum(np.cross(corners[:, 0], corners[:, 1]) * corners[:, 2]) / 6.0  # positive: faces look outwards
+    assert volume == pytest.approx(4.0 / 3.0 * np.pi * 0.2**3, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "urdf",
+    ["no XML", "<robot/>", ROBOT.replace('<child link="arm"/>', '<child link="leg"/>'), ROBOT.replace("0 2 0", "up"),
+     ROBOT.replace('<link name="finger"/>', '<link name="finger"/><link name="loose"/>'),
+     ROBOT.replace('xyz="0 0 0.4"', 'rpy="0 0"')],
+)  # fmt: skip
+def test_what_is_no_urdf_is_refused_in_one_line(urdf: str) -> None:
+    assert "no URDF that can be drawn" in refusal(described_scene, urdf)

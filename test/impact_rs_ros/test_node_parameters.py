@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters are declared once; the example file, the documentation and ``ros2 param describe`` follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+from rcl_interfaces.msg import Parameter
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
+from rclpy.parameter import Parameter as RclParameter
+
+from impact_rs_ros import node_parameters, process
+from impact_rs_ros.cell_node import CellNode
+from impact_rs_ros.controller_node import ControllerNode
+from impact_rs_ros.graph import Graph
+from impact_rs_ros.impact_map_node import ImpactMapNode
+from impact_rs_ros.node_processes import NODES
+from impact_rs_ros.plant_node import PlantNode
+from impact_rs_ros.process import NodeProgram
+from impact_rs_ros.recorder_node import RecorderNode
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def example() -> dict[str, dict[str, object]]:
+    """Values of ``config/nodes.yaml`` by node."""
+    sections = yaml.safe_load((ROOT / "config" / "nodes.yaml").read_text())
+    common = sections.pop("/**")["ros__parameters"]
+    own = {name.removeprefix("/**/"): section["ros__parameters"] for name, section in sections.items()}
+    assert set(own) <= set(NODES)
+    writes = {"recorder", "experiment"}  # who has the one parameter that not all have in common
+    shared = {name: {key: common[key] for key in common if key != "data_root" or name in writes} for name in NODES}
+    real = yaml.safe_load((ROOT / "config" / "cell.yaml").read_text())
+    cell, watchdog = (shared["plant"] | real[f"/**/{name}"]["ros__parameters"] for name in ("plant", "watchdog"))
+    return {name: shared[name] | own.get(name, {}) for name in NODES} | {"cell": cell, "watchdog": watchdog}
+
+
+def test_the_example_files_hold_every_parameter_at_its_default() -> None:
+    assert example() == {kind: {p.name: p.default for p in known} for kind, known in node_parameters.PARAMETERS.items()}
+
+
+def test_the_documentation_is_up_to_date() -> None:
+    written = (ROOT / "docs" / "parameters.md").read_text()
+    assert written == node_parameters.markdown(), "run: python -m impact_rs_ros.node_parameters > docs/parameters.md"
+
+
+@pytest.mark.parametrize("kind", NODES)
+def test_a_node_loads_the_example_and_tells_unit_and_range(
+    graph: Graph, kind: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    known = node_parameters.PARAMETERS[kind]
+    names = [p.name for p in known]
+    described = graph.call(DescribeParameters, f"{kind}/describe_parameters", DescribeParameters.Request(names=names))
+    values = graph.call(GetParameters, f"{kind}/get_parameters", GetParameters.Request(names=names))
+    for parameter, descriptor, message in zip(known, described.descriptors, values.values, strict=True):
+        assert descriptor.description == f"{parameter.description} [{parameter.unit}]"
+        limits = [(r.from_value, r.to_value) for r in descriptor.floating_point_range]
+        assert limits == ([parameter.range] if parameter.range else [])
+        found = RclParameter.from_parameter_msg(Parameter(name=parameter.name, value=message)).value
+        given = dict.fromkeys(("config_root", "data_root"), str(tmp_path_factory.getbasetemp()))  # by the tests' graph
+        assert found == (example()[kind] | given)[parameter.name]
+
+
+def test_a_value_out_of_range_is_refused(graph: Graph) -> None:
+    wrong = RclParameter("answer_timeout", value=-1.0).to_parameter_msg()
+    answer = graph.call(SetParameters, "plant/set_parameters", SetParameters.Request(parameters=[wrong]))
+    assert not answer.results[0].successful
+
+
+@pytest.mark.parametrize(
+    ("node", "name", "wanted", "told"),
+    [
+        ("impact_map", "engine", "foo", "expected exact or bullet"),
+        ("impact_map", "contact", "last", "expected first or settled"),
+        ("plant", "scenario", "nonsense", "no scenario 'nonsense'"),
+        ("plant", "use_sim_time", True, "the plant publishes /clock"),
+        ("recorder", "data_root", "/nowhere/at/all", "expected a folder that exists"),
+    ],
+)
+def test_a_value_that_cannot_be_worked_with_is_refused_with_a_reason(
+    graph: Graph, node: str, name: str, wanted: object, told: str
+) -> None:
+    message = RclParameter(name, value=wanted).to_parameter_msg()
+    answer = graph.call(SetParameters, f"{node}/set_parameters", SetParameters.Request(parameters=[message]))
+    assert not answer.results[0].successful
+    assert told in answer.results[0].reason
+
+
+def test_former_name_of_an_engine_is_accepted() -> None:
+    assert not node_parameters.complaint_about("impact_map", "engine", "pinocchio")
+
+
+@pytest.mark.parametrize(
+    ("node", "argument"),
+    [
+        (ImpactMapNode, "engine:=foo"),
+        (ImpactMapNode, "use_sim_time:=maybe"),
+        (ControllerNode, "scenario:=nonsense"),
+        (PlantNode, "use_sim_time:=true"),
+        (PlantNode, "answer_timeout:=.nan"),
+        (CellNode, "joints:=fr3_joint"),
+        (RecorderNode, "data_root:=/nowhere/at/all"),
+    ],
+)
+def test_a_node_does_not_start_with_such_a_value(
+    node: type[NodeProgram],
+    argument: str,
+    domain_ids: Callable[[], int],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_ids()))
+    monkeypatch.setattr(process.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(process.os, "sched_setscheduler", lambda *_: None)
+    monkeypatch.setattr(process.sys, "argv", [node.kind, "--ros-args", "-p", argument])
+    with pytest.raises(SystemExit) as ended:
+        process.run(node)
+    assert ended.value.code == 2
+    output = capfd.readouterr().err
+    assert "parameter refused: " in output
+    assert argument.partition(":=")[0] in output

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arms of the twin that touch nothing move as those of the plant do, to rounding."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from impact_rs_sim.drive import Drive, DriveStart, LinkTorque
+from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.free_motion import FreePath, FreeStretch, run_free
+from impact_rs_sim.mechanics import Mechanics
+from impact_rs_sim.model import load_model
+from impact_rs_sim.physics import Load, LoadState, Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.twin import Result, TwinJob, simulate
+
+PERIOD, SUBSTEPS, TICKS = 0.00025, 4, 100
+FAR = BodyState(np.array([5.0, 5.0, 0.485]), np.eye(3), np.zeros(6))
+close = partial(np.testing.assert_allclose, atol=1e-12, rtol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def physics() -> Physics:
+    return Physics.nominal(load_scenario("push"), "juice")
+
+
+def stretch(physics: Physics, seed: int = 0) -> FreeStretch:
+    """An arm in some state, pulled by a torque that changes in every period."""
+    rng = np.random.default_rng(seed)
+    q = np.array([-0.3, -0.3, 0.5, -2.3, -1.3, 1.4, -0.7]) + 0.1 * rng.standard_normal(7)
+    load = physics.robot_model("arm").gravity_torque(q)
+    start = DriveStart(load + rng.standard_normal(7), 20.0 * rng.standard_normal(7))
+    torque = load + np.cumsum(0.3 * rng.standard_normal((SUBSTEPS * TICKS, 7)), axis=0)
+    return FreeStretch(ArmState(q, 0.3 * rng.standard_normal(7)), start, torque, 0.2)
+
+
+def job(physics: Physics, one: FreeStretch, drive: type = Drive) -> TwinJob:
+    periods = len(one.torque)
+    return TwinJob(
+        physics,
+        {"arm": one.arm},
+        {"arm": one.drive},
+        {"arm": one.torque},
+        {"arm": np.arange(periods, dtype=np.int32)},
+        one.time + np.arange(periods // SUBSTEPS + 1) * (PERIOD * SUBSTEPS),
+        PERIOD,
+        joint_torque=drive is LinkTorque,
+    )
+
+
+def same(path: FreePath, other: FreePath) -> None:
+    close(path.position, other.position)
+    close(path.velocity, other.velocity)
+    np.testing.assert_allclose(path.torque, other.torque, atol=1e-9)  # 1e-12 rad at 1e4 N m/rad
+    close(path.motor_position, other.motor_position)
+    np.testing.assert_allclose(path.motor_velocity, other.motor_velocity, atol=1e-11)
+
+
+def alone(job: TwinJob) -> Result:
+    (result,) = simulate([job])
+    assert not result.failure and not result.failed
+    return result
+
+
+@pytest.mark.parametrize("drive", [Drive, LinkTorque])
+@pytest.mark.parametrize(
+    ("effect", "vector"),
+    [
+        ("stribeck_friction", None),
+        ("motor_inertia_scale", (1.4,)),
+        ("joint_stiffness", (0.7,)),
+        ("end_effector_payload", (0.4, 0.02, 0.0, -0.05)),
+        ("base_tilt", (0.03, -0.02)),
+        ("external_spring", (4.0, -2.0, 3.0, 30.0)),
+    ],
+)
+def test_free_motion_is_that_of_the_plant(
+    physics: Physics, drive: type, effect: str, vector: tuple[float, ...] | None
+) -> None:
+    if vector is None:
+        arm = physics.arms["arm"]
+        rubs = replace(arm.friction, coulomb=np.full(7, 0.4), viscous=np.full(7, 0.2), stribeck=np.full(7, 0.3))
+        believed = replace(physics, arms={"arm": replace(arm, friction=rubs)})
+    else:
+        believed = load_model("nominal").known_effects[effect].apply_vector(physics, np.array(vector))
+    one = stretch(believed)
+    (path,) = run_free(believed, "arm", [one], PERIOD, SUBSTEPS, drive)
+    same(alone(job(believed, one, drive)).arms["arm"], path)
+
+
+def test_held_commands_arrive_late_as_in_the_drive(physics: Physics) -> None:
+    """Half a millisecond and a bit: a period has the mean of two commands."""
+    late = replace(physics, arms={"arm": replace(physics.arms["arm"], actuation_delay=0.00056)})
+    one = stretch(late)
+    before = ((-0.003, one.drive.torque + 1.0), (-0.0004, one.drive.torque - 2.0))
+    one = replace(one, drive=replace(one.drive, earlier=before))
+    path = alone(job(late, one)).arms["arm"]
+    mechanics = Mechanics.load(late, PERIOD)
+    try:
+        mechanics.start({"arm": one.arm}, {"arm": one.drive}, FAR, may_sleep=False)
+        mechanics.step({"arm": list(one.torque)}, 0.0)
+        link, motor = mechanics.links["arm"], mechanics.drives["arm"]
+    finally:
+        mechanics.close()
+    np.testing.assert_allclose(path.velocity[-1], link.velocity, atol=1e-7)
+    np.testing.assert_allclose(path.motor_velocity[-1], motor.velocity, atol=1e-7)
+
+
+def formula(**changes: object) -> FormulaEffect:
+    described = {
+        "name": "cable_drag",
+        "sentence": "A cable drags.",
+        "joint_torque": {"joint5": "0.2 * sin(3 * q5) * exp(-abs(x - 0.4)) + min(t, 1) ** 2 - max(pi, dq2) / 9"},
+        "motor_torque": {"joint2": "-c * tanh(dq2 / 0.02) + 0.1 * sign(q1)"},
+        "end_effector_force": {"y": "-drag * vy", "z": "cos(t) * sqrt(abs(z)) + log(1 + x * x) - tan(0.1 * y)"},
+        "parameters": {
+            "drag": {"unit": "N s/m", "nominal": 0.0, "lower": 0.0, "upper": 50.0, "scale": 1.0},
+            "c": {"unit": "N m", "nominal": 0.0, "lower": 0.0, "upper": 3.0, "scale": 0.1},
+        },
+    }
+    return FormulaEffect(FormulaSpec.model_validate(described | changes))
+
+
+def test_a_formula_acts_as_in_the_plant(physics: Physics) -> None:
+    believed = formula().apply_vector(physics, np.array([5.0, 0.3]))
+    one = stretch(believed)
+    (path,) = run_free(believed, "arm", [one], PERIOD, SUBSTEPS)
+    same(alone(job(believed, one)).arms["arm"], path)
+
+
+def test_a_formula_that_blows_up_ends_its_own_job_only(physics: Physics) -> None:
+    effect = formula(joint_torque={"joint1": "c * sqrt(0.2045 - t)"}, motor_torque={}, end_effector_force={})
+    bad = effect.apply_vector(physics, np.array([0.0, 1.0]))
+    one = stretch(physics)
+    result, other = simulate([job(bad, one), job(physics, one)])
+    assert result.failure == "effect 'cable_drag' blows up at t = 0.205 s"
+    assert np.isfinite(result.arms["arm"].position[:5]).all() and np.isnan(result.arms["arm"].position[6:]).all()
+    assert not other.failure and np.isfinite(other.arms["arm"].position).all()
+
+
+@dataclass(frozen=True)
+class Magnet(Load):
+    """A load of a class of the user's own."""
+
+    def end_effector_force(self, state: LoadState) -> Array | None:
+        return 2.0 * np.sin(state.time) * state.velocity + np.array([0.0, 1.0, 0.0])
+
+    def motor_torque(self, state: LoadState) -> Array | None:
+        return -0.1 * state.joint_velocity
+
+
+@dataclass(frozen=True)
+class Broken(Load):
+    def joint_torque(self, state: LoadState) -> Array | None:
+        raise InputError("no magnet")
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_a_load_of_a_python_class_acts_as_in_the_plant(physics: Physics, threads: int) -> None:
+    believed = replace(physics, arms={"arm": replace(physics.arms["arm"], loads=(Magnet(),))})
+    copies = [stretch(believed, seed) for seed in range(3)]
+    paths = run_free(believed, "arm", copies, PERIOD, SUBSTEPS)
+    for result, path in zip(simulate([job(believed, one) for one in copies], threads), paths, strict=True):
+        same(result.arms["arm"], path)
+
+
+def test_an_error_of_a_python_load_is_raised(physics: Physics) -> None:
+    believed = replace(physics, arms={"arm": replace(physics.arms["arm"], loads=(Broken(),))})
+    with pytest.raises(InputError, match="no magnet"):
+        simulate([job(believed, stretch(physics, seed)) for seed in range(2)], threads=2)
+
+
+def test_numbers_do_not_depend_on_the_number_of_threads(physics: Physics) -> None:
+    jobs = [job(physics, stretch(physics, seed)) for seed in range(6)]
+    for one, other in zip(simulate(jobs, 1), simulate(jobs, 4), strict=True):
+        np.testing.assert_array_equal(one.arms["arm"].velocity, other.arms["arm"].velocity)

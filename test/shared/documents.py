@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Documents of comparisons and diagnoses: with everything that a page may show, and with as little as they may hold."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from impact_rs_analysis.diagnosis.compare import ComparisonDocument
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.history import Version, VersionError
+from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
+from impact_rs_sim.model import load_model
+
+FOLDER = Path(__file__).with_suffix("")
+OLD_DIAGNOSIS = FOLDER / "diagnosis_0_1_0.json"  # as version 0.1.0 wrote it
+
+
+def comparison(name: str = "trials") -> ComparisonDocument:
+    """A comparison: of ``trials``, ``recordings``, two ``arms`` of different kinds, or ``minimal``."""
+    return ComparisonDocument.model_validate(_content(f"comparison_{name}"))
+
+
+def diagnosis(name: str = "trials") -> DiagnosisDocument:
+    """A diagnosis: the same names, and one with verdicts on the ``joints`` of a single arm."""
+    return DiagnosisDocument.model_validate(_content(f"diagnosis_{name}"))
+
+
+def _content(name: str) -> dict[str, Any]:
+    """A stored document; those of arms and joints hold what differs from that of trials."""
+    kind, _, which = name.partition("_")
+    content = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+    return (_content(f"{kind}_trials") if which in ("arms", "joints") else {}) | content
+
+
+def tracks() -> tuple[Track, ...]:
+    """A trial with an impact and one without; samples are missing in one."""
+    time = np.linspace(0.0, 1.8, 1801)
+    gap = np.where(time > 1.0, np.nan, np.sin(time))
+    hit = ComparedSignal("end-effector velocity y", "m/s", np.cos(time), gap)
+    free = ComparedSignal("torque of joint 1", "N m", np.cos(time), np.sin(time))
+    return Track("juice, case_2", time, 0.9, curves=(hit,)), Track("slow", time, curves=(free,))
+
+
+def versions() -> list[VersionError]:
+    """Errors of a model and of its parent, which have one name."""
+    nominal = load_model("nominal")
+    return [
+        VersionError(Version("nominal.yaml", nominal, None), 61.8, 61.8, 1.0),
+        VersionError(Version("model_2.yaml", nominal, "object_mass"), 1.4, 2.25, 1.0),
+    ]
