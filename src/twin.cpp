@@ -422,12 +422,19 @@ void Twin::touch_step(double kick, double time) {
   if (!partners_.empty()) {
     ++report_.contact_steps;
     recall();
+    const std::vector<double> before = solver.velocity;
+    if (partners_ == partners_before_)
+      for (int i = 0; i < n; ++i) solver.velocity[i] += kick / kick_before_ * change_[i];
     const Solution solution = solver.solve();
+    change_.resize(n);
+    for (int i = 0; i < n; ++i) change_[i] = solver.velocity[i] - before[i];
+    kick_before_ = kick;
     report_.iterations += solution.iterations;
     report_.fallbacks += solution.fallback;
     report_.residual = std::max(report_.residual, solution.residual);
     if (!solution.solved) report_.failed.push_back(time);
   }
+  partners_before_ = partners_;
   for (auto& guesses : guesses_) guesses.clear();
   for (std::size_t k = 0; k < partners_.size(); ++k) {
     const Partner& partner = solver.partners[k];

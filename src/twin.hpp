@@ -93,6 +93,11 @@ class Twin {
   bool has_box_, awake_;
   double last_;  // length of the step before [s]
 
+  // Change of the velocities in the step before and its kick, as a first guess while the partners are the same.
+  std::vector<double> change_;
+  std::vector<int> partners_before_;
+  double kick_before_ = 1.0;
+
   // The box: centre of mass, axes, velocities; angular momentum about the centre of mass.
   Vector centre_, velocity_, angular_, momentum_;
   Matrix rotation_;

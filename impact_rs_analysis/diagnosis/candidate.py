@@ -11,7 +11,7 @@ held-out error: the error on clusters that were left out of the fit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -26,17 +26,10 @@ from impact_rs_sim.robot import Array
 
 PRIOR = 100.0  # parameter scales; only bounds parameters that the data do not determine
 
-Where = Callable[[Effect, Cluster], bool]
-
 
 def concerns(effect: Effect, cluster: Cluster) -> bool:
     """Whether an effect can change the features of a cluster."""
     return effect.seen_in(cluster.contact)
-
-
-def in_free_motion(effect: Effect, cluster: Cluster) -> bool:
-    """Whether an effect can change the features of a cluster without contact."""
-    return not cluster.contact and concerns(effect, cluster)
 
 
 @dataclass(frozen=True)
@@ -175,7 +168,9 @@ class Candidate:
         )
 
 
-def wanted(candidate: Candidate, numbers: Sequence[int], source: Source, where: Where) -> list[tuple[int, Added]]:
+def wanted(
+    candidate: Candidate, numbers: Sequence[int], source: Source, share: float = 1.0
+) -> list[tuple[int, Added]]:
     """Predictions that :func:`linearise` needs, listed so that those of many effects run in one batch."""
     joints = source.joints
     at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
@@ -185,13 +180,13 @@ def wanted(candidate: Candidate, numbers: Sequence[int], source: Source, where: 
         if not at_nominal:
             result.append((number, candidate.split(candidate.point)))
         for effect, part in candidate.parts:
-            if not where(effect, source.clusters[number]):
+            if not concerns(effect, source.clusters[number]):
                 continue
             for index, step in zip(
                 range(part.start, part.stop), effect.steps(joints, candidate.point[part]), strict=True
             ):
                 moved = candidate.point.copy()
-                moved[index] += step
+                moved[index] += share * step
                 result.append((number, candidate.split(moved)))
     return result
 
@@ -202,7 +197,7 @@ def linearise(
     numbers: Sequence[int],
     source: Source,
     what: str = "sensitivities",
-    where: Where = concerns,
+    share: float = 1.0,
 ) -> Candidate | None:
     """Sensitivities about the candidate's point by finite differences; None if a replay has no contact.
 
@@ -212,11 +207,12 @@ def linearise(
         numbers: Numbers of these clusters in the source.
         source: Predicts the features.
         what: Purpose, shown as progress.
-        where: In which clusters an effect is evaluated; elsewhere its sensitivities are zero.
+        share: Of the steps of the parameters. Whole steps see past joints and contacts that stick; near an optimum
+            they mislead where features bend.
     """
     joints = source.joints
     at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
-    results = iter(source.predict(wanted(candidate, numbers, source, where), what))
+    results = iter(source.predict(wanted(candidate, numbers, source, share), what))
     offsets, jacobians = [], []
     for item in clusters:
         base = next(results)
@@ -225,7 +221,7 @@ def linearise(
             return None
         jacobian = np.zeros((base.size, candidate.point.size))
         for effect, part in candidate.parts:
-            if not where(effect, item):
+            if not concerns(effect, item):
                 continue
             for index, step in zip(
                 range(part.start, part.stop), effect.steps(joints, candidate.point[part]), strict=True
@@ -233,7 +229,7 @@ def linearise(
                 there = next(results)
                 if there is None:
                     return None
-                jacobian[:, index] = (there - here) / item.sigma * candidate.scale[index] / step
+                jacobian[:, index] = (there - here) / item.sigma * candidate.scale[index] / (share * step)
         offsets.append((here - base) / item.sigma)
         jacobians.append(jacobian)
     return replace(candidate, offsets=tuple(offsets), jacobians=tuple(jacobians))

@@ -71,7 +71,7 @@ def diagnose(
     known = source.model.known_effects
     present = {item.name for item in source.model.effects}
     effects = [known[name] for name in known if name not in present and (only is None or name in only)]
-    search = Search.screened(effects, Evidence.of(source), progress=progress)
+    search = Search(effects, Evidence.of(source), progress)
     chosen = None if search.evidence.null.shortage is not None else search.choose()
     rivals: Sequence[Rival] = ()
     held = None
@@ -80,7 +80,7 @@ def diagnose(
         if (sure := without_the_doubtful(search, chosen)) is not chosen:
             chosen, rivals = sure, () if sure is None else search.rivals(sure)
     if chosen is not None:
-        held = hold_out(source, effects, search.ended)
+        held = hold_out(source, effects)
         if held is not None and not any(held.chosen) and not search.lacking:
             # No excess error remains: the effect is significant by chance, and no fold of the hold-out confirms it.
             chosen, rivals, held = None, (), None

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, linearise
 from impact_rs_analysis.diagnosis.null_distribution import NullDistribution, RotationNull, SignFlipNull
@@ -20,7 +21,7 @@ STEPS = 6
 STRAIGHT = 0.75  # of the predicted gain; below, sensitivities of a candidate of few parameters are computed anew
 FEW = 4  # parameters
 ENOUGH = 0.02  # of the error; a fit that gains less in a step has converged
-MUCH = 0.2  # of the error; a fit that gains more in a step has not converged
+NEAR_STEPS = (0.3, 0.1)  # shares of the steps of finite differences, as a fit comes near its optimum
 SHORTEST_LESSON = 0.5  # parameter scales; shorter steps update no sensitivities
 NEAR = 0.1  # parameter scales; a correction below this does not depend on where a trial starts
 MOST_LOOKS = 4
@@ -36,19 +37,17 @@ class Evidence:
         source: The measurements, with the model that predicts them.
         numbers: Their numbers in the source.
         clusters: Residuals.
-        thrifty: Whether one repeat stands for all repeats of its condition when features are re-evaluated.
     """
 
     source: Source
     numbers: tuple[int, ...]
     clusters: tuple[Cluster, ...]
-    thrifty: bool = False
 
     @staticmethod
-    def of(source: Source, numbers: Sequence[int] | None = None, thrifty: bool = False) -> Evidence:
+    def of(source: Source, numbers: Sequence[int] | None = None) -> Evidence:
         """Residuals of the model; None: in all clusters."""
         chosen = tuple(range(len(source.clusters)) if numbers is None else numbers)
-        return Evidence(source, chosen, tuple(source.clusters[number] for number in chosen), thrifty)
+        return Evidence(source, chosen, tuple(source.clusters[number] for number in chosen))
 
     @cached_property
     def null(self) -> NullDistribution:
@@ -92,6 +91,29 @@ class Evidence:
             self,
             numbers=tuple(self.numbers[position] for position in positions),
             clusters=tuple(self.clusters[position] for position in positions),
+        )
+
+    @cached_property
+    def _free(self) -> list[tuple[int, NDArray[np.bool_]]]:
+        """Positions of the clusters with free motion, each with the mask of its features before contact."""
+        masks = [np.array([not item.contact or f.phase == "free" for f in item.features]) for item in self.clusters]
+        return [(position, mask) for position, mask in enumerate(masks) if np.any(mask)]
+
+    @cached_property
+    def before_contact(self) -> Evidence | None:
+        """The features of free motion alone; None without them, or if there are no others."""
+        if not self._free or not any(item.contact for item in self.clusters):
+            return None
+        numbers = tuple(self.numbers[position] for position, _ in self._free)
+        clusters = tuple(self.clusters[position].only(mask.tolist(), contact=False) for position, mask in self._free)
+        return replace(self, numbers=numbers, clusters=clusters)
+
+    def seen_before_contact(self, candidate: Candidate) -> Candidate:
+        """A candidate linearised in these clusters, as linearised in those of :attr:`before_contact`."""
+        return replace(
+            candidate,
+            offsets=tuple(candidate.offsets[position][mask] for position, mask in self._free),
+            jacobians=tuple(candidate.jacobians[position][mask] for position, mask in self._free),
         )
 
     def excess(self, errors: Array) -> float:
@@ -188,21 +210,20 @@ class Fit:
         return self.evidence.null.lack_of_fit(self.rest)
 
 
-def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf, steps: int = STEPS) -> Fit:
+def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf) -> Fit:
     """Fit by repeated simulation.
 
     Args:
         candidate: Start, linearised.
         evidence: The residuals to explain.
         give_up: A fit whose held-out error exceeds this after the first step stops.
-        steps: Number of steps that lower the error; more are made while each gains at least ``MUCH``.
     """
     best = Fit.of(candidate, evidence)
     nothing = np.zeros_like(best.change)
     best_error = float(np.mean(best.problem.errors(nothing)))
-    point, fraction, lowered, falling = best.estimate, 1.0, 0, False
+    point, fraction = best.estimate, 1.0
     for number in range(STEPS):
-        if (number >= 1 and best_error > give_up) or (lowered >= steps and not falling):
+        if number >= 1 and best_error > give_up:
             break
         step = fraction * (point - candidate.point)
         if np.max(np.abs(step / candidate.scale)) < 1e-6:
@@ -215,7 +236,6 @@ def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf, st
         tried = Fit.of(_broyden(candidate, moved), evidence)
         error = float(np.mean(tried.problem.errors(nothing)))
         if error < best_error:
-            lowered, falling = lowered + 1, error < (1.0 - MUCH) * best_error
             gained = best_error - error
             bent = gained < STRAIGHT * expected or fraction < 1.0
             if bent and candidate.point.size <= FEW:
@@ -261,22 +281,30 @@ def _afresh(fitted: Fit) -> Fit:
     return Fit.of(_relinearised(fitted.candidate, fitted.evidence), fitted.evidence)
 
 
-def _relinearised(candidate: Candidate, evidence: Evidence) -> Candidate:
-    """New sensitivities, from one repeat per condition; features stay those of all repeats."""
-    fresh = linearise(candidate, evidence.clusters, evidence.numbers, evidence.source, "new sensitivities")
+def _relinearised(candidate: Candidate, evidence: Evidence, share: float = 1.0) -> Candidate:
+    """New sensitivities at the candidate's point."""
+    fresh = linearise(candidate, evidence.clusters, evidence.numbers, evidence.source, "new sensitivities", share)
     return candidate if fresh is None else replace(candidate, jacobians=fresh.jacobians)
 
 
-def see_all(fitted: Fit) -> Fit:
-    """Continue with new sensitivities where a parameter had zero sensitivity at the nominal point."""
-    candidate, evidence = fitted.candidate, fitted.evidence
-    if not candidate.unseen:
+def has_shape_parameter(candidate: Candidate) -> bool:
+    """Whether a nonlinear shape parameter needs several starts of the fit."""
+    return any(scalar.grid for scalar in candidate.scalars)
+
+
+def refine_again(fitted: Fit) -> Fit:
+    """Continue with new sensitivities while that helps, where secant updates do not reach them.
+
+    They do not where a parameter had zero sensitivity at the start, and hardly along a shape parameter.
+    """
+    if not (fitted.candidate.unseen or has_shape_parameter(fitted.candidate)):
         return fitted
-    moved = evaluate_at(candidate, fitted.estimate, evidence)
-    if moved is None:
-        return fitted
-    again = refine(_relinearised(moved, evidence), evidence)
-    return again if again.score < fitted.score else fitted
+    for share in NEAR_STEPS:
+        moved = evaluate_at(fitted.candidate, fitted.estimate, fitted.evidence)
+        if moved is None:
+            break
+        fitted = refine(_relinearised(moved, fitted.evidence, share), fitted.evidence)
+    return fitted
 
 
 def look_elsewhere(fitted: Fit) -> Fit:
@@ -289,22 +317,19 @@ def look_elsewhere(fitted: Fit) -> Fit:
         evidence = fitted.evidence
         if fitted.misfit <= POOR * float(evidence.expected.mean()):
             break
-        glance = replace(evidence, thrifty=True)
         places = []
         for index, scalar in enumerate(scalars):
             for value in scalar.far:
                 point = fitted.estimate.copy()
                 point[index] = value
-                if (moved := evaluate_at(fitted.candidate, point, glance)) is not None:
+                if (moved := evaluate_at(fitted.candidate, point, evidence)) is not None:
                     places.append(moved)
         if not places:
             break
         errors = [float(np.mean(evidence.problem(moved).errors(np.zeros_like(moved.point)))) for moved in places]
         if min(errors) >= fitted.misfit:
             break
-        best = places[int(np.argmin(errors))]
-        best = best if evidence.thrifty else evaluate_at(best, best.point, evidence) or best
-        again = refine(_relinearised(best, evidence), evidence)
+        again = refine(_relinearised(places[int(np.argmin(errors))], evidence), evidence)
         if again.misfit >= fitted.misfit:
             break
         fitted = again
@@ -327,7 +352,7 @@ def measure_again(fitted: Fit) -> Fit:
         nothing = tuple(np.zeros_like(item.sigma) for item in clusters)
         fresh = replace(candidate, point=point, origin=added, offsets=nothing)
         if look == 0:
-            fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities") or fresh
+            fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities", NEAR_STEPS[0]) or fresh
         fitted = refine(fresh, evidence)
         if np.all(np.abs(fitted.estimate - point) < NEAR * candidate.scale):
             break
@@ -335,11 +360,12 @@ def measure_again(fitted: Fit) -> Fit:
 
 
 def evaluate_at(candidate: Candidate, point: Array, evidence: Evidence) -> Candidate | None:
-    """The candidate with its features evaluated at another point, sensitivities kept."""
-    # Joint effects (many parameters) are smooth and change all repeats alike; contact effects have few parameters.
-    every = candidate.point.size <= FEW and not evidence.thrifty
+    """The candidate with its features evaluated at another point, sensitivities kept; None if it cannot be simulated.
+
+    One run of a condition stands for its repeats; :func:`measure_again` looks at every run.
+    """
     changes = evidence.source.differences(
-        evidence.numbers, candidate.origin, candidate.split(point), "fit of the shortlist", every
+        evidence.numbers, candidate.origin, candidate.split(point), "fit of the shortlist"
     )
     if any(change is None for change in changes):
         return None

@@ -5,24 +5,19 @@ Held-out data influence neither shortlist, nor choice, nor estimate of the effec
 whole search (:mod:`impact_rs_analysis.diagnosis.search`) runs on the other clusters, and the model with the effects it
 found predicts the fold. Conditions are held out with all their repeats. Of several recordings whole recordings are held
 out; of a single one runs of neighbouring stretches, without the neighbours on either side.
-
-Where predictions are expensive, a fit of a fold may start at the result of the search over all clusters, if that
-explains the fold's training clusters better than its own start. Approximate leave-one-out stops after one step from
-there (Rahnama Rad and Maleki 2020, *J. R. Stat. Soc. B* 82(4)); these fits continue until they converge.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.search import Search
-from impact_rs_analysis.diagnosis.thresholds import FOLDS, LEAST_CLUSTERS, SHORTLIST_OF_FOLD
+from impact_rs_analysis.diagnosis.thresholds import FOLDS, LEAST_CLUSTERS
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
@@ -88,25 +83,19 @@ def _neighbours(source: Source, held: Sequence[int]) -> set[int]:
     return {n for n in near if 0 <= n < len(source.clusters) and source.clusters[n].unit in units}
 
 
-def hold_out(
-    source: Source, effects: Sequence[Effect], ended: Mapping[tuple[str, ...], Candidate] | None = None
-) -> HoldOut | None:
+def hold_out(source: Source, effects: Sequence[Effect]) -> HoldOut | None:
     """Run the search on all but one fold in turn; None with too few clusters for a hold-out.
 
     Args:
         source: Measurements with the model's predictions.
         effects: Effects to consider.
-        ended: Results of the fits over all clusters; expensive fits of folds may start there.
     """
-    known = {} if source.cheap else dict(ended or {})
     folds = folds_of(source)
     if not folds:
         return None
     rest: dict[int, Array] = {}
     names = []
-    for fold, (found, left) in zip(
-        folds, source.spread(partial(_predicted, effects, known), folds, "hold-out"), strict=True
-    ):
+    for fold, (found, left) in zip(folds, source.spread(partial(_predicted, effects), folds, "hold-out"), strict=True):
         names.append(found)
         rest.update(zip(fold.held, left, strict=True))
     ordered = tuple(rest[number] for number in range(len(source.clusters)))
@@ -114,14 +103,11 @@ def hold_out(
     return HoldOut(tuple(folds), errors, ordered, tuple(names))
 
 
-def _predicted(
-    effects: Sequence[Effect], known: Mapping[tuple[str, ...], Candidate], source: Source, fold: Fold
-) -> tuple[tuple[str, ...], list[Array]]:
+def _predicted(effects: Sequence[Effect], source: Source, fold: Fold) -> tuple[tuple[str, ...], list[Array]]:
     """Effects that the search finds without a fold, and the mean residuals of the fold with them."""
-    evidence = Evidence.of(source, fold.training, thrifty=True)
-    search = Search.screened(effects, evidence, SHORTLIST_OF_FOLD, known=known)
-    found = search.choose(thrifty=True)
-    if found is not None and source.cheap:
+    search = Search(effects, Evidence.of(source, fold.training))
+    found = search.choose()
+    if found is not None:
         found, _ = search.simplified(found)
     added = () if found is None else found.candidate.split(found.estimate)
     both = source.predict([(n, what) for n in fold.held for what in ((), added)], "hold-out")

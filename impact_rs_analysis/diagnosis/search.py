@@ -8,24 +8,24 @@ without the clusters to predict.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
 import scipy
 
-from impact_rs_analysis.diagnosis.candidate import Candidate, Where, concerns, in_free_motion, linearise, wanted
+from impact_rs_analysis.diagnosis.candidate import Candidate, linearise, wanted
 from impact_rs_analysis.diagnosis.fit import (
     HOPELESS,
-    STEPS,
     Evidence,
     Fit,
     evaluate_at,
+    has_shape_parameter,
     look_elsewhere,
     measure_again,
     refine,
-    see_all,
+    refine_again,
 )
 from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_FREEDOM,
@@ -42,8 +42,6 @@ from impact_rs_analysis.diagnosis.thresholds import (
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
 
-STEPS_OF_FOLD = 2  # of Gauss-Newton in the folds of the hold-out; a third changes only the last digits
-ROUNDS = 4  # of fits with new sensitivities, where predictions are cheap
 PAIRS = 2  # fitted jointly after effects were found one by one
 AMONG = 10  # effects from which pairs are formed
 
@@ -74,235 +72,77 @@ class Search:
     Args:
         effects: Effects to consider.
         evidence: Residuals of the model in the clusters of the search.
-        shortlist: Number of candidates that are fitted by simulation in every round.
         progress: Called after every fit with the effects joined by ``+`` and their held-out error, on the scale of
             :meth:`Evidence.size`.
-        known: Results of the search over all clusters of the source, see ``ended``; fits may start there.
 
     Attributes:
         singles: Every measurable effect alone, linearised at nominal.
         unmeasured: Effects that change no measured feature.
-        ruled_out: Effects ruled out by free motion, and not searched in contact.
+        ruled_out: Effects ruled out by free motion, and not searched.
         ended: Results of fits by simulation, by the names of their effects.
     """
 
     def __init__(
-        self,
-        effects: Sequence[Effect],
-        evidence: Evidence,
-        shortlist: int = SHORTLIST,
-        progress: ProgressCallback = lambda *_: None,
-        known: Mapping[tuple[str, ...], Candidate] | None = None,
+        self, effects: Sequence[Effect], evidence: Evidence, progress: ProgressCallback = lambda *_: None
     ) -> None:
-        self.evidence, self._shortlist, self._progress = evidence, shortlist, progress
-        self.source = evidence.source
-        self._effects = tuple(effects)
+        self.evidence, self.source, self._progress = evidence, evidence.source, progress
         self.singles: dict[str, Candidate] = {}
-        self._starts: dict[str, Candidate] = {}
-        self._fitted_before_contact: dict[str, Fit] = {}
         self.unmeasured: set[str] = set()
-        self.ruled_out: set[str] = set()
         self.ended: dict[tuple[str, ...], Candidate] = {}
-        self._known = {names: candidate.only(evidence.numbers) for names, candidate in (known or {}).items()}
+        self._starts: dict[str, Candidate] = {}
+        self._screen(effects)
+        self.ruled_out = self._absent_in_free_motion()
 
-    @classmethod
-    def screened(
-        cls,
-        effects: Sequence[Effect],
-        evidence: Evidence,
-        shortlist: int = SHORTLIST,
-        progress: ProgressCallback = lambda *_: None,
-        known: Mapping[tuple[str, ...], Candidate] | None = None,
-    ) -> Search:
-        """A search with the sensitivities of all effects; arguments as for the class."""
-        search = cls(effects, evidence, shortlist, progress, known)
-        search._screen()
-        return search
-
-    def _screen(self) -> None:
-        absent = self._absent(self._effects)
-        self.ruled_out = set(absent)
-        self._prefetch([effect for effect in self._effects if effect.name not in self.ruled_out], concerns)
-        for effect in self._effects:
-            known = absent.get(effect.name)
-            candidate = self._linearised((effect,), self.evidence) if known is None else known
-            if candidate is None:
+    def _screen(self, effects: Sequence[Effect]) -> None:
+        """Sensitivities of all effects at nominal, simulated in one parallel batch."""
+        candidates = [Candidate.of((effect,), self.source) for effect in effects]
+        batch = [item for candidate in candidates for item in wanted(candidate, self.evidence.numbers, self.source)]
+        self.source.predict(batch, "sensitivities of all effects")
+        for candidate in candidates:
+            found = self._linearised(candidate)
+            if found is None:
                 continue
-            if all(np.all(jacobian == 0.0) for jacobian in candidate.jacobians):
-                self.unmeasured.add(effect.name)
+            if all(np.all(jacobian == 0.0) for jacobian in found.jacobians):
+                self.unmeasured.add(found.names[0])
             else:
-                self.singles[effect.name] = candidate
-                self._starts[effect.name] = self._start(candidate)
+                self.singles[found.names[0]] = found
 
-    def _linearised(
-        self, effects: tuple[Effect, ...], evidence: Evidence, where: Where = concerns, point: Array | None = None
-    ) -> Candidate | None:
-        """Effects linearised together about a point; None: at nominal."""
-        candidate = Candidate.of(effects, evidence.source, point)
-        return linearise(candidate, evidence.clusters, evidence.numbers, evidence.source, where=where)
+    def _linearised(self, candidate: Candidate, evidence: Evidence | None = None) -> Candidate | None:
+        evidence = evidence or self.evidence
+        return linearise(candidate, evidence.clusters, evidence.numbers, self.source)
 
-    def _start(self, candidate: Candidate) -> Candidate:
-        """Start of a fit: the best of several values of the shape parameters.
+    def _absent_in_free_motion(self) -> set[str]:
+        """Effects with several parameters that change free motion, where nothing is seen of them.
 
-        If contact is expensive to simulate, they are chosen by the motion before it.
+        Simulators agree in free motion and differ in contact, where one parameter per joint explains a part of any
+        difference.
         """
-        if not has_shape_parameter(candidate):
-            return candidate
-        if (known := self._from_known(candidate, self.evidence)) is not None:
-            return known
-        if self.source.cheap:
-            return self._best_shape(candidate, self.evidence)
-        fits = self._fitted_before_contact
-        before = fits.get(candidate.names[0])
-        if before is None or before.misfit > HOPELESS * min(fitted.misfit for fitted in fits.values()):
-            return candidate
-        evidence, there = self.evidence, replace(candidate, point=before.estimate)
-        return linearise(there, evidence.clusters, evidence.numbers, self.source, "starts of the fit") or candidate
+        free = self.evidence.before_contact
+        if free is None or free.null.freedom < LEAST_FREEDOM:
+            return set()
+        found = set()
+        for name, candidate in self.singles.items():
+            there = self.evidence.seen_before_contact(candidate)
+            several = sum(not scalar.shape for scalar in candidate.scalars) > 1
+            seen = any(np.any(jacobian) for jacobian in there.jacobians)
+            if several and seen and free.problem(there).p_value(free.null, slice(None)) > NOTHING:
+                found.add(name)
+        return found
 
-    def _proposed(self, chosen: Fit | None, name: str) -> Fit:
-        """Linear fit of one more effect; with a shape parameter, about its best fit to the motion before contact.
+    def _start(self, name: str) -> Candidate:
+        """Start of the fit of an effect alone."""
+        return self._starts.get(name, self.singles[name])
 
-        The start of an effect was fitted as if it were alone, e.g. friction that decreases with speed in place of an
-        offset. Together with the chosen effects it is fitted anew and linearised with them.
-        """
-        proposal = self.beside(chosen, name)
-        if chosen is None or self.source.cheap or not has_shape_parameter(self._starts[name]):
-            return proposal
-        there = self._from_known(proposal.candidate, proposal.evidence) or self._bent_beside(chosen, name)
-        return proposal if there is None else Fit.of(there, proposal.evidence)
-
-    def _bent_beside(self, chosen: Fit, name: str) -> Candidate | None:
-        """Chosen effects and one more, fitted to the motion before contact; None if that does not lower the error."""
-        evidence, whole = self._before_contact(), chosen.evidence
-        if evidence.null.freedom < LEAST_FREEDOM:
-            return None
-        effects, effect = chosen.candidate.effects, self.singles[name].effects[0]
-        nominal = np.concatenate((chosen.estimate, effect.nominal(self.source.joints)))
-        alone = self._linearised(effects, evidence, point=chosen.estimate)
-        beside = self._linearised((*effects, effect), evidence, point=nominal)
-        if alone is None or beside is None:
-            return None
-        fitted = see_all(self._fitted(beside, evidence))
-        if fitted.misfit > (1.0 - LEAST_GAIN) * Fit.of(alone, evidence).misfit:
-            return None
-        there = Candidate.of((*effects, effect), self.source, fitted.estimate, chosen.candidate.origin)
-        return linearise(there, whole.clusters, whole.numbers, self.source, "starts of the fit")
-
-    def _fitted(self, candidate: Candidate, evidence: Evidence) -> Fit:
-        """A fit with cheap predictions: shape parameters start at their best value, and rounds are repeated."""
-        if not has_shape_parameter(candidate):
-            return refine(candidate, evidence)
-        fitted = refine(self._best_shape(candidate, evidence), evidence)
-        for _ in range(ROUNDS):
-            there = replace(candidate, point=fitted.estimate)
-            moved = linearise(there, evidence.clusters, evidence.numbers, evidence.source, "sensitivities")
-            again = None if moved is None else refine(moved, evidence)
-            if again is None or again.misfit >= fitted.misfit:
-                break
-            done = again.misfit > (1.0 - LEAST_GAIN) * fitted.misfit
-            fitted = again
-            if done:
-                break
-        return fitted
-
-    @staticmethod
-    def _best_shape(candidate: Candidate, evidence: Evidence) -> Candidate:
+    def _best_shape(self, candidate: Candidate) -> Candidate:
+        """The candidate at the best of several values of its shape parameters, by the misfit of the linear fit."""
         shapes = [index for index, scalar in enumerate(candidate.scalars) if scalar.grid]
         tried = [candidate]
-        for values in product(*(candidate.scalars[index].grid for index in shapes)):
+        for values in product(*(candidate.scalars[index].grid for index in shapes)) if shapes else ():
             point = candidate.point.copy()
             point[shapes] = values
-            # At nominal the shape parameter has no influence, so the features are those of the nominal point.
-            moved = linearise(replace(candidate, point=point), evidence.clusters, evidence.numbers, evidence.source)
-            if moved is not None:
+            if (moved := self._linearised(replace(candidate, point=point))) is not None:
                 tried.append(moved)
-        return min(tried, key=lambda entry: Fit.of(entry, evidence).misfit)
-
-    def _absent(self, effects: Sequence[Effect]) -> dict[str, Candidate]:
-        """Effects ruled out by free motion there and back, with their sensitivities there.
-
-        Effects with several parameters, up to two per joint, are expensive to simulate in every push. They are ruled
-        out if they are not significant in free motion, or if they cannot explain it while another single effect does.
-        """
-        if self.source.cheap or not any(item.contact for item in self.evidence.clusters):
-            return {}
-        evidence = self._before_contact()
-        if evidence.null.freedom < LEAST_FREEDOM:
-            return {}
-        seen = [effect for effect in effects if any(in_free_motion(effect, item) for item in evidence.clusters)]
-        dear = {effect.name for effect in seen if len(effect.scalars(self.source.joints)) > 1}
-        if not dear:
-            return {}
-        self._prefetch(seen, in_free_motion, evidence)
-        alone: dict[str, Candidate] = {}
-        for effect in seen:
-            candidate = self._linearised((effect,), evidence, in_free_motion)
-            if candidate is not None:
-                alone[effect.name] = candidate
-        absent = {
-            name
-            for name in dear & alone.keys()
-            if evidence.problem(alone[name]).p_value(evidence.null, slice(None)) > NOTHING
-        }
-        rest = {name: alone[name] for name in alone.keys() - absent}
-        if dear & rest.keys():
-            absent |= dear & self._cannot_explain(rest, evidence)
-        return {name: self._as_seen_in(alone[name], evidence) for name in absent}
-
-    def _before_contact(self) -> Evidence:
-        """The evidence of free motion: the time before contact in every cluster, or the clusters without contact."""
-        free = self.source.free_motion
-        if free is None:
-            return self.evidence.only([n for n, item in enumerate(self.evidence.clusters) if not item.contact])
-        return Evidence.of(free, self.evidence.numbers, self.evidence.thrifty)
-
-    def _as_seen_in(self, candidate: Candidate, evidence: Evidence) -> Candidate:
-        """A candidate evaluated in some clusters or features, extended to all with zero sensitivity."""
-        known = dict(zip(evidence.numbers, zip(evidence.clusters, candidate.jacobians, strict=True), strict=True))
-        jacobians = []
-        for number, item in zip(self.evidence.numbers, self.evidence.clusters, strict=True):
-            jacobian = np.zeros((len(item.features), candidate.point.size))
-            if number in known:
-                part, own = known[number]
-                places = {feature: row for row, feature in enumerate(item.features)}
-                jacobian[[places[feature] for feature in part.features]] = own
-            jacobians.append(jacobian)
-        nothing = tuple(np.zeros(len(item.features)) for item in self.evidence.clusters)
-        return replace(candidate, offsets=nothing, jacobians=tuple(jacobians))
-
-    def _cannot_explain(self, candidates: dict[str, Candidate], evidence: Evidence) -> set[str]:
-        """Candidates that cannot explain the motion before contact, if another one can."""
-        enough = 2.0 * float(evidence.expected.mean())
-        explained = 2.0 * enough  # no simulator is exactly right
-        if evidence.excess(evidence.errors) < enough:
-            return set()
-        fits = self._fitted_before_contact
-        linear = {name: Fit.of(candidate, evidence) for name, candidate in candidates.items()}
-        far, steps = HOPELESS**2 * enough, STEPS_OF_FOLD if evidence.thrifty else STEPS
-        shaped = {name: has_shape_parameter(candidate) for name, candidate in candidates.items()}
-        for name in sorted(candidates, key=lambda entry: (shaped[entry], linear[entry].misfit)):
-            candidate = candidates[name]
-            if min((fitted.misfit for fitted in fits.values()), default=np.inf) > explained:
-                fits[name] = see_all(self._fitted(candidate, evidence))
-                continue
-            bent = linear[name].misfit <= far or shaped[name]
-            fits[name] = refine(candidate, evidence, far, steps) if bent else linear[name]
-            if fits[name].misfit <= far:
-                fits[name] = see_all(fits[name])
-        best = min((fitted.misfit for fitted in fits.values()), default=np.inf)
-        if best > explained:
-            return set()
-        return {name for name, fitted in fits.items() if fitted.misfit > HOPELESS * max(best, enough)}
-
-    def _prefetch(self, effects: Sequence[Effect], where: Where, evidence: Evidence | None = None) -> None:
-        """Compute the predictions of the screening in one parallel batch."""
-        evidence = evidence or self.evidence
-        batch = [
-            item
-            for effect in effects
-            for item in wanted(Candidate.of((effect,), evidence.source), evidence.numbers, evidence.source, where)
-        ]
-        evidence.source.predict(batch, "sensitivities of all effects")
+        return min(tried, key=lambda entry: Fit.of(entry, self.evidence).misfit)
 
     def p_values(self, chosen: Fit | None) -> dict[str, float]:
         """p-value per effect given the chosen ones, adjusted for testing all (Benjamini and Hochberg)."""
@@ -324,20 +164,17 @@ class Search:
             raw[name] = problem.p_value(evidence.null, tested)
         return raw
 
-    def choose(self, thrifty: bool = False) -> Fit | None:
-        """Forward selection; None if no effect is accepted.
-
-        Args:
-            thrifty: Skip refinements of the last digits: residuals run by run, and pairs.
-        """
-        chosen = self._extend(None, thrifty)
-        if chosen is not None:
-            chosen = self._without_the_superfluous(chosen)
-            if not thrifty and self.source.repeated and len(chosen.candidate.effects) >= 2:
-                chosen = self._try_pairs(chosen)
+    def choose(self) -> Fit | None:
+        """Forward selection; None if no effect is accepted."""
+        chosen = self._extend(None)
+        if chosen is None:
+            return None
+        chosen = self._without_the_superfluous(chosen)
+        if self.source.repeated and len(chosen.candidate.effects) >= 2:
+            chosen = self._try_pairs(chosen)
         return chosen
 
-    def _extend(self, chosen: Fit | None, thrifty: bool) -> Fit | None:
+    def _extend(self, chosen: Fit | None) -> Fit | None:
         """Add effects until none is accepted."""
         first = self.evidence.excess(self.evidence.errors)
         decidable = self.evidence.null.shortage is None
@@ -352,39 +189,22 @@ class Search:
                 LEAST_GAIN * excess if self.source.repeated else max(LEAST_GAIN * excess, LEAST_GAIN_OF_FIRST * first)
             )
             likely = [n for n, p in p_values.items() if n not in self.ruled_out and (p < SIGNIFICANT or not decidable)]
-            linear = sorted((self._proposed(chosen, name) for name in likely), key=lambda entry: entry.score)
+            self._starts |= {n: self._best_shape(self.singles[n]) for n in likely if n not in self._starts}
+            linear = sorted((self.beside(chosen, name) for name in likely), key=lambda entry: entry.score)
             for entry in linear:
                 self._report_progress(entry)
             # Small effects are linear: a proposal without gain in the linear fit has none by simulation.
             if chosen is not None:
                 linear = [entry for entry in linear if excess - evidence.excess(entry.held_out) > 0.5 * needed]
-            if thrifty and linear:
-                linear = [entry for entry in linear if entry.score <= HOPELESS * linear[0].score]
-            best = self._best(linear[: self._shortlist], chosen, STEPS_OF_FOLD if thrifty else STEPS)
+            best = self._best(linear[:SHORTLIST], chosen)
             if best is None or excess - evidence.excess(best.held_out) <= needed:
                 break
-            chosen = best if thrifty else measure_again(best)
+            chosen = measure_again(best)
             self._keep(chosen)
         return chosen
 
     def _keep(self, fitted: Fit) -> None:
         self.ended[fitted.candidate.names] = fitted.candidate
-
-    def _from_known(self, candidate: Candidate, evidence: Evidence) -> Candidate | None:
-        """The candidate at its result in the search over more clusters, whose replays are kept; None without one."""
-        known = self._known.get(candidate.names)
-        if known is None:
-            return None
-        return evaluate_at(replace(known, origin=candidate.origin), known.point, evidence)
-
-    def _begin(self, entry: Fit) -> Candidate:
-        """Start of a fit: the linearisation point or the known result, whichever fits better."""
-        known = self._from_known(entry.candidate, entry.evidence)
-        if known is None:
-            return entry.candidate
-        nothing = np.zeros(known.point.size)
-        errors = [float(np.mean(entry.evidence.problem(one).errors(nothing))) for one in (entry.candidate, known)]
-        return known if errors[1] < errors[0] else entry.candidate
 
     def _report_progress(self, fitted: Fit) -> None:
         self._progress("+".join(fitted.candidate.names), self.evidence.size(fitted.held_out))
@@ -405,26 +225,32 @@ class Search:
         return min(fits, key=lambda fitted: fitted.score)
 
     def beside(self, chosen: Fit | None, name: str) -> Fit:
-        """Linear fit of one more effect."""
-        if chosen is None:
-            return Fit.of(self._starts[name], self.evidence)
-        return Fit.of(chosen.candidate.beside(self._starts[name]), chosen.evidence)
+        """Linear fit of one more effect; one with a shape parameter is linearised together with the chosen ones.
 
-    def _best(self, shortlist: Sequence[Fit], chosen: Fit | None, steps: int) -> Fit | None:
+        By itself such an effect explains what others are: friction that decreases with speed stands for an offset.
+        """
+        start = self._start(name)
+        if chosen is None:
+            return Fit.of(start, self.evidence)
+        joined = Fit.of(chosen.candidate.beside(start), chosen.evidence)
+        if not has_shape_parameter(start):
+            return joined
+        there = self._linearised(replace(joined.candidate, point=joined.estimate), chosen.evidence)
+        return joined if there is None else Fit.of(there, chosen.evidence)
+
+    def _best(self, shortlist: Sequence[Fit], chosen: Fit | None) -> Fit | None:
         """The shortlist fitted by simulation: the best, or among equals the one with the fewest parameters."""
         found: list[Fit] = []
         for entry in shortlist:
             beat = min((proposal.score for proposal in found), default=np.inf)
-            found.append(refine(self._begin(entry), entry.evidence, HOPELESS * beat, steps))
+            found.append(refine(entry.candidate, entry.evidence, HOPELESS * beat))
             self._report_progress(found[-1])
         if not found:
             return None
         top = min(proposal.score for proposal in found)
         for number, proposal in enumerate(found):
             if proposal.score <= HOPELESS * top:
-                seen = see_all(proposal)
-                # The search over all clusters has already tried other starts.
-                found[number] = seen if proposal.candidate.names in self._known else look_elsewhere(seen)
+                found[number] = look_elsewhere(refine_again(proposal))
             self._keep(found[number])
         first = 0 if chosen is None else chosen.change.size
         sure = consistent if self.source.repeated else noticeable
@@ -474,9 +300,10 @@ class Search:
         """The chosen effects with the parameter of one joint replaced by that joint's parameter of another effect."""
         scalar = chosen.scalars[index]
         found = []
-        for name, single in self._starts.items():
+        for name in self.singles:
             if name in chosen.names or name in self.ruled_out:
                 continue
+            single = self._start(name)
             own = [
                 number
                 for number, other in enumerate(single.scalars)
@@ -490,12 +317,12 @@ class Search:
     def _try_pairs(self, chosen: Fit) -> Fit:
         """Fit pairs jointly: they may beat effects found one by one."""
         likely = [name for name in self.singles if name not in self.ruled_out]
-        linear = {name: Fit.of(self._starts[name], self.evidence).score for name in likely}
+        linear = {name: Fit.of(self._start(name), self.evidence).score for name in likely}
         names = sorted(likely, key=lambda name: linear[name])[:AMONG]
         ranked = []
         for first, second in combinations(names, 2):
             if not {first, second} <= set(chosen.candidate.names):
-                joined = self._starts[first].beside(self._starts[second])
+                joined = self._start(first).beside(self._start(second))
                 ranked.append((Fit.of(joined, self.evidence).score, joined))
         for _, joined in sorted(ranked, key=lambda entry: entry[0])[:PAIRS]:
             pair = refine(joined, self.evidence, HOPELESS * chosen.score)
@@ -524,7 +351,7 @@ class Search:
                 break
             best = min(simpler, key=lambda rival: (known[rival.name].complexity(joints), rival.fit.score))
             # The replaced effect may have explained more, which is missing now.
-            chosen = self._extend(measure_again(best.fit), thrifty=False) or chosen
+            chosen = self._extend(measure_again(best.fit)) or chosen
             rivals = self.rivals(chosen)
         return chosen, rivals
 
@@ -537,7 +364,7 @@ class Search:
             for other, single in self.singles.items():
                 if other in chosen.candidate.names or other in self.ruled_out:
                     continue
-                start = self._starts[other]
+                start = self._start(other)
                 swapped = replace(others, offsets=tuple(np.zeros(o.shape) for o in single.offsets)).beside(start)
                 moved = evaluate_at(replace(swapped, origin=chosen.candidate.origin), swapped.point, chosen.evidence)
                 if moved is not None:
@@ -546,7 +373,7 @@ class Search:
             for other, linear in proposals[:count]:
                 if linear.score > HOPELESS * chosen.score:
                     continue
-                fitted = see_all(refine(linear.candidate, chosen.evidence, HOPELESS * chosen.score))
+                fitted = refine_again(refine(linear.candidate, chosen.evidence, HOPELESS * chosen.score))
                 found.append(Rival(other, name, fitted, tied(chosen, fitted)))
         return found
 
@@ -574,11 +401,6 @@ def tied_errors(own: Array, other: Array, floor: Array | float) -> bool:
     ratio = ratio[moved]
     spread = float(ratio.std(ddof=1) / math.sqrt(ratio.size)) if ratio.size > 1 else math.inf
     return float(ratio.mean()) < max(TIE, min(2.0 * spread, WIDE_TIE))
-
-
-def has_shape_parameter(candidate: Candidate) -> bool:
-    """Whether a nonlinear shape parameter needs several starts of the fit."""
-    return any(scalar.grid for scalar in candidate.scalars)
 
 
 def consistent(fitted: Fit, first: int = 0) -> bool:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_rs_analysis.evidence.features import Balances
+from impact_rs_analysis.evidence.features import FreeBalances
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.replay import FREE, free_starts, held_means, recorded
 from impact_rs_sim.errors import InputError
@@ -157,10 +157,9 @@ def _window_terms(run: Run, name: str, arm: ArmSignals, start: float) -> tuple[A
     cut = arm.at(rows)
     physics = run.physics.arms[name]
     model, stacked = run.physics.robot_model(name), ArmSignals.stack([cut])
-    balances = Balances(time[rows], stacked, None, physics, model, run.motor_measured, coarse=True)
-    first, last = time[rows][:1], time[rows][-1:]
-    begin, end = (float(moment[0]) for moment in balances.middle(first, last))
-    ((ramp,), (passed,)) = balances.motor_terms(first, last)
+    balances = FreeBalances.of(time[rows], stacked, physics, model, run.motor_measured)
+    begin, end = balances.middle
+    (ramp,), (passed,) = balances.acceleration, balances.transmitted
     sent, values = arm.command_time, arm.command
     torque = _held_mean(sent, values, begin, end)
     slope = (

@@ -15,9 +15,11 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_sim.physics import ArmPhysics
@@ -136,17 +138,22 @@ def extract(
     last = windows[-1] if contact and contact[-1] else None
     for name, (physics, model) in arms.items():
         free = [
-            Balances(w.time, w.arms[name], c.get(name), physics, model, motor, coarse=True)
-            for w, c, hit in zip(windows, commands, contact, strict=True)
+            FreeBalances.of(w.time, w.arms[name], physics, model, motor)
+            for w, hit in zip(windows, contact, strict=True)
             if not hit
         ]
-        balances = [item.balance(item.time[:1], item.time[-1:]) for item in free]
         if commands[0]:
-            parts += [at_motor for at_motor, _ in balances]
-        parts += [at_link for _, at_link in balances]
+            parts += [
+                f.motor_balance(own[name], physics.motor_inertia_reduced)
+                for f, own in zip(free, commands, strict=False)
+            ]
+        parts += [f.link_balance for f in free]
         if motor:
             parts += [
-                (f.arm.motor_position - f.arm.position - f.arm.torque / physics.stiffness).mean(axis=1) for f in free
+                (w.arms[name].motor_position - w.arms[name].position - w.arms[name].torque / physics.stiffness).mean(
+                    axis=1
+                )
+                for w in windows[: len(free)]
             ]
         if last is None:
             continue
@@ -158,14 +165,18 @@ def extract(
         parts += _impact_features(onset, dynamics)
         parts += _push_features(onset, dynamics, pushes or 0)
     if last is not None and tracked:
-        first = np.min(np.where(np.isfinite(onsets), onsets, last.time[0]), axis=0)
-        for start, end in OBJECT_WINDOWS:
-            parts.append(_object_velocity(last, first + start, first + end))
-        for start, end in zip(PUSH[: (pushes or 0)], PUSH[1:], strict=False):
-            parts.append(_object_velocity(last, first + start, first + end)[:, :2])
+        first = np.min(np.where(np.isfinite(onsets), onsets, last.time[0]), axis=0)[:, None]
+        bins = np.array([*OBJECT_WINDOWS, *zip(PUSH[: (pushes or 0)], PUSH[1:], strict=False)]).T
+        velocity = _object_velocity(last, first + bins[0], first + bins[1])
+        parts += [_in_rows(velocity[:, : len(OBJECT_WINDOWS)]), _in_rows(velocity[:, len(OBJECT_WINDOWS) :, :2])]
     rows = np.concatenate(parts, axis=1)
     found = np.atleast_1d(np.all(np.isfinite(onsets), axis=0)) if onsets else np.full(len(rows), True)
     return [row if hits else None for row, hits in zip(rows, found, strict=True)]
+
+
+def _in_rows(values: Array) -> Array:
+    """Values by simulation, bin and entry ``(B, w, m)``, as ``(B, w m)``."""
+    return values.reshape(len(values), -1)
 
 
 def onset_level(time: Array, velocity: Array) -> float | None:
@@ -212,32 +223,24 @@ def _loss(time: Array, velocity: Array) -> tuple[Array, Array]:
 def _impact_features(onset: Array, dynamics: Balances) -> list[Array]:
     """Jump and first 80 ms; windows begin between ticks, so features are continuous in the time of the impact."""
     time = dynamics.time
-    velocity, twist = _Integral(time, dynamics.arm.velocity), _Integral(time, dynamics.twists)
-    before = (onset + JUMP_BEFORE[0], onset + JUMP_BEFORE[1])
-    settled = (onset + JUMP_WINDOWS[SETTLED][0], onset + JUMP_WINDOWS[SETTLED][1])
-    jump = velocity.mean(*settled) - velocity.mean(*before)
-    baseline = twist.mean(*before)
-    linear, force, rotation = [], [], []
-    for start, end in JUMP_WINDOWS:
-        change = twist.mean(onset + start, onset + end) - baseline
-        linear.append(change[:, :3])
-        rotation.append(change[:, 3:])
-        edges = (onset + start - 0.003, onset + end)
-        force.append(dynamics.wrench_at(0.5 * (edges[0] + edges[1]), dynamics.link_balance(*edges))[:, :3])
-    return [jump, *linear, *force, *rotation]
+    starts, ends = (onset[:, None] + np.array(edges) for edges in zip(JUMP_BEFORE, *JUMP_WINDOWS, strict=True))
+    velocity = _Integral(time, dynamics.arm.velocity).mean(starts, ends)
+    jump = velocity[:, 1 + SETTLED] - velocity[:, 0]
+    twist = _Integral(time, dynamics.twists).mean(starts, ends)
+    change = twist[:, 1:] - twist[:, :1]
+    starts, ends = starts[:, 1:] - 0.003, ends[:, 1:]
+    force = dynamics.wrench_at(0.5 * (starts + ends), dynamics.link_balance(starts, ends))[..., :3]
+    return [jump, _in_rows(change[..., :3]), _in_rows(force), _in_rows(change[..., 3:])]
 
 
 def _push_features(onset: Array, dynamics: Balances, pushes: int) -> list[Array]:
-    motor, wrench, velocity = [], [], []
-    twist = _Integral(dynamics.time, dynamics.twists[..., :3])
-    for start, end in zip(PUSH[:pushes], PUSH[1:], strict=False):
-        begin, stop = onset + start, onset + end
-        at_motor, at_link = dynamics.balance(begin, stop)
-        motor.append(at_motor)
-        wrench.append(dynamics.wrench_at(0.5 * (begin + stop), at_link))
-        velocity.append(twist.mean(begin, stop))
-    forces, moments = [row[:, :3] for row in wrench], [row[:, 3:] for row in wrench]
-    return [*(motor if dynamics.command is not None else []), *forces, *moments, *velocity]
+    """Motor balance, wrench and velocity while both bodies move together."""
+    begin, stop = (onset[:, None] + np.array(edges) for edges in (PUSH[:pushes], PUSH[1 : pushes + 1]))
+    motor, link = dynamics.balance(begin, stop)
+    wrench = dynamics.wrench_at(0.5 * (begin + stop), link)
+    velocity = _Integral(dynamics.time, dynamics.twists[..., :3]).mean(begin, stop)
+    known = [motor] if dynamics.command is not None else []
+    return [_in_rows(values) for values in (*known, wrench[..., :3], wrench[..., 3:], velocity)]
 
 
 class _Integral:
@@ -253,20 +256,20 @@ class _Integral:
         steps = 0.5 * (values[:, 1:] + values[:, :-1]) * np.diff(time)[:, None]
         self._sums = np.concatenate((np.zeros_like(values[:, :1]), np.cumsum(steps, axis=1)), axis=1)
 
-    def at(self, moment: Array) -> Array:
-        """The signals at a moment of each simulation, ``(B,)`` or one for all ``(1,)`` [s], as ``(B, m)``."""
-        return _between(self._time, self._values, moment)
+    def at(self, moments: Array) -> Array:
+        """The signals at moments of each simulation, ``(B, w)`` [s], as ``(B, w, m)``."""
+        return _between(self._time, self._values, moments)
 
-    def mean(self, start: Array, end: Array) -> Array:
-        """Mean over a window of each simulation, ``(B, m)``."""
-        total = _between(self._time, self._sums, end) - _between(self._time, self._sums, start)
-        return np.asarray(total / (end - start)[:, None])
+    def mean(self, starts: Array, ends: Array) -> Array:
+        """Means over windows of each simulation, ``(B, w)`` [s], as ``(B, w, m)``."""
+        total = _between(self._time, self._sums, ends) - _between(self._time, self._sums, starts)
+        return np.asarray(total / (ends - starts)[..., None])
 
 
-def _between(time: Array, values: Array, moment: Array) -> Array:
-    row = np.clip(np.searchsorted(time, moment) - 1, 0, time.size - 2)
-    share = ((moment - time[row]) / (time[row + 1] - time[row]))[:, None]
-    every = np.arange(len(values))
+def _between(time: Array, values: Array, moments: Array) -> Array:
+    row = np.clip(np.searchsorted(time, moments) - 1, 0, time.size - 2)
+    share = ((moments - time[row]) / (time[row + 1] - time[row]))[..., None]
+    every = np.arange(len(values))[:, None]
     return np.asarray((1.0 - share) * values[every, row] + share * values[every, row + 1])
 
 
@@ -279,6 +282,94 @@ def _slopes(samples: int, length: int) -> Array:
     return np.asarray(scipy.signal.savgol_filter(np.eye(samples), length, 2, deriv=1, axis=0))
 
 
+def _spring_rate(time: Array, arm: ArmSignals, physics: ArmPhysics, motor: bool) -> Array:
+    """dtheta - dq, measured or from the slope of the joint torque, ``(B, k, n)`` [rad/s]."""
+    if motor:
+        return arm.motor_velocity - arm.velocity
+    length = max(5, 2 * round(RATE_SPAN / float(time[1] - time[0]) / 2.0) + 1)
+    length = min(length, time.size - 1 + time.size % 2)
+    rate = _slopes(time.size, length) @ arm.torque / float(time[1] - time[0])
+    return np.asarray(rate / physics.stiffness)
+
+
+def _momenta(model: RobotModel, arm: ArmSignals, rows: NDArray[np.intp] | slice) -> tuple[Array, Array, Array]:
+    """M dq, C^T dq - g and the twist of E along the rows of several motions, ``(B, r, .)``."""
+    q, dq = arm.position[:, rows], arm.velocity[:, rows]
+    joints = q.shape[-1]
+    found = model.chain.momentum(q.reshape(-1, joints), dq.reshape(-1, joints))
+    momentum, known, twist = (values.reshape(*q.shape[:2], -1) for values in found)
+    return momentum, known, twist
+
+
+def _middle(start: Array, end: Array) -> tuple[Array, Array]:
+    """Effective limits of a bin [s]: momentum is averaged over its ends, so it refers to their middles."""
+    return start + 0.5 * EDGE, end - 0.5 * EDGE
+
+
+def _change_and_mean(signal: _Integral, start: Array, end: Array) -> tuple[Array, Array]:
+    """Rate of change of a signal over bins, between the means of their ends, and its mean between their middles."""
+    begin, stop = _middle(start, end)
+    ramp = signal.mean(end - EDGE, end) - signal.mean(start, start + EDGE)
+    return ramp / (stop - begin)[..., None], signal.mean(begin, stop)
+
+
+@functools.lru_cache(maxsize=1024)
+def _weights(ticks: bytes) -> tuple[Array, Array]:
+    """Rate of change and mean of a signal over all ticks (bytes, [s]), as weights of its samples, ``(k,)`` each."""
+    time = np.frombuffer(ticks)
+    change, mean = _change_and_mean(_Integral(time, np.eye(time.size)[None]), time[None, :1], time[None, -1:])
+    return change[0, 0], mean[0, 0]
+
+
+@functools.lru_cache(maxsize=1024)
+def _coarse(ticks: bytes) -> NDArray[np.intp]:
+    """Rows at which gravity and momentum are computed: momentum matters at the ends only, the rest changes slowly."""
+    time = np.frombuffer(ticks)
+    rows = np.arange(time.size)
+    ends = (time <= time[0] + 1.5 * EDGE) | (time >= time[-1] - 1.5 * EDGE)
+    return rows[ends | (rows % STRIDE == 0)]
+
+
+@dataclass(frozen=True)
+class FreeBalances:
+    """Torque balances of the nominal model over whole windows of free motion; arrays are ``(B, n)``.
+
+    Attributes:
+        time: Ticks, ``(k,)`` [s].
+        acceleration: Mean acceleration of the motors [rad/s^2].
+        transmitted: Mean torque that the joints transmit [N m].
+        link_balance: Mean of b_l [N m].
+    """
+
+    time: Array
+    acceleration: Array
+    transmitted: Array
+    link_balance: Array
+
+    @staticmethod
+    def of(time: Array, arm: ArmSignals, physics: ArmPhysics, model: RobotModel, motor: bool) -> FreeBalances:
+        """Balances of several motions on the same ticks; arguments as for :class:`Balances`."""
+        rows = _coarse(time.tobytes())
+        change, mean = _weights(time.tobytes())
+        coarse_change, coarse_mean = _weights(time[rows].tobytes())
+        spring_rate = _spring_rate(time, arm, physics, motor)
+        momentum, known, _ = _momenta(model, arm, rows)
+        transmitted = mean @ (arm.torque + physics.damping * spring_rate)
+        link = transmitted + coarse_mean @ known - coarse_change @ momentum
+        return FreeBalances(time, change @ (arm.velocity + spring_rate), transmitted, link)
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """Time to which the change of momentum refers: begin and end [s]."""
+        begin, end = _middle(self.time[0], self.time[-1])
+        return float(begin), float(end)
+
+    def motor_balance(self, command: Array, inertia: Array) -> Array:
+        """Mean of b_m for a desired torque at every tick, ``(k, n)`` [N m]."""
+        _, mean = _weights(self.time.tobytes())
+        return np.asarray(mean @ command - self.transmitted - inertia * self.acceleration)
+
+
 class Balances:
     """Torque balances of the nominal model along several motions on the same ticks.
 
@@ -289,7 +380,6 @@ class Balances:
         physics: Nominal, of the drives.
         model: Nominal rigid-body model.
         motor: Whether motor position and velocity are looked at.
-        coarse: Whether only the balance over the whole motion is needed; the rest is then not valid.
     """
 
     def __init__(
@@ -300,78 +390,58 @@ class Balances:
         physics: ArmPhysics,
         model: RobotModel,
         motor: bool,
-        coarse: bool = False,
     ) -> None:
         self.time, self.arm, self.command, self.physics, self.model = time, arm, command, physics, model
-        rows = np.arange(time.size)
-        if coarse:  # momentum matters at the ends only, and the other terms change slowly
-            ends = (time <= time[0] + 1.5 * EDGE) | (time >= time[-1] - 1.5 * EDGE)
-            rows = rows[ends | (rows % STRIDE == 0)]
-        count, _, joints = arm.position.shape
-        found = model.chain.momentum(
-            arm.position[:, rows].reshape(-1, joints), arm.velocity[:, rows].reshape(-1, joints)
-        )
-        momentum, known, self.twists = (values.reshape(count, rows.size, -1) for values in found)
-        if motor:
-            spring_rate = arm.motor_velocity - arm.velocity
-        else:
-            length = max(5, 2 * round(RATE_SPAN / float(time[1] - time[0]) / 2.0) + 1)
-            length = min(length, time.size - 1 + time.size % 2)
-            rate = _slopes(time.size, length) @ arm.torque / float(time[1] - time[0])
-            spring_rate = rate / physics.stiffness
-        self.motor_velocity = arm.velocity + spring_rate
+        momentum, known, self.twists = _momenta(model, arm, slice(None))
+        spring_rate = _spring_rate(time, arm, physics, motor)
         self._damped = _Integral(time, arm.torque + physics.damping * spring_rate)
         self._command = None if command is None else _Integral(time, command[None])
-        self._motor_velocity = _Integral(time, self.motor_velocity)
-        self._momentum = _Integral(time[rows], momentum)
-        self._known = _Integral(time[rows], known)
-
-    @staticmethod
-    def middle(start: Array, end: Array) -> tuple[Array, Array]:
-        """Effective limits of a bin [s]: momentum is averaged over its ends, so it refers to their middles."""
-        return start + 0.5 * EDGE, end - 0.5 * EDGE
-
-    def motor_terms(self, start: Array, end: Array) -> tuple[Array, Array]:
-        """Mean motor acceleration over a bin, ``(B, n)`` [rad/s^2], and mean transmitted torque [N m]."""
-        begin, stop = self.middle(start, end)
-        ramp = self._motor_velocity.mean(end - EDGE, end) - self._motor_velocity.mean(start, start + EDGE)
-        return ramp / (stop - begin)[:, None], self._damped.mean(begin, stop)
+        self._motor_velocity = _Integral(time, arm.velocity + spring_rate)
+        self._momentum = _Integral(time, momentum)
+        self._known = _Integral(time, known)
 
     def balance(self, start: Array, end: Array) -> tuple[Array, Array]:
-        """Motor-side and link-side balance over a bin, ``(B, n)`` each [N m]; the former is 0 without a command."""
-        begin, stop = self.middle(start, end)
-        ramp, damped = self.motor_terms(start, end)
-        change = self._momentum.mean(end - EDGE, end) - self._momentum.mean(start, start + EDGE)
-        link = damped + self._known.mean(begin, stop) - change / (stop - begin)[:, None]
+        """Motor- and link-side balance over bins ``(B, w)`` [s], ``(B, w, n)`` [N m]; the former is 0 without a command."""
+        begin, stop = _middle(start, end)
+        ramp, _ = _change_and_mean(self._motor_velocity, start, end)
+        damped = self._damped.mean(begin, stop)
+        change, _ = _change_and_mean(self._momentum, start, end)
+        link = damped + self._known.mean(begin, stop) - change
         if self._command is None:
             return np.zeros_like(link), link
         return self._command.mean(begin, stop) - damped - self.physics.motor_inertia_reduced * ramp, link
 
     def link_balance(self, start: Array, end: Array) -> Array:
-        """Link-side balance over a short window that begins and ends between ticks, ``(B, n)`` [N m]."""
-        change = (self._momentum.at(end) - self._momentum.at(start)) / (end - start)[:, None]
+        """Link-side balance over short windows that begin and end between ticks, ``(B, w, n)`` [N m]."""
+        change = (self._momentum.at(end) - self._momentum.at(start)) / (end - start)[..., None]
         return (self._damped.mean(start, end) + self._known.mean(start, end)) - change
 
     def wrench_at(self, moments: Array, balances: Array) -> Array:
-        """Contact wrench of the arm on its environment from link-side balances, at E in E[A], ``(B, 6)`` [N, N m].
+        """Contact wrench of the arm on its environment from link-side balances, at E in E[A], ``(B, w, 6)`` [N, N m].
 
         With J the Jacobian of E and M the mass matrix, both of the nominal arm, the wrench is (J M^-1 J^T)^-1 J M^-1 b.
 
         Args:
-            moments: Time of the configuration in each simulation, ``(B,)`` [s].
-            balances: Link-side balance of each, ``(B, n)`` [N m].
+            moments: Time of the configuration in each simulation, ``(B, w)`` [s].
+            balances: Link-side balance of each, ``(B, w, n)`` [N m].
         """
         rows = np.minimum(np.searchsorted(self.time, moments), self.time.size - 1)
-        q = self.arm.position[np.arange(len(rows)), rows]
-        jacobians = np.array([self.model.jacobian(own) for own in q])
-        masses = np.array([self.model.mass_matrix(own) for own in q])
-        known = np.concatenate((np.swapaxes(jacobians, 1, 2), balances[:, :, None]), axis=2)
+        q = self.arm.position[np.arange(len(rows))[:, None], rows]
+        jacobians, masses = self._at(q.reshape(-1, q.shape[-1]))
+        known = np.concatenate((np.swapaxes(jacobians, 1, 2), balances.reshape(-1, q.shape[-1], 1)), axis=2)
         both = jacobians @ np.linalg.solve(masses, known)
-        return np.asarray(np.linalg.solve(both[:, :, :6], both[:, :, 6:])[:, :, 0])
+        return np.linalg.solve(both[:, :, :6], both[:, :, 6:]).reshape(*rows.shape, 6)
+
+    def _at(self, q: Array) -> tuple[Array, Array]:
+        """Jacobians of E ``(k, 6, n)`` and mass matrices ``(k, n, n)``."""
+        jacobians, masses = np.empty((len(q), 6, q.shape[1])), np.empty((len(q), q.shape[1], q.shape[1]))
+        for row, own in enumerate(q):
+            jacobians[row], masses[row] = self.model.jacobian(own), self.model.mass_matrix(own)
+        return jacobians, masses
 
 
 def _object_velocity(signals: Signals, start: Array, end: Array) -> Array:
-    """Slope of position (x, y) and yaw over a window, ``(B, 3)`` [m/s, m/s, rad/s]; zero where it is not tracked.
+    """Slope of position (x, y) and yaw over windows, ``(B, w, 3)`` [m/s, m/s, rad/s]; zero where it is not tracked.
 
     Between the means over the first and the last third: nearly as precise as a least-squares line, and continuous when
     a sample enters the window.
@@ -379,11 +449,11 @@ def _object_velocity(signals: Signals, start: Array, end: Array) -> Array:
     time = signals.object_time
     seen = np.searchsorted(time, end, side="right") - np.searchsorted(time, start)
     if time.size < 2:
-        return np.zeros((start.size, 3))
+        return np.zeros((*start.shape, 3))
     pose = _Integral(time, np.concatenate((signals.object_position[..., :2], signals.object_yaw[..., None]), axis=-1))
     third = (end - start) / 3.0
-    slope = (pose.mean(end - third, end) - pose.mean(start, start + third)) / (2.0 * third)[:, None]
-    return np.where(seen[:, None] < 2, 0.0, slope)
+    slope = (pose.mean(end - third, end) - pose.mean(start, start + third)) / (2.0 * third)[..., None]
+    return np.where(seen[..., None] < 2, 0.0, slope)
 
 
 def pushes_recorded(onset: float, end: float) -> int:

@@ -119,7 +119,6 @@ class ImpactTableSource(Source):
     """
 
     kind = "impacts"
-    cheap = True
     not_measured = ("motion before and after", "torques", "forces")
     residual_unit = "m/s"
     pieces = "blocks of rows"

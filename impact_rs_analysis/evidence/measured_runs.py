@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import hashlib
-import pickle
 import sys
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
@@ -18,7 +17,7 @@ import numpy as np
 from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_analysis.evidence.features import extract, layout, pushes_recorded
 from impact_rs_analysis.evidence.impacts import impacts_of
-from impact_rs_analysis.evidence.replay import Window, free_starts, replay, windows_of
+from impact_rs_analysis.evidence.replay import Window, free_starts, replays, windows_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
@@ -30,7 +29,7 @@ from impact_rs_trials.store import Folder
 from impact_rs_trials.workers import Map
 
 Made = TypeVar("Made")
-KEPT = 64  # free motions, or models, cached by a process, at most about 0.2 MB each
+KEPT = 64  # models cached by a process
 LARGEST_LOSS = 0.5  # largest share of windows of free motion that all runs drop for gaps in some
 
 
@@ -106,18 +105,14 @@ class Setup:
     def replayed(self, physics: Physics) -> list[Signals]:
         """Simulation of the windows under other physics.
 
-        Free motion does not depend on pad, object and support: if only these change, it is taken from the cache.
-
         Raises:
             NotABody: Mass and inertia of an end effector are not those of a body.
         """
-        free = [window for window in self.windows if not window.contact]
-        if not free or len(free) == len(self.windows):
-            return replay(self.windows, physics, self.drive_period, self.drive)
-        before = _free_motions.of(
-            (self.digest, _free_physics(physics)), lambda: replay(free, physics, self.drive_period, self.drive)
-        )
-        return [*before, *replay(self.windows[len(free) :], physics, self.drive_period, self.drive)]
+        return self.replayed_all([physics])[0]
+
+    def replayed_all(self, physics: Sequence[Physics], threads: int = 1) -> list[list[Signals]]:
+        """Simulations of the windows, one under each physics, as :meth:`replayed`."""
+        return replays([(self.windows, one) for one in physics], self.drive_period, self.drive, threads)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,36 +191,6 @@ class MeasuredRun(Run):
         return tuple(_within(self.signals, window) for window in self.setup.windows)
 
     @property
-    def free_part(self) -> MeasuredRun | None:
-        """The run before the impact; None without a window of free motion."""
-        windows = tuple(window for window in self.setup.windows if not window.contact)
-        if len(windows) == len(self.setup.windows):
-            return self
-        if not windows:
-            return None
-        physics, command = self.setup.physics, self.setup.drive == "command"
-        parts = layout(physics.arm_joints, len(windows), None, command, self.setup.motor, False)
-        numbers = [window.number for window in windows]
-        rows = [number for number, feature in enumerate(self.features) if feature.phase == "free"]
-        features = tuple(self.features[row] for row in rows)
-        setup = replace(
-            self.setup,
-            windows=windows,
-            tracked=False,
-            pushes=None,
-            kept=tuple(parts.index(replace(feature, bin=numbers.index(feature.bin))) for feature in features),
-            levels={},
-        )
-        return replace(
-            self,
-            hit=False,
-            setup=setup,
-            features=features,
-            measured=self.measured[rows],
-            impacts={},
-        )
-
-    @property
     def lost(self) -> tuple[int, ...]:
         """Windows of free motion dropped for gaps, in this run or in a repeat."""
         return tuple(sorted(set(range(self.free)) - {f.bin for f in self.features if f.phase == "free"}))
@@ -278,13 +243,6 @@ class _Recent(Generic[Made]):
 
 
 _models = _Recent[RobotModel]()
-_free_motions = _Recent[list[Signals]]()
-
-
-def _free_physics(physics: Physics) -> bytes:
-    """Digest of everything that free motion depends on."""
-    arms = {name: replace(arm, pad_stiffness=None, pad_damping=0.0) for name, arm in physics.arms.items()}
-    return pickle.dumps((arms, physics.gravity))
 
 
 @dataclass(frozen=True)

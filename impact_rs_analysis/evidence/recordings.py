@@ -90,7 +90,6 @@ class RecordingSource(Source):
 
     kind = "recordings"
     repeated = False
-    cheap = True
     size_is = "root mean square of recorded minus predicted joint torque over all joints and samples"
     not_measured = ("velocity jump", "contact and impulses", "object", "controller and its references")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The replay twin: the plant from a measured state, driven by recorded torque, over short windows.
+"""Replays: the twin from a measured state, driven by recorded torque, over short windows.
 
 No controller is modelled, so runs of any controller can be replayed. Two drives:
 
@@ -24,14 +24,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from impact_rs_sim.bullet_world import check_body
-from impact_rs_sim.drive import Drive, DriveStart, LinkTorque
+from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.free_motion import FreeStretch, run_free
-from impact_rs_sim.mechanics import Mechanics
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.twin import Result, TwinJob, simulate
 from impact_rs_trials.runs import ArmSignals, DriveName, Run, Signals
 
 FREE = 0.1  # s, length of a window of free motion
@@ -74,25 +72,6 @@ class Window:
     def substeps(self) -> int:
         """Periods of the torque loop from tick to tick."""
         return len(next(iter(self.acting.values()))) // (self.time.size - 1)
-
-    def delivered(self, arm: str, delay: float, period: float) -> Array:
-        """Driving torque that arrives in every period of the torque loop after a delay, ``(s, n)`` [N m].
-
-        The mean of the held torques over the period that began ``delay`` ago, as in the drive.
-
-        Args:
-            arm: Name of the arm.
-            delay: Of the desired torque [s].
-            period: Of the torque loop [s].
-        """
-        held = self.torque[arm][self.acting[arm]]
-        if delay == 0.0:
-            return held
-        earlier = self.drives[arm].earlier or ((-np.inf, self.drives[arm].torque),)
-        since = np.concatenate(([moment for moment, _ in earlier], np.arange(len(held)) * period))
-        values = np.vstack((*(torque for _, torque in earlier), held))
-        grid = np.arange(len(held) + 1) * period - delay
-        return held_means(since, values, np.asarray(grid, dtype=float))
 
     def commanded(self, arm: str) -> Array:
         """Driving torque at every tick, ``(k, n)`` [N m]."""
@@ -266,86 +245,49 @@ def _noise(values: Array, least: float) -> float:
     return max(float(np.median(np.abs(third))) / (0.6745 * math.sqrt(20.0)), least)
 
 
-def replay(windows: Sequence[Window], physics: Physics, drive_period: float, drive: DriveName) -> list[Signals]:
-    """Simulated signals of every window.
+def replays(
+    tasks: Sequence[tuple[Sequence[Window], Physics]], drive_period: float, drive: DriveName, threads: int = 1
+) -> list[list[Signals]]:
+    """Simulated signals of the windows of several replays, by the twin (:mod:`impact_rs_sim.twin`).
 
     Args:
-        windows: Windows of one run.
-        physics: Physics of the model.
+        tasks: Windows of a run, and physics of the model, of every replay.
         drive_period: Period of the torque loop [s].
         drive: Model between the recorded torque and the links.
+        threads: Largest number of threads.
 
     Raises:
         NotABody: Mass and inertia of an end effector are not those of a body.
     """
-    kind = Drive if drive == "command" else LinkTorque
-    for name, arm in physics.arms.items():
-        check_body(name, arm.end_effector)
-    found: dict[int, Signals] = {}
-    alike: dict[int, list[int]] = {}
-    for number, window in enumerate(windows):
-        if not window.contact:
-            alike.setdefault(window.time.size, []).append(number)
-    for numbers in alike.values():
-        free = _freely([windows[number] for number in numbers], physics, drive_period, kind)
-        found |= dict(zip(numbers, free, strict=True))
-    touching = [number for number, window in enumerate(windows) if window.contact]
-    if touching:
-        mechanics = Mechanics.load(physics, drive_period, kind)
-        try:
-            found |= {number: _replayed(windows[number], mechanics) for number in touching}
-        finally:
-            mechanics.close()
-    return [found[number] for number in range(len(windows))]
+    jobs = [_job(window, physics, drive_period, drive) for windows, physics in tasks for window in windows]
+    results = iter(simulate(jobs, threads))
+    return [[_signals(window, next(results)) for window in windows] for windows, _ in tasks]
 
 
-def _freely(
-    windows: Sequence[Window], physics: Physics, period: float, kind: type[Drive] | type[LinkTorque]
-) -> list[Signals]:
-    """Simulated windows of free motion, all of one length, in one batch."""
-    arms: list[dict[str, ArmSignals]] = [{} for _ in windows]
-    for name, arm in physics.arms.items():
-        stretches = [
-            FreeStretch(
-                window.arms[name],
-                window.drives[name],
-                window.delivered(name, arm.actuation_delay if kind is Drive else 0.0, period),
-                float(window.time[0]),
-            )
-            for window in windows
-        ]
-        paths = run_free(physics, name, stretches, period, windows[0].substeps, kind)
-        for own, path in zip(arms, paths, strict=True):
-            own[name] = ArmSignals(path.position, path.velocity, path.torque, path.motor_position, path.motor_velocity)
-    return [Signals(window.time, own) for window, own in zip(windows, arms, strict=True)]
+def _job(window: Window, physics: Physics, drive_period: float, drive: DriveName) -> TwinJob:
+    """The simulation of a window; before contact the object is left out."""
+    return TwinJob(
+        physics=physics,
+        arms=window.arms,
+        drives=window.drives,
+        torque=window.torque,
+        acting=window.acting,
+        time=window.time,
+        period=drive_period,
+        object=window.object if window.contact else None,
+        joint_torque=drive == "joint torque",
+    )
 
 
-def _replayed(window: Window, mechanics: Mechanics) -> Signals:
-    mechanics.start(window.arms, window.drives, window.object)
-    ticks = window.time.size
-    names = list(window.arms)
-    columns = {
-        name: {key: np.empty((ticks, mechanics.links[name].position.size)) for key in ("q", "dq", "tau", "m", "dm")}
-        for name in names
+def _signals(window: Window, result: Result) -> Signals:
+    """Simulated signals, the object's at the times of tracking, because means over few samples depend on them."""
+    arms = {
+        name: ArmSignals(path.position, path.velocity, path.torque, path.motor_position, path.motor_velocity)
+        for name, path in result.arms.items()
     }
-    poses = np.empty((ticks, 7))
-    substeps = window.substeps
-    # One torque object per held command, so that the torque loop evaluates it once.
-    held = {name: list(window.torque[name]) for name in names}
-    desired = {name: [held[name][row] for row in window.acting[name]] for name in names}
-    for tick in range(ticks):
-        for name in names:
-            link, drive, own = mechanics.links[name], mechanics.drives[name], columns[name]
-            own["q"][tick], own["dq"][tick], own["tau"][tick] = link.position, link.velocity, drive.elastic_torque
-            own["m"][tick], own["dm"][tick] = drive.position, drive.velocity
-        poses[tick] = mechanics.world.object_pose()
-        if tick + 1 < ticks:
-            rows = slice(tick * substeps, (tick + 1) * substeps)
-            mechanics.step({name: desired[name][rows] for name in names}, float(window.time[tick]))
-    arms = {name: ArmSignals(own["q"], own["dq"], own["tau"], own["m"], own["dm"]) for name, own in columns.items()}
-    # The object at the times of tracking, because means over few samples depend on their times.
-    tracked = mechanics.world.tracked(poses)
-    seen = np.column_stack([np.interp(window.seen, window.time, column) for column in tracked.T])
+    if not window.contact:
+        return Signals(window.time, arms)
+    seen = np.column_stack([np.interp(window.seen, window.time, column) for column in result.poses.T])
     return Signals(window.time, arms, window.seen, seen[:, :3], seen[:, 3:])
 
 

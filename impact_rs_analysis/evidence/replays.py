@@ -6,13 +6,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from impact_rs_analysis.evidence.ante_impact import obliqueness
-from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, difference, pooled_error
+from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, pooled_error
 from impact_rs_analysis.evidence.discrepancy import Discrepancy, Kind, measured_discrepancy
 from impact_rs_analysis.evidence.levels import Comparison, condition_scores, level_of, signal_levels, where_of
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
@@ -179,7 +178,6 @@ class ReplaySource(Source):
     """
 
     repeated = True
-    cheap = False
     runs: Runs
 
     def __init__(
@@ -270,18 +268,6 @@ class ReplaySource(Source):
         """See :meth:`Source.tracks`: the first run of every condition beside its replay."""
         return tracks_of_runs(self.runs, self.model, map_tasks, added)
 
-    @cached_property
-    def free_motion(self) -> ReplaySource | None:
-        """See :attr:`Source.free_motion`; free motion takes a tenth of the time of the impact window."""
-        parts = [run.free_part for run in self.runs.runs]
-        known = [part for part in parts if part is not None]
-        if len(known) < len(parts):
-            return None
-        clusters = tuple(item.only([f.phase == "free" for f in item.features], contact=False) for item in self.clusters)
-        return ReplaySource(
-            replace(self.runs, runs=tuple(known)), self.model, self.store, clusters, self.discrepancy, self.remarks
-        )
-
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         """See :meth:`Source.predict`; the first run of every condition is replayed."""
         return self.store(
@@ -294,21 +280,6 @@ class ReplaySource(Source):
         runs, store = replace(self.runs, runs=bare, late={}), self.store.in_one_process()
         alone = ReplaySource(runs, self.model, store, self.clusters, self.discrepancy, self.remarks)
         return self.store.spread(partial(function, alone), items, what)
-
-    def differences(
-        self, numbers: Sequence[int], before: Added, after: Added, what: str, every: bool = True
-    ) -> list[Array | None]:
-        """See :meth:`Source.differences`; every repeat is replayed, because contacts differ between repeats."""
-        groups = [self.conditions[number][: None if every else 1] for number in numbers]
-        tasks = [Replay(run.setup, self.model, added) for added in (before, after) for group in groups for run in group]
-        found = self.store(tasks, what)
-        half = len(tasks) // 2
-        changes = iter([difference(a, b) for a, b in zip(found[:half], found[half:], strict=True)])
-        means: list[Array | None] = []
-        for group in groups:
-            own = [change for change in islice(changes, len(group)) if change is not None]
-            means.append(np.mean(own, axis=0) if len(own) == len(group) else None)
-        return means
 
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.measure_again`; every run is replayed from its own start."""

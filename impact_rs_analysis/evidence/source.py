@@ -51,7 +51,6 @@ class Source(ABC):
         physics: Physics of one cluster under the model, for the number of joints.
         worlds: All distinct physics of the clusters under the model, for bounds of parameters.
         repeated: Whether clusters hold repeats; if not, clusters are stretches of time.
-        cheap: Whether predictions are cheap enough to try several starts of a fit.
         remarks: Remarks on the measurements, for the reader.
         comparison_remarks: Those of them that a comparison shows.
         runs: Runs of trials; None: recordings or a table of impacts.
@@ -74,7 +73,6 @@ class Source(ABC):
     clusters: tuple[Cluster, ...]
     physics: Physics
     repeated: bool
-    cheap: bool
     remarks: Sequence[str] = ()
     runs: Runs | None = None
     recording: RecordingDocument | None = None
@@ -130,11 +128,6 @@ class Source(ABC):
         """Factors from scaled residuals to ``residual_unit``, without repeats, ``(F,)``."""
         return item.sigma
 
-    @property
-    def free_motion(self) -> Source | None:
-        """The clusters before contact, if they are cheaper to predict alone; else None."""
-        return None
-
     def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
         """``function(source, item)`` of every item, in parallel processes if predictions are expensive.
 
@@ -158,9 +151,7 @@ class Source(ABC):
             ``(F,)`` each; None if a contact is missing, or if the effects give a body without positive inertia.
         """
 
-    def differences(
-        self, numbers: Sequence[int], before: Added, after: Added, what: str, every: bool = True
-    ) -> list[Array | None]:
+    def differences(self, numbers: Sequence[int], before: Added, after: Added, what: str) -> list[Array | None]:
         """Change of features with a change of effects, in their units.
 
         Args:
@@ -168,12 +159,10 @@ class Source(ABC):
             before: Added effects before.
             after: Added effects after.
             what: Purpose, shown as progress.
-            every: Whether to average over all repeats of a cluster; else one repeat stands for all.
 
         Returns:
             ``(F,)`` each; None where one of the two cannot be predicted.
         """
-        del every
         found = self.predict([(number, added) for added in (before, after) for number in numbers], what)
         return [difference(a, b) for a, b in zip(found[: len(numbers)], found[len(numbers) :], strict=True)]
 

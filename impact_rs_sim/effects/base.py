@@ -61,7 +61,7 @@ class Parameter:
         per_joint: Whether there is one per joint.
         step: Step of the first finite difference; None: its scale.
         shape: Whether it has no influence while the effect is off (Stribeck velocity; position of a payload).
-        grid: Starting values of a shape parameter, where trying them is cheap.
+        grid: Starting values of a shape parameter.
         far: Starting values for a second fit after a poor one, where the contact state changes on the way.
         hidden: Range of values in blind campaigns; None: some scales away from nominal.
         joint: Joint of a scalar, counted from 0; None: the effect as a whole.
@@ -97,6 +97,10 @@ class Parameter:
     def difference(self) -> float:
         """Step of the first finite difference."""
         return self.scale if self.step is None else self.step
+
+    def difference_at(self, value: float) -> float:
+        """Step of a finite difference from ``value``; a shape parameter whose grid spans decades changes by a fifth."""
+        return min(self.difference, 0.2 * abs(value)) if self.grid and value != 0.0 else self.difference
 
     @property
     def shared_name(self) -> str:
@@ -182,12 +186,11 @@ class Effect(ABC):
 
     def steps(self, joints: Joints, at: Array) -> Array:
         """Finite-difference steps from ``at`` ``(p,)``, backwards at an upper bound, ``(p,)``."""
-        return np.array(
-            [
-                scalar.difference if scalar.lower <= value + scalar.difference <= scalar.upper else -scalar.difference
-                for scalar, value in zip(self.scalars(joints), at, strict=True)
-            ]
-        )
+        found = []
+        for scalar, value in zip(self.scalars(joints), at, strict=True):
+            step = scalar.difference_at(float(value))
+            found.append(step if scalar.lower <= value + step <= scalar.upper else -step)
+        return np.array(found)
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
         """Lower and upper bound of every scalar under ``physics`` (without the effect), ``(p,)`` each."""

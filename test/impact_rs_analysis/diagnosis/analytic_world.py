@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -113,8 +112,6 @@ class AnalyticSource(Source):
         repeated: Whether rows are repeats; if not, every cluster is one stretch of a recording.
     """
 
-    cheap = False
-
     def __init__(
         self,
         seed: int,
@@ -170,24 +167,18 @@ class AnalyticSource(Source):
 class BeforeTheHit(AnalyticSource):
     """Clusters whose first half of features was measured before anything is hit; arguments as for the world."""
 
+    def __init__(self, seed: int, truth: Added = ()) -> None:
+        super().__init__(seed, truth)
+        labels = tuple(
+            replace(feature, phase="free") if before else feature
+            for feature, before in zip(self.clusters[0].features, self.before, strict=True)
+        )
+        self.clusters = tuple(replace(item, features=labels) for item in self.clusters)
+
     @property
     def before(self) -> list[bool]:
         """Which of the features these are."""
         return [number < FEATURES // 2 for number in range(FEATURES)]
-
-    @property
-    def free_motion(self) -> AnalyticSource:
-        """These features alone; what is asked of them is not in ``asked``."""
-        found = copy.copy(self)
-        found.__class__ = _FirstHalf
-        found.asked = []
-        found.clusters = tuple(item.only(self.before, contact=False) for item in self.clusters)
-        return found
-
-
-class _FirstHalf(AnalyticSource):
-    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
-        return [None if values is None else values[: FEATURES // 2] for values in super().predict(wanted, what)]
 
 
 def knowing(source: AnalyticSource, *effects: Effect) -> AnalyticSource:

@@ -29,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("few_draws")
 
 def fitted(source: AnalyticSource, *names: str, change: Array | None = None) -> Fit:
     """Effects together, linearised where they do nothing; with a change [parameter scales] in place of the best."""
-    search = Search.screened([EFFECTS[name] for name in names], Evidence.of(source))
+    search = Search([EFFECTS[name] for name in names], Evidence.of(source))
     found = search.beside(None, names[0])
     for name in names[1:]:
         found = search.beside(found, name)
