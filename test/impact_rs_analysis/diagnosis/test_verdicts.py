@@ -46,8 +46,8 @@ def test_nothing_is_missing_and_one_is_what_repetition_gives() -> None:
 def test_where_noise_explains_all_only_what_folds_choose_is_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def nowhere(source: AnalyticSource, effects: Sequence[Effect], ended: Any) -> HoldOut | None:
-        found = hold_out(source, effects, ended)
+    def nowhere(source: AnalyticSource, effects: Sequence[Effect]) -> HoldOut | None:
+        found = hold_out(source, effects)
         return found and replace(found, chosen=tuple(() for _ in found.chosen))
 
     source = AnalyticSource(1, (("straight", (5.0,)),))
