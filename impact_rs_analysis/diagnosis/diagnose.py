@@ -43,6 +43,7 @@ from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
+from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 
 CORRELATED = 0.8
@@ -70,7 +71,10 @@ def diagnose(
         )
     known = source.model.known_effects
     present = {item.name for item in source.model.effects}
-    effects = [known[name] for name in known if name not in present and (only is None or name in only)]
+    size = Proportion.of(source.physics)
+    effects = [
+        known[name].in_proportion(size) for name in known if name not in present and (only is None or name in only)
+    ]
     search = Search(effects, Evidence.of(source), progress)
     chosen = None if search.evidence.null.shortage is not None else search.choose()
     rivals: Sequence[Rival] = ()

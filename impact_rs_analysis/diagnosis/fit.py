@@ -26,6 +26,7 @@ SHORTEST_LESSON = 0.5  # parameter scales; shorter steps update no sensitivities
 NEAR = 0.1  # parameter scales; a correction below this does not depend on where a trial starts
 MOST_LOOKS = 4
 POOR = 1.5  # times the expected squared error; a fit below it needs no other start
+WIDENINGS = 4  # of the range of a parameter, to sixteen times its declared width
 HOPELESS = 3.0  # times the squared error of the best fit; a fit above it is dropped
 
 
@@ -165,6 +166,15 @@ class Fit:
         candidate = self.candidate
         return np.clip(candidate.point + self.change * candidate.scale, candidate.lower, candidate.upper)
 
+    @cached_property
+    def at_bound(self) -> NDArray[np.bool_]:
+        """Whether estimates lie at a bound other than their nominal value, ``(p,)``."""
+        candidate = self.candidate
+        near = 1e-6 * candidate.scale
+        low = (np.abs(self.estimate - candidate.lower) < near) & (np.abs(candidate.lower - candidate.nominal) > near)
+        high = (np.abs(self.estimate - candidate.upper) < near) & (np.abs(candidate.upper - candidate.nominal) > near)
+        return np.asarray(low | high)
+
     @property
     def held_out(self) -> Array:
         """Mean square scaled error per cluster, predicted from all others, ``(c,)`` [-]."""
@@ -211,13 +221,24 @@ class Fit:
 
 
 def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf) -> Fit:
-    """Fit by repeated simulation.
+    """Fit by repeated simulation; where it ends at a bound that is not one of physics, it goes on beyond.
 
     Args:
         candidate: Start, linearised.
         evidence: The residuals to explain.
         give_up: A fit whose held-out error exceeds this after the first step stops.
     """
+    fitted = _refine(candidate, evidence, give_up)
+    for _ in range(WIDENINGS):
+        wider = fitted.candidate.widened(fitted.at_bound, evidence.source) if np.any(fitted.at_bound) else None
+        if wider is None:
+            break
+        fitted = _refine(wider, evidence, give_up)
+    return fitted
+
+
+def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
+    """:func:`refine` within the bounds of the candidate."""
     best = Fit.of(candidate, evidence)
     nothing = np.zeros_like(best.change)
     best_error = float(np.mean(best.problem.errors(nothing)))

@@ -292,7 +292,7 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
     part = chosen.candidate.part(name)
     rivals = found.tied_with(name)
     own = np.array([not scalar.shape for scalar in chosen.candidate.scalars[part]])
-    widths, bound = chosen.half_widths[part][own], _at_bound(chosen)[part][own]
+    widths, bound = chosen.half_widths[part][own], chosen.at_bound[part][own]
     places = any(scalar.joint is not None or scalar.arm for scalar in chosen.candidate.scalars[part])
     if evidence.null.shortage is not None:
         verdict, reason = TOO_FEW, evidence.null.shortage
@@ -389,15 +389,6 @@ def _error_without(found: Findings, name: str) -> float | None:
     return None if fitted is None else residual_size(fitted.evidence, fitted.problem.left_out_rest)
 
 
-def _at_bound(fitted: Fit) -> Array:
-    """Whether estimates lie at a bound other than their nominal value, ``(p,)`` of bool."""
-    candidate = fitted.candidate
-    near = 1e-6 * candidate.scale
-    low = (np.abs(fitted.estimate - candidate.lower) < near) & (np.abs(candidate.lower - candidate.nominal) > 1e-9)
-    high = (np.abs(fitted.estimate - candidate.upper) < near) & (np.abs(candidate.upper - candidate.nominal) > 1e-9)
-    return np.asarray(low | high)
-
-
 def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDocument]:
     """Estimates of one effect with intervals, clipped to the bounds of the parameters."""
     candidate = fitted.candidate
@@ -445,7 +436,7 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float 
         for name, other in found.search.joint_alternatives(candidate, index)
         if tied_errors(own, _of_joint(evidence, evidence.problem(other).left_out_rest, scalar.arm, joint), 1e-12)
     ]
-    if _at_bound(fitted)[index]:
+    if fitted.at_bound[index]:
         verdict = AT_BOUND
     elif fitted.half_widths[index] > UNSEEN:
         verdict = UNIDENTIFIABLE

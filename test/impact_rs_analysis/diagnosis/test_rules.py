@@ -21,7 +21,7 @@ from impact_rs_analysis.diagnosis.hold_out import HoldOut
 from impact_rs_analysis.diagnosis.scoring import held_against_truth
 from impact_rs_analysis.diagnosis.search import Search, consistent, noticeable
 from impact_rs_analysis.diagnosis.thresholds import UNSEEN
-from impact_rs_analysis.diagnosis.verdicts import Findings, _at_bound, certain, change_interval, sizes_of
+from impact_rs_analysis.diagnosis.verdicts import Findings, certain, change_interval, sizes_of
 from impact_rs_sim.robot import Array
 
 pytestmark = pytest.mark.usefixtures("few_draws")
@@ -49,7 +49,7 @@ def test_a_change_of_the_error_has_the_interval_of_a_mean_over_conditions() -> N
 
 def test_an_estimate_at_the_value_where_it_does_nothing_is_at_no_bound() -> None:
     at = {
-        value: _at_bound(fitted(AnalyticSource(1), "one_sided", change=np.array([value]))) for value in (0.0, 9.0, 50.0)
+        value: fitted(AnalyticSource(1), "one_sided", change=np.array([value])).at_bound for value in (0.0, 9.0, 50.0)
     }
     assert {value: bool(found[0]) for value, found in at.items()} == {0.0: False, 9.0: False, 50.0: True}
 
