@@ -391,8 +391,15 @@ class Search:
                 if linear.score > HOPELESS * chosen.score:
                     continue
                 fitted = refine_again(refine(linear.candidate, chosen.evidence, HOPELESS * chosen.score))
-                found.append(Rival(other, name, fitted, tied(chosen, fitted)))
+                found.append(Rival(other, name, fitted, tied(chosen, fitted) and not _in_the_limit(fitted, other)))
         return found
+
+
+def _in_the_limit(fitted: Fit, name: str) -> bool:
+    """Whether a shape parameter of an effect ends where it imitates a simpler one: then that one is the explanation."""
+    part = fitted.candidate.part(name)
+    shapes = np.array([bool(scalar.grid) for scalar in fitted.candidate.scalars[part]])
+    return bool(np.any(fitted.at_bound[part] & shapes))
 
 
 def tied(chosen: Fit, rival: Fit) -> bool:

@@ -108,7 +108,12 @@ class Parameter:
         return min(self.difference, 0.2 * abs(value)) if self.grid and value != 0.0 else self.difference
 
     def widened(self) -> Parameter:
-        """The parameter with a range twice as wide; a bound at 0 is one of physics, and stays."""
+        """The parameter with a range twice as wide; a bound at 0 is one of physics, and stays.
+
+        A shape whose grid spans decades keeps its range: beyond, the effect is the limit of a simpler one.
+        """
+        if self.grid:
+            return self
         if self.lower > 0.0:
             return replace(self, lower=0.5 * self.lower, upper=2.0 * self.upper)
         lower, upper = (bound and 2.0 * bound - self.nominal for bound in (self.lower, self.upper))
