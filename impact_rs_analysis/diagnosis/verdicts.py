@@ -427,17 +427,22 @@ def _error_without(found: Findings, name: str) -> float | None:
     return None if fitted is None else residual_size(fitted.evidence, fitted.problem.left_out_rest)
 
 
+def _straight(fitted: Fit) -> tuple[Array, Array]:
+    """Ends of the 95 % intervals of a linear fit, within the bounds, ``(p,)`` each."""
+    candidate, half = fitted.candidate, fitted.half_widths * fitted.candidate.scale
+    return np.maximum(fitted.estimate - half, candidate.lower), np.minimum(fitted.estimate + half, candidate.upper)
+
+
 def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDocument]:
     """Estimates of one effect with intervals, clipped to the bounds of the parameters."""
     candidate = fitted.candidate
     part = candidate.part(name)
-    half = fitted.half_widths * candidate.scale
+    ends = fitted.interval if fitted is found.chosen else _straight(fitted)
     result = {}
     for index in range(part.start, part.stop):
         scalar = candidate.scalars[index]
         value = round(float(fitted.estimate[index]) / scalar.scale, 9) * scalar.scale  # no rounding error at bounds
-        low = max(value - float(half[index]), float(candidate.lower[index]))
-        high = min(value + float(half[index]), float(candidate.upper[index]))
+        low, high = (float(end[index]) for end in ends)
         verdict = p = before = after = None
         if scalar.joint is not None and name in found.names and fitted is found.chosen:
             verdict, p, before, after = _joint(found, fitted, index)

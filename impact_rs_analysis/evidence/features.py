@@ -410,7 +410,7 @@ class Balances:
         self._known = _Integral(time, known)
 
     def balance(self, start: Array, end: Array) -> tuple[Array, Array]:
-        """Motor- and link-side balance over bins ``(B, w)`` [s], ``(B, w, n)`` [N m]; without command the former is 0."""
+        """Motor- and link-side balance over bins ``(B, w)`` [s], ``(B, w, n)`` [N m]; the former 0 without command."""
         begin, stop = _middle(start, end)
         ramp, _ = _change_and_mean(self._motor_velocity, start, end)
         damped = self._damped.mean(begin, stop)
