@@ -74,6 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         0 if the job was done, 1 if it was not, 2 for a mistake in the input, 130 after Ctrl-C.
     """
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # the matrices are small; more threads of BLAS cost time
     args = argparse.Namespace(debug=False, json=False, resumable=False)
     try:
         if not (sys.argv[1:] if argv is None else argv):

@@ -309,6 +309,11 @@ def _change_and_mean(signal: _Integral, start: Array, end: Array) -> tuple[Array
     return ramp / (stop - begin)[..., None], signal.mean(begin, stop)
 
 
+def _ticks(time: Array) -> bytes:
+    """Times from the first on, as a key: windows of the same ticks share their weights."""
+    return np.round(time - time[0], 9).tobytes()
+
+
 @functools.lru_cache(maxsize=1024)
 def _weights(ticks: bytes) -> tuple[Array, Array]:
     """Rate of change and mean of a signal over all ticks (bytes, [s]), as weights of its samples, ``(k,)`` each."""
@@ -354,14 +359,15 @@ class FreeBalances:
     @staticmethod
     def of(time: Array, arm: ArmSignals, physics: ArmPhysics, model: RobotModel, motor: bool) -> FreeBalances:
         """Balances of several motions on the same ticks; arguments as for :class:`Balances`."""
-        rows = _coarse(time.tobytes())
-        change, mean = _weights(time.tobytes())
-        coarse_change, coarse_mean = _weights(time[rows].tobytes())
+        ticks = _ticks(time)
+        rows = _coarse(ticks)
+        change, mean = _weights(ticks)
+        coarse_change, coarse_mean = _weights(_ticks(time[rows]))
         momentum, known, _ = _momenta(model, arm, rows)
         if motor:
             acceleration, spring_rate = change @ arm.motor_velocity, mean @ (arm.motor_velocity - arm.velocity)
         else:
-            ramp, rate = (weights @ arm.torque / physics.stiffness for weights in _weights_of_slope(time.tobytes()))
+            ramp, rate = (weights @ arm.torque / physics.stiffness for weights in _weights_of_slope(ticks))
             acceleration, spring_rate = change @ arm.velocity + ramp, rate
         transmitted = mean @ arm.torque + physics.damping * spring_rate
         link = transmitted + coarse_mean @ known - coarse_change @ momentum
@@ -375,7 +381,7 @@ class FreeBalances:
 
     def motor_balance(self, command: Array, inertia: Array) -> Array:
         """Mean of b_m for a desired torque at every tick, ``(k, n)`` [N m]."""
-        _, mean = _weights(self.time.tobytes())
+        _, mean = _weights(_ticks(self.time))
         return np.asarray(mean @ command - self.transmitted - inertia * self.acceleration)
 
 
