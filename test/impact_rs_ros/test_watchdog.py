@@ -4,14 +4,21 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Callable, Iterator
+from itertools import count
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import rclpy
 from rclpy.serialization import serialize_message
-from robot_bench import PERIOD, RATE, START, Robot
+from robot_bench import PERIOD, RATE, START, Robot, Wires
 from std_msgs.msg import Float64MultiArray
 
-from impact_rs_ros.watchdog_node import Watchdog
+from impact_rs_ros import watchdog_node
+from impact_rs_ros.effort_arms import commands_topic
+from impact_rs_ros.robot_states import STATES
+from impact_rs_ros.watchdog_node import Watchdog, WatchdogNode
 
 TIMEOUT = 0.05  # s
 MOVING = np.full(7, 0.5)
@@ -104,3 +111,60 @@ def test_of_two_arms_the_one_whose_commands_stop_counts() -> None:
         if taken:
             break
     assert bench.watchdog.braking
+
+
+class Gathered(Wires):
+    """An inbox in which what has come is found when all of it is gathered."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.came: list[tuple[str, bytes]] = []
+
+    def gather(self) -> None:
+        self.waiting, self.came = self.waiting + self.came, []
+
+
+class Program:
+    """The node on the clock and the wires of a test; the arm moves, and a cell sends torques."""
+
+    def __init__(self, node: WatchdogNode) -> None:
+        self.bench, self.inbox, self.node = Bench(), Gathered(), node
+        node._clock, node._inbox, node._watchdog = self.bench.robot.clock, self.inbox, self.bench.watchdog  # type: ignore[assignment]
+        node._arm_of = {commands_topic("arm"): "arm"}
+        node._send = lambda arm, torque: None  # type: ignore[method-assign]
+
+    def passes(self, seconds: float, *commands: bytes) -> bool:
+        """So much time of the robot passes before the node looks; whether it brakes."""
+        self.bench.robot.clock.time += seconds
+        self.inbox.came = [(STATES, self.bench.robot.message(velocity=MOVING))]
+        self.inbox.came += [(commands_topic("arm"), data) for data in commands]
+        self.node._look()
+        return self.bench.watchdog.braking
+
+
+@pytest.fixture
+def program(domain_ids: Callable[[], int]) -> Iterator[Program]:
+    rclpy.init(domain_id=domain_ids())
+    node = WatchdogNode()
+    node.close()
+    yield Program(node)
+    node.executor.shutdown(timeout_sec=1.0)
+    node.node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def test_a_watchdog_that_did_not_run_hears_what_waited_before_it_judges(program: Program) -> None:
+    alive = command(np.zeros(7))
+    assert not program.passes(PERIOD, alive)
+    assert not program.passes(10.0 * TIMEOUT, alive)  # a busy machine let it wait, and the cell was alive
+    assert not program.passes(0.9 * TIMEOUT)
+    assert program.passes(0.2 * TIMEOUT)
+
+
+def test_a_slow_simulator_is_no_silence_of_the_cell(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An hour of this machine passes between two looks, and a millisecond of the robot."""
+    hours = count(step=3600.0)
+    monkeypatch.setattr(watchdog_node, "time", SimpleNamespace(monotonic=lambda: next(hours)))
+    assert not program.passes(PERIOD, command(np.zeros(7)))
+    assert not any(program.passes(PERIOD) for _ in range(round(0.9 * TIMEOUT / PERIOD)))
+    assert any(program.passes(PERIOD) for _ in range(round(0.2 * TIMEOUT / PERIOD)))

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-import os
+import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -80,30 +80,23 @@ def silent_plant(domain_id: int, best_effort: bool = False) -> Iterator[list[Con
         rclpy.try_shutdown(context=context)
 
 
-def environment(domain_id: int) -> dict[str, str]:
-    return os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
-
-
 def test_a_campaign_runs_with_the_example_in_the_place_of_our_plant(
     domain_ids: Callable[[], int], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """The campaign waits for it, its bags are whole without what it does not tell, and are analysed."""
-    surroundings = environment(domain_ids())
+    domain = {"ROS_DOMAIN_ID": str(domain_ids())}
     runs = tmp_path / "runs"
     scope = ["--objects", "cat_food", "--cases", "2", "--scales", "0.8", "1.0", "1.2", "--trials", "1"]
     command = [sys.executable, "-m", "impact_rs_cli.main", "campaign", "push", "-o", str(runs), *scope]
-    with running([*command, "--via", "nodes", "--without", "plant"], surroundings) as campaign:
-        assert campaign.stdout is not None
-        assert campaign.stdout.readline().startswith(WAITING)
-        with running([sys.executable, str(EXAMPLE)], surroundings) as plant:
-            told = campaign.stdout.read()
-            assert campaign.wait() == 0, told
-            plant.terminate()
-            assert plant.stdout is not None
-            said = plant.stdout.read()
-    assert "3 of 3 trials are there (3 OK)" in told
-    assert said.count("push/cat_food, case_2: OK after 1.800 s") >= 3
-    assert "Traceback" not in said
+    with running([*command, "--via", "nodes", "--without", "plant"], domain) as campaign:
+        campaign.line(WAITING)
+        with running([sys.executable, str(EXAMPLE)], domain) as plant:
+            code, printed = campaign.end()
+            _, by_plant = plant.end(signal.SIGTERM)
+    assert code == 0, printed
+    assert "3 of 3 trials are there (3 OK)" in printed
+    assert by_plant.count("push/cat_food, case_2: OK after 1.800 s") >= 3
+    assert "Traceback" not in by_plant
 
     bag = TrialBag.open(runs / TRIAL)
     assert bag.missing == ["/arm/motor_states", "/truth"]

@@ -15,6 +15,7 @@ import pytest
 from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
 from node_trials import PATIENCE, goal, in_trial, one_trial, result_of, spin_until, until
+from processes import running
 
 from impact_rs_ros import graph as graphs
 from impact_rs_ros.graph import Graph, GraphError, run_trial, run_trials_through_nodes
@@ -215,12 +216,10 @@ def test_a_recorder_names_what_is_missing_and_answers_again(graph: Graph, tmp_pa
 
 def test_a_node_interrupted_while_importing_prints_no_traceback() -> None:
     command = [sys.executable, "-m", "impact_rs_ros.plant_node"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
-        maps = Path(f"/proc/{process.pid}/maps")
+    with running(command) as node:
+        maps = Path(f"/proc/{node.process.pid}/maps")
         until(lambda: "_multiarray_umath" in maps.read_text(), lambda: time.sleep(0.002))  # NumPy comes first
-        process.send_signal(signal.SIGINT)
-        output, _ = process.communicate(timeout=PATIENCE)
-    assert output == ""
+        assert node.end(signal.SIGINT)[1] == ""
 
 
 def test_trials_of_a_campaign_leave_no_node_behind(domain_ids: Callable[[], int], tmp_path: Path) -> None:
@@ -233,34 +232,22 @@ def test_trials_of_a_campaign_leave_no_node_behind(domain_ids: Callable[[], int]
 
 
 def test_up_starts_a_lost_node_again_and_stops_on_interrupt(domain_ids: Callable[[], int]) -> None:
-    environment = dict(os.environ, ROS_DOMAIN_ID=str(domain_ids()), PYTHONUNBUFFERED="1")
     program = "import sys; from impact_rs_ros.graph import up; sys.exit(up('push'))"
-    output = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    with subprocess.Popen(
-        [sys.executable, "-c", program], env=environment, start_new_session=True, **output
-    ) as process:
-        assert process.stdout is not None
-        printed: list[str] = []
-
-        def printed_until(text: str) -> None:
-            while text not in (printed[-1] if printed else ""):
-                printed.append(process.stdout.readline())
-                assert printed[-1], printed
-
-        printed_until("The nodes are up")
-        nodes = descendants(process.pid)
+    domain = {"ROS_DOMAIN_ID": str(domain_ids())}
+    with running([sys.executable, "-c", program], domain, start_new_session=True) as up:
+        up.line("The nodes are up")
+        nodes = descendants(up.process.pid)
         assert len(nodes) == len(NODES)
         pid = {name: pid for pid, command in nodes.items() for name in NODES if f"{name}_node" in command}
         os.kill(pid["impact_map"], signal.SIGKILL)
-        printed_until("node impact_map was killed (SIGKILL)")
+        up.line("node impact_map was killed (SIGKILL)")
         os.kill(pid["recorder"], signal.SIGTERM)
-        printed_until("node recorder ended with exit code 0")  # in order
-        nodes |= descendants(process.pid)
+        up.line("node recorder ended with exit code 0")  # in order
+        nodes |= descendants(up.process.pid)
         assert len(nodes) == len(NODES) + 2  # the others go on
-        process.send_signal(signal.SIGINT)
-        printed += process.stdout.readlines()
-        assert process.wait(PATIENCE) == 0
-    assert "Traceback" not in "".join(printed)
+        code, printed = up.end(signal.SIGINT)
+    assert code == 0
+    assert "Traceback" not in printed
     assert not [pid for pid in nodes if Path(f"/proc/{pid}").exists()]
 
 
